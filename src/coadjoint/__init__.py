@@ -1,0 +1,89 @@
+"""Generalized Euler equations x' = J(x) grad H(x) on the dual of any finite-dimensional Lie algebra, integrated with their structure.
+
+Algebra, Hamiltonian and system say what moves; a scheme says how; `integrate` runs it:
+
+>>> import coadjoint as co
+>>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+>>> sol = co.integrate(body, (0.1, 1.0, 0.1), t_span=(0, 100), step=0.1, method=co.Splitting(order=4))
+>>> sol.x.shape
+(1001, 3)
+
+Names are loaded when they are first used: importing this package loads NumPy and nothing heavier.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Hamiltonian": "coadjoint.systems.hamiltonian",
+    "IntegrationError": "coadjoint.errors",
+    "Invariant": "coadjoint.algebra.invariant",
+    "LieAlgebra": "coadjoint.algebra.lie_algebra",
+    "LiePoissonSystem": "coadjoint.systems.lie_poisson",
+    "PoissonSystem": "coadjoint.systems.poisson",
+    "Polynomial": "coadjoint.algebra.polynomial",
+    "Quadratic": "coadjoint.systems.quadratic",
+    "Separable": "coadjoint.systems.separable",
+    "SplitHamiltonian": "coadjoint.systems.split_hamiltonian",
+    "Composition": "coadjoint.methods.composition",
+    "ExplicitRungeKutta": "coadjoint.methods.explicit_runge_kutta",
+    "GaussLegendre": "coadjoint.methods.gauss_legendre",
+    "IteratedGaussLegendre": "coadjoint.methods.iterated_gauss_legendre",
+    "ModifiedGaussLegendre": "coadjoint.methods.modified_gauss_legendre",
+    "RadauEnergy": "coadjoint.methods.radau_energy",
+    "Splitting": "coadjoint.methods.splitting",
+    "Solution": "coadjoint.runs.solution",
+    "integrate": "coadjoint.runs.integrate",
+    "stepper": "coadjoint.runs.stepper",
+}
+_MODULES = {
+    "algebras": "coadjoint.algebra.catalogue",
+    "systems": "coadjoint.systems",
+    "methods": "coadjoint.methods",
+}
+
+__all__ = ["__version__", *sorted(_HOME), *sorted(_MODULES)]
+
+if TYPE_CHECKING:
+    from coadjoint import methods as methods
+    from coadjoint import systems as systems
+    from coadjoint.algebra import catalogue as algebras
+    from coadjoint.algebra.invariant import Invariant as Invariant
+    from coadjoint.algebra.lie_algebra import LieAlgebra as LieAlgebra
+    from coadjoint.algebra.polynomial import Polynomial as Polynomial
+    from coadjoint.errors import IntegrationError as IntegrationError
+    from coadjoint.methods.composition import Composition as Composition
+    from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta as ExplicitRungeKutta
+    from coadjoint.methods.gauss_legendre import GaussLegendre as GaussLegendre
+    from coadjoint.methods.iterated_gauss_legendre import IteratedGaussLegendre as IteratedGaussLegendre
+    from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
+    from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy
+    from coadjoint.methods.splitting import Splitting as Splitting
+    from coadjoint.runs.integrate import integrate as integrate
+    from coadjoint.runs.solution import Solution as Solution
+    from coadjoint.runs.stepper import stepper as stepper
+    from coadjoint.systems.hamiltonian import Hamiltonian as Hamiltonian
+    from coadjoint.systems.lie_poisson import LiePoissonSystem as LiePoissonSystem
+    from coadjoint.systems.poisson import PoissonSystem as PoissonSystem
+    from coadjoint.systems.quadratic import Quadratic as Quadratic
+    from coadjoint.systems.separable import Separable as Separable
+    from coadjoint.systems.split_hamiltonian import SplitHamiltonian as SplitHamiltonian
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        found: Any = importlib.import_module(_MODULES[name])
+    elif name in _HOME:
+        found = getattr(importlib.import_module(_HOME[name]), name)
+    else:
+        raise AttributeError(f"module 'coadjoint' has no attribute {name!r}")
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,1 @@
+"""Where the state lives: structure constants, brackets, the matrix J(x), Casimirs, representations, the catalogue."""

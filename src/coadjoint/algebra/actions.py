@@ -1,0 +1,102 @@
+"""The sparse actions of an algebra: the entries of D_u, J(x) without a matrix, and who commutes with whom."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.constants import Triples
+from coadjoint.algebra.exact import exact_numbers
+from coadjoint.algebra.identities import both_orders
+from coadjoint.algebra.joins import Integers, expand, groups
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import LinearOperator
+
+
+def actions(triples: Triples, dim: int) -> tuple[Integers, Triples]:
+    """Return the entries (i, row, column, value) of every D_{e_i}, sorted, and where each i begins, (n + 1,).
+
+    Examples
+    --------
+    >>> starts, entries = actions(Triples(*np.array([[0], [1], [1]]), np.array([2.0])), 2)
+    >>> starts.tolist(), entries.j.tolist(), entries.c.tolist()
+    ([0, 1, 2], [1, 0], [-2.0, 2.0])
+    """
+    every = both_orders(triples)  # (D_{e_i})_jk = c_ji^k
+    order, _ = groups(every.j, every.i, every.k)
+    acting = every.j[order]
+    starts = np.searchsorted(acting, np.arange(dim + 1)).astype(np.int64)
+    return starts, Triples(acting, every.i[order], every.k[order], every.c[order])
+
+
+def coadjoint_entries(
+    starts: Integers, every: Triples, indices: Integers, coefficients: NDArray[Any]
+) -> tuple[Integers, Integers, NDArray[Any]]:
+    """Return rows, columns and values of sum_i u_i D_{e_i}, sorted, each position once, without exact zeros.
+
+    Parameters
+    ----------
+    starts, every
+        From `actions`.
+    indices, coefficients : (m,) arrays
+        The i with u_i != 0, and the u_i.
+
+    Examples
+    --------
+    >>> of_all = actions(Triples(*np.array([[0], [1], [1]]), np.array([2.0])), 2)
+    >>> [part.tolist() for part in coadjoint_entries(*of_all, np.array([0]), np.array([3.0]))]
+    [[1], [1], [-6.0]]
+    """
+    which, at = expand(starts[indices], starts[indices + 1])
+    constants = exact_numbers(every.c[at].tolist()) if coefficients.dtype == object else every.c[at]
+    entries = coefficients[which] * constants
+    rows, columns = every.j[at], every.k[at]
+    order, first = groups(rows, columns)
+    values = np.add.reduceat(entries[order], first) if order.size else entries
+    kept = np.asarray(values != 0, dtype=bool)
+    place = order[first][kept]
+    return rows[place], columns[place], values[kept]
+
+
+def structure_operator(triples: Triples, x: NDArray[np.floating[Any]]) -> LinearOperator:
+    """Return J(x) as a SciPy linear operator.
+
+    Examples
+    --------
+    >>> constants = Triples(*np.array([[0], [1], [1]]), np.array([1.0]))
+    >>> structure_operator(constants, np.array([5.0, 7.0])) @ np.array([0.0, 1.0])
+    array([7., 0.])
+    """
+    from scipy.sparse.linalg import LinearOperator
+
+    i, j, k, c = triples
+    entries, n = c * x[k], x.size
+
+    def apply(v: Any) -> Any:
+        flat = np.asarray(v).reshape(n)
+        result = np.zeros(n, dtype=np.result_type(flat.dtype, entries.dtype))
+        np.add.at(result, i, entries * flat[j])
+        np.subtract.at(result, j, entries * flat[i])
+        return result
+
+    return LinearOperator((n, n), matvec=apply, rmatvec=lambda v: -apply(v), dtype=entries.dtype)
+
+
+def neighbours(triples: Triples, dim: int) -> tuple[Integers, Integers]:
+    """Return, in compressed sparse rows, the j that do not commute with each i; sorted, read-only.
+
+    Examples
+    --------
+    >>> [part.tolist() for part in neighbours(Triples(*np.array([[0], [2], [0]]), np.array([1.0])), 3)]
+    [[0, 1, 1, 2], [2, 0]]
+    """
+    first, second = np.concatenate([triples.i, triples.j]), np.concatenate([triples.j, triples.i])
+    order, starts = groups(first, second)
+    first, indices = first[order[starts]], second[order[starts]]
+    indptr = np.searchsorted(first, np.arange(dim + 1)).astype(np.int64)
+    for column in (indptr, indices):
+        column.flags.writeable = False
+    return indptr, indices

@@ -1,0 +1,205 @@
+"""Sparse structure constants: how they are read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from coadjoint.algebra.joins import Floats, Integers
+
+
+class Triples(NamedTuple):
+    """Structure constants c_ij^k as four arrays of equal length, [e_i, e_j] = sum_k c e_k.
+
+    Parameters
+    ----------
+    i, j, k : (m,) integer arrays
+        Indices, from 0.
+    c : (m,) float array
+        The constants.
+
+    Examples
+    --------
+    >>> Triples(np.array([0]), np.array([1]), np.array([1]), np.array([1.0])).k
+    array([1])
+    """
+
+    i: Integers
+    j: Integers
+    k: Integers
+    c: Floats
+
+    def rows(self, chosen: Any) -> Triples:
+        """Return the chosen rows: a slice, indices, or a mask.
+
+        Examples
+        --------
+        >>> Triples(np.arange(3), np.arange(3), np.arange(3), np.ones(3)).rows([2, 0]).i
+        array([2, 0])
+        """
+        return Triples(self.i[chosen], self.j[chosen], self.k[chosen], self.c[chosen])
+
+
+def triple_name(indices: Sequence[int], names: Sequence[str]) -> str:
+    """Name basis elements for a message.
+
+    Examples
+    --------
+    >>> triple_name((0, 1, 3), ("e1", "e2", "e3", "e4"))
+    '(e1, e2, e4) = indices (0, 1, 3)'
+    """
+    return f"({', '.join(names[q] for q in indices)}) = indices ({', '.join(str(q) for q in indices)})"
+
+
+def read_numbers(values: Any, what: str) -> Floats:
+    """Return a float64 copy of real numbers, or say by name what is wrong with them.
+
+    Examples
+    --------
+    >>> read_numbers([[1, 2]], "M")
+    array([[1., 2.]])
+    """
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind not in "iufO":
+            raise TypeError
+        numbers = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"{what} must be an array of real numbers, all rows of the same length") from None
+    except OverflowError:
+        raise ValueError(f"{what} holds a number that is too large for float64") from None
+    return numbers
+
+
+def read_constants(constants: Any, dim: int | None) -> tuple[int, Triples, bool]:
+    """Read structure constants in any accepted form.
+
+    Parameters
+    ----------
+    constants : array of shape (n, n, n), sequence of (i, j, k, c), or Triples
+    dim : int or None
+        Dimension; needed only where `constants` does not tell it.
+
+    Returns
+    -------
+    dim : int
+    triples : Triples
+        As given: not yet sorted, checked for antisymmetry, or freed of zeros.
+    complete : bool
+        Whether constants that were not given are zero (dense input), or follow from antisymmetry (sparse input).
+
+    Raises
+    ------
+    TypeError, ValueError
+        Named: not numbers, wrong shape, not finite, index not an integer or out of range, dimension unknown.
+
+    Examples
+    --------
+    >>> dim, triples, complete = read_constants([(0, 1, 1, 1.0)], 2)
+    >>> dim, triples.c, complete
+    (2, array([1.]), False)
+    """
+    if dim is not None and (isinstance(dim, bool) or not isinstance(dim, int | np.integer) or dim < 1):
+        raise ValueError(f"dim must be a positive integer, not {dim!r}")
+    if isinstance(constants, Triples):
+        columns = [
+            read_numbers(column, f"column {name} of the triples") for name, column in constants._asdict().items()
+        ]
+        if any(column.shape != columns[3].shape or column.ndim != 1 for column in columns):
+            raise ValueError("the four columns i, j, k, c of the triples must be one-dimensional and of equal length")
+        return _from_columns(columns, dim)
+    numbers = read_numbers(constants, "structure constants")
+    if numbers.ndim == 3:
+        return _from_dense(numbers, dim)
+    if numbers.size == 0 and numbers.ndim <= 2:
+        numbers = numbers.reshape(0, 4)
+    if numbers.ndim != 2 or numbers.shape[1] != 4:
+        raise ValueError(
+            f"structure constants must have shape (n, n, n) or be rows (i, j, k, c); their shape is {numbers.shape}"
+        )
+    return _from_columns(list(numbers.T), dim)
+
+
+def _from_dense(numbers: Floats, dim: int | None) -> tuple[int, Triples, bool]:
+    n = numbers.shape[0]
+    if numbers.shape != (n, n, n) or n == 0:
+        raise ValueError(f"dense structure constants must have shape (n, n, n) with n >= 1, not {numbers.shape}")
+    if dim is not None and dim != n:
+        raise ValueError(f"dim = {dim} does not fit dense structure constants of shape {numbers.shape}")
+    i, j, k = (index.astype(np.int64) for index in np.nonzero(numbers))
+    values = numbers[i, j, k]
+    _refuse_infinite(i, j, k, values)
+    return n, Triples(i, j, k, values), True
+
+
+def _from_columns(columns: list[Floats], dim: int | None) -> tuple[int, Triples, bool]:
+    if dim is None:
+        raise ValueError("dim must be given with sparse structure constants, since they do not tell the dimension")
+    for name, column in zip("ijk", columns, strict=False):
+        wrong = np.flatnonzero(~((column >= 0) & (column < dim) & (column == np.floor(column))))
+        if wrong.size:
+            row = int(wrong[0])
+            raise ValueError(
+                f"index {name} = {column[row]:g} in row {row} of the structure constants must be an integer "
+                f"from 0 to {dim - 1}"
+            )
+    i, j, k = (column.astype(np.int64) for column in columns[:3])
+    _refuse_infinite(i, j, k, columns[3])
+    return int(dim), Triples(i, j, k, columns[3]), False
+
+
+def _refuse_infinite(i: Integers, j: Integers, k: Integers, c: Floats) -> None:
+    wrong = np.flatnonzero(~np.isfinite(c))
+    if wrong.size:
+        row = int(wrong[0])
+        raise ValueError(
+            f"structure constant (i, j, k) = ({i[row]}, {j[row]}, {k[row]}) is {c[row]}; it must be finite"
+        )
+
+
+def read_brackets(dim: int, brackets: Any) -> list[tuple[Any, Any, Any, Any]]:
+    """Turn ``{(i, j): {k: c}}`` into rows (i, j, k, c).
+
+    An empty bracket stays: it says that the pair commutes, so it contradicts a nonzero one in the other order.
+
+    Examples
+    --------
+    >>> read_brackets(2, {(0, 1): {1: 1.0}})
+    [(0, 1, 1, 1.0)]
+    """
+    if not isinstance(brackets, Mapping):
+        raise TypeError(f"brackets must be a mapping {{(i, j): {{k: c}}}}, not {type(brackets).__name__}")
+    rows: list[tuple[Any, Any, Any, Any]] = []
+    for pair, components in brackets.items():
+        if not (isinstance(pair, tuple) and len(pair) == 2):
+            raise TypeError(f"each key of brackets must be a pair of indices (i, j), not {pair!r}")
+        if not isinstance(components, Mapping):
+            raise TypeError(f"bracket {pair} must be a mapping {{k: c}}, not {components!r}")
+        rows.extend((*pair, k, c) for k, c in components.items())
+        if not components:
+            rows.append((*pair, 0, 0.0))
+    return rows
+
+
+def read_basis(basis: Sequence[str] | None, dim: int) -> tuple[str, ...]:
+    """Return the names of the basis elements, ``e1, e2, ...`` by default, or say what is wrong with them.
+
+    Examples
+    --------
+    >>> read_basis(None, 2)
+    ('e1', 'e2')
+    """
+    if basis is None:
+        return tuple(f"e{i}" for i in range(1, dim + 1))
+    names = (basis,) if isinstance(basis, str) else tuple(basis)
+    if len(names) != dim:
+        raise ValueError(f"basis must have {dim} names, one for each dimension, not {len(names)}")
+    for position, label in enumerate(names):
+        if not isinstance(label, str) or not label:
+            raise TypeError(f"name {position} of the basis must be a nonempty string, not {label!r}")
+    if len(set(names)) != dim:
+        twice = next(label for position, label in enumerate(names) if label in names[:position])
+        raise ValueError(f"basis name {twice!r} is given twice; names must differ")
+    return names

@@ -1,0 +1,39 @@
+"""Floats as the whole and rational numbers that they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def exact_number(value: int | float | Fraction) -> int | Fraction:
+    """Return a finite number exactly, as int where it is whole, else as Fraction.
+
+    Products with Fraction or mpmath numbers then keep their exactness or their precision.
+
+    Examples
+    --------
+    >>> exact_number(2.0), exact_number(0.5), exact_number(3)
+    (2, Fraction(1, 2), 3)
+    """
+    if isinstance(value, float):
+        return int(value) if value.is_integer() else Fraction(value)
+    return value
+
+
+def exact_numbers(values: Iterable[int | float | Fraction]) -> NDArray[Any]:
+    """Return an object array of exact numbers.
+
+    Examples
+    --------
+    >>> exact_numbers([1.0, 0.25])
+    array([1, Fraction(1, 4)], dtype=object)
+    """
+    exact = [exact_number(value) for value in values]
+    result = np.empty(len(exact), dtype=object)
+    result[:] = exact
+    return result

@@ -1,0 +1,158 @@
+"""What makes structure constants those of a Lie algebra: antisymmetry and the Jacobi identity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from coadjoint.algebra.constants import Triples, triple_name
+from coadjoint.algebra.joins import DEFECT_FACTOR, UNIT_ROUNDOFF, chunks, expand, groups, violated
+
+
+def antisymmetric(triples: Triples, dim: int, names: Sequence[str], complete: bool) -> Triples:
+    """Check antisymmetry and return the constants with i < j, sorted, unique and not zero.
+
+    Two values that should be opposite may differ by 64 u times the largest constant that involves e_i, or e_j if that
+    is smaller (u = 2^-53).
+
+    Parameters
+    ----------
+    triples : Triples
+    dim : int
+    names : sequence of str
+        Names of the basis elements, for messages.
+    complete : bool
+        Whether constants that are not listed are zero; if not, a pair listed in one order only defines the other.
+
+    Returns
+    -------
+    Triples
+
+    Raises
+    ------
+    ValueError
+        A constant is given twice with different values, [e_i, e_i] is not zero, or [e_i, e_j] is not -[e_j, e_i].
+
+    Examples
+    --------
+    >>> given = Triples(np.array([1]), np.array([0]), np.array([1]), np.array([2.0]))
+    >>> antisymmetric(given, 2, ("e1", "e2"), False).c
+    array([-2.])
+    """
+    order, starts = groups(triples.i, triples.j, triples.k)
+    i, j, k, c = triples.rows(order)
+    first = np.repeat(starts, np.diff(np.append(starts, order.size)))
+    wrong = np.flatnonzero(c != c[first])
+    if wrong.size:
+        at = int(wrong[0])
+        where = triple_name((int(i[at]), int(j[at]), int(k[at])), names)
+        raise ValueError(
+            f"structure constant {where} is given twice, as {c[first[at]]:g} and as {c[at]:g}; give it once"
+        )
+    i, j, k, c = i[starts], j[starts], k[starts], c[starts]
+    size = np.zeros(dim)
+    np.maximum.at(size, i, np.abs(c))
+    np.maximum.at(size, j, np.abs(c))
+    allowed = DEFECT_FACTOR * UNIT_ROUNDOFF * np.minimum(size[i], size[j])
+    own = np.flatnonzero((i == j) & ((np.abs(c) > allowed) | (not complete and c != 0.0)))
+    if own.size:
+        at = int(own[0])
+        raise ValueError(
+            f"[{names[i[at]]}, {names[i[at]]}] (index {i[at]}) must be zero, but has component {c[at]:g} "
+            f"along {names[k[at]]}"
+        )
+    apart = i != j
+    i, j, k, c, allowed = i[apart], j[apart], k[apart], c[apart], allowed[apart]
+    forward = i < j
+    low, high = np.minimum(i, j), np.maximum(i, j)
+    order, starts = groups(low * dim + high, k)
+    ahead, behind = (
+        np.add.reduceat(np.where(side, c, 0.0)[order], starts) if order.size else c[:0] for side in (forward, ~forward)
+    )
+    allowed = allowed[order[starts]] if order.size else allowed
+    low, high, k = low[order[starts]], high[order[starts]], k[order[starts]]
+    both = np.ones(low.size, dtype=bool)
+    if not complete:
+        pairs = (i * dim + j)[forward], (j * dim + i)[~forward]
+        both = np.isin(low * dim + high, np.intersect1d(*pairs))
+    wrong = np.flatnonzero(both & (np.abs(0.5 * ahead + 0.5 * behind) > 0.5 * allowed))
+    if wrong.size:
+        at = int(wrong[0])
+        pair = int(low[at]), int(high[at])
+        raise ValueError(
+            f"antisymmetry violated for {triple_name(pair, names)}: component {names[k[at]]} is {ahead[at]:g} in "
+            f"[{names[pair[0]]}, {names[pair[1]]}] and {behind[at]:g} in the opposite order; they must be opposite"
+        )
+    exact = ahead == -behind
+    value = np.where(both, np.where(exact, ahead, 0.5 * ahead - 0.5 * behind), ahead - behind)
+    kept = value != 0.0
+    return Triples(low[kept], high[kept], k[kept], value[kept])
+
+
+def both_orders(triples: Triples) -> Triples:
+    """Return the constants of i < j followed by those of i > j.
+
+    Examples
+    --------
+    >>> both_orders(Triples(np.array([0]), np.array([1]), np.array([1]), np.array([2.0]))).c
+    array([ 2., -2.])
+    """
+    i, j, k, c = triples
+    return Triples(np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([k, k]), np.concatenate([c, -c]))
+
+
+def check_jacobi(triples: Triples, dim: int, names: Sequence[str]) -> None:
+    """Check the Jacobi identity sum_m (c_ab^m c_md^l + c_bd^m c_ma^l + c_da^m c_mb^l) = 0 for all a < b < d and l.
+
+    Each identity is held against 64 u times the sum of the absolute values of its products. Only products of nonzero
+    constants are formed: first with a in the inner bracket, then with a in the outer one, in runs of bounded memory.
+
+    Parameters
+    ----------
+    triples : Triples
+        With i < j, sorted, unique, as `antisymmetric` returns them.
+    dim : int
+    names : sequence of str
+
+    Raises
+    ------
+    ValueError
+        Names the three basis elements and the component with the largest defect of the run where one is found.
+
+    Examples
+    --------
+    >>> so3 = Triples(*np.array([[0, 0, 1], [1, 2, 2], [2, 1, 0]]), np.array([1.0, -1.0, 1.0]))
+    >>> check_jacobi(so3, 3, ("e1", "e2", "e3"))
+    """
+    every = both_orders(triples)
+    order, _ = groups(every.i, every.j, every.k)
+    outer = every.rows(order)  # by first, then second index
+    order, _ = groups(triples.k, triples.i)
+    inner = triples.rows(order)  # by component, then first index
+    outer_key, inner_key = outer.i * dim + outer.j, inner.k * dim + inner.i
+    # the other factor must have its free indices above a: a range, thanks to the sorting
+    outer_start = np.searchsorted(outer_key, outer.k * dim + outer.i, side="right")
+    outer_stop = np.searchsorted(outer_key, (outer.k + 1) * dim)
+    outer_stop = np.where(outer.j > outer.i, np.maximum(outer_stop, outer_start), outer_start)
+    inner_start = np.searchsorted(inner_key, outer.j * dim + outer.i, side="right")
+    inner_stop = np.maximum(np.searchsorted(inner_key, (outer.j + 1) * dim), inner_start)
+    costs = (outer_stop - outer_start) + (inner_stop - inner_start)
+    for part in chunks(outer.i, costs.astype(np.int64)):
+        a, b, m, c = outer.rows(part)
+        row, at = expand(outer_start[part], outer_stop[part])  # +-c_ab^m c_md^l
+        other = outer.j[at]
+        row, at, other = (column[other != b[row]] for column in (row, at, other))
+        low, high = np.minimum(b[row], other), np.maximum(b[row], other)
+        below, under = expand(inner_start[part], inner_stop[part])  # c_bd^m c_ma^l = -c_am^l c_bd^m
+        first = np.concatenate([np.where(b[row] < other, c[row], -c[row]), -c[below]])
+        second = np.concatenate([outer.c[at], inner.c[under]])
+        pair = np.concatenate([a[row] * dim + low, a[below] * dim + inner.i[under]])
+        rest = np.concatenate([high * dim + outer.k[at], inner.j[under] * dim + m[below]])
+        found = violated((pair, rest), first, second)
+        if found is not None:
+            (a_, b_), (d_, l_) = divmod(int(pair[found[0]]), dim), divmod(int(rest[found[0]]), dim)
+            raise ValueError(
+                f"Jacobi identity violated for {triple_name((a_, b_, d_), names)}: defect {found[1]:.3g} in component "
+                f"{names[l_]}, where it must be zero to {DEFECT_FACTOR} units of round-off of its products"
+            )

@@ -1,0 +1,61 @@
+"""An invariant given as a function: what a polynomial cannot express."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Invariant:
+    """A function of the state that the motion keeps, given as a Python function.
+
+    Choose it for Casimirs and integrals that are not polynomials; `Polynomial` serves the others and is faster.
+
+    Parameters
+    ----------
+    value : callable
+        Pure function of the state x, an array of shape (n,), that returns a number. Written with `math` functions of
+        the coordinates it can be compiled.
+    gradient : callable, optional
+        Function of x that returns the gradient, shape (n,).
+    period : float, optional
+        Positive for a multivalued function (a logarithm with an angle): `value` is known up to multiples of `period`
+        and is unwrapped along a run. Zero (the default) for a single-valued one.
+
+    Raises
+    ------
+    TypeError
+        `value` or `gradient` cannot be called, or `period` is not a number.
+    ValueError
+        `period` is negative or not finite.
+
+    Examples
+    --------
+    >>> ratio = Invariant(lambda x: x[1] / x[0])
+    >>> ratio([2.0, 3.0, 1.0])
+    1.5
+    """
+
+    value: Callable[[Any], Any]
+    gradient: Callable[[Any], Any] | None = None
+    period: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not callable(self.value):
+            raise TypeError(f"value of an Invariant must be a function of x, not {self.value!r}")
+        if self.gradient is not None and not callable(self.gradient):
+            raise TypeError(f"gradient of an Invariant must be a function of x or None, not {self.gradient!r}")
+        try:
+            period = float(self.period)
+        except (TypeError, ValueError):
+            raise TypeError(f"period of an Invariant must be a number, not {self.period!r}") from None
+        if not (math.isfinite(period) and period >= 0.0):
+            raise ValueError(f"period of an Invariant must be finite and not negative, not {self.period!r}")
+        object.__setattr__(self, "period", period)
+
+    def __call__(self, x: Any) -> Any:
+        """Return the value at the state x, shape (n,)."""
+        return self.value(x)

@@ -1,0 +1,139 @@
+"""Sparse sums of products, by sorting: the identities of a Lie algebra without an n^3 array."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+UNIT_ROUNDOFF = 2.0**-53
+DEFECT_FACTOR = 64  # an identity holds when its defect is below 64 u times the sum of the absolute products in it
+CHUNK = 1 << 21  # products held in memory at a time
+
+Integers = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+def groups(*keys: Integers) -> tuple[Integers, Integers]:
+    """Sort rows by several keys, the first the most significant, and find where equal rows begin.
+
+    Parameters
+    ----------
+    *keys : (m,) integer arrays
+
+    Returns
+    -------
+    order : (m,) array
+        The permutation that sorts (stable).
+    starts : (number of different rows,) array
+        Positions in the sorted rows where a new value begins.
+
+    Examples
+    --------
+    >>> order, starts = groups(np.array([1, 0, 1]), np.array([5, 7, 5]))
+    >>> order.tolist(), starts.tolist()
+    ([1, 0, 2], [0, 1])
+    """
+    order = np.lexsort(keys[::-1]).astype(np.int64)
+    fresh = np.zeros(order.size, dtype=bool)
+    fresh[:1] = True
+    for key in keys:
+        fresh[1:] |= np.diff(key[order]) != 0
+    return order, np.flatnonzero(fresh).astype(np.int64)
+
+
+def expand(starts: Integers, stops: Integers) -> tuple[Integers, Integers]:
+    """List every pair (row, position) with starts[row] <= position < stops[row].
+
+    Parameters
+    ----------
+    starts, stops : (m,) integer arrays
+        Half-open ranges, one for each row.
+
+    Returns
+    -------
+    rows, positions : integer arrays of equal length
+
+    Examples
+    --------
+    >>> [a.tolist() for a in expand(np.array([4, 0]), np.array([6, 1]))]
+    [[0, 0, 1], [4, 5, 0]]
+    """
+    counts = stops - starts
+    rows = np.repeat(np.arange(counts.size, dtype=np.int64), counts)
+    offsets = np.cumsum(counts) - counts
+    return rows, np.arange(rows.size, dtype=np.int64) + np.repeat(starts - offsets, counts)
+
+
+def chunks(labels: Integers, costs: Integers) -> Iterator[slice]:
+    """Cut rows sorted by label into runs of about `CHUNK` total cost, never inside a label.
+
+    Parameters
+    ----------
+    labels : (m,) sorted integer array
+    costs : (m,) nonnegative integer array
+
+    Yields
+    ------
+    slice
+        The rows of one run.
+
+    Examples
+    --------
+    >>> list(chunks(np.array([0, 0, 1]), np.array([CHUNK, 1, 1])))
+    [slice(0, 2, None), slice(2, 3, None)]
+    """
+    ends = np.append(np.flatnonzero(np.diff(labels)) + 1, labels.size)
+    reached = np.cumsum(costs)
+    begin, spent = 0, 0
+    while begin < labels.size:
+        candidates = ends[ends > begin]
+        inside = int(np.searchsorted(reached[candidates - 1], spent + CHUNK, side="right"))
+        end = int(candidates[max(inside - 1, 0)])
+        yield slice(begin, end)
+        begin, spent = end, int(reached[end - 1])
+
+
+def violated(keys: tuple[Integers, ...], first: Floats, second: Floats) -> tuple[int, float] | None:
+    """Find the sum of products that is farthest from zero, relative to its own terms.
+
+    The products first * second with equal keys are added up; a sum counts as zero when it is below 64 u times the sum
+    of their absolute values (u = 2^-53). Mantissas and exponents are kept apart: no product over- or underflows.
+
+    Parameters
+    ----------
+    keys : tuple of (m,) integer arrays
+        Rows with equal keys belong to one identity.
+    first, second : (m,) float arrays
+        The factors.
+
+    Returns
+    -------
+    (row, defect) or None
+        A row of the identity that is violated worst, and its sum; None where every identity holds.
+
+    Examples
+    --------
+    >>> same = (np.array([0, 0]),)
+    >>> violated(same, np.array([1.0, -1.0]), np.array([2.0, 2.0])) is None
+    True
+    >>> violated(same, np.array([1.0, -1.0]), np.array([2.0, 1.5]))
+    (0, 0.5)
+    """
+    if first.size == 0:
+        return None
+    order, starts = groups(*keys)
+    (head, head_exponent), (tail, tail_exponent) = np.frexp(first[order]), np.frexp(second[order])
+    products, exponents = head * tail, head_exponent + tail_exponent
+    nonzero = np.where(products == 0.0, np.iinfo(exponents.dtype).min // 2, exponents)
+    largest = np.maximum(np.maximum.reduceat(nonzero, starts), -4096)
+    sizes = np.diff(np.append(starts, order.size))
+    products = np.ldexp(products, np.maximum(exponents - np.repeat(largest, sizes), -4096))
+    sums = np.add.reduceat(products, starts)
+    excess = np.abs(sums) - DEFECT_FACTOR * UNIT_ROUNDOFF * np.add.reduceat(np.abs(products), starts)
+    worst = int(np.argmax(excess))
+    if excess[worst] <= 0.0:
+        return None
+    with np.errstate(over="ignore", under="ignore"):
+        return int(order[starts[worst]]), float(np.ldexp(sums[worst], largest[worst]))

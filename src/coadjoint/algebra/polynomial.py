@@ -1,0 +1,288 @@
+"""Polynomials in the coordinates, in exact arithmetic: Hamiltonians, Casimirs, modified Hamiltonians."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Mapping
+from fractions import Fraction
+from functools import cached_property
+from numbers import Integral, Rational
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.product_sums import Coefficient, ProductSum, differentiated
+
+Exponents = tuple[int, ...]
+
+
+class Polynomial:
+    """A polynomial in x_1 ... x_n: a mapping from exponents to coefficients.
+
+    Whole and rational coefficients stay exact in every operation; floats stay floats. The object does not change.
+
+    Parameters
+    ----------
+    monomials : mapping
+        ``{(2, 0, 0): 0.5, (0, 1, 1): -1}`` is x1^2/2 - x2 x3: exponents, one for each coordinate, to coefficients.
+    dim : int, optional
+        Number of coordinates; needed only where `monomials` is empty (the zero polynomial).
+
+    Raises
+    ------
+    TypeError
+        An exponent is not a whole number, or a coefficient not int, float or Fraction.
+    ValueError
+        Exponents of different lengths or negative, a coefficient that is not finite, or an unknown dimension.
+
+    Examples
+    --------
+    >>> p = Polynomial({(2, 0, 0): 0.5, (0, 1, 1): 1})
+    >>> p
+    0.5*x1^2 + x2*x3
+    >>> p([2.0, 3.0, 4.0])
+    14.0
+    >>> p.derivative(2) * p.derivative(1)
+    x2*x3
+    """
+
+    def __init__(self, monomials: Mapping[Exponents, Coefficient], dim: int | None = None) -> None:
+        if not isinstance(monomials, Mapping):
+            raise TypeError(f"monomials must be a mapping {{exponents: coefficient}}, not {type(monomials).__name__}")
+        if dim is not None and (isinstance(dim, bool) or not isinstance(dim, int | np.integer) or dim < 1):
+            raise ValueError(f"dim of a Polynomial must be a positive integer, not {dim!r}")
+        if not monomials and dim is None:
+            raise ValueError("dim must be given for a Polynomial without monomials")
+        collected: dict[Exponents, Coefficient] = {}
+        for given, value in monomials.items():
+            exponents = _read_exponents(given)
+            if dim is None:
+                dim = len(exponents)
+            if len(exponents) != dim:
+                raise ValueError(
+                    f"exponents {given!r} have length {len(exponents)}; this Polynomial has dimension {dim}"
+                )
+            collected[exponents] = _read_coefficient(value, f"coefficient of {given!r}")
+        if dim is None or dim < 1:
+            raise ValueError("a Polynomial needs at least one coordinate; its exponents are empty")
+        self._fill(collected, int(dim))
+
+    def _fill(self, monomials: Mapping[Exponents, Coefficient], dim: int) -> None:
+        order = sorted(monomials, key=lambda e: (sum(e), tuple(map(operator.neg, e))))
+        self._monomials = {e: monomials[e] for e in order if monomials[e] != 0}
+        self._dim = dim
+
+    @classmethod
+    def _of(cls, monomials: Mapping[Exponents, Coefficient], dim: int) -> Polynomial:
+        """Build from valid monomials; only overflow can make a coefficient wrong."""
+        for exponents, value in monomials.items():
+            if not math.isfinite(value):
+                raise ValueError(f"coefficient of {exponents!r} overflows to {value}; use Fraction coefficients")
+        result = cls.__new__(cls)
+        result._fill(monomials, dim)
+        return result
+
+    @classmethod
+    def variable(cls, i: int, dim: int) -> Polynomial:
+        """Return the coordinate x_i (index from 0) as a polynomial in `dim` coordinates.
+
+        Examples
+        --------
+        >>> Polynomial.variable(1, 3)
+        x2
+        """
+        if not 0 <= i < dim:
+            raise ValueError(f"index {i!r} of a coordinate must be from 0 to {dim - 1}")
+        return cls({tuple(int(j == i) for j in range(dim)): 1})
+
+    @property
+    def dim(self) -> int:
+        """Number of coordinates n."""
+        return self._dim
+
+    @property
+    def monomials(self) -> Mapping[Exponents, Coefficient]:
+        """Exponents -> coefficient, read-only; by degree, and x1 before x2 within a degree; no zeros."""
+        return MappingProxyType(self._monomials)
+
+    @property
+    def degree(self) -> int:
+        """The largest degree of a monomial; 0 for constants, and for the zero polynomial."""
+        return sum(next(reversed(self._monomials))) if self._monomials else 0
+
+    def __repr__(self) -> str:
+        text = ""
+        for exponents, value in self._monomials.items():
+            factors = [f"x{i}" + (f"^{e}" if e > 1 else "") for i, e in enumerate(exponents, 1) if e]
+            size = abs(value)
+            if size != 1 or not factors:
+                factors.insert(0, f"({size})" if isinstance(size, Fraction) and size.denominator != 1 else f"{size}")
+            sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
+            text += sign + "*".join(factors)
+        return text or "0"
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Polynomial):
+            return NotImplemented
+        return self._dim == other._dim and self._monomials == other._monomials
+
+    def __hash__(self) -> int:
+        return hash((self._dim, tuple(self._monomials.items())))
+
+    def _operand(self, other: object) -> Polynomial | None:
+        if isinstance(other, Polynomial):
+            if other._dim != self._dim:
+                raise ValueError(f"polynomials in {self._dim} and in {other._dim} coordinates cannot be combined")
+            return other
+        if isinstance(other, Rational | float) and not isinstance(other, bool):
+            return Polynomial({(0,) * self._dim: _read_coefficient(other, "constant")})
+        return None
+
+    def __add__(self, other: Polynomial | Coefficient) -> Polynomial:
+        operand = self._operand(other)
+        if operand is None:
+            return NotImplemented
+        total = dict(self._monomials)
+        for exponents, value in operand._monomials.items():
+            total[exponents] = total[exponents] + value if exponents in total else value
+        return Polynomial._of(total, self._dim)
+
+    __radd__ = __add__
+
+    def __neg__(self) -> Polynomial:
+        return Polynomial._of({exponents: -value for exponents, value in self._monomials.items()}, self._dim)
+
+    def __sub__(self, other: Polynomial | Coefficient) -> Polynomial:
+        operand = self._operand(other)
+        return NotImplemented if operand is None else self + -operand
+
+    def __rsub__(self, other: Coefficient) -> Polynomial:
+        return -self + other
+
+    def __mul__(self, other: Polynomial | Coefficient) -> Polynomial:
+        operand = self._operand(other)
+        if operand is None:
+            return NotImplemented
+        total: dict[Exponents, Coefficient] = {}
+        for left, value in self._monomials.items():
+            for right, factor in operand._monomials.items():
+                exponents = tuple(map(operator.add, left, right))
+                total[exponents] = total[exponents] + value * factor if exponents in total else value * factor
+        return Polynomial._of(total, self._dim)
+
+    __rmul__ = __mul__
+
+    def __pow__(self, power: int) -> Polynomial:
+        if isinstance(power, bool) or not isinstance(power, int | np.integer) or power < 0:
+            raise ValueError(f"a Polynomial can be raised to whole powers from 0 only, not to {power!r}")
+        result, square, left = Polynomial({(0,) * self._dim: 1}), self, int(power)
+        while left:
+            if left & 1:
+                result = result * square
+            left >>= 1
+            if left:
+                square = square * square
+        return result
+
+    def derivative(self, i: int) -> Polynomial:
+        """Return the derivative with respect to coordinate i.
+
+        Parameters
+        ----------
+        i : int
+            Index of the coordinate, from 0.
+
+        Returns
+        -------
+        Polynomial
+
+        Raises
+        ------
+        ValueError
+            i is out of range.
+
+        Examples
+        --------
+        >>> Polynomial({(3, 1): 2}).derivative(0)
+        6*x1^2*x2
+        """
+        if not 0 <= i < self._dim:
+            raise ValueError(f"index {i!r} of a coordinate must be from 0 to {self._dim - 1}")
+        terms = {e[:i] + (e[i] - 1,) + e[i + 1 :]: e[i] * value for e, value in self._monomials.items() if e[i]}
+        return Polynomial._of(terms, self._dim)
+
+    @cached_property
+    def _factors(self) -> list[tuple[int, Coefficient, dict[int, int]]]:
+        return [(0, value, {i: e for i, e in enumerate(x) if e}) for x, value in self._monomials.items()]
+
+    @cached_property
+    def _value_sum(self) -> ProductSum:
+        return ProductSum(self._factors, 1)
+
+    @cached_property
+    def _gradient_sum(self) -> ProductSum:
+        return ProductSum(differentiated(self._factors, self._dim), self._dim)
+
+    @cached_property
+    def _hessian_sum(self) -> ProductSum:
+        twice = differentiated(differentiated(self._factors, self._dim), self._dim)
+        return ProductSum(twice, self._dim**2)
+
+    def _point(self, x: Any) -> NDArray[Any]:
+        point = np.asarray(x)
+        if point.shape != (self._dim,):
+            raise ValueError(f"x must have shape ({self._dim},), not {point.shape}")
+        if point.dtype != object and point.dtype.kind not in "iufc":
+            raise TypeError(f"x must hold numbers, not {point.dtype}")
+        return point if point.dtype == object else point.astype(np.result_type(point.dtype, np.float64), copy=False)
+
+    def __call__(self, x: Any) -> Any:
+        """Return the value at x, shape (n,); with dtype object (Fraction, mpmath) as exact as x is."""
+        return self._value_sum(self._point(x)).item(0)
+
+    def gradient(self, x: Any) -> NDArray[Any]:
+        """Return the gradient at x, both of shape (n,); dtype object is allowed.
+
+        Examples
+        --------
+        >>> Polynomial({(2, 1): 1}).gradient([3.0, 5.0])
+        array([30.,  9.])
+        """
+        return self._gradient_sum(self._point(x))
+
+    def hessian(self, x: Any) -> NDArray[Any]:
+        """Return the second derivatives at x, shape (n, n); dtype object is allowed.
+
+        Examples
+        --------
+        >>> Polynomial({(2, 1): 1}).hessian([3.0, 5.0])
+        array([[10.,  6.],
+               [ 6.,  0.]])
+        """
+        return self._hessian_sum(self._point(x)).reshape(self._dim, self._dim)
+
+
+def _read_exponents(given: Any) -> Exponents:
+    if not isinstance(given, tuple | list):
+        raise TypeError(f"exponents must be a tuple of whole numbers, one for each coordinate, not {given!r}")
+    for exponent in given:
+        if isinstance(exponent, bool) or not isinstance(exponent, int | np.integer):
+            raise TypeError(f"exponents {given!r} must be whole numbers; {exponent!r} is not")
+        if exponent < 0:
+            raise ValueError(f"exponents {given!r} must not be negative")
+    return tuple(map(int, given))
+
+
+def _read_coefficient(value: Any, what: str) -> Coefficient:
+    if isinstance(value, bool) or not isinstance(value, Rational | float | np.floating):
+        raise TypeError(f"{what} must be an int, float or Fraction, not {value!r}")
+    if isinstance(value, Integral):
+        return int(value)
+    if isinstance(value, Rational):
+        return Fraction(int(value.numerator), int(value.denominator))
+    if not math.isfinite(value):
+        raise ValueError(f"{what} is {value}; it must be finite")
+    return float(value)

@@ -1,0 +1,66 @@
+"""Errors of the library and the wording that several of them share."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
+
+
+class IntegrationError(RuntimeError):
+    """A run failed while running: a fixed point did not converge, or a number overflowed.
+
+    Parameters
+    ----------
+    message : str
+        What failed, where, and what would help.
+    step : int
+        Number of the step that failed (the first step is 1).
+    time : float
+        Time at the start of that step.
+    residual : float
+        Size of the last correction of an iteration that did not converge; NaN for an overflow.
+    partial : Solution, optional
+        The solution up to the last saved point before the failure.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> error = co.IntegrationError("no convergence", step=3, time=0.2, residual=1e-3)
+    >>> error.step, error.time
+    (3, 0.2)
+    """
+
+    def __init__(self, message: str, *, step: int, time: float, residual: float, partial: Any = None) -> None:
+        super().__init__(message)
+        self.step = step
+        self.time = time
+        self.residual = residual
+        self.partial = partial
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
+    """Return the error for an unknown name, with the nearest known one.
+
+    Parameters
+    ----------
+    kind : str
+        What is named, for instance ``"algebra"``.
+    name : str
+        The name that was given.
+    known : iterable of str
+        The names that exist.
+
+    Returns
+    -------
+    ValueError
+        To be raised by the caller.
+
+    Examples
+    --------
+    >>> print(unknown_name("algebra", "so4", ["so(4)", "sl(2)"]))
+    unknown algebra 'so4'; did you mean 'so(4)'?
+    """
+    names = sorted(known)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.0)
+    return ValueError(f"unknown {kind} {name!r}; did you mean {close[0]!r}?")

@@ -1,0 +1,1 @@
+"""How fast? The only compiled code: block actions, the loops over steps, saving, watching, members."""

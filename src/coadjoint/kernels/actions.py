@@ -1,0 +1,175 @@
+"""The verb `act`: exp(theta D) of one part on vectors that lie side by side (a state, or the rows of a group element)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from coadjoint.kernels.arithmetic import entire_pair, fma, sine_and_cosine_minus_one
+from coadjoint.kernels.compiling import inlined
+from coadjoint.program.blocks import Kind
+
+SCALE, ROTATE, PLANE, SHEAR, CUBIC = (int(kind) for kind in (Kind.SCALE, Kind.ROTATE, Kind.PLANE, Kind.SHEAR, Kind.CUBIC))
+
+
+@inlined
+def add(vectors: Any, errors: Any, place: int, increment: float, compensated: bool) -> None:
+    """Add an increment to a component; with compensation what rounding lost is kept and added the next time."""
+    old = vectors[place]
+    if compensated:
+        increment += errors[place]
+        new = old + increment
+        kept = new - old
+        errors[place] = (old - (new - kept)) + (increment - kept)
+        vectors[place] = new
+    else:
+        vectors[place] = old + increment
+
+
+@inlined
+def act(
+    action: Any, part: int, theta: Any, vectors: Any, errors: Any, lanes: int, compensated: bool, room: Any
+) -> None:
+    """Move `lanes` vectors by exp(sum theta_a D_a) of one part; component i of vector l stands at i*lanes + l.
+
+    Every kind of block is written once, as an increment, so that compensation and the accuracy of small angles are the same for all uses.
+    """
+    for run in range(action.run[part], action.run[part + 1]):
+        kind = action.kind[run]
+        repeat = action.repeat[run]
+        angle = action.angle[run]
+        index = action.index[run]
+        constant = action.constant[run]
+        if kind == ROTATE:
+            for q in range(action.count[run]):
+                sine, lowered = sine_and_cosine_minus_one(theta[angle + q] * action.constants[constant + q])
+                for _ in range(repeat):
+                    i, j = action.indices[index] * lanes, action.indices[index + 1] * lanes
+                    index += 2
+                    for lane in range(lanes):
+                        a, b = vectors[i + lane], vectors[j + lane]
+                        add(vectors, errors, i + lane, fma(lowered, a, -(sine * b)), compensated)
+                        add(vectors, errors, j + lane, fma(lowered, b, sine * a), compensated)
+        elif kind == SHEAR:
+            for q in range(action.count[run]):
+                for _ in range(repeat):
+                    i, j = action.indices[index] * lanes, action.indices[index + 1] * lanes
+                    factor = theta[angle + q] * action.constants[constant]
+                    index += 2
+                    constant += 1
+                    for lane in range(lanes):
+                        add(vectors, errors, i + lane, factor * vectors[j + lane], compensated)
+        elif kind == SCALE:
+            for q in range(action.count[run]):
+                factor = math.expm1(theta[angle + q] * action.constants[constant + q])
+                for _ in range(repeat):
+                    i = action.indices[index] * lanes
+                    index += 1
+                    for lane in range(lanes):
+                        add(vectors, errors, i + lane, factor * vectors[i + lane], compensated)
+        elif kind == PLANE:
+            for q in range(action.count[run]):
+                _plane(action, index, constant, repeat, theta[angle + q], vectors, errors, lanes, compensated)
+                index += 2 * repeat
+                constant += 4
+        elif kind == CUBIC:
+            _cubic(action, run, theta[angle], vectors, errors, lanes, compensated, room)
+        else:
+            _series(action, run, theta[angle], vectors, errors, lanes, compensated, room)
+
+
+@inlined
+def _plane(
+    action: Any, index: int, constant: int, repeat: int, theta: float, vectors: Any, errors: Any, lanes: int, compensated: bool
+) -> None:
+    """exp(theta B) = e^(theta mean) (C + S N), N = B - mean, N^2 = delta: entire in delta theta^2, of either sign."""
+    mean, half = action.constants[constant], action.constants[constant + 1]
+    upper, lower = action.constants[constant + 2], action.constants[constant + 3]
+    delta = fma(half, half, upper * lower)
+    s, c = entire_pair(theta * theta * delta)
+    grown = math.expm1(theta * mean)
+    diagonal = fma(grown, 1.0 + c, c)
+    s = (1.0 + grown) * (theta * s)
+    for _ in range(repeat):
+        i, j = action.indices[index] * lanes, action.indices[index + 1] * lanes
+        index += 2
+        for lane in range(lanes):
+            a, b = vectors[i + lane], vectors[j + lane]
+            add(vectors, errors, i + lane, fma(diagonal, a, s * fma(half, a, upper * b)), compensated)
+            add(vectors, errors, j + lane, fma(diagonal, b, s * fma(lower, a, -(half * b))), compensated)
+
+
+@inlined
+def apply_block(
+    action: Any, run: int, values: int, source: Any, start: int, factor: float, target: Any, stop: int, lanes: int
+) -> None:
+    """target = factor D source on one CUBIC or SERIES block, both in the block's own coordinates (the verb `apply`)."""
+    width, entries = action.width[run], action.entries[run]
+    rows = action.index[run] + width
+    columns = rows + entries
+    for place in range(width * lanes):
+        target[stop + place] = 0.0
+    for entry in range(entries):
+        i, j = action.indices[rows + entry] * lanes, action.indices[columns + entry] * lanes
+        weight = factor * action.constants[values + entry]
+        for lane in range(lanes):
+            target[stop + i + lane] = fma(weight, source[start + j + lane], target[stop + i + lane])
+
+
+@inlined
+def _gather(action: Any, run: int, vectors: Any, lanes: int, room: Any) -> None:
+    for k in range(action.width[run]):
+        i = action.indices[action.index[run] + k] * lanes
+        for lane in range(lanes):
+            room[k * lanes + lane] = vectors[i + lane]
+
+
+@inlined
+def _cubic(
+    action: Any, run: int, theta: float, vectors: Any, errors: Any, lanes: int, compensated: bool, room: Any
+) -> None:
+    """D^3 = lam D: exp(theta D) = 1 + S D + C D^2, Rodrigues' formula where lam < 0 and its hyperbolic kin where lam > 0."""
+    constant = action.constant[run]
+    lam, root, inverse = action.constants[constant], action.constants[constant + 1], action.constants[constant + 2]
+    length = action.width[run] * lanes
+    values = constant + 4
+    _gather(action, run, vectors, lanes, room)
+    apply_block(action, run, values, room, 0, 1.0, room, length, lanes)
+    apply_block(action, run, values, room, length, 1.0, room, 2 * length, lanes)
+    if lam < 0.0:
+        s, c = sine_and_cosine_minus_one(root * theta)
+    else:
+        half = math.sinh(0.5 * root * theta)
+        s, c = math.sinh(root * theta), 2.0 * half * half
+    s *= inverse
+    c *= action.constants[constant + 3]
+    for k in range(action.width[run]):
+        i = action.indices[action.index[run] + k] * lanes
+        for lane in range(lanes):
+            place = k * lanes + lane
+            add(vectors, errors, i + lane, fma(s, room[length + place], c * room[2 * length + place]), compensated)
+
+
+@inlined
+def _series(
+    action: Any, run: int, theta: float, vectors: Any, errors: Any, lanes: int, compensated: bool, room: Any
+) -> None:
+    """Sum theta^k D^k / k!: finite where D is nilpotent, else in substeps of norm at most 1."""
+    constant = action.constant[run]
+    length = action.width[run] * lanes
+    substeps = max(1.0, math.ceil(abs(theta) * action.constants[constant]))
+    h = theta / substeps
+    for _ in range(int(substeps)):
+        _gather(action, run, vectors, lanes, room)
+        for place in range(length):
+            room[2 * length + place] = 0.0
+        here, there = 0, length
+        for k in range(1, action.degree[run] + 1):
+            apply_block(action, run, constant + 1, room, here, h / k, room, there, lanes)
+            for place in range(length):
+                room[2 * length + place] += room[there + place]
+            here, there = there, here
+        for k in range(action.width[run]):
+            i = action.indices[action.index[run] + k] * lanes
+            for lane in range(lanes):
+                add(vectors, errors, i + lane, room[2 * length + k * lanes + lane], compensated)

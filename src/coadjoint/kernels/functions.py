@@ -1,0 +1,122 @@
+"""User functions, compiled to one fixed signature, so that no kernel is compiled again for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+from numba import carray, types
+from numba.core.errors import NumbaError
+
+SIGNATURE = types.void(types.CPointer(types.float64), types.float64, types.CPointer(types.float64))
+
+
+class CompiledFunction:
+    """A user function behind a C address; keeps the machine code alive as long as the address is in use.
+
+    Parameters
+    ----------
+    function : callable
+        Pure Python function of ``y`` (array of ``size`` numbers, or one number when `scalar`), or of ``(y, t)``.
+    size : int
+        Number of coordinates that it reads.
+    results : int
+        Number of values that it returns.
+    scalar : bool
+        Whether it takes and returns plain numbers.
+    flat : bool
+        Whether it returns an array (flattened in C order) rather than a number.
+    timed : bool
+        Whether it takes the time as a second argument.
+    what : str
+        What the function is, for the error message.
+
+    Raises
+    ------
+    TypeError
+        If Numba cannot compile the function; the message carries its reason.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        size: int,
+        results: int,
+        *,
+        scalar: bool,
+        flat: bool,
+        timed: bool,
+        what: str,
+    ) -> None:
+        inner = function if hasattr(function, "py_func") else numba.njit(error_model="numpy")(function)
+        body = _BODIES[(scalar, flat and not scalar, timed)](inner, size, results)
+        try:
+            self._callback = numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(body)
+        except NumbaError as error:
+            raise TypeError(f"{what} cannot be compiled by Numba: {_reason(error)}") from error
+        self.address: int = self._callback.address
+
+
+def _reason(error: Exception) -> str:
+    """Return the lines of a Numba error that say what is wrong, on one line."""
+    lines = [line.strip(" -\x1b[0123456789;m") for line in str(error).splitlines()]
+    telling = [line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "For more", "<"))]
+    return " ".join(telling[:3])[:400]
+
+
+def _numbers(inner: Any, size: int, results: int) -> Callable[..., None]:
+    def call(y: Any, t: float, out: Any) -> None:
+        out[0] = inner(y[0])
+
+    return call
+
+
+def _timed_numbers(inner: Any, size: int, results: int) -> Callable[..., None]:
+    def call(y: Any, t: float, out: Any) -> None:
+        out[0] = inner(y[0], t)
+
+    return call
+
+
+def _value(inner: Any, size: int, results: int) -> Callable[..., None]:
+    def call(y: Any, t: float, out: Any) -> None:
+        out[0] = inner(carray(y, (size,)))
+
+    return call
+
+
+def _timed_value(inner: Any, size: int, results: int) -> Callable[..., None]:
+    def call(y: Any, t: float, out: Any) -> None:
+        out[0] = inner(carray(y, (size,)), t)
+
+    return call
+
+
+def _array(inner: Any, size: int, results: int) -> Callable[..., None]:
+    def call(y: Any, t: float, out: Any) -> None:
+        got = np.asarray(inner(carray(y, (size,)))).ravel()
+        for k in range(results):
+            out[k] = got[k]
+
+    return call
+
+
+def _timed_array(inner: Any, size: int, results: int) -> Callable[..., None]:
+    def call(y: Any, t: float, out: Any) -> None:
+        got = np.asarray(inner(carray(y, (size,)), t)).ravel()
+        for k in range(results):
+            out[k] = got[k]
+
+    return call
+
+
+_BODIES: dict[tuple[bool, bool, bool], Callable[[Any, int, int], Callable[..., None]]] = {
+    (True, False, False): _numbers,
+    (True, False, True): _timed_numbers,
+    (False, False, False): _value,
+    (False, False, True): _timed_value,
+    (False, True, False): _array,
+    (False, True, True): _timed_array,
+}

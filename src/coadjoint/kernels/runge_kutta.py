@@ -1,0 +1,322 @@
+"""The loop over steps for Runge-Kutta methods: explicit, iterated, implicit, and linear in the last iterate."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.actions import add
+from coadjoint.kernels.arithmetic import fma
+from coadjoint.kernels.compiling import compiled, inlined
+from coadjoint.kernels.field import (
+    Field,
+    GroupField,
+    coadjoint_matrix,
+    group_matrix,
+    group_slope,
+    slope,
+    structure_times_matrix,
+)
+from coadjoint.kernels.linear_solve import factorize, substitute
+from coadjoint.kernels.stagnation import FAILED, GO_ON, restage, verdict
+from coadjoint.kernels.watching import (
+    DONE,
+    NOT_CONVERGED,
+    OVERFLOW,
+    Report,
+    Saves,
+    Schedule,
+    Watch,
+    finite,
+    record,
+    slot_of,
+)
+
+EXPLICIT, ITERATED, IMPLICIT, STRUCTURE, GRADIENT = range(5)
+NOT_FROZEN = -1
+REFINED = 3  # evaluations of a linear system: before the solution, before one refinement, and of the result
+
+
+class RungeKuttaTables(NamedTuple):
+    """The arrays of a Runge-Kutta method on a system.
+
+    The stages are X_i = x + sum_j mix_ij L_j with L_j = h scale_j f(X_j, t + node_j h), and the step adds sum_j out_j L_j.
+    `iterations` counts the function iterations before the end of `solver`, or its linear system. `direct` says that linear systems are
+    solved by LU factors, with `quadratic` the dense M where that is needed; else they are iterated.
+    One step is made of substeps of the lengths `fraction`, at the moments `moment`, in units of the step.
+    """
+
+    field: Field
+    group: GroupField
+    solver: int
+    iterations: int
+    direct: bool
+    node: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    mix: NDArray[np.float64]
+    out: NDArray[np.float64]
+    quadratic: NDArray[np.float64]
+    fraction: NDArray[np.float64]
+    moment: NDArray[np.float64]
+
+
+class Work(NamedTuple):
+    """Room for one step. Stage after stage: points X, frozen points Z, gradients U, slopes L, the same for the group, and defects."""
+
+    points: NDArray[np.float64]
+    frozen: NDArray[np.float64]
+    gradients: NDArray[np.float64]
+    slopes: NDArray[np.float64]
+    group_points: NDArray[np.float64]
+    group_slopes: NDArray[np.float64]
+    defect: NDArray[np.float64]
+    change: NDArray[np.float64]
+    least: NDArray[np.float64]
+    sum: NDArray[np.float64]
+    rows: NDArray[np.float64]
+    arguments: NDArray[np.float64]
+    structure: NDArray[np.float64]
+    blocks: NDArray[np.float64]
+    system: NDArray[np.float64]
+    pivots: NDArray[np.int64]
+
+
+@inlined
+def work_for(tables: Any, n: int) -> Work:
+    """Return room for the steps of one call of `advance`."""
+    s, d = tables.node.size, tables.group.size
+    size = max(n, d * d)
+    edge = s * max(n, d) if tables.direct else 0
+    return Work(
+        np.empty(s * n),
+        np.empty(s * n),
+        np.empty(s * n),
+        np.empty(s * n),
+        np.empty(s * d * d),
+        np.empty(s * d * d),
+        np.empty(s * size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(tables.field.longest),
+        np.empty(tables.field.longest + 1),
+        np.empty(n * n if tables.field.structure.size > 0 else 0),
+        np.empty(edge * edge),
+        np.empty(edge * edge),
+        np.empty(edge, np.int64),
+    )
+
+
+@inlined
+def assemble(mix: Any, stages: int, edge: int, work: Any) -> bool:
+    """Factorize I - (mix_ij W_j), W_j the (edge * edge) blocks; False if it is singular."""
+    size = stages * edge
+    for i in range(stages):
+        for a in range(edge):
+            for j in range(stages):
+                factor = -mix[i * stages + j]
+                for b in range(edge):
+                    unit = 1.0 if i == j and a == b else 0.0
+                    entry = work.blocks[(j * edge + a) * edge + b]
+                    work.system[(i * edge + a) * size + j * edge + b] = fma(factor, entry, unit)
+    return factorize(work.system, size, work.pivots)
+
+
+@inlined
+def refine(mix: Any, stages: int, edge: int, lanes: int, base: Any, error: Any, slopes: Any, points: Any, work: Any) -> None:
+    """Add to the points the solution of the factorized system for their defect; from any start the first time solves it."""
+    n = base.size
+    for i in range(stages):
+        for c in range(n):
+            total = error[c]
+            for j in range(stages):
+                total = fma(mix[i * stages + j], slopes[j * n + c], total)
+            work.defect[i * n + c] = (base[c] - points[i * n + c]) + total
+    substitute(work.system, stages * edge, work.pivots, work.defect, lanes)
+    for q in range(stages * n):
+        points[q] += work.defect[q]
+
+
+@inlined
+def solve_stages(tables: Any, x: Any, dx: Any, t: float, h: float, work: Any) -> tuple[int, float, int, int]:
+    """Find the slopes of one step.
+
+    Returns a status, the last correction, and how many evaluations of the field and iterations it took.
+    """
+    n, s, solver = x.size, tables.node.size, tables.solver
+    for q in range(s * n):
+        work.points[q] = x[q % n]
+        work.slopes[q] = 0.0
+    for c in range(n):
+        work.least[c] = np.inf
+    freeze = NOT_FROZEN
+    passed, quiet, evaluations, iterations = 0, 0, 0, 0
+    while True:
+        low, high = (passed, passed + 1) if solver == EXPLICIT else (0, s)
+        for j in range(low, high):
+            first, last = j * n, (j + 1) * n
+            point = work.points[first:last]
+            momentum = work.frozen[first:last] if freeze == STRUCTURE else point
+            slope(
+                tables.field,
+                point,
+                work.gradients[first:last],
+                momentum,
+                t + tables.node[j] * h,
+                freeze != GRADIENT,
+                work.slopes[first:last],
+                work.rows,
+                work.arguments,
+                work.structure,
+            )
+            factor = h * tables.scale[j]
+            for q in range(first, last):
+                work.slopes[q] *= factor
+        passed += 1
+        iterations += 1
+        evaluations += high - low
+        if freeze == NOT_FROZEN and solver != IMPLICIT and passed > tables.iterations:
+            if solver == EXPLICIT or solver == ITERATED:
+                return DONE, 0.0, evaluations, iterations
+            freeze, passed = solver, 0
+            for q in range(s * n):
+                work.frozen[q] = work.points[q]
+            for c in range(n):
+                work.least[c] = np.inf
+            if tables.direct:
+                for j in range(s):
+                    first, last = j * n, (j + 1) * n
+                    block = work.blocks[j * n * n : (j + 1) * n * n]
+                    factor = h * tables.scale[j]
+                    if solver == STRUCTURE:
+                        structure_times_matrix(
+                            tables.field, work.frozen[first:last], tables.quadratic, factor, block, n, work.structure
+                        )
+                    else:
+                        coadjoint_matrix(tables.field, work.gradients[first:last], factor, block, n)
+                if not assemble(tables.mix, s, n, work):
+                    return NOT_CONVERGED, np.inf, evaluations, iterations
+        elif freeze != NOT_FROZEN and tables.direct:
+            if passed == REFINED:
+                return DONE, 0.0, evaluations, iterations
+            refine(tables.mix, s, n, 1, x, dx, work.slopes, work.points, work)
+        else:
+            low, high = (passed, passed + 1) if solver == EXPLICIT else (0, s)
+            largest, size, falling = restage(tables.mix, s, low, high, x, dx, work.slopes, work.points, work)
+            if solver == IMPLICIT or freeze != NOT_FROZEN:
+                result, quiet = verdict(passed, largest, size, falling, quiet)
+                if result == FAILED:
+                    spoilt = passed == 1 and not largest - largest == 0.0
+                    return (OVERFLOW if spoilt else NOT_CONVERGED), largest, evaluations, iterations
+                if result != GO_ON:
+                    return DONE, largest, evaluations, iterations
+
+
+@inlined
+def solve_group(tables: Any, g: Any, dg: Any, h: float, work: Any) -> tuple[int, float]:
+    """Find the slopes of the group element for the gradients that the stages of the momentum left."""
+    n, s, d, explicit = work.points.size // tables.node.size, tables.node.size, tables.group.size, tables.solver == EXPLICIT
+    size = d * d
+    for q in range(s * size):
+        work.group_points[q] = g[q % size]
+        work.group_slopes[q] = 0.0
+    for c in range(size):
+        work.least[c] = np.inf
+    if tables.direct:
+        for j in range(s):
+            block = work.blocks[j * size : (j + 1) * size]
+            group_matrix(tables.group, work.gradients[j * n : (j + 1) * n], h * tables.scale[j], block)
+        if not assemble(tables.mix, s, d, work):
+            return NOT_CONVERGED, np.inf
+    passed, quiet = 0, 0
+    while True:
+        low, high = (passed, passed + 1) if explicit else (0, s)
+        for j in range(low, high):
+            first, last = j * size, (j + 1) * size
+            group_slope(
+                tables.group,
+                work.gradients[j * n : (j + 1) * n],
+                work.group_points[first:last],
+                work.group_slopes[first:last],
+            )
+            factor = h * tables.scale[j]
+            for q in range(first, last):
+                work.group_slopes[q] *= factor
+        passed += 1
+        if (explicit and passed == s) or (tables.direct and passed == REFINED):
+            return DONE, 0.0
+        if tables.direct:
+            refine(tables.mix, s, d, d, g, dg, work.group_slopes, work.group_points, work)
+        else:
+            low, high = (passed, passed + 1) if explicit else (0, s)
+            largest, extent, falling = restage(
+                tables.mix, s, low, high, g, dg, work.group_slopes, work.group_points, work
+            )
+            if not explicit:
+                result, quiet = verdict(passed, largest, extent, falling, quiet)
+                if result == FAILED:
+                    return NOT_CONVERGED, largest
+                if result != GO_ON:
+                    return DONE, largest
+
+
+@inlined
+def add_slopes(out: Any, slopes: Any, x: Any, dx: Any) -> None:
+    """Add sum_j out_j L_j to x, with compensation."""
+    n = x.size
+    for c in range(n):
+        total = 0.0
+        for j in range(out.size):
+            total = fma(out[j], slopes[j * n + c], total)
+        add(x, dx, c, total, True)
+
+
+@compiled
+def advance(
+    tables: RungeKuttaTables,
+    watch: Watch,
+    saves: Saves,
+    schedule: Schedule,
+    state: Any,
+    crew: Any,
+    k0: int,
+    k1: int,
+    report: Report,
+) -> None:
+    """Take the steps k0 + 1 to k1 for the members crew[0] to crew[1] - 1.
+
+    `state` is (momentum, its compensation, group, its compensation), each (members, ...). Every step starts anew from it.
+    """
+    momenta, errors, groups, group_errors = state
+    work = work_for(tables, momenta.shape[1])
+    watch_room = np.empty(watch.longest + 1)
+    for member in range(crew[0], crew[1]):
+        if report.status[member] != DONE:
+            continue
+        x, dx, group, dgroup = momenta[member], errors[member], groups[member], group_errors[member]
+        for k in range(k0 + 1, k1 + 1):
+            start = schedule.t0 + (k - 1) * schedule.h
+            status, residual = DONE, 0.0
+            for part in range(tables.fraction.size):
+                h = schedule.h * tables.fraction[part]
+                t = start + tables.moment[part] * schedule.h
+                status, residual, evaluations, iterations = solve_stages(tables, x, dx, t, h, work)
+                report.evaluations[member] += evaluations
+                report.iterations[member] += iterations
+                if status == DONE and tables.group.size > 0:
+                    status, residual = solve_group(tables, group, dgroup, h, work)
+                if status != DONE:
+                    break
+                add_slopes(tables.out, work.slopes, x, dx)
+                if tables.group.size > 0:
+                    add_slopes(tables.out, work.group_slopes, group, dgroup)
+            if status == DONE and not finite(x):
+                status, residual = OVERFLOW, np.nan
+            if status != DONE:
+                report.status[member], report.step[member], report.residual[member] = status, k, residual
+                break
+            slot = slot_of(schedule, k)
+            if schedule.watching or slot >= 0:
+                record(watch, saves, schedule, member, k, slot, x, group, watch_room)

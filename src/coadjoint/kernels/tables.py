@@ -1,0 +1,169 @@
+"""From a system to the arrays that the compiled loops read: user functions compiled, invariants laid out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.invariant import Invariant
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.kernels.flow import FlowTables
+from coadjoint.kernels.functions import CompiledFunction
+from coadjoint.kernels.watching import Watch
+from coadjoint.program.actions import Action
+from coadjoint.program.table import Program
+from coadjoint.program.terms import TermTable
+from coadjoint.systems.hamiltonian import as_hamiltonian
+from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
+from coadjoint.systems.user_functions import takes_time
+
+
+class Compiled(NamedTuple):
+    """Tables for a compiled loop, and the compiled user functions that must live as long as they do."""
+
+    tables: Any
+    keep: tuple[CompiledFunction, ...]
+
+
+def addresses_of(
+    functions: Mapping[int, FunctionTerm], count: int, which: str, owner: str
+) -> tuple[NDArray[np.int64], tuple[CompiledFunction, ...]]:
+    """Compile the values or gradients of FUNCTION terms.
+
+    Parameters
+    ----------
+    functions : mapping
+        Number of the term -> term.
+    count : int
+        Number of all terms.
+    which : {"value", "gradient"}
+        What is compiled.
+    owner : str
+        What the functions belong to, for messages.
+
+    Returns
+    -------
+    addresses : ndarray of int64, shape (count,)
+        Zero where a term is not a function.
+    keep : tuple of CompiledFunction
+        The owners of the machine code.
+    """
+    addresses, keep = np.zeros(count, dtype=np.int64), []
+    for k, term in functions.items():
+        size = len(term.coordinates)
+        function = getattr(term, which)
+        results = size if which == "gradient" else 1
+        compiled = CompiledFunction(
+            function, size, results, scalar=term.scalar, flat=which == "gradient", timed=term.timed, what=f"the {which} of {owner}"
+        )
+        keep.append(compiled)
+        addresses[k] = compiled.address
+    return addresses, tuple(keep)
+
+
+def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
+    """Return a program as arrays for the compiled loop.
+
+    Parameters
+    ----------
+    program : Program
+        With float64 constants.
+    h : float
+        Step, negative for backward.
+    compensated : bool
+        Whether the momentum is summed with compensation.
+
+    Returns
+    -------
+    Compiled
+        With `FlowTables`.
+    """
+    count = len(program.terms.kind)
+    addresses, keep = addresses_of(program.functions, count, "gradient", "the Hamiltonian")
+    group = program.group if program.group is not None else empty_action()
+    rows = program.rows
+    edges = program.terms.row[program.share]
+    tables = FlowTables(
+        int(np.max(np.diff(edges))),
+        rows.part,
+        rows.coefficient * h,
+        rows.moment,
+        rows.section,
+        program.share,
+        program.terms,
+        addresses,
+        program.state,
+        group,
+        compensated,
+    )
+    return Compiled(tables, keep)
+
+
+def empty_action() -> Action:
+    """Return the action on nothing: no group element is carried."""
+    none = np.zeros(0, dtype=np.uint32)
+    return Action(0, none, none.astype(np.uint8), *[none] * 9, np.zeros(0))
+
+
+def watch_tables(system: Any, invariants: Mapping[str, Any]) -> Compiled:
+    """Return invariants as arrays: the energy of a system first, then the given ones.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        Its Hamiltonian is the first invariant.
+    invariants : mapping
+        Name -> `Polynomial` or `Invariant`.
+
+    Returns
+    -------
+    Compiled
+        With a `Watch`.
+    """
+    table, first, constant, period, owners = TermTable(), [0], [], [], {}
+
+    def end(name: str, offset: float, wrapped: float) -> None:
+        owners.update(dict.fromkeys(range(first[-1], len(table)), name))
+        first.append(len(table))
+        constant.append(offset)
+        period.append(wrapped)
+
+    def add(hamiltonian: Any) -> float:
+        offset = 0.0
+        for term in hamiltonian.terms():
+            table.add(term)
+            offset += float(term.constant) if isinstance(term, QuadraticTerm) else 0.0
+        return offset
+
+    end("the energy", add(system.hamiltonian), 0.0)
+    for name, invariant in invariants.items():
+        if isinstance(invariant, Polynomial):
+            end(name, add(as_hamiltonian(invariant, system.dim)), 0.0)
+        else:
+            table.add_function(function_of_all(invariant, system.dim))
+            end(name, 0.0, float(invariant.period))
+    pairs = [
+        addresses_of({k: term}, len(table), "value", owners[k]) for k, term in table.functions.items()
+    ]
+    addresses = sum((found for found, _ in pairs), np.zeros(len(table), dtype=np.int64))
+    terms = table.table()
+    longest = int(np.max(np.diff(terms.row), initial=0))
+    watch = Watch(
+        len(constant),
+        terms,
+        addresses,
+        np.array(first, dtype=np.uint32),
+        np.array(constant, dtype=np.float64),
+        np.array(period, dtype=np.float64),
+        longest,
+    )
+    return Compiled(watch, tuple(kept for _, keep in pairs for kept in keep))
+
+
+def function_of_all(invariant: Invariant, size: int) -> FunctionTerm:
+    """Return an invariant given as a function as a term of all coordinates."""
+    timed = takes_time(invariant.value, "an invariant")
+    return FunctionTerm(np.arange(size), invariant.value, invariant.gradient or invariant.value, None, timed=timed)

@@ -1,0 +1,123 @@
+"""What every scheme is: an order, declared properties, and its family's coefficients."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.poisson import PoissonSystem
+
+System = LiePoissonSystem | PoissonSystem
+
+
+@dataclass(frozen=True)
+class Properties:
+    """What a scheme keeps to round-off on a given system.
+
+    Parameters
+    ----------
+    poisson : bool
+        Whether each step is a Poisson map.
+    energy : bool
+        Whether the energy is kept.
+    casimirs : str
+        ``"all"``, ``"quadratic"`` (of degree at most two) or ``"none"``.
+    attitude : str
+        ``"every representation"``, ``"coadjoint"`` (and representations that are orthogonal for a fixed form and contain the coadjoint one),
+        ``"integrated"`` (as a differential equation, nothing kept) or ``"none"``.
+    """
+
+    poisson: bool
+    energy: bool
+    casimirs: str
+    attitude: str
+
+
+class Method(ABC):
+    """A scheme."""
+
+    @property
+    @abstractmethod
+    def order(self) -> int:
+        """Order of accuracy: the error over a fixed time is O(step^order)."""
+
+    @property
+    @abstractmethod
+    def explicit(self) -> bool:
+        """Whether a step solves no system of equations."""
+
+    @property
+    @abstractmethod
+    def symmetric(self) -> bool:
+        """Whether a step back undoes a step."""
+
+    @abstractmethod
+    def properties(self, system: System) -> Properties:
+        """Return what the scheme keeps on a system; refuses by name one that it cannot serve.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        Properties
+            The declaration, which the verification tests hold it to.
+
+        Raises
+        ------
+        ValueError
+            If the scheme cannot serve the system.
+        """
+
+    @property
+    def fractions(self) -> tuple[float, ...]:
+        """Substeps of one step as fractions of it; one unless the scheme is a composition."""
+        return (1.0,)
+
+
+class Sweep(NamedTuple):
+    """One pass through the parts: forward or backward, over a fraction of the step, functions of time taken at a moment of it."""
+
+    forward: bool
+    coefficient: Any
+    moment: Any
+
+
+class FlowMethod(Method):
+    """A scheme made of exact flows of parts; it becomes a table of rows."""
+
+    @property
+    @abstractmethod
+    def parts(self) -> Any:
+        """How the Hamiltonian is taken apart: "auto", "coordinates", or sets of coordinates."""
+
+    @property
+    @abstractmethod
+    def compensated(self) -> bool | None:
+        """Whether the momentum is summed with compensation; None is no."""
+
+    @abstractmethod
+    def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
+        """Return the sweeps of one step, first to last, with coefficients in the given number type."""
+
+
+def has_quadratic_energy(system: System) -> bool:
+    """Return whether the Hamiltonian is a polynomial of degree at most two that does not depend on time."""
+    from coadjoint.systems.terms import QuadraticTerm
+
+    return all(isinstance(term, QuadraticTerm) for term in system.hamiltonian.terms())
+
+
+def no_nan(values: Sequence[float], what: str) -> tuple[float, ...]:
+    """Return the values as floats; refuse any that is not finite."""
+    numbers = tuple(float(value) for value in values)
+    if not np.all(np.isfinite(numbers)):
+        raise ValueError(f"{what} must be finite numbers, not {numbers}")
+    return numbers

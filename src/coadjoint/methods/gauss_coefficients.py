@@ -1,0 +1,161 @@
+"""Coefficients of collocation methods, Gauss-Legendre and Radau IIA, with any number of stages, in any number type."""
+
+from __future__ import annotations
+
+import decimal
+import functools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.program.numbers import Number
+
+DIGITS = 60  # of the arithmetic behind float64 coefficients: the formulas lose far fewer than 40 of them
+GRID = 2.0**-52
+
+
+class Collocation(NamedTuple):
+    """Nodes c_i and weights b_i, shape (s,), and mu_ij = a_ij / b_j, shape (s, s)."""
+
+    nodes: NDArray[Any]
+    weights: NDArray[Any]
+    mu: NDArray[Any]
+
+
+def _legendre(degree: int, z: Any) -> list[Any]:
+    """Return P_0(z), ..., P_degree(z) by their recurrence."""
+    values = [z * 0 + 1, z]
+    for k in range(1, degree):
+        values.append(((2 * k + 1) * z * values[k] - k * values[k - 1]) / (k + 1))
+    return values[: degree + 1]
+
+
+def _root(degree: int, radau: bool, z: Any) -> Any:
+    """Return the root of P_degree (or of P_degree - P_{degree-1}) near z, by Newton's method, until it no longer moves closer."""
+    previous = None
+    while True:
+        values = _legendre(degree, z)
+        # (z^2 - 1) P_k' = k (z P_k - P_{k-1})
+        slope = degree * (z * values[-1] - values[-2])
+        value = values[-1]
+        if radau:
+            value = values[-1] - values[-2]
+            before = values[-3] if degree > 1 else value * 0
+            slope = slope - (degree - 1) * (z * values[-2] - before)
+        change = value * (z * z - 1) / slope
+        if change == 0 or (previous is not None and abs(change) >= previous):
+            return z
+        previous = abs(change)
+        z = z - change
+
+
+def _collocation(roots: Sequence[Any]) -> Collocation:
+    """Return the method with the given points of [-1, 1], roots for which P_0, ..., P_{s-1} are discretely orthogonal.
+
+    The Lagrange polynomials are then l_j(z) = b_j sum_k (2k + 1) P_k(z_j) P_k(z), with 1/b_j = sum_k (2k + 1) P_k(z_j)^2 and
+    integral_{-1}^z P_k = (P_{k+1}(z) - P_{k-1}(z)) / (2k + 1): no linear system is solved and nothing cancels.
+    """
+    s = len(roots)
+    values = [_legendre(s, z) for z in roots]
+    nodes, weights, mu = np.empty(s, dtype=object), np.empty(s, dtype=object), np.empty((s, s), dtype=object)
+    for i in range(s):
+        nodes[i] = (1 + roots[i]) / 2
+        weights[i] = 1 / sum((2 * k + 1) * values[i][k] ** 2 for k in range(s))
+        for j in range(s):
+            terms = (values[j][k] * (values[i][k + 1] - values[i][k - 1]) for k in range(1, s))
+            mu[i, j] = (1 + roots[i] + sum(terms)) / 2
+    return Collocation(nodes, weights, mu)
+
+
+def _rounded(exact: Collocation) -> Collocation:
+    return Collocation(*(np.array(part, dtype=np.float64) for part in exact))
+
+
+def _symmetric(mu: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Round mu so that mu_ij + mu_ji = 1 holds exactly in floating point: quadratic invariants then drift without bias."""
+    below = np.tril(np.round(mu / GRID) * GRID, -1)
+    return below + np.triu(1.0 - below.T, 1) + 0.5 * np.eye(mu.shape[0])
+
+
+@functools.lru_cache(maxsize=64)
+def _in_floats(stages: int, radau: bool) -> Collocation:
+    with decimal.localcontext(decimal.Context(prec=DIGITS)):
+        result = _rounded((_radau if radau else _gauss)(stages, decimal.Decimal))
+    if not radau:
+        result = result._replace(mu=_symmetric(result.mu))
+    for part in result:
+        part.flags.writeable = False
+    return result
+
+
+def _gauss(stages: int, number: Number) -> Collocation:
+    guesses = np.polynomial.legendre.leggauss(stages)[0].tolist()
+    below = [_root(stages, False, number(z)) for z in guesses[: stages // 2]]
+    middle = [number(0)] if stages % 2 else []
+    return _collocation([*below, *middle, *(-z for z in reversed(below))])
+
+
+def _radau(stages: int, number: Number) -> Collocation:
+    series = np.zeros(stages + 1)
+    series[-2:] = -1.0, 1.0
+    guesses = np.polynomial.legendre.legroots(series)
+    interior = sorted(float(z.real) for z in guesses)[: stages - 1]
+    return _collocation([*(_root(stages, True, number(z)) for z in interior), number(1)])
+
+
+def gauss_legendre(stages: int, number: Number = float) -> Collocation:
+    """Return the coefficients of the Gauss-Legendre method with s stages, of order 2 s.
+
+    Parameters
+    ----------
+    stages : int
+        Number of stages s.
+    number : callable
+        Number type; ``float`` for float64, in which nodes and weights are correctly rounded and mu_ij + mu_ji = 1 exactly.
+
+    Returns
+    -------
+    Collocation
+        Nodes c, weights b and mu_ij = a_ij / b_j.
+
+    References
+    ----------
+    E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, II.1.3; E. Hairer, R. McLachlan, A. Razakarivony, BIT 48 (2008) 231.
+
+    Examples
+    --------
+    >>> c, b, mu = gauss_legendre(1)
+    >>> c.tolist(), b.tolist(), mu.tolist()
+    ([0.5], [1.0], [[0.5]])
+    """
+    return _in_floats(stages, False) if number is float else _gauss(stages, number)
+
+
+def radau(stages: int, number: Number = float) -> Collocation:
+    """Return the coefficients of the Radau IIA method with s stages, of order 2 s - 1; the last node is 1.
+
+    Parameters
+    ----------
+    stages : int
+        Number of stages s.
+    number : callable
+        Number type.
+
+    Returns
+    -------
+    Collocation
+        Nodes c, weights b and mu_ij = a_ij / b_j.
+
+    References
+    ----------
+    E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, IV.5.
+
+    Examples
+    --------
+    >>> c, b, mu = radau(2)
+    >>> (mu * b).round(12).tolist()
+    [[0.416666666667, -0.083333333333], [0.75, 0.25]]
+    """
+    return _in_floats(stages, True) if number is float else _radau(stages, number)

@@ -1,0 +1,136 @@
+"""Parts: commuting linear forms and the piece of the Hamiltonian that depends on them alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.systems.terms import FunctionTerm
+
+
+@dataclass(frozen=True)
+class LinearShare:
+    """Angles offset_a + weight_a . x, one for each of the forms of the share (sparse rows)."""
+
+    offset: NDArray[Any]
+    indptr: NDArray[Any]
+    columns: NDArray[Any]
+    weights: NDArray[Any]
+
+
+@dataclass(frozen=True)
+class PolynomialShare:
+    """Angles are the derivatives of a polynomial with respect to the given coordinates."""
+
+    coordinates: tuple[int, ...]
+    polynomial: Polynomial
+
+
+@dataclass(frozen=True)
+class FunctionShare:
+    """Angles are the gradient of a user function of the term's coordinates."""
+
+    term: FunctionTerm
+
+
+Share = LinearShare | PolynomialShare | FunctionShare
+
+
+@dataclass(frozen=True)
+class Part:
+    """One exact flow: commuting forms l_a and the shares that give dH/d(l_a.x), in the same order.
+
+    Parameters
+    ----------
+    forms : tuple of (coordinates, values)
+        The linear forms, sparse.
+    shares : tuple of Share
+        Their angle rules.
+    """
+
+    forms: tuple[tuple[tuple[int, ...], tuple[Any, ...]], ...]
+    shares: tuple[Share, ...]
+    timed: bool = field(default=False)
+
+
+def unit_forms(coordinates: Iterable[int]) -> tuple[tuple[tuple[int, ...], tuple[Any, ...]], ...]:
+    """Return the forms x_i for the given coordinates."""
+    return tuple(((int(i),), (1,)) for i in coordinates)
+
+
+class Commutation:
+    """Which coordinates and forms of an algebra commute."""
+
+    def __init__(self, algebra: LieAlgebra) -> None:
+        self._algebra = algebra
+        self._indptr, self._indices = algebra.neighbours()
+
+    def neighbours(self, i: int) -> NDArray[Any]:
+        """Return the coordinates that do not commute with coordinate i."""
+        return self._indices[self._indptr[i] : self._indptr[i + 1]]
+
+    def first_clash(self, coordinates: Iterable[int]) -> tuple[int, int] | None:
+        """Return two of the coordinates whose basis elements do not commute, or None."""
+        chosen = set(coordinates)
+        for i in sorted(chosen):
+            for j in self.neighbours(i):
+                if int(j) in chosen:
+                    return i, int(j)
+        return None
+
+    def forms_commute(self, first: Part, second: Part) -> bool:
+        """Return whether every form of one part commutes with every form of the other, up to rounding of the forms."""
+        return all(self._commute(f, g) for f in first.forms for g in second.forms)
+
+    def _commute(self, f: Any, g: Any) -> bool:
+        i, j, k, c = self._algebra.triples
+        u, v = self._dense(f), self._dense(g)
+        terms, swapped = c * u[i] * v[j], c * u[j] * v[i]
+        bracket = np.bincount(k, weights=terms - swapped, minlength=self._algebra.dim)
+        size = np.bincount(k, weights=abs(terms) + abs(swapped), minlength=self._algebra.dim)
+        return bool(np.all(np.abs(bracket) <= 16 * 2.0**-53 * size))
+
+    def _dense(self, form: tuple[Sequence[int], Sequence[Any]]) -> NDArray[np.float64]:
+        coordinates, values = form
+        dense = np.zeros(self._algebra.dim)
+        dense[list(coordinates)] = [float(value) for value in values]
+        return dense
+
+
+def first_fit(parts: Iterable[Part], commutation: Commutation) -> tuple[Part, ...]:
+    """Join each part to the first one that it commutes with: few parts, in a fixed order, not the fewest (NP-hard)."""
+    groups: list[list[Part]] = []
+    coordinates: list[set[int]] = []
+    for part in parts:
+        ours = {i for form, _ in part.forms for i in form}
+        near = {int(j) for i in ours for j in commutation.neighbours(i)}
+        for group, theirs in zip(groups, coordinates, strict=True):
+            if near.isdisjoint(theirs) or _combined_commute(part, group, commutation):
+                group.append(part)
+                theirs |= ours
+                break
+        else:
+            groups.append([part])
+            coordinates.append(ours)
+    return tuple(joined(group) for group in groups)
+
+
+def _combined_commute(part: Part, group: list[Part], commutation: Commutation) -> bool:
+    """Coordinates that do not commute settle it, unless forms of several coordinates cancel them."""
+    single = all(len(form) == 1 for member in (part, *group) for form, _ in member.forms)
+    return not single and all(commutation.forms_commute(part, member) for member in group)
+
+
+def joined(parts: Sequence[Part]) -> Part:
+    """Return several parts as one; their forms must commute."""
+    return Part(
+        tuple(form for part in parts for form in part.forms),
+        tuple(share for part in parts for share in part.shares),
+        any(part.timed for part in parts),
+    )

@@ -1,0 +1,293 @@
+"""The plain reading of a program: NumPy, any number type, with the exact tangent map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.program.actions import Action
+from coadjoint.program.blocks import Kind
+from coadjoint.program.numbers import Number, roundoff
+from coadjoint.program.table import Program
+from coadjoint.program.terms import FUNCTION, LINEAR, derivative_of
+
+
+class Elementary(NamedTuple):
+    """The functions that the closed forms need, for one number type."""
+
+    sin: Callable[[Any], Any]
+    cos: Callable[[Any], Any]
+    sinh: Callable[[Any], Any]
+    expm1: Callable[[Any], Any]
+    sqrt: Callable[[Any], Any]
+    ceil: Callable[[Any], int]
+
+
+def elementary(number: Number) -> Elementary:
+    """Return the elementary functions of a number type: Python's for float, the type's own context for mpmath."""
+    if number is float:
+        return Elementary(math.sin, math.cos, math.sinh, math.expm1, math.sqrt, math.ceil)
+    context: Any = getattr(type(number(1)), "context", None)
+    if context is None:
+        raise TypeError(f"the plain reading knows float and mpmath numbers, not {type(number(1)).__name__}")
+    return Elementary(context.sin, context.cos, context.sinh, context.expm1, context.sqrt, lambda v: int(context.ceil(v)))
+
+
+class Reading:
+    """One program read row by row.
+
+    Choose it to check the compiled reading, to follow a formula, or for more digits; it is slow.
+
+    Parameters
+    ----------
+    program : Program
+        The table; its number type is the reading's.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> from coadjoint.program.table import build_program
+    >>> system = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> read = Reading(build_program(system, co.Splitting(order=2)))
+    >>> x = read.steps(np.array([1.0, 0.1, 0.5]), h=0.1, count=10)
+    >>> abs(x @ x - 1.26) < 1e-14
+    np.True_
+    """
+
+    def __init__(self, program: Program) -> None:
+        self.program = program
+        self.functions = elementary(program.number)
+        self._u = roundoff(program.number)
+
+    def steps(
+        self,
+        x: NDArray[Any],
+        h: Any,
+        count: int,
+        t0: Any = 0.0,
+        group: NDArray[Any] | None = None,
+        tangent: NDArray[Any] | None = None,
+    ) -> Any:
+        """Take steps.
+
+        Parameters
+        ----------
+        x : ndarray, shape (n,)
+            Momentum; not changed.
+        h : number
+            Step, negative for backward.
+        count : int
+            Number of steps.
+        t0 : number
+            Time at the start.
+        group : ndarray, shape (d, d), optional
+            Group element at the start, in the representation that the program carries.
+        tangent : ndarray, shape (n, m), optional
+            Tangent vectors at the start, in columns.
+
+        Returns
+        -------
+        ndarray or tuple
+            The momentum; with `group` and `tangent` a tuple with those that were given, in that order.
+        """
+        x = np.array(x)
+        carried = None if group is None else np.array(group).T.copy()
+        vectors = None if tangent is None else np.array(tangent)
+        ends = self.program.rows.section
+        for k in range(count):
+            which = 0 if k == 0 else 1
+            self._rows(range(ends[which], ends[which + 1]), x, h, t0 + k * h, carried, vectors)
+        if count:
+            self._rows(range(ends[2], ends[3]), x, h, t0 + (count - 1) * h, carried, vectors)
+        extra = [item for item in (None if carried is None else carried.T, vectors) if item is not None]
+        return (x, *extra) if extra else x
+
+    def _rows(self, rows: range, x: Any, h: Any, t: Any, group: Any, tangent: Any) -> None:
+        table = self.program.rows
+        for r in rows:
+            part = int(table.part[r])
+            tau, moment = table.coefficient[r] * h, t + table.moment[r] * h
+            theta = [tau * angle for angle in self.angles(part, x, moment)]
+            turned = None if tangent is None else [tau * d for d in self._angle_tangents(part, x, moment, tangent)]
+            self.act(self.program.state, part, theta, x)
+            if group is not None and self.program.group is not None:
+                self.act(self.program.group, part, theta, group)
+            if turned is not None:
+                self.act(self.program.state, part, theta, tangent)
+                for angle, change in enumerate(turned):
+                    tangent += np.multiply.outer(self._generator_on(part, angle, x), change)
+
+    def angles(self, part: int, x: NDArray[Any], t: Any) -> list[Any]:
+        """Return dH/d(l_a.x) for the forms of a part (the verb `angle`)."""
+        terms, share = self.program.terms, self.program.share
+        found: list[Any] = []
+        for k in range(share[part], share[part + 1]):
+            rows = range(terms.row[k], terms.row[k + 1])
+            if terms.kind[k] == LINEAR:
+                for row in rows:
+                    entries = range(terms.entry[row], terms.entry[row + 1])
+                    found.append(terms.offset[row] + sum(terms.weight[e] * x[terms.column[e]] for e in entries))
+            else:
+                found.extend(self._term_derivative(k, x, t, 1))
+        return found
+
+    def _angle_tangents(self, part: int, x: NDArray[Any], t: Any, tangent: NDArray[Any]) -> list[NDArray[Any]]:
+        terms, share = self.program.terms, self.program.share
+        found: list[NDArray[Any]] = []
+        for k in range(share[part], share[part + 1]):
+            rows = range(terms.row[k], terms.row[k + 1])
+            if terms.kind[k] == LINEAR:
+                for row in rows:
+                    entries = range(terms.entry[row], terms.entry[row + 1])
+                    zero = 0 * tangent[0]
+                    found.append(sum((terms.weight[e] * tangent[terms.column[e]] for e in entries), zero))
+            else:
+                found.extend(self._term_derivative(k, x, t, 2) @ tangent[terms.target[rows.start : rows.stop]])
+        return found
+
+    def _term_derivative(self, k: int, x: NDArray[Any], t: Any, order: int) -> Any:
+        """Return the gradient (order 1) or Hessian (order 2) of a term in its own coordinates."""
+        terms = self.program.terms
+        own = terms.target[terms.row[k] : terms.row[k + 1]]
+        if terms.kind[k] == FUNCTION:
+            return derivative_of(self.program.functions[k], order, x[own], t)
+        result = np.full((len(own),) * order, 0 * x[0], dtype=x.dtype)
+        for monomial in range(terms.monomial[k], terms.monomial[k + 1]):
+            factors = range(terms.factor[monomial], terms.factor[monomial + 1])
+            powers = {int(terms.factor_row[f] - terms.row[k]): int(terms.exponent[f]) for f in factors}
+            for places in np.ndindex(*result.shape):
+                result[places] += self._derivative(terms.coefficient[monomial], powers, places, x[own])
+        return result
+
+    @staticmethod
+    def _derivative(coefficient: Any, powers: dict[int, int], places: tuple[int, ...], y: NDArray[Any]) -> Any:
+        left = dict(powers)
+        for place in places:
+            coefficient = coefficient * left.get(place, 0)
+            left[place] = left.get(place, 0) - 1
+        if coefficient == 0:
+            return coefficient
+        for place, exponent in left.items():
+            coefficient = coefficient * y[place] ** exponent
+        return coefficient
+
+    def _generator_on(self, part: int, angle: int, x: NDArray[Any]) -> NDArray[Any]:
+        """Return D_a x for one form of a part (the verb `apply`)."""
+        entries = self._entries(part, angle)
+        result = 0 * x
+        for (i, j), value in entries.items():
+            result[i] += value * x[j]
+        return result
+
+    def _entries(self, part: int, angle: int) -> dict[tuple[int, int], Any]:
+        action = self.program.state
+        found: dict[tuple[int, int], Any] = {}
+        for run in range(action.run[part], action.run[part + 1]):
+            q = angle - int(action.angle[run])
+            if 0 <= q < action.count[run]:
+                found.update(run_entries(action, run, q))
+        return found
+
+    def act(self, action: Action, part: int, theta: list[Any], vectors: NDArray[Any]) -> None:
+        """Move vectors (n,) or (n, lanes) by exp(sum theta_a D_a) of one part, in place (the verb `act`)."""
+        for run in range(action.run[part], action.run[part + 1]):
+            for q in range(action.count[run]):
+                angle = theta[int(action.angle[run]) + q]
+                for coordinates, block in run_blocks(action, run, q):
+                    own = vectors[coordinates]
+                    vectors[coordinates] = own + self._increment(action, run, angle, block, own)
+
+    def _increment(self, action: Action, run: int, angle: Any, block: NDArray[Any], own: NDArray[Any]) -> Any:
+        """Return (exp(angle B) - 1) on one block, by the closed form of its kind."""
+        kind = action.kind[run]
+        f = self.functions
+        if kind == Kind.SCALE:
+            return f.expm1(angle * block[0, 0]) * own
+        if kind == Kind.ROTATE:
+            phi = angle * block[1, 0]
+            swapped = np.array([-own[1], own[0]], dtype=own.dtype)
+            return f.sin(phi) * swapped - 2 * f.sin(phi / 2) ** 2 * own
+        if kind == Kind.SHEAR:
+            return angle * (block @ own)
+        if kind == Kind.PLANE:
+            mean = (block[0, 0] + block[1, 1]) / 2
+            traceless = block - mean * np.eye(2, dtype=int)
+            s, c = self._entire_pair(angle**2 * (traceless @ traceless)[0, 0])
+            grown = f.expm1(angle * mean)
+            return (grown * (1 + c) + c) * own + (1 + grown) * angle * s * (traceless @ own)
+        moved = block @ own
+        if kind == Kind.CUBIC:
+            lam = action.constants[action.constant[run]]
+            s, c = self._entire_pair(angle**2 * lam)
+            return angle * s * moved + c / lam * (block @ moved)
+        return self._series(angle, action.constants[action.constant[run]], int(action.degree[run]), block, own)
+
+    def _series(self, angle: Any, norm: Any, degree: int, block: NDArray[Any], own: NDArray[Any]) -> Any:
+        substeps = max(1, self.functions.ceil(abs(angle) * norm))
+        h, start = angle / substeps, own
+        for _ in range(substeps):
+            power, k, total = own, 0, 0 * own
+            while k < degree or (norm != 0 and np.max(np.abs(power)) > self._u * np.max(np.abs(own))):
+                k += 1
+                power = h / k * (block @ power)
+                total = total + power
+            own = own + total
+        return own - start
+
+    def _entire_pair(self, z: Any) -> tuple[Any, Any]:
+        """Return sinh(w)/w and cosh(w) - 1 with w^2 = z of either sign."""
+        f = self.functions
+        if abs(z) < 0.25:
+            s, c, term, k = 1 + 0 * z, z / 2, 1 + 0 * z, 1
+            while abs(term) > self._u / 4:
+                term = term * z / (2 * k * (2 * k + 1))
+                s, c, k = s + term, c + term * z / (2 * k + 2), k + 1
+            return s, c
+        w = f.sqrt(abs(z))
+        sine, half = (f.sinh(w), f.sinh(w / 2)) if z > 0 else (f.sin(w), f.sin(w / 2))
+        return sine / w, (2 if z > 0 else -2) * half**2
+
+
+def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
+    """Return the blocks of a run at its angle number q, as (coordinates, matrix)."""
+    kind, repeat = action.kind[run], int(action.repeat[run])
+    width, index, constant = int(action.width[run]), int(action.index[run]), int(action.constant[run])
+    constants = action.constants
+    zero = 0 * constants[constant]
+    found = []
+    for b in range(repeat):
+        place = index + (q * repeat + b) * width
+        coordinates = action.indices[place : place + width].astype(np.int64)
+        matrix = np.full((width, width), zero, dtype=constants.dtype)
+        if kind == Kind.SCALE:
+            matrix[0, 0] = constants[constant + q]
+        elif kind == Kind.ROTATE:
+            matrix[1, 0] = constants[constant + q]
+            matrix[0, 1] = -matrix[1, 0]
+        elif kind == Kind.SHEAR:
+            matrix[0, 1] = constants[constant + q * repeat + b]
+        elif kind == Kind.PLANE:
+            mean, half, upper, lower = constants[constant + 4 * q : constant + 4 * q + 4]
+            matrix[:] = [[mean + half, upper], [lower, mean - half]]
+        else:
+            count = int(action.entries[run])
+            header = 4 if kind == Kind.CUBIC else 1
+            for e in range(count):
+                i, j = action.indices[index + width + e], action.indices[index + width + count + e]
+                matrix[i, j] = constants[constant + header + e]
+        found.append((coordinates, matrix))
+    return found
+
+
+def run_entries(action: Action, run: int, q: int) -> dict[tuple[int, int], Any]:
+    """Return the nonzero entries of a run's generator at its angle number q."""
+    found = {}
+    for coordinates, matrix in run_blocks(action, run, q):
+        for i, j in np.argwhere(matrix != 0):
+            found[int(coordinates[i]), int(coordinates[j])] = matrix[i, j]
+    return found

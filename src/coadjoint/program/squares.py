@@ -1,0 +1,122 @@
+"""Completed squares: a symmetric matrix as a sum of d_r l_r l_r^T, in rationals where that is cheap."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Above this size the numerators grow past use and the reduction runs in the number type that it was given.
+LARGEST_RATIONAL = 16
+
+
+class Squares(NamedTuple):
+    """The result: x.M.x/2 + b.x = sum_r d_r (l_r.x)^2 / 2 + beta_r l_r.x.
+
+    Parameters
+    ----------
+    forms : ndarray, shape (r, n)
+        The linear forms l_r.
+    weights : ndarray, shape (r,)
+        The factors d_r; zero for a form that carries only a piece of b.
+    linear : ndarray, shape (r,)
+        The factors beta_r.
+    """
+
+    forms: NDArray[Any]
+    weights: NDArray[Any]
+    linear: NDArray[Any]
+
+
+def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
+    """Complete the square (Lagrange's reduction with symmetric pivoting), for any symmetric matrix.
+
+    Not by eigenvectors: those are irrational, not unique, and differ between platforms.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, n)
+        Symmetric; definite or not, singular or not.
+    linear : ndarray, shape (n,)
+        The linear term b.
+
+    Returns
+    -------
+    Squares
+        At most n forms.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> squares = complete_squares(np.array([[0.0, 1.0], [1.0, 0.0]]), np.zeros(2))
+    >>> [[float(v) for v in form] for form in squares.forms], [float(d) for d in squares.weights]
+    ([[1.0, 1.0], [-1.0, 1.0]], [0.5, -0.5])
+    """
+    size = len(linear)
+    exact = matrix.dtype == np.float64 and size <= LARGEST_RATIONAL
+    lift = np.vectorize(Fraction, otypes=[object]) if exact else np.copy
+    residual, b = lift(matrix), lift(linear)
+    floor = 0 if exact or matrix.dtype == object else 4.0 * size * 2.0**-53 * np.max(np.abs(matrix), initial=0.0)
+    forms: list[NDArray[Any]] = []
+    weights: list[Any] = []
+    betas: list[Any] = []
+    free = np.ones(size, dtype=bool)
+    while free.any():
+        places = np.flatnonzero(free)
+        sizes = np.abs(residual[places, places])
+        best = places[_first_largest(sizes)]
+        if abs(residual[best, best]) > floor:
+            pivots: tuple[int, ...] = (int(best),)
+        else:
+            block = np.abs(residual[np.ix_(places, places)])
+            flat = _first_largest(block.ravel())
+            row, column = places[flat // len(places)], places[flat % len(places)]
+            if abs(residual[row, column]) <= floor:
+                break
+            pivots = (int(row), int(column))
+        new = _square(residual, pivots[0]) if len(pivots) == 1 else _pair(residual, *pivots)
+        for form, weight in new:
+            residual = residual - weight * np.multiply.outer(form, form)
+            forms.append(form)
+            weights.append(weight)
+        residual[list(pivots), :] = residual[:, list(pivots)] = 0 * residual[0, 0]
+        free[list(pivots)] = False
+        betas.extend(_split_linear(b, [form for form, _ in new], pivots))
+        for form, beta in zip(forms[-len(new) :], betas[-len(new) :], strict=True):
+            b = b - beta * form
+        b[list(pivots)] = 0 * b[0]
+    for k in np.flatnonzero(b != 0):
+        form = 0 * b
+        form[k] = form[k] + 1
+        forms.append(form)
+        weights.append(0 * b[k])
+        betas.append(b[k])
+    stacked = np.array(forms, dtype=b.dtype).reshape(len(forms), size)
+    return Squares(stacked, np.array(weights, dtype=b.dtype), np.array(betas, dtype=b.dtype))
+
+
+def _first_largest(sizes: NDArray[Any]) -> int:
+    return max(range(len(sizes)), key=lambda k: (sizes[k], -k))
+
+
+def _square(residual: NDArray[Any], i: int) -> list[tuple[NDArray[Any], Any]]:
+    return [(residual[i] / residual[i, i], residual[i, i])]
+
+
+def _pair(residual: NDArray[Any], i: int, j: int) -> list[tuple[NDArray[Any], Any]]:
+    """Both diagonal entries vanish: u v^T + v u^T = ((u + v)(u + v)^T - (u - v)(u - v)^T) / 2 with the rows u, v."""
+    u, v, m = residual[i] / residual[i, j], residual[j] / residual[i, j], residual[i, j]
+    return [(u + v, m / 2), (u - v, -m / 2)]
+
+
+def _split_linear(b: NDArray[Any], forms: list[NDArray[Any]], pivots: tuple[int, ...]) -> list[Any]:
+    """Return beta with sum beta_r l_r equal to b at the pivots; later forms vanish there."""
+    if len(pivots) == 1:
+        return [b[pivots[0]] / forms[0][pivots[0]]]
+    plus, minus = (forms[0][p] for p in pivots), (forms[1][p] for p in pivots)
+    (p0, p1), (m0, m1) = plus, minus
+    determinant = p0 * m1 - p1 * m0
+    b0, b1 = (b[p] for p in pivots)
+    return [(b0 * m1 - b1 * m0) / determinant, (p0 * b1 - p1 * b0) / determinant]

@@ -1,0 +1,139 @@
+"""Scalar functions as a table of terms: shares of a splitting, gradients of Runge-Kutta methods, watched invariants."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.program.numbers import Number, array_of
+from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+
+LINEAR, POLYNOMIAL, FUNCTION = 0, 1, 2
+
+class Terms(NamedTuple):
+    """The table. Term k has the rows row[k] to row[k + 1]; each row is one component of a gradient.
+
+    A row of a LINEAR term is ``offset + weight . x``; its target is the coordinate that it belongs to, and the value of the
+    term is the sum of x[target] (offset + weight . x / 2). A POLYNOMIAL term is a list of monomials over its rows; a
+    FUNCTION term calls compiled (or, in the plain reading, Python) functions of y = x[target].
+    """
+
+    count: int
+    kind: NDArray[np.uint8]
+    row: NDArray[np.uint32]
+    target: NDArray[np.uint32]
+    offset: NDArray[Any]
+    entry: NDArray[np.uint32]
+    column: NDArray[np.uint32]
+    weight: NDArray[Any]
+    monomial: NDArray[np.uint32]
+    coefficient: NDArray[Any]
+    factor: NDArray[np.uint32]
+    factor_row: NDArray[np.uint32]
+    exponent: NDArray[np.uint32]
+
+
+class TermTable:
+    """Collects terms and makes the table; `functions` maps the number of a FUNCTION term to its Python functions."""
+
+    def __init__(self) -> None:
+        self.functions: dict[int, FunctionTerm] = {}
+        self._kind: list[int] = []
+        self._rows: list[int] = [0]
+        self._monomials: list[int] = [0]
+        self._target: list[NDArray[Any]] = []
+        self._offset: list[NDArray[Any]] = []
+        self._length: list[NDArray[Any]] = []
+        self._column: list[NDArray[Any]] = []
+        self._weight: list[NDArray[Any]] = []
+        self._coefficient: list[Any] = []
+        self._factor: list[int] = [0]
+        self._factor_row: list[int] = []
+        self._exponent: list[int] = []
+
+    def __len__(self) -> int:
+        return len(self._kind)
+
+    def _add_rows(self, kind: int, target: NDArray[Any], offset: Any, indptr: Any, column: Any, weight: Any) -> None:
+        self._kind.append(kind)
+        self._rows.append(self._rows[-1] + len(target))
+        self._target.append(np.asarray(target))
+        self._offset.append(np.asarray(offset))
+        self._length.append(np.diff(indptr))
+        self._column.append(np.asarray(column))
+        self._weight.append(np.asarray(weight))
+        self._monomials.append(len(self._coefficient))
+
+    def add_linear(self, target: Any, offset: Any, indptr: Any, column: Any, weight: Any) -> None:
+        """Add rows offset + weight . x in compressed sparse form."""
+        self._add_rows(LINEAR, np.asarray(target), offset, indptr, column, weight)
+
+    def _add_empty_rows(self, kind: int, coordinates: Sequence[int]) -> None:
+        none = np.zeros(0)
+        size = len(coordinates)
+        target = np.asarray(coordinates, dtype=np.int64)
+        self._add_rows(kind, target, np.zeros(size), np.zeros(size + 1, dtype=np.int64), none, none)
+
+    def add_polynomial(self, coordinates: Sequence[int], polynomial: Polynomial) -> None:
+        """Add a polynomial that depends on the given coordinates only (constant monomials have no gradient)."""
+        place = {coordinate: self._rows[-1] + k for k, coordinate in enumerate(coordinates)}
+        for exponents, coefficient in polynomial.monomials.items():
+            present = [(k, e) for k, e in enumerate(exponents) if e]
+            self._coefficient.append(coefficient)
+            self._factor_row.extend(place[k] for k, _ in present)
+            self._exponent.extend(e for _, e in present)
+            self._factor.append(len(self._exponent))
+        self._add_empty_rows(POLYNOMIAL, coordinates)
+
+    def add_function(self, term: FunctionTerm) -> None:
+        """Add a term that calls the user's functions."""
+        self.functions[len(self)] = term
+        self._add_empty_rows(FUNCTION, term.coordinates.tolist())
+
+    def add(self, term: Term) -> None:
+        """Add a whole term of a Hamiltonian, over all coordinates."""
+        if isinstance(term, QuadraticTerm):
+            coordinates = np.arange(len(term.linear))
+            self.add_linear(coordinates, term.linear, term.indptr, term.indices, term.values)
+        elif isinstance(term, PolynomialTerm):
+            used = sorted({k for exponents in term.polynomial.monomials for k, e in enumerate(exponents) if e})
+            self.add_polynomial(used, term.polynomial)
+        else:
+            self.add_function(term)
+
+    def table(self, number: Number = float) -> Terms:
+        """Return the table with its constants in the given number type."""
+        lengths = _joined(self._length, np.int64)
+        return Terms(
+            count=len(self),
+            kind=np.array(self._kind, dtype=np.uint8),
+            row=np.array(self._rows, dtype=np.uint32),
+            target=_joined(self._target, np.uint32),
+            offset=array_of(number, _joined(self._offset, None)),
+            entry=np.concatenate([[0], np.cumsum(lengths)]).astype(np.uint32),
+            column=_joined(self._column, np.uint32),
+            weight=array_of(number, _joined(self._weight, None)),
+            monomial=np.array(self._monomials, dtype=np.uint32),
+            coefficient=array_of(number, self._coefficient),
+            factor=np.array(self._factor, dtype=np.uint32),
+            factor_row=np.array(self._factor_row, dtype=np.uint32),
+            exponent=np.array(self._exponent, dtype=np.uint32),
+        )
+
+
+def _joined(pieces: list[NDArray[Any]], dtype: Any) -> NDArray[Any]:
+    joined = np.concatenate(pieces) if pieces else np.zeros(0)
+    return joined if dtype is None else np.ascontiguousarray(joined, dtype=dtype)
+
+
+def derivative_of(term: FunctionTerm, order: int, y: NDArray[Any], t: Any) -> Any:
+    """Return the gradient (order 1) or Hessian (order 2) of a function term at its own coordinates y."""
+    function = term.gradient if order == 1 else term.hessian
+    if function is None:
+        raise TypeError("a function of the Hamiltonian was given without second derivatives; give its hessian")
+    result = function(y[0] if term.scalar else y, *((t,) if term.timed else ()))
+    return np.asarray(result).reshape((len(y),) * order)

@@ -1,0 +1,1 @@
+"""For how long, and saved where? Integration, solutions, steppers, configuration files."""

@@ -1,0 +1,62 @@
+"""A scheme and a system made ready for their compiled loop: which family, which tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from coadjoint.methods.base import FlowMethod, Method, System
+from coadjoint.methods.composition import Composition
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A compiled loop with its tables; `keep` holds the machine code of user functions alive."""
+
+    advance: Callable[..., None]
+    tables: Any
+    keep: tuple[Any, ...]
+
+
+def prepare(system: System, method: Method, h: float, representation: NDArray[Any] | str | None) -> Prepared:
+    """Return the compiled loop for a scheme on a system.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    method : Method
+        The scheme.
+    h : float
+        Step, negative for backward.
+    representation : ndarray of shape (n, d, d), "coadjoint", or None
+        What the group element is carried in.
+
+    Returns
+    -------
+    Prepared
+        Ready to advance.
+
+    Raises
+    ------
+    ValueError
+        If the scheme cannot serve the system.
+    """
+    method.properties(system)
+    innermost = method.innermost if isinstance(method, Composition) else method
+    if isinstance(method, FlowMethod) and isinstance(innermost, FlowMethod):
+        from coadjoint.kernels.flow import advance
+        from coadjoint.kernels.tables import flow_tables
+        from coadjoint.program.table import build_program
+
+        assert isinstance(system, LiePoissonSystem)
+        program = build_program(system, method, group=representation)
+        found = flow_tables(program, h, bool(method.compensated))
+        return Prepared(advance, found.tables, found.keep)
+    from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
+
+    return runge_kutta_tables(system, innermost, h, representation, method.fractions)

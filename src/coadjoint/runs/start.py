@@ -1,0 +1,83 @@
+"""The state at the start of a run: momenta of all members, and the group element where an attitude is asked for."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.methods.attitude import check_attitude
+from coadjoint.methods.base import Method, System
+
+
+class Start(NamedTuple):
+    """Initial momenta (members, n), group elements (members, d, d), and how they were given."""
+
+    momenta: NDArray[np.float64]
+    groups: NDArray[np.float64]
+    representation: NDArray[np.float64] | str | None
+    single: bool
+
+
+def start_of(system: System, method: Method, x0: Any, attitude: Any) -> Start:
+    """Check the initial state and the attitude.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    method : Method
+        The scheme; it refuses an attitude that it cannot keep.
+    x0 : array_like, shape (n,) or (members, n)
+        Initial momentum.
+    attitude : bool, "coadjoint", or array_like of shape (d, d) or (members, d, d)
+        What to carry beside the momentum.
+
+    Returns
+    -------
+    Start
+        Copies.
+
+    Raises
+    ------
+    ValueError
+        Naming what does not fit.
+    """
+    momenta = np.array(x0, dtype=np.float64)
+    single = momenta.ndim == 1
+    if momenta.ndim not in (1, 2) or momenta.shape[-1] != system.dim:
+        raise ValueError(f"x0 has the shape {momenta.shape}; it must be ({system.dim},) or (members, {system.dim})")
+    if not np.all(np.isfinite(momenta)):
+        raise ValueError("x0 contains NaN or infinity; every component must be finite")
+    momenta = np.atleast_2d(momenta)
+    representation = _representation(system, attitude)
+    if representation is None:
+        return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single)
+    check_attitude(method, system, None if isinstance(representation, str) else representation)
+    size = system.dim if isinstance(representation, str) else representation.shape[1]
+    initial = np.eye(size) if isinstance(attitude, bool | str) else np.array(attitude, dtype=np.float64)
+    if initial.shape not in ((size, size), (len(momenta), size, size)):
+        raise ValueError(
+            f"attitude has the shape {initial.shape}; the representation of {system.name} needs ({size}, {size})"
+        )
+    if not np.all(np.isfinite(initial)):
+        raise ValueError("attitude contains NaN or infinity; every entry must be finite")
+    groups = np.broadcast_to(initial, (len(momenta), size, size)).copy()
+    return Start(momenta, groups, representation, single)
+
+
+def _representation(system: System, attitude: Any) -> NDArray[np.float64] | str | None:
+    if isinstance(attitude, bool) and not attitude:
+        return None
+    if system.algebra is None:
+        raise ValueError(f"{system.name} has no Lie algebra, so it moves no group element; use attitude=False")
+    if isinstance(attitude, str):
+        if attitude != "coadjoint":
+            raise ValueError(f"attitude is {attitude!r}; it must be True, False, 'coadjoint' or an initial group element")
+        return attitude
+    if system.representation is None:
+        raise ValueError(
+            f"{system.name} has no representation for an attitude; give it one (representation=), or use attitude='coadjoint'"
+        )
+    return np.asarray(system.representation)

@@ -1,0 +1,87 @@
+"""The times of a run: a whole number of steps, in the direction of the span."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Times(NamedTuple):
+    """Start, signed step, number of steps, and every how many of them a state is saved."""
+
+    t0: float
+    h: float
+    steps: int
+    save_every: int
+
+    @property
+    def saved(self) -> NDArray[np.int64]:
+        """Numbers of the saved steps: 0, every save_every-th, and the last."""
+        numbers = np.arange(0, self.steps + 1, self.save_every)
+        return numbers if numbers[-1] == self.steps else np.append(numbers, self.steps)
+
+    def at(self, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return t0 + j h."""
+        return self.t0 + numbers * self.h
+
+
+def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
+    """Check the times of a run.
+
+    Parameters
+    ----------
+    t_span : (float, float)
+        Start and end; the end may lie before the start.
+    step : float
+        Positive; it divides the span.
+    save_every : int
+        Positive.
+
+    Returns
+    -------
+    Times
+        With h = step or -step.
+
+    Raises
+    ------
+    ValueError
+        Naming what is wrong, and for a step that does not divide the span the two nearest that do.
+
+    Examples
+    --------
+    >>> times_of((0.0, 1.0), 0.25, 1).steps
+    4
+    """
+    ends = [_finite(end, "t_span") for end in _pair(t_span)]
+    size = _finite(step, "step")
+    if size <= 0.0:
+        raise ValueError(f"step is {size!r}; it must be positive (the direction comes from t_span)")
+    if isinstance(save_every, bool) or int(save_every) != save_every or save_every < 1:
+        raise ValueError(f"save_every is {save_every!r}; it must be a positive whole number of steps")
+    span = ends[1] - ends[0]
+    quotient = abs(span) / size
+    steps = round(quotient)
+    # The span, the step and their quotient are each rounded: 8 u relative covers them.
+    if abs(quotient - steps) > 8 * 2.0**-53 * max(quotient, abs(ends[0]) / size, 1.0):
+        count = max(1, math.floor(quotient))
+        raise ValueError(
+            f"step {size!r} does not divide the time {abs(span)!r}; "
+            f"the nearest steps that do are {abs(span) / (count + 1)!r} and {abs(span) / count!r}"
+        )
+    return Times(ends[0], math.copysign(size, span), steps, int(save_every))
+
+
+def _pair(t_span: Any) -> Any:
+    if np.shape(t_span) != (2,):
+        raise ValueError(f"t_span is {t_span!r}; it must be two numbers, the start and the end")
+    return t_span
+
+
+def _finite(value: Any, what: str) -> float:
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError(f"{what} contains {number!r}; it must be finite")
+    return number

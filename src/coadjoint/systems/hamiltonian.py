@@ -1,0 +1,235 @@
+"""What is a Hamiltonian? The interface that all kinds share, and the kind given by Python functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.systems.points import point
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, Term
+from coadjoint.systems.user_functions import all_take_time, check_derivative
+
+
+@runtime_checkable
+class HamiltonianLike(Protocol):
+    """What every kind of Hamiltonian offers; x has shape (n,), of floats, complex numbers or objects."""
+
+    @property
+    def dim(self) -> int | None:
+        """Number of coordinates; None until bound."""
+
+    @property
+    def timed(self) -> bool:
+        """Whether it depends on the time."""
+
+    def bind(self, n: int) -> HamiltonianLike:
+        """Return the same Hamiltonian for dimension n, checked."""
+
+    def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
+        """Return H(x, t)."""
+
+    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the gradient, shape (n,)."""
+
+    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the second derivatives, shape (n, n)."""
+
+    def terms(self) -> tuple[Term, ...]:
+        """Return the terms of the sum (bound only)."""
+
+
+class Hamiltonian:
+    """A Hamiltonian given by Python functions.
+
+    For what is neither quadratic, polynomial nor separable. Schemes that need no splitting serve it; for explicit
+    splitting give the structure, by `Separable` or `SplitHamiltonian`.
+
+    Parameters
+    ----------
+    value : callable
+        Pure function of ``(x)`` or ``(x, t)``, x of shape (n,); returns a number.
+    gradient : callable
+        Of the same arguments; returns shape (n,). Checked against the central difference of `value`.
+    hessian : callable, optional
+        Of the same arguments; returns shape (n, n). Needed for exact tangents.
+
+    Raises
+    ------
+    TypeError
+        Not functions, or not all of the same arguments.
+    ValueError
+        In `bind`: a shape is wrong, or a derivative contradicts what it is the derivative of, at a sample point.
+
+    Examples
+    --------
+    >>> H = Hamiltonian(lambda x: np.cosh(x[0]) + x[1] ** 2, lambda x: np.array([np.sinh(x[0]), 2 * x[1]]))
+    >>> H.bind(2).gradient([0.0, 3.0])
+    array([0., 6.])
+    """
+
+    def __init__(
+        self, value: Callable[..., Any], gradient: Callable[..., Any], hessian: Callable[..., Any] | None = None
+    ) -> None:
+        self.timed = all_take_time({"value": value, "gradient": gradient, "hessian": hessian})
+        self.dim: int | None = None
+        self._value, self._gradient, self._hessian = value, gradient, hessian
+
+    def bind(self, n: int) -> Hamiltonian:
+        """Return this Hamiltonian for dimension `n`, its functions checked at sample points.
+
+        Parameters
+        ----------
+        n : int
+            Number of coordinates.
+
+        Returns
+        -------
+        Hamiltonian
+
+        Raises
+        ------
+        ValueError
+            A shape is wrong, or a derivative contradicts what it is the derivative of.
+        """
+        if self.dim is not None and self.dim != n:
+            raise ValueError(f"the Hamiltonian is bound to dimension {self.dim}, not {n}; make a new one")
+        if self.dim == n:
+            return self
+        functions, derivatives = [("value", self._value), ("gradient", self._gradient)], [("gradient", self._gradient)]
+        if self._hessian is not None:
+            derivatives.append(("hessian", self._hessian))
+        shapes: list[tuple[int, ...]] = [(), (n,), (n, n)]
+        for level, (name, derivative) in enumerate(derivatives):
+            check_derivative(
+                functions[level][1],
+                derivative,
+                names=(functions[level][0], name),
+                shapes=(shapes[level], shapes[level + 1]),
+                n=n,
+                timed=self.timed,
+            )
+        bound = Hamiltonian(self._value, self._gradient, self._hessian)
+        bound.dim = n
+        return bound
+
+    def _call(self, function: Callable[..., Any], x: npt.ArrayLike, t: float) -> tuple[Any, bool]:
+        y = point(x, self.dim)
+        return (function(y, t) if self.timed else function(y)), y.dtype == np.float64
+
+    def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
+        """Return H(x, t), a number."""
+        result, real = self._call(self._value, x, t)
+        return float(result) if real else result
+
+    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the gradient, shape (n,)."""
+        return np.asarray(self._call(self._gradient, x, t)[0])
+
+    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the second derivatives, shape (n, n)."""
+        if self._hessian is None:
+            raise TypeError("this Hamiltonian was given without second derivatives; give hessian=")
+        return np.asarray(self._call(self._hessian, x, t)[0])
+
+    def terms(self) -> tuple[Term, ...]:
+        """Return the one `FunctionTerm`, of all coordinates; the Hamiltonian must be bound."""
+        if self.dim is None:
+            raise TypeError("this Hamiltonian has no dimension yet; bind(n) it first")
+        everything = np.arange(self.dim, dtype=np.int64)
+        return (FunctionTerm(everything, self._value, self._gradient, self._hessian, timed=self.timed),)
+
+    def __repr__(self) -> str:
+        names = [getattr(f, "__name__", repr(f)) for f in (self._value, self._gradient, self._hessian) if f is not None]
+        return f"Hamiltonian({', '.join(names)})"
+
+
+class PolynomialHamiltonian:
+    """A `Polynomial` as a Hamiltonian; made by `as_hamiltonian`, for degree three and more.
+
+    Parameters
+    ----------
+    polynomial : Polynomial
+        In n variables.
+
+    Examples
+    --------
+    >>> PolynomialHamiltonian(Polynomial({(3, 0): 1.0, (0, 2): 0.5})).gradient([2.0, 5.0])
+    array([12.,  5.])
+    """
+
+    timed = False
+
+    def __init__(self, polynomial: Polynomial) -> None:
+        self.polynomial = polynomial
+        self.dim: int | None = polynomial.dim
+
+    def bind(self, n: int) -> PolynomialHamiltonian:
+        """Return itself; refuse a dimension other than the number of variables."""
+        _check_variables(self.polynomial, n)
+        return self
+
+    def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
+        """Return the polynomial at x."""
+        return self.polynomial(point(x, self.dim))
+
+    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the gradient, shape (n,)."""
+        return self.polynomial.gradient(point(x, self.dim))
+
+    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the second derivatives, shape (n, n)."""
+        return self.polynomial.hessian(point(x, self.dim))
+
+    def terms(self) -> tuple[Term, ...]:
+        """Return the one `PolynomialTerm`."""
+        return (PolynomialTerm(self.polynomial),)
+
+    def __repr__(self) -> str:
+        return f"PolynomialHamiltonian({self.polynomial!r})"
+
+
+def _check_variables(polynomial: Polynomial, n: int) -> None:
+    if polynomial.dim != n:
+        raise ValueError(f"the polynomial has {polynomial.dim} variables but the system has dimension {n}; give {n}")
+
+
+def as_hamiltonian(H: Any, n: int) -> HamiltonianLike:
+    """Return `H`, of any accepted kind, as a Hamiltonian bound to dimension `n`.
+
+    Parameters
+    ----------
+    H : Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian
+        A polynomial of degree two or less becomes a `Quadratic` (its constant kept in the value).
+    n : int
+        Number of coordinates.
+
+    Returns
+    -------
+    HamiltonianLike
+
+    Raises
+    ------
+    TypeError
+        `H` is of no accepted kind.
+    ValueError
+        `H` does not fit dimension `n`.
+
+    Examples
+    --------
+    >>> as_hamiltonian(Polynomial({(2, 0): 0.5, (0, 2): 1.0}), 2)
+    Quadratic([1.0, 2.0])
+    """
+    if isinstance(H, Polynomial):
+        _check_variables(H, n)
+        return Quadratic.from_polynomial(H) if H.degree <= 2 else PolynomialHamiltonian(H)
+    if isinstance(H, type) or not isinstance(H, HamiltonianLike):
+        raise TypeError(
+            f"the Hamiltonian is a {type(H).__name__}; give a Quadratic, Polynomial, Separable, SplitHamiltonian or "
+            "Hamiltonian"
+        )
+    return H.bind(n)

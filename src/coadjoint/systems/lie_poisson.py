@@ -1,0 +1,261 @@
+"""A generalized Euler system: a Hamiltonian on the dual of a Lie algebra."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.representation import check_representation
+from coadjoint.systems.casimirs import checked_casimirs
+from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
+from coadjoint.systems.points import checked_sign, matching, point, scatter
+from coadjoint.systems.split_hamiltonian import SplitHamiltonian
+
+
+@dataclass(frozen=True, init=False, repr=False, eq=False)
+class LiePoissonSystem:
+    """The generalized Euler equations ``x' = sign * J(x) grad H(x)`` on the dual of a Lie algebra.
+
+    The system to make wherever the bracket is linear in x: all schemes serve it, and the explicit splitting keeps
+    all its Casimirs. For another bracket see `PoissonSystem`.
+
+    Parameters
+    ----------
+    algebra : LieAlgebra
+        Where x lives; ``J_ij(x) = sum_k c_ij^k x_k``.
+    hamiltonian : Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian
+        The energy.
+    sign : {+1, -1}
+        +1: the convention of Reich (1993), right-invariant systems. -1: left-invariant (body) systems.
+    casimirs : mapping, optional
+        Name to `Polynomial`, `Invariant` or function of x. By default those known of the algebra.
+    representation : (n, d, d), optional
+        Matrices of the basis for the group element, ``g' = -sign g rho(grad H)``. By default that of the algebra.
+    name : str, optional
+        For messages, files and pictures.
+    parameters : mapping, optional
+        With these ``co.systems.get(name, **parameters)`` makes this system again.
+    exact : callable, optional
+        Closed form ``exact(x0, t, attitude)``, if one is known.
+
+    Attributes
+    ----------
+    algebra, sign, name
+        As given.
+    hamiltonian : Hamiltonian
+        Bound to the dimension of the algebra.
+    representation : ndarray or None
+        Read-only, shape (n, d, d).
+
+    Raises
+    ------
+    TypeError, ValueError
+        Wrong kinds; a sign that is not +1 or -1; a Hamiltonian of another dimension; coordinates of a piece of a
+        `SplitHamiltonian` that do not commute; a "Casimir" that is none; a representation with other commutators.
+
+    Notes
+    -----
+    Equation (1) of Reich, "Numerical integration of the generalized Euler equations" (1993). Systems are immutable.
+
+    Examples
+    --------
+    >>> from coadjoint.algebra import catalogue
+    >>> from coadjoint.systems.quadratic import Quadratic
+    >>> s = LiePoissonSystem(catalogue.so(3), Quadratic([1.0, 0.5, 0.25]), sign=-1)
+    >>> s.vector_field([1.0, 2.0, 4.0])
+    array([-2.,  3., -1.])
+    >>> s.energy([1.0, 2.0, 4.0])
+    3.5
+    """
+
+    algebra: LieAlgebra
+    hamiltonian: HamiltonianLike
+    sign: int
+    representation: npt.NDArray[np.float64] | None
+    name: str
+    _casimirs: dict[str, Any]
+    _parameters: dict[str, Any] | None
+    _exact: Callable[..., Any] | None
+    _rows: npt.NDArray[np.int64]
+    _factors: npt.NDArray[np.int64]
+    _states: npt.NDArray[np.int64]
+    _constants: npt.NDArray[np.float64]
+
+    def __init__(
+        self,
+        algebra: LieAlgebra,
+        hamiltonian: Any,
+        sign: int = +1,
+        casimirs: Mapping[str, Any] | None = None,
+        representation: npt.ArrayLike | None = None,
+        name: str | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        exact: Callable[..., Any] | None = None,
+    ) -> None:
+        if not isinstance(algebra, LieAlgebra):
+            raise TypeError(f"algebra is a {type(algebra).__name__}; give a LieAlgebra, such as co.algebras.so(3)")
+        keep = object.__setattr__
+        keep(self, "algebra", algebra)
+        keep(self, "sign", checked_sign(sign))
+        keep(self, "hamiltonian", as_hamiltonian(hamiltonian, algebra.dim))
+        self._check_pieces()
+        i, j, k, c = algebra.triples
+        # J(x) u: the row i gets c x_k u_j, and, by antisymmetry, the row j gets -c x_k u_i.
+        keep(self, "_rows", np.concatenate([i, j]))
+        keep(self, "_factors", np.concatenate([j, i]))
+        keep(self, "_states", np.concatenate([k, k]))
+        keep(self, "_constants", np.concatenate([c, -c]))
+        if casimirs is None:
+            keep(self, "_casimirs", dict(algebra.casimirs_known))
+        else:
+            keep(self, "_casimirs", checked_casimirs(casimirs, algebra.dim, self._product, self._absolute_product))
+        if representation is None:
+            keep(self, "representation", algebra.representation)
+        else:
+            checked = check_representation(representation, algebra.triples, algebra.dim, algebra.basis)
+            keep(self, "representation", checked)
+        keep(self, "name", name if name is not None else f"Lie-Poisson system on {algebra.name or 'g*'}")
+        keep(self, "_parameters", None if parameters is None else dict(parameters))
+        keep(self, "_exact", exact)
+
+    def _check_pieces(self) -> None:
+        if not isinstance(self.hamiltonian, SplitHamiltonian):
+            return
+        i, j, _, _ = self.algebra.triples
+        for number, chosen in enumerate(self.hamiltonian.coordinates):
+            inside = np.zeros(self.dim, dtype=bool)
+            inside[list(chosen)] = True
+            clash = np.flatnonzero(inside[i] & inside[j])
+            if clash.size:
+                a, b = int(i[clash[0]]), int(j[clash[0]])
+                raise ValueError(
+                    f"piece {number} has the coordinates {a} and {b}, whose basis elements {self.algebra.basis[a]} "
+                    f"and {self.algebra.basis[b]} do not commute; put them in different pieces"
+                )
+
+    @property
+    def dim(self) -> int:
+        """Number n of coordinates."""
+        return self.algebra.dim
+
+    @property
+    def casimirs(self) -> dict[str, Any]:
+        """Name to `Polynomial` or `Invariant` (a copy)."""
+        return dict(self._casimirs)
+
+    @property
+    def parameters(self) -> dict[str, Any] | None:
+        """What makes this system again by ``co.systems.get(name, **parameters)``, or None (a copy)."""
+        return None if self._parameters is None else dict(self._parameters)
+
+    def _product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return scatter(self._rows, matching(self._constants, x) * x[self._states] * u[self._factors], self.dim)
+
+    def _absolute_product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        products = np.abs(self._constants * x[self._states] * u[self._factors])
+        return scatter(self._rows, products, self.dim)
+
+    def vector_field(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return ``sign * J(x) grad H(x, t)``, from the sparse structure constants.
+
+        Parameters
+        ----------
+        x : (n,)
+            The state, of floats, complex numbers or Python objects (fractions, multiprecision numbers).
+        t : float
+            The time.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+        """
+        y = point(x, self.dim)
+        return self.sign * self._product(y, self.hamiltonian.gradient(y, t))
+
+    def energy(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
+        """Return H(x, t).
+
+        Parameters
+        ----------
+        x : (n,)
+            The state.
+        t : float
+            The time.
+
+        Returns
+        -------
+        float, or a number of the type of x
+        """
+        return self.hamiltonian.value(point(x, self.dim), t)
+
+    def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
+        """Return J(x), dense.
+
+        Parameters
+        ----------
+        x : (n,)
+            The state.
+
+        Returns
+        -------
+        ndarray, shape (n, n)
+        """
+        return self.algebra.structure_matrix(point(x, self.dim))
+
+    def jacobian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the derivative of the vector field, ``sign * (D_grad H + J(x) H'')``, dense.
+
+        Parameters
+        ----------
+        x : (n,)
+            The state.
+        t : float
+            The time.
+
+        Returns
+        -------
+        ndarray, shape (n, n)
+
+        Raises
+        ------
+        TypeError
+            The Hamiltonian was given without second derivatives.
+        """
+        y = point(x, self.dim)
+        moving = self.algebra.coadjoint(self.hamiltonian.gradient(y, t))
+        return self.sign * (moving + self.algebra.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
+
+    def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
+        """Return the solution in closed form, where one is known.
+
+        Parameters
+        ----------
+        x0 : (n,)
+            The state at time zero.
+        t : float or (k,)
+            One time, or several.
+        attitude : bool or (d, d)
+            Also return the group element; an array is the initial one (True: the unit matrix).
+
+        Returns
+        -------
+        ndarray, shape (n,) or (k, n)
+            With attitude the pair of this and the group elements, shape (d, d) or (k, d, d).
+
+        Raises
+        ------
+        TypeError
+            No closed form is known.
+        """
+        if self._exact is None:
+            raise TypeError(f"no closed form is known for {self.name}; integrate it")
+        return self._exact(x0, t, attitude)
+
+    def __repr__(self) -> str:
+        where = self.algebra.name or f"an algebra of dimension {self.dim}"
+        return f"<{self.name}: {self.hamiltonian!r} on {where}, sign={self.sign:+d}>"

@@ -1,0 +1,94 @@
+"""The two examples of Reich's paper, in the paper's convention."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra import catalogue
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.rigid_body import so3_body
+
+
+def _three(masses: npt.ArrayLike) -> tuple[float, ...]:
+    values = np.array(masses, dtype=np.float64)
+    if values.shape != (3,) or not np.all(np.isfinite(values)):
+        raise ValueError(f"masses is {values.tolist()}; give three finite numbers, the diagonal of M")
+    return tuple(values.tolist())
+
+
+def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePoissonSystem:
+    """Return example 5.1 of the paper: the algebra A3,7 with a diagonal quadratic Hamiltonian.
+
+    ``[e1, e3] = a e1 - e2``, ``[e2, e3] = e1 + a e2`` and ``x' = J(x) M x``. Not unimodular; its Casimir,
+    ``log(x1^2 + x2^2) - 2 a theta``, is multivalued. Every orbit goes from one equilibrium on the axis of x3 to the
+    other, so that long runs say nothing: [0, 20] from (1, 1, 1) shows the motion.
+
+    Parameters
+    ----------
+    a : float
+        Parameter of the algebra; any real number.
+    masses : (3,)
+        Diagonal of M.
+
+    Returns
+    -------
+    LiePoissonSystem
+
+    Raises
+    ------
+    ValueError
+        Not three finite numbers.
+
+    Notes
+    -----
+    Section 5.1 of Reich, "Numerical integration of the generalized Euler equations" (1993). The paper asks for a > 1,
+    which is not needed, and prints neither initial state nor time.
+
+    Examples
+    --------
+    >>> paper_a37().vector_field([1.0, 1.0, 1.0])
+    array([ 0.01,  0.03, -7.  ])
+    """
+    values = _three(masses)
+    return LiePoissonSystem(
+        catalogue.get("A3,7", a=float(a)),
+        Quadratic(values),
+        name="paper_a37",
+        parameters={"a": float(a), "masses": values},
+    )
+
+
+def paper_rigid_body(masses: npt.ArrayLike = (1.0, 0.5, 1.0 / 3.0)) -> LiePoissonSystem:
+    """Return example 5.2 of the paper: the rigid body, ``x' = (M x) cross x``, with its exact solution.
+
+    The paper's printed convention (sign +1) is the body equations run backwards in time; the attitude follows
+    ``A' = -A hat(M x)`` and ``A x`` is constant. For the standard body equations take `rigid_body`.
+
+    Parameters
+    ----------
+    masses : (3,)
+        Diagonal of M: the *inverse* moments of inertia, which the paper calls the inertia tensor.
+
+    Returns
+    -------
+    LiePoissonSystem
+        With ``exact(x0, t, attitude=False)`` in closed form.
+
+    Raises
+    ------
+    ValueError
+        Not three finite numbers.
+
+    Notes
+    -----
+    Section 5.2 of Reich (1993); the paper starts from x = (1, 10, 1) and A the unit matrix, with step 0.1.
+
+    Examples
+    --------
+    >>> paper_rigid_body((1.0, 0.5, 0.25)).vector_field([1.0, 2.0, 4.0])
+    array([ 2., -3.,  1.])
+    """
+    values = _three(masses)
+    return so3_body(np.array(values), sign=+1, name="paper_rigid_body", parameters={"masses": values})

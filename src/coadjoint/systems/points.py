@@ -1,0 +1,61 @@
+"""At which point, and in which numbers, is a function evaluated?
+
+Every evaluation of this folder goes through these functions, so that it works alike with floats, complex
+numbers (for complex steps), and arrays of Python objects (fractions, multiprecision numbers).
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+UNIT_ROUNDOFF = 2.0**-53
+
+
+def point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
+    """Return `x` as a float64, complex128 or object array of shape (n,)."""
+    array = np.asarray(x)
+    if array.ndim != 1 or (n is not None and array.size != n):
+        expected = "(n,)" if n is None else f"({n},)"
+        raise ValueError(f"x has shape {array.shape}; a point of this system has shape {expected}")
+    if array.dtype.kind in "biuf":
+        return array.astype(np.float64)
+    if array.dtype.kind in "cO":
+        return array
+    raise TypeError(f"x has numbers of type {array.dtype}; give real numbers")
+
+
+def matching(coefficients: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return `coefficients` in numbers that multiply those of `x` without loss.
+
+    Fractions times floats are floats in Python; at a point of objects the coefficients therefore become the whole
+    or rational numbers that they are.
+    """
+    if x.dtype != object:
+        return coefficients
+    exact = np.empty(coefficients.shape, dtype=object)
+    exact[:] = [_exact(entry) if isinstance(entry, float) else entry for entry in coefficients.tolist()]
+    return exact
+
+
+def _exact(value: float) -> int | Fraction:
+    return int(value) if value.is_integer() else Fraction(value)
+
+
+def scatter(rows: npt.NDArray[np.int64], entries: npt.NDArray[Any], n: int) -> npt.NDArray[Any]:
+    """Return the sums of `entries` over equal `rows`, shape (n,), each sum in index order."""
+    if entries.dtype == np.float64:
+        return np.bincount(rows, weights=entries, minlength=n)
+    sums = np.zeros(n, dtype=entries.dtype)
+    np.add.at(sums, rows, entries)
+    return sums
+
+
+def checked_sign(sign: int) -> int:
+    """Return `sign` if it is +1 or -1."""
+    if isinstance(sign, bool) or sign not in (1, -1):
+        raise ValueError(f"sign is {sign!r}; give +1 (x' = J(x) grad H) or -1 (body systems)")
+    return int(sign)

@@ -1,0 +1,196 @@
+"""A system with any skew matrix J(x), linear in x or not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.systems.casimirs import checked_casimirs
+from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
+from coadjoint.systems.points import UNIT_ROUNDOFF, checked_sign, point
+from coadjoint.systems.user_functions import check_derivative, sample_points
+
+
+@dataclass(frozen=True, init=False, repr=False, eq=False)
+class PoissonSystem:
+    """The system ``x' = sign * J(x) grad H(x)`` with any skew-symmetric function J.
+
+    For brackets that are not linear in x (Lotka-Volterra, nonholonomic systems; J need not satisfy the Jacobi
+    identity). The schemes that keep the energy serve it; splitting does not, its flows would not be linear. Where J is
+    linear in x, make a `LiePoissonSystem`.
+
+    Parameters
+    ----------
+    structure_matrix : callable
+        Pure function of x, shape (n,), that returns J(x), a skew (n, n) array. Checked at sample points.
+    hamiltonian : Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian
+        The energy.
+    sign : {+1, -1}
+        Of the right-hand side.
+    dim : int, optional
+        n; needed where the Hamiltonian does not say it.
+    derivative : callable, optional
+        Function of x that returns ``d J_ij / d x_k``, shape (n, n, n); needed for exact tangents only.
+    casimirs : mapping, optional
+        Name to `Polynomial`, `Invariant` or function of x, with ``J(x) grad C(x) = 0``.
+    name : str, optional
+        For messages, files and pictures.
+
+    Attributes
+    ----------
+    structure_function, derivative_function : callable
+        The functions as given.
+    hamiltonian : Hamiltonian
+        Bound to `dim`.
+    algebra, representation, parameters
+        None: what a `LiePoissonSystem` has in these places.
+
+    Raises
+    ------
+    TypeError, ValueError
+        J is no function, of the wrong shape or not skew at a sample point; the dimension is unknown; and as for
+        `LiePoissonSystem`.
+
+    Notes
+    -----
+    Equation (17) of Reich, "Numerical integration of the generalized Euler equations" (1993).
+
+    Examples
+    --------
+    >>> from coadjoint.systems.quadratic import Quadratic
+    >>> J = lambda x: x[0] * x[1] * np.array([[0.0, 1.0], [-1.0, 0.0]])
+    >>> PoissonSystem(J, Quadratic([1.0, 1.0])).vector_field([2.0, 3.0])
+    array([ 18., -12.])
+    """
+
+    structure_function: Callable[..., Any]
+    hamiltonian: HamiltonianLike
+    sign: int
+    dim: int
+    derivative_function: Callable[..., Any] | None
+    name: str
+    _casimirs: dict[str, Any]
+
+    algebra = None
+    representation = None
+    parameters = None
+
+    def __init__(
+        self,
+        structure_matrix: Callable[..., Any],
+        hamiltonian: Any,
+        sign: int = +1,
+        dim: int | None = None,
+        derivative: Callable[..., Any] | None = None,
+        casimirs: Mapping[str, Any] | None = None,
+        name: str | None = None,
+    ) -> None:
+        for what, function in (("structure_matrix", structure_matrix), ("derivative", derivative)):
+            if not (callable(function) or (function is None and what == "derivative")):
+                raise TypeError(f"{what} is a {type(function).__name__}; give a function of x")
+        n = dim if dim is not None else getattr(hamiltonian, "dim", None)
+        if n is None:
+            raise TypeError(f"the dimension is unknown: {hamiltonian!r} fits any; give dim=")
+        keep = object.__setattr__
+        keep(self, "sign", checked_sign(sign))
+        keep(self, "dim", int(n))
+        keep(self, "hamiltonian", as_hamiltonian(hamiltonian, self.dim))
+        keep(self, "structure_function", structure_matrix)
+        keep(self, "derivative_function", derivative)
+        keep(self, "name", name if name is not None else f"Poisson system of dimension {n}")
+        for x in sample_points(self.dim):
+            self._check_skew(x)
+        if derivative is not None:
+            shape = (self.dim, self.dim)
+            names = ("structure_matrix", "derivative")
+            check_derivative(
+                structure_matrix, derivative, names=names, shapes=(shape, (*shape, self.dim)), n=self.dim, timed=False
+            )
+        keep(self, "_casimirs", checked_casimirs(casimirs or {}, self.dim, self._product, self._absolute_product))
+
+    def _check_skew(self, x: npt.NDArray[np.float64]) -> None:
+        with np.errstate(all="ignore"):
+            J = np.asarray(self.structure_function(x), dtype=np.float64)
+        if J.shape != (self.dim, self.dim):
+            raise ValueError(f"structure_matrix returns shape {J.shape}; it must return ({self.dim}, {self.dim})")
+        size = np.abs(J).max(initial=0.0)
+        excess = np.abs(J + J.T)
+        # Where J is not finite, nothing is said: x may lie outside its domain.
+        if np.isfinite(size) and excess.max(initial=0.0) > 64 * UNIT_ROUNDOFF * size:
+            i, j = (int(q) for q in np.unravel_index(np.argmax(excess), J.shape))
+            raise ValueError(
+                f"structure_matrix is not skew at a sample point: J[{i}, {j}] = {J[i, j]:g} and J[{j}, {i}] = "
+                f"{J[j, i]:g}; their sum must be zero"
+            )
+
+    def _product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return self.structure_matrix(x) @ u
+
+    def _absolute_product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return np.abs(self.structure_matrix(x)) @ np.abs(u)
+
+    @property
+    def casimirs(self) -> dict[str, Any]:
+        """Name to `Polynomial` or `Invariant` (a copy)."""
+        return dict(self._casimirs)
+
+    def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
+        """Return J(x), shape (n, n)."""
+        return np.asarray(self.structure_function(point(x, self.dim)))
+
+    def vector_field(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return ``sign * J(x) grad H(x, t)``, shape (n,).
+
+        Parameters
+        ----------
+        x : (n,)
+            The state.
+        t : float
+            The time.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+        """
+        y = point(x, self.dim)
+        return self.sign * self._product(y, self.hamiltonian.gradient(y, t))
+
+    def energy(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
+        """Return H(x, t)."""
+        return self.hamiltonian.value(point(x, self.dim), t)
+
+    def jacobian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the derivative of the vector field, shape (n, n).
+
+        Parameters
+        ----------
+        x : (n,)
+            The state.
+        t : float
+            The time.
+
+        Returns
+        -------
+        ndarray, shape (n, n)
+
+        Raises
+        ------
+        TypeError
+            The derivative of J, or the second derivatives of H, were not given.
+        """
+        if self.derivative_function is None:
+            raise TypeError(f"the derivative of J is unknown for {self.name}; give derivative=")
+        y = point(x, self.dim)
+        turned = np.einsum("ijk,j->ik", np.asarray(self.derivative_function(y)), self.hamiltonian.gradient(y, t))
+        return self.sign * (turned + self.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
+
+    def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
+        """Raise a TypeError: no closed form is known."""
+        raise TypeError(f"no closed form is known for {self.name}; integrate it")
+
+    def __repr__(self) -> str:
+        return f"<{self.name}: {self.hamiltonian!r}, J a function of x, sign={self.sign:+d}>"

@@ -1,0 +1,241 @@
+"""The quadratic Hamiltonian, ``H(x) = x . M x / 2 + linear . x``."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.systems.matrix_entries import check_symmetric, real_array, sparse_entries
+from coadjoint.systems.points import matching, point, scatter
+from coadjoint.systems.terms import QuadraticTerm, Term
+
+
+class Quadratic:
+    """The quadratic Hamiltonian ``x . M x / 2 + linear . x + constant``.
+
+    The first choice wherever it fits: every scheme of the library serves it, and `GaussLegendre` and
+    ``freeze="structure"`` keep its energy to round-off. M need not be positive.
+
+    Parameters
+    ----------
+    M : number, (n,), symmetric (n, n), or SciPy sparse matrix (n, n)
+        The matrix (for a rigid body the *inverse* inertia). A number is a multiple of the unit matrix, a vector a
+        diagonal; a sparse matrix is never made dense, except by `hessian`. An asymmetry of up to 64 u of the largest
+        entry (u = 2^-53, the round-off of a computed matrix) is removed by taking the upper triangle.
+    linear : (n,), optional
+        Coefficients of the linear part.
+    constant : float, optional
+        Added to the value; moves nothing.
+
+    Attributes
+    ----------
+    dim : int or None
+        n; None for a number M without `linear`, until `bind`.
+    timed : bool
+        False.
+
+    Raises
+    ------
+    ValueError
+        M is not symmetric (the entry is named), not square or not finite, or `linear` has another length.
+    TypeError
+        M or `linear` does not consist of real numbers.
+
+    Notes
+    -----
+    The T of equation (2) of Reich, "Numerical integration of the generalized Euler equations" (1993).
+
+    Examples
+    --------
+    >>> H = Quadratic([1.0, 0.5, 0.25], linear=[0.0, 0.0, 1.0])
+    >>> H.value([1.0, 2.0, 2.0])
+    4.0
+    >>> H.gradient([1.0, 2.0, 2.0])
+    array([1. , 1. , 1.5])
+    """
+
+    timed = False
+
+    def __init__(self, M: Any, linear: npt.ArrayLike | None = None, constant: Any = 0.0) -> None:
+        self._linear: npt.NDArray[Any] | None = None if linear is None else real_array(linear, "linear")
+        if self._linear is not None and self._linear.ndim != 1:
+            raise ValueError(f"linear has shape {self._linear.shape}; give one coefficient for each coordinate, (n,)")
+        self._constant = constant if isinstance(constant, Fraction) else float(constant)
+        if not np.isfinite(float(constant)):
+            raise ValueError(f"constant is {constant}; give a finite number")
+        self._scalar: Any = None
+        self.dim: int | None = None
+        if hasattr(M, "tocsr"):
+            self._store(*sparse_entries(M))
+            return
+        array = real_array(M, "M")
+        if array.ndim == 0 and self._linear is None:
+            self._scalar = array.item()
+        elif array.ndim == 0:
+            n = len(self._linear) if self._linear is not None else 0
+            self._store(n, np.arange(n), np.arange(n), np.full(n, array.item(), dtype=array.dtype))
+        elif array.ndim == 1:
+            self._store(array.size, np.arange(array.size), np.arange(array.size), array)
+        elif array.ndim == 2 and array.shape[0] == array.shape[1]:
+            rows, columns = np.nonzero(array)
+            self._store(array.shape[0], rows, columns, array[rows, columns])
+        else:
+            raise ValueError(f"M has shape {array.shape}; give a number, (n,) or a symmetric (n, n)")
+
+    def _store(self, n: int, rows: npt.NDArray[Any], columns: npt.NDArray[Any], entries: npt.NDArray[Any]) -> None:
+        """Keep the upper triangle and its mirror image as compressed sparse rows."""
+        if n == 0:
+            raise ValueError("M has no entries; give at least one coordinate")
+        if self._linear is None:
+            self._linear = np.zeros(n)
+        if self._linear.size != n:
+            raise ValueError(f"linear has {self._linear.size} coefficients but M is {n} x {n}; give {n}")
+        rows, columns = rows.astype(np.int64), columns.astype(np.int64)
+        check_symmetric(n, rows, columns, entries.astype(np.float64))
+        upper = (rows <= columns) & (entries != 0)
+        above = upper & (rows < columns)
+        rows, columns = np.r_[rows[upper], columns[above]], np.r_[columns[upper], rows[above]]
+        entries = np.r_[entries[upper], entries[above]]
+        order = np.lexsort((columns, rows))
+        self.dim = n
+        self._rows, self._indices = rows[order], columns[order]
+        self._indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n))]).astype(np.int64)
+        self._entries = entries[order]
+        for array in (self._rows, self._indices, self._indptr, self._entries, self._linear):
+            array.flags.writeable = False
+
+    @classmethod
+    def from_polynomial(cls, polynomial: Polynomial) -> Self:
+        """Return a polynomial of degree two or less as a quadratic Hamiltonian, its coefficients kept as they are.
+
+        Parameters
+        ----------
+        polynomial : Polynomial
+            Of degree at most two.
+
+        Returns
+        -------
+        Quadratic
+
+        Raises
+        ------
+        ValueError
+            The degree is higher.
+
+        Examples
+        --------
+        >>> Quadratic.from_polynomial(Polynomial({(2, 0): 0.5, (1, 1): -1.0, (0, 1): 3.0})).hessian([0.0, 0.0])
+        array([[ 1., -1.],
+               [-1.,  0.]])
+        """
+        if polynomial.degree > 2:
+            raise ValueError(f"the polynomial has degree {polynomial.degree}; a quadratic Hamiltonian has at most 2")
+        n = polynomial.dim
+        exact = not all(isinstance(c, float) for c in polynomial.monomials.values())
+        kind: Any = object if exact else np.float64
+        linear = np.full(n, 0, dtype=kind)
+        constant: Any = 0.0
+        rows: list[int] = []
+        columns: list[int] = []
+        entries: list[Any] = []
+        for exponents, coefficient in polynomial.monomials.items():
+            where = [i for i, power in enumerate(exponents) for _ in range(power)]
+            if len(where) == 2:
+                rows += [where[0], where[1]] if where[0] != where[1] else [where[0]]
+                columns += [where[1], where[0]] if where[0] != where[1] else [where[0]]
+                entries += [coefficient, coefficient] if where[0] != where[1] else [2 * coefficient]
+            elif len(where) == 1:
+                linear[where[0]] = coefficient
+            else:
+                constant = coefficient
+        quadratic = cls(0.0, linear=linear, constant=constant)
+        packed = np.empty(len(entries), dtype=kind)
+        packed[:] = entries
+        quadratic._store(n, np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64), packed)
+        return quadratic
+
+    def bind(self, n: int) -> Quadratic:
+        """Return this Hamiltonian for dimension `n`; a number M becomes a multiple of the unit matrix.
+
+        Parameters
+        ----------
+        n : int
+            Number of coordinates.
+
+        Returns
+        -------
+        Quadratic
+
+        Raises
+        ------
+        ValueError
+            M is for another dimension.
+        """
+        if self._scalar is not None:
+            kind = object if not isinstance(self._scalar, float) else np.float64
+            return Quadratic(np.full(n, self._scalar, dtype=kind), constant=self._constant)
+        if self.dim != n:
+            raise ValueError(f"M is {self.dim} x {self.dim} but the system has dimension {n}; give M for {n}")
+        return self
+
+    def _at(self, x: npt.ArrayLike) -> tuple[Quadratic, npt.NDArray[Any]]:
+        y = point(x, self.dim)
+        return (self if self.dim is not None else self.bind(y.size)), y
+
+    def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
+        """Return ``x . M x / 2 + linear . x + constant``."""
+        bound, y = self._at(x)
+        linear = bound._linear_part(y)
+        half = bound._product(y)
+        if y.dtype != object:
+            return (0.5 * (half @ y) + linear @ y + float(bound._constant)).item()
+        constant = matching(np.array([bound._constant], dtype=object), y)[0]
+        return (half @ y) / 2 + linear @ y + constant
+
+    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return ``M x + linear``, shape (n,)."""
+        bound, y = self._at(x)
+        return bound._product(y) + bound._linear_part(y)
+
+    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return M as a dense array, shape (n, n)."""
+        bound, y = self._at(x)
+        entries = bound._numbers(bound._entries, y)
+        dense = np.zeros((y.size, y.size), dtype=entries.dtype)
+        dense[bound._rows, bound._indices] = entries
+        return dense
+
+    @staticmethod
+    def _numbers(stored: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return matching(stored, x) if x.dtype == object else stored.astype(np.float64)
+
+    def _linear_part(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return self._numbers(self._linear if self._linear is not None else np.zeros(x.size), x)
+
+    def _product(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return scatter(self._rows, self._numbers(self._entries, x) * x[self._indices], x.size)
+
+    def terms(self) -> tuple[Term, ...]:
+        """Return the one `QuadraticTerm`; the Hamiltonian must be bound."""
+        if self.dim is None:
+            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
+        values = self._entries.astype(np.float64)
+        linear = self._linear_part(np.zeros(self.dim))
+        return (QuadraticTerm(self._indptr, self._indices, values, linear, float(self._constant)),)
+
+    def __repr__(self) -> str:
+        if self._scalar is not None:
+            return f"Quadratic({self._scalar!r})"
+        if self.dim is not None and self.dim <= 4:
+            dense = self.hessian(np.zeros(self.dim))
+            diagonal = np.array_equal(dense, np.diag(np.diag(dense)))
+            shown = (np.diag(dense) if diagonal else dense).tolist()
+        else:
+            shown = f"<{self.dim} x {self.dim}, {self._indices.size} nonzero>"
+        linear = self._linear_part(np.zeros(self.dim or 0))
+        tail = "" if not linear.any() else f", linear={linear.tolist() if linear.size <= 4 else '...'}"
+        return f"Quadratic({shown}{tail})"

@@ -1,0 +1,155 @@
+"""Are the Python functions that a user gave usable, and do they agree with one another?"""
+
+from __future__ import annotations
+
+import inspect
+import types
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.systems.points import UNIT_ROUNDOFF
+
+SEED = 1993
+SAMPLE_TIME = 0.625
+
+
+def takes_time(function: Callable[..., Any], name: str) -> bool:
+    """Return whether `function` is one of ``(x, t)`` rather than ``(x)``; refuse anything else.
+
+    A second argument counts as the time if it has no default, or if its name is ``t``
+    (``lambda x, m=m: ...`` is a function of x alone).
+    """
+    if not callable(function):
+        raise TypeError(f"{name} is {function!r}; give a function of (x) or (x, t)")
+    if isinstance(function, np.ufunc):
+        count = function.nin
+    elif isinstance(function, types.BuiltinFunctionType):
+        count = 1  # of the math module: some have no signature, and none knows the time
+    else:
+        signature = inspect.signature(getattr(function, "py_func", function))
+        positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+        places = [p for p in signature.parameters.values() if p.kind in positional]
+        required = [p for p in places if p.default is inspect.Parameter.empty]
+        count = 2 if len(places) > 1 and len(required) < 2 and places[1].name == "t" else len(required)
+        if any(
+            p.kind is inspect.Parameter.KEYWORD_ONLY and p.default is p.empty for p in signature.parameters.values()
+        ):
+            count = 0
+    if count not in (1, 2):
+        raise TypeError(f"{name} takes {count} positional arguments; give a function of (x) or (x, t)")
+    return count == 2
+
+
+def all_take_time(functions: dict[str, Callable[..., Any] | None]) -> bool:
+    """Return whether all the named functions (None is left out) take the time; refuse a mixture."""
+    timed = {name: takes_time(function, name) for name, function in functions.items() if function is not None}
+    if len(set(timed.values())) > 1:
+        with_time = next(name for name, flag in timed.items() if flag)
+        without = next(name for name, flag in timed.items() if not flag)
+        raise TypeError(f"{with_time} takes (x, t) but {without} takes (x); give both the same arguments")
+    return any(timed.values())
+
+
+def sample_points(n: int) -> list[npt.NDArray[np.float64]]:
+    """Return seeded points of different kinds: mixed signs, all positive, small, and larger than one."""
+    draw = np.random.default_rng(SEED).uniform(0.25, 1.0, size=(4, n))
+    signs = np.where(np.random.default_rng(SEED + 1).uniform(size=n) < 0.5, -1.0, 1.0)
+    return [draw[0] * signs, draw[1], 0.125 * draw[2], 1.0 + 7.0 * draw[3]]
+
+
+def evaluate(function: Callable[..., Any], x: Any, timed: bool) -> npt.NDArray[np.float64] | Exception:
+    """Return the function's value at a sample point, or what it raised: the point may lie outside its domain."""
+    with np.errstate(all="ignore"):
+        try:
+            result = function(x, SAMPLE_TIME) if timed else function(x)
+            if result is None:
+                raise TypeError("it returns None")
+            return np.asarray(result, dtype=np.float64)
+        except (ArithmeticError, ValueError, TypeError, IndexError) as reason:
+            return reason
+
+
+def check_derivative(
+    function: Callable[..., Any],
+    derivative: Callable[..., Any],
+    *,
+    names: tuple[str, str],
+    shapes: tuple[tuple[int, ...], tuple[int, ...]],
+    n: int | None,
+    timed: bool,
+) -> None:
+    """Refuse a `derivative` of the wrong shape, or that contradicts the central difference of `function`.
+
+    Parameters
+    ----------
+    function, derivative : callable
+        Functions of x (of a number if `n` is None).
+    names : (str, str)
+        What the two are called in a message.
+    shapes : (tuple, tuple)
+        The shapes that they must return; the derivative's last axis is that of x.
+    n : int or None
+        Number of coordinates; None for a function of a number.
+    timed : bool
+        Both take ``(x, t)``.
+
+    Notes
+    -----
+    With steps e and e/2 the central differences d(e), d(e/2) have truncation errors c e^2 and c e^2/4 up to higher
+    orders, hence |d(e) - d(e/2)| estimates 3/4 of the first; the round-off is u |f| / e. The factor 16 and 2^10 leave
+    room for higher orders and for a function that loses ten bits. Points where any value is not finite say nothing.
+    """
+    seen, failure = False, ""
+    for x in sample_points(1 if n is None else n):
+        at = x if n is not None else float(x[0])
+        value, slope = evaluate(function, at, timed), evaluate(derivative, at, timed)
+        if isinstance(value, Exception) or isinstance(slope, Exception):
+            failure = f"{names[0]}: {value}" if isinstance(value, Exception) else f"{names[1]}: {slope}"
+            continue
+        seen = True
+        for name, result, shape in zip(names, (value, slope), shapes, strict=True):
+            if result.shape != shape:
+                raise ValueError(f"{name} returns shape {result.shape} at a sample point; it must return {shape}")
+        if np.all(np.isfinite(value)) and np.all(np.isfinite(slope)):
+            _compare(function, value, slope, x, names, n, timed)
+    if not seen:
+        raise ValueError(f"{names[0]} or {names[1]} fails at every sample point ({failure}); correct the function")
+
+
+def _compare(
+    function: Callable[..., Any],
+    value: npt.NDArray[np.float64],
+    slope: npt.NDArray[np.float64],
+    x: npt.NDArray[np.float64],
+    names: tuple[str, str],
+    n: int | None,
+    timed: bool,
+) -> None:
+    direction = np.random.default_rng(SEED + 2).standard_normal(x.size)
+    direction /= np.linalg.norm(direction)
+    step = UNIT_ROUNDOFF ** (1.0 / 3.0) * float(np.linalg.norm(x)) / np.sqrt(x.size)
+    differences, size = [], np.abs(value).max(initial=0.0)
+    for h in (step, 0.5 * step):
+        right, left = (
+            evaluate(function, end if n is not None else float(end[0]), timed)
+            for end in (x + h * direction, x - h * direction)
+        )
+        if isinstance(right, Exception) or isinstance(left, Exception):
+            return
+        size = max(size, np.abs(right).max(initial=0.0), np.abs(left).max(initial=0.0))
+        differences.append((right - left) / (2.0 * h))
+    coarse, fine = differences
+    stated = slope @ direction if n is not None else slope * direction[0]
+    if not (np.all(np.isfinite(coarse)) and np.all(np.isfinite(fine))):
+        return
+    tolerance = 16.0 * np.abs(coarse - fine).max(initial=0.0) + 2.0**10 * UNIT_ROUNDOFF * size / step
+    error = np.abs(fine - stated).max(initial=0.0)
+    if error > tolerance:
+        where = np.unravel_index(np.argmax(np.abs(fine - stated)), np.shape(fine)) if np.ndim(fine) else ()
+        raise ValueError(
+            f"{names[1]} contradicts {names[0]}: along a sample direction it gives {float(stated[where]):.6g}, "
+            f"but the central difference of {names[0]} is {float(fine[where]):.6g}; correct the one that is wrong"
+        )

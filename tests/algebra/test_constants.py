@@ -1,0 +1,291 @@
+"""Structure constants: what is read, and what is refused, by name."""
+
+import itertools
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from coadjoint.algebra import catalogue
+from coadjoint.algebra.constants import Triples
+from coadjoint.algebra.lie_algebra import LieAlgebra
+
+
+def dense(g):
+    c = np.zeros((g.dim, g.dim, g.dim))
+    i, j, k, v = g.triples
+    c[i, j, k], c[j, i, k] = v, -v
+    return c
+
+
+def copies(g, m):
+    i, j, k, c = g.triples
+    shift = np.repeat(g.dim * np.arange(m), c.size)
+    return Triples(*(np.tile(q, m) + shift for q in (i, j, k)), np.tile(c, m))
+
+
+ALGEBRAS = [
+    catalogue.so(4),
+    catalogue.so(5),
+    catalogue.e(3),
+    catalogue.sl(2),
+    catalogue.heisenberg(2),
+    catalogue.A3_7(0.3),
+]
+
+
+@pytest.mark.parametrize("g", ALGEBRAS, ids=str)
+def test_every_input_form_gives_the_same_algebra(g):
+    rows = list(zip(*(column.tolist() for column in g.triples), strict=True))
+    brackets = {}
+    for i, j, k, c in rows:
+        brackets.setdefault((j, i), {})[k] = -c  # the other order
+    both = rows + [(j, i, k, -c) for i, j, k, c in rows]
+    for other in (
+        LieAlgebra(dense(g)),
+        LieAlgebra(dense(g).tolist()),
+        LieAlgebra(rows[::-1], dim=g.dim),
+        LieAlgebra(both + rows, dim=g.dim),
+        LieAlgebra(g.triples, dim=g.dim),
+        LieAlgebra.from_brackets(g.dim, brackets, basis=[f"b{i}" for i in range(g.dim)]),
+    ):
+        assert other == g
+        assert hash(other) == hash(g)
+        assert all(np.array_equal(a, b) for a, b in zip(other.triples, g.triples, strict=True))
+
+
+def test_triples_are_sorted_unique_nonzero_and_read_only():
+    g = LieAlgebra([(3, 1, 0, 2.0), (1, 2, 0, 0.0), (0, 2, 3, 0.0), (1, 3, 0, -2.0)], dim=4)
+    assert [column.tolist() for column in g.triples] == [[1], [3], [0], [-2.0]]
+    assert [column.dtype for column in g.triples] == [np.int64] * 3 + [np.float64]
+    for column in (*g.triples, *g.neighbours(), catalogue.so(4).representation):
+        with pytest.raises(ValueError, match="read-only"):
+            column[0] = 1
+
+
+def test_input_is_copied():
+    c = dense(catalogue.so(4))
+    g = LieAlgebra(c)
+    c[:] = 7.0
+    assert g == catalogue.so(4)
+
+
+def test_abelian_algebras():
+    assert LieAlgebra([], dim=3) == LieAlgebra(np.zeros((3, 3, 3))) == LieAlgebra.from_brackets(3, {})
+    assert LieAlgebra([], dim=3) != LieAlgebra([], dim=4)
+    assert LieAlgebra([], dim=3).structure_matrix(np.ones(3)).tolist() == np.zeros((3, 3)).tolist()
+    assert [part.size for part in LieAlgebra([], dim=3).coadjoint_entries(np.ones(3))] == [0, 0, 0]
+
+
+def test_jacobi_violation_names_triple_component_and_defect():
+    # [[e1,e2],e4] + [[e2,e4],e1] + [[e4,e1],e2] = [e1,e4]/2 = e3/2, and nothing else is violated
+    rows = [(0, 1, 0, 0.5), (0, 3, 2, 1.0)]
+    message = r"Jacobi identity violated for \(e1, e2, e4\) = indices \(0, 1, 3\): defect 0.5 in component e3"
+    with pytest.raises(ValueError, match=message):
+        LieAlgebra(rows, dim=4)
+    with pytest.raises(ValueError, match=r"\(a, b, d\) = indices \(0, 1, 3\): defect 0.5 in component c"):
+        LieAlgebra(rows, dim=4, basis=tuple("abcd"))
+
+
+def reference_defects(c):
+    """The Jacobi identity as written, with the sum of absolute products of each, from a dense array."""
+    terms = [np.einsum(s, c, c) for s in ("ijm,mkl->ijkl", "jkm,mil->ijkl", "kim,mjl->ijkl")]
+    sizes = [np.einsum(s, abs(c), abs(c)) for s in ("ijm,mkl->ijkl", "jkm,mil->ijkl", "kim,mjl->ijkl")]
+    return abs(sum(terms)), sum(sizes)
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.data())
+def test_jacobi_agrees_with_the_dense_identity(data):
+    n = data.draw(st.integers(3, 5))
+    c = np.zeros((n, n, n))
+    keys = list(itertools.product(itertools.combinations(range(n), 2), range(n)))
+    for (i, j), k in data.draw(st.lists(st.sampled_from(keys), max_size=6)):
+        value = data.draw(st.integers(-2, 2))
+        c[i, j, k], c[j, i, k] = value, -value
+    defect, size = reference_defects(c)
+    if (defect > 64 * 2.0**-53 * size).any():
+        with pytest.raises(ValueError, match="Jacobi identity violated"):
+            LieAlgebra(c)
+    else:
+        assert np.array_equal(dense(LieAlgebra(c)), c)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.integers(4, 7))
+def test_random_antisymmetric_constants_are_refused(seed, n):
+    c = np.random.default_rng(seed).standard_normal((n, n, n))
+    with pytest.raises(ValueError, match="Jacobi identity violated"):
+        LieAlgebra(c - c.transpose(1, 0, 2))
+
+
+def rational_inverse(a):
+    """Gauss-Jordan in fractions; None where singular."""
+    n = len(a)
+    rows = [list(row) + [Fraction(int(i == j)) for j in range(n)] for i, row in enumerate(a)]
+    for col in range(n):
+        pivot = next((r for r in range(col, n) if rows[r][col]), None)
+        if pivot is None:
+            return None
+        rows[col], rows[pivot] = rows[pivot], rows[col]
+        rows[col] = [v / rows[col][col] for v in rows[col]]
+        for r in range(n):
+            if r != col and rows[r][col]:
+                rows[r] = [v - rows[r][col] * w for v, w in zip(rows[r], rows[col], strict=True)]
+    return [row[n:] for row in rows]
+
+
+def changed_basis(g, a):
+    """Constants in the basis f_p = sum_i a_pi e_i, in fractions."""
+    inverse = np.array(rational_inverse(a), dtype=object)
+    a = np.array(a, dtype=object)
+    c = np.array([[[Fraction(v) for v in row] for row in plane] for plane in dense(g).tolist()], dtype=object)
+    c = np.tensordot(a, c, axes=(1, 0))
+    c = np.tensordot(a, c, axes=(1, 1)).transpose(1, 0, 2)
+    return np.tensordot(c, inverse, axes=(2, 0))
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.sampled_from(["so(4)", "e(3)"]), st.integers(0, 2**32 - 1))
+def test_a_random_rational_change_of_basis_is_accepted(name, seed):
+    g = catalogue.get(name)
+    rng = np.random.default_rng(seed)
+    a = [[Fraction(int(p), int(q)) for p, q in zip(*rng.integers(1, 9, (2, 6)), strict=True)] for _ in range(6)]
+    if rational_inverse(a) is None:
+        a = [[v + 40 * (i == j) for j, v in enumerate(row)] for i, row in enumerate(a)]
+    c = changed_basis(g, a)
+    h = LieAlgebra(c)  # each constant rounded once: inside 64 u of the products
+    assert np.array_equal(dense(h), c.astype(float))
+    broken = c.astype(float)
+    broken[0, 1, 0] *= 1 + 1e-9
+    broken[1, 0, 0] = -broken[0, 1, 0]
+    if broken[0, 1, 0]:
+        with pytest.raises(ValueError, match="Jacobi identity violated"):
+            LieAlgebra(broken)
+
+
+@pytest.mark.parametrize("scale", [2.0**-600, 1.0, 2.0**600])
+def test_jacobi_is_relative_whatever_the_unit(scale):
+    g = catalogue.so(4)
+    i, j, k, c = g.triples
+    assert LieAlgebra(Triples(i, j, k, scale * c), dim=6).dim == 6
+    wrong = scale * c
+    wrong[0] *= 1 + 1e-10
+    with pytest.raises(ValueError, match="Jacobi identity violated"):
+        LieAlgebra(Triples(i, j, k, wrong), dim=6)
+
+
+def test_jacobi_finds_a_small_violation_beside_a_large_algebra():
+    i, j, k, c = copies(catalogue.so(4), 2)
+    c[12:] *= 2.0**-60
+    assert LieAlgebra(Triples(i, j, k, c), dim=12).dim == 12
+    c[12] *= 1.001
+    with pytest.raises(ValueError, match=r"Jacobi identity violated for \(e7, e8"):
+        LieAlgebra(Triples(i, j, k, c), dim=12)
+
+
+def test_many_copies_and_large_rotations_are_checked_sparsely():
+    m = 100_000
+    triples = copies(catalogue.so(3), m)
+    assert LieAlgebra(triples, dim=3 * m).triples.c.size == 3 * m
+    assert catalogue.so(60).triples.c.size == 102_660
+    triples.k[-1] = 5  # [e_299998, e_299999] of the last copy now leaves its copy
+    with pytest.raises(ValueError, match="Jacobi identity violated"):
+        LieAlgebra(triples, dim=3 * m)
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 100])
+def test_the_jacobi_check_does_not_depend_on_the_runs_it_is_cut_into(monkeypatch, chunk):
+    monkeypatch.setattr("coadjoint.algebra.joins.CHUNK", chunk)
+    g = catalogue.so(5)
+    i, j, k, c = g.triples
+    assert LieAlgebra(g.triples, dim=10, representation=g.representation) == g
+    for at in range(0, c.size, 7):
+        wrong = c.copy()
+        wrong[at] = 2.0
+        with pytest.raises(ValueError, match="Jacobi identity violated"):
+            LieAlgebra(Triples(i, j, k, wrong), dim=10)
+
+
+def test_antisymmetry_is_relative():
+    c = dense(catalogue.so(4)) * 2.0**40
+    c[0, 1, 3] *= 1 + 2.0**-50
+    assert LieAlgebra(c).dim == 6
+    c[0, 1, 3] *= 1 + 2.0**-40
+    with pytest.raises(ValueError, match=r"antisymmetry violated for \(e1, e2\) = indices \(0, 1\): component e4"):
+        LieAlgebra(c)
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("constants", "dim", "error", "message"),
+    [
+        ([(0, 1, 0, NAN)], 2, ValueError, r"\(0, 1, 0\) is nan; it must be finite"),
+        ([(0, 1, 0, float("inf"))], 2, ValueError, r"\(0, 1, 0\) is inf"),
+        (np.full((2, 2, 2), NAN), None, ValueError, r"\(0, 0, 0\) is nan"),
+        ([(0, 2, 0, 1.0)], 2, ValueError, "index j = 2 in row 0 .* from 0 to 1"),
+        ([(0, 1, 0, 1.0), (-1, 1, 0, 1.0)], 2, ValueError, "index i = -1 in row 1"),
+        ([(0, 1, 0.5, 1.0)], 2, ValueError, "index k = 0.5 in row 0"),
+        ([(0, 1, NAN, 1.0)], 2, ValueError, "index k = nan in row 0"),
+        ([(0, 1, 0, 1.0)], None, ValueError, "dim must be given"),
+        ([(0, 1, 0, 1.0)], 0, ValueError, "dim must be a positive integer, not 0"),
+        ([(0, 1, 0, 1.0)], 2.0, ValueError, "dim must be a positive integer, not 2.0"),
+        ([(0, 1, 1.0)], 2, ValueError, r"must have shape \(n, n, n\) or be rows .* \(1, 3\)"),
+        (np.zeros((2, 2, 3)), None, ValueError, r"shape \(n, n, n\) with n >= 1, not \(2, 2, 3\)"),
+        (np.zeros((0, 0, 0)), None, ValueError, "n >= 1"),
+        (np.zeros((2, 2, 2)), 3, ValueError, "dim = 3 does not fit"),
+        ([(0, 0, 1, 1.0)], 2, ValueError, r"\[e1, e1\] \(index 0\) must be zero, but has component 1 along e2"),
+        ([(0, 1, 0, 1.0), (0, 1, 0, 2.0)], 2, ValueError, r"\(e1, e2, e1\) = .* given twice, as 1 and as 2"),
+        ([(0, 1, 0, 1.0), (1, 0, 0, 1.0)], 2, ValueError, r"antisymmetry violated for \(e1, e2\)"),
+        ([(0, 1, 0, 1.0), (1, 0, 1, -1.0)], 2, ValueError, r"antisymmetry violated for \(e1, e2\)"),
+        ([(0, 1, 0, 1j)], 2, TypeError, "must be an array of real numbers"),
+        (np.zeros((2, 2, 2), dtype=complex), None, TypeError, "must be an array of real numbers"),
+        ("so(3)", 3, TypeError, "must be an array of real numbers"),
+        ([(0, 1, 0, 1.0), (0, 1)], 2, TypeError, "rows of the same length"),
+        ([(0, 1, 0, 10**400)], 2, ValueError, "too large for float64"),
+    ],
+)
+def test_wrong_constants_are_refused(constants, dim, error, message):
+    with pytest.raises(error, match=message):
+        LieAlgebra(constants, dim=dim)
+
+
+def test_one_order_only_in_a_dense_array_is_refused():
+    c = np.zeros((2, 2, 2))
+    c[0, 1, 1] = 1.0
+    with pytest.raises(ValueError, match="antisymmetry violated"):
+        LieAlgebra(c)
+
+
+@pytest.mark.parametrize(
+    ("brackets", "error", "message"),
+    [
+        ([((0, 1), {0: 1.0})], TypeError, "brackets must be a mapping"),
+        ({0: {0: 1.0}}, TypeError, "must be a pair of indices"),
+        ({(0, 1): 1.0}, TypeError, "must be a mapping {k: c}"),
+        ({(0, 1): {2: 1.0}}, ValueError, "index k = 2"),
+        ({(0, 1): {0: 1.0}, (1, 0): {}}, ValueError, "antisymmetry violated"),
+        ({(0, 1): {"a": 1.0}}, TypeError, "real numbers"),
+    ],
+)
+def test_wrong_brackets_are_refused(brackets, error, message):
+    with pytest.raises(error, match=message):
+        LieAlgebra.from_brackets(2, brackets)
+
+
+@pytest.mark.parametrize(
+    ("basis", "error", "message"),
+    [
+        (("a",), ValueError, "basis must have 2 names, .* not 1"),
+        ("ab", ValueError, "basis must have 2 names, .* not 1"),
+        (("a", "a"), ValueError, "'a' is given twice"),
+        (("a", 3), TypeError, "name 1 of the basis"),
+    ],
+)
+def test_wrong_basis_names_are_refused(basis, error, message):
+    with pytest.raises(error, match=message):
+        LieAlgebra([(0, 1, 1, 1.0)], dim=2, basis=basis)

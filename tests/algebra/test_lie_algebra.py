@@ -1,0 +1,218 @@
+"""What the constants define: brackets, J(x), the coadjoint action, ranks; in any kind of number."""
+
+import subprocess
+import sys
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from coadjoint.algebra import catalogue
+from coadjoint.algebra.constants import Triples
+from coadjoint.algebra.lie_algebra import LieAlgebra
+
+ALGEBRAS = [
+    catalogue.so(3),
+    catalogue.so(4),
+    catalogue.so(5),
+    catalogue.e(3),
+    catalogue.sl(2),
+    catalogue.heisenberg(2),
+    catalogue.A3_7(0.3),
+]
+WITH_VECTORS = st.sampled_from(ALGEBRAS).flatmap(
+    lambda g: st.tuples(
+        st.just(g),
+        *(st.lists(st.fractions(-5, 5, max_denominator=9), min_size=g.dim, max_size=g.dim) for _ in range(3)),
+    )
+)
+
+
+def exact(values):
+    return np.array([Fraction(v) for v in values], dtype=object)
+
+
+@settings(deadline=None, max_examples=80)
+@given(WITH_VECTORS)
+def test_identities_hold_exactly_in_fractions(drawn):
+    g, u, v, w = drawn
+    u, v, w = exact(u), exact(v), exact(w)
+    assert all(g.bracket(u, v) == -g.bracket(v, u))
+    cyclic = g.bracket(g.bracket(u, v), w) + g.bracket(g.bracket(v, w), u) + g.bracket(g.bracket(w, u), v)
+    assert all(cyclic == 0)
+    assert all(g.coadjoint(u) @ w == g.structure_matrix(w) @ u)
+    assert u @ g.structure_matrix(w) @ v == g.bracket(u, v) @ w  # J_ij(x) = <x, [e_i, e_j]>
+    commutator = g.coadjoint(u) @ g.coadjoint(v) - g.coadjoint(v) @ g.coadjoint(u)
+    assert (commutator == g.coadjoint(g.bracket(u, v))).all()
+
+
+@settings(deadline=None, max_examples=80)
+@given(WITH_VECTORS)
+def test_floats_agree_with_fractions(drawn):
+    g, u, _, w = drawn
+    u, w = exact(u), exact(w)
+    uf, wf = u.astype(float), w.astype(float)
+    # sums of at most 2 n products, each within 3 u of the exact one
+    bound = 64 * g.dim * 2.0**-53 * (1 + float(np.abs(u).max()) * (1 + float(np.abs(w).max())))
+    for there, here in (
+        (g.structure_matrix(wf), g.structure_matrix(w)),
+        (g.coadjoint(uf), g.coadjoint(u)),
+        (g.bracket(uf, wf), g.bracket(u, w)),
+        (g.structure_operator(wf) @ uf, g.structure_matrix(w) @ u),
+        (g.structure_operator(wf).T @ uf, -(g.structure_matrix(w) @ u)),
+    ):
+        assert np.abs(there - here.astype(float)).max() <= bound
+
+
+@settings(deadline=None, max_examples=80)
+@given(WITH_VECTORS)
+def test_sparse_entries_are_the_nonzero_entries_of_the_matrix(drawn):
+    g, u, _, _ = drawn
+    for vector in (exact(u), exact(u).astype(float)):
+        rows, columns, values = g.coadjoint_entries(vector)
+        matrix = g.coadjoint(vector)
+        where = np.argwhere(matrix != 0)
+        assert np.array_equal(where, np.stack([rows, columns], axis=1))
+        assert all(values == matrix[rows, columns])
+        chosen = {i: value for i, value in enumerate(vector) if value}
+        for one, other in zip(g.coadjoint_entries(chosen), (rows, columns, values), strict=True):
+            assert np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("g", ALGEBRAS, ids=str)
+def test_multiprecision(g):
+    rng = np.random.default_rng(1)
+    a, b = rng.integers(1, 50, (2, g.dim)).tolist()
+    with mpmath.workdps(50):
+        x = np.array([mpmath.sqrt(v) for v in a], dtype=object)
+        u = np.array([mpmath.sqrt(v) for v in b], dtype=object)
+        defect = g.coadjoint(u) @ x - g.structure_matrix(x) @ u
+        rows, columns, values = g.coadjoint_entries(u)
+        sparse = np.zeros(g.dim, dtype=object)
+        np.add.at(sparse, rows, values * x[columns])
+        assert max(map(abs, defect)) < mpmath.mpf(10) ** -46
+        assert max(map(abs, sparse - g.coadjoint(u) @ x)) < mpmath.mpf(10) ** -46
+        assert max(map(abs, g.bracket(u, x) + g.bracket(x, u))) == 0
+
+
+def test_bracket_of_mixed_numbers_is_exact():
+    g = catalogue.A3_7(0.5)
+    result = g.bracket(np.array([1, 0, 0]), exact([0, 0, Fraction(1, 3)]))
+    assert result.tolist() == [Fraction(1, 6), Fraction(-1, 3), 0]
+
+
+def test_signs_of_the_rigid_body():
+    g, rng = catalogue.so(3), np.random.default_rng(2)
+    u, x = rng.standard_normal((2, 3))
+    assert np.allclose(g.structure_matrix(x) @ u, np.cross(u, x), rtol=0, atol=64 * 2.0**-53)
+    assert np.allclose(g.coadjoint(u), [[0, -u[2], u[1]], [u[2], 0, -u[0]], [-u[1], u[0], 0]], rtol=0, atol=0)
+
+
+def test_heavy_top_equations():
+    g, rng = catalogue.e(3), np.random.default_rng(3)
+    x, u = rng.standard_normal((2, 6))
+    m, p, w, v = x[:3], x[3:], u[:3], u[3:]
+    body = np.concatenate([np.cross(m, w) + np.cross(p, v), np.cross(p, w)])  # sign = -1
+    assert np.abs(-g.structure_matrix(x) @ u - body).max() < 64 * 2.0**-53
+
+
+def test_manakov_equations():
+    g, rng = catalogue.so(4), np.random.default_rng(4)
+    x, u = rng.standard_normal((2, 6))
+    first, second = np.triu_indices(4, 1)
+    momentum, velocity = np.tensordot(x, g.representation, 1), np.tensordot(u, g.representation, 1)
+    body = momentum @ velocity - velocity @ momentum  # M' = [M, Omega], sign = -1
+    assert np.abs(-(g.structure_matrix(x) @ u) - body[first, second]).max() < 64 * 2.0**-53
+
+
+@pytest.mark.parametrize(
+    ("g", "rank"),
+    [
+        (catalogue.so(2), 0),
+        (catalogue.so(3), 2),
+        (catalogue.so(4), 4),
+        (catalogue.so(5), 8),
+        (catalogue.so(6), 12),
+        (catalogue.so(7), 18),
+        (catalogue.e(3), 4),
+        (catalogue.sl(2), 2),
+        (catalogue.heisenberg(1), 2),
+        (catalogue.heisenberg(3), 6),
+        (catalogue.A3_7(2.0), 2),
+        (catalogue.A3_7(0.1), 2),
+        (LieAlgebra([(0, 1, 1, 1.0)], dim=2), 2),
+        (LieAlgebra([(0, 1, 1, 2.0**-1000)], dim=2), 2),
+        (LieAlgebra([], dim=4), 0),
+    ],
+    ids=str,
+)
+def test_generic_rank(g, rank):
+    assert g.generic_rank() == rank == g.generic_rank()
+
+
+def test_generic_rank_is_not_fooled_by_sizes():
+    """A block of tiny constants counts as much as a block of large ones: no floating tolerance is involved."""
+    i, j, k, c = catalogue.so(4).triples
+    both = Triples(*(np.concatenate([q, q + 6]) for q in (i, j, k)), np.concatenate([c * 2.0**200, c * 2.0**-200]))
+    assert LieAlgebra(both, dim=12).generic_rank() == 8
+
+
+@pytest.mark.parametrize("g", ALGEBRAS, ids=str)
+def test_commuting_and_neighbours(g):
+    indptr, indices = g.neighbours()
+    basis = np.eye(g.dim)
+    for i in range(g.dim):
+        expected = [j for j in range(g.dim) if g.bracket(basis[i], basis[j]).any()]
+        assert indices[indptr[i] : indptr[i + 1]].tolist() == expected
+        assert [j for j in range(g.dim) if not g.commuting(i, j)] == expected
+
+
+def test_wrong_arguments_are_refused():
+    g = catalogue.so(4)
+    for call in (g.structure_matrix, g.coadjoint, g.structure_operator, g.coadjoint_entries, lambda x: g.bracket(x, x)):
+        with pytest.raises(ValueError, match=r"must have shape \(6,\), not \(5,\)"):
+            call(np.zeros(5))
+        with pytest.raises(TypeError, match="must hold numbers"):
+            call(np.array(list("abcdef")))
+    with pytest.raises(TypeError, match="real floats"):
+        g.structure_operator(exact(range(6)))
+    with pytest.raises(ValueError, match="index 6 of u"):
+        g.coadjoint_entries({6: 1.0})
+    with pytest.raises(TypeError, match="u must hold numbers"):
+        g.coadjoint_entries({5: "a"})
+    with pytest.raises(ValueError, match="index 6 of a basis element"):
+        g.commuting(0, 6)
+    with pytest.raises(TypeError, match="casimirs must be a mapping"):
+        LieAlgebra([], dim=1, casimirs=[1])
+    with pytest.raises(TypeError, match="name of a Lie algebra"):
+        LieAlgebra([], dim=1, name=1)
+
+
+def test_equality_is_by_value_and_repr_is_short():
+    g = catalogue.so(4)
+    other = LieAlgebra(g.triples, dim=6, basis=tuple("abcdef"), name="other")
+    assert g == other
+    assert len({g, other, catalogue.e(3)}) == 2
+    assert g != "so(4)"
+    assert repr(g) == "LieAlgebra('so(4)', dim=6)"
+    assert repr(LieAlgebra([], dim=2)) == "LieAlgebra(dim=2)"
+    assert other.basis == tuple("abcdef")
+
+
+def test_vectors_are_not_changed():
+    g = catalogue.e(3)
+    x = np.arange(6.0)
+    g.structure_matrix(x), g.coadjoint(x), g.bracket(x, x[::-1]), g.coadjoint_entries(x), g.structure_operator(x) @ x
+    assert x.tolist() == list(range(6))
+
+
+def test_the_algebra_layer_loads_numpy_only():
+    code = (
+        "import sys, coadjoint.algebra.catalogue as c; c.so(4).generic_rank();"
+        "print([m for m in ('scipy', 'numba', 'mpmath', 'xarray', 'matplotlib', 'pydantic') if m in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"

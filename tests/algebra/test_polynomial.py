@@ -1,0 +1,185 @@
+"""Polynomials: exact arithmetic, evaluation in every kind of number, refusals."""
+
+import time
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from coadjoint.algebra.polynomial import Polynomial
+
+EXPONENTS = st.tuples(*[st.integers(0, 3)] * 3)
+COEFFICIENTS = st.one_of(st.integers(-9, 9), st.fractions(-3, 3, max_denominator=7))
+POLYNOMIALS = st.dictionaries(EXPONENTS, COEFFICIENTS, max_size=6).map(lambda m: Polynomial(m, dim=3))
+POINTS = st.lists(st.fractions(-3, 3, max_denominator=5), min_size=3, max_size=3).map(
+    lambda x: np.array([Fraction(v) for v in x], dtype=object)
+)
+
+
+def by_definition(p, x):
+    return sum((c * x[0] ** a * x[1] ** b * x[2] ** d for (a, b, d), c in p.monomials.items()), Fraction(0))
+
+
+@settings(deadline=None)
+@given(POLYNOMIALS, POLYNOMIALS, POLYNOMIALS, POINTS)
+def test_ring_operations_are_exact(p, q, r, x):
+    assert p(x) == by_definition(p, x)
+    assert (p + q)(x) == p(x) + q(x)
+    assert (p - q)(x) == p(x) - q(x)
+    assert (p * q)(x) == p(x) * q(x)
+    assert p * (q + r) == p * q + p * r
+    assert (p * q) * r == p * (q * r)
+    assert p - p == Polynomial({}, dim=3)
+    assert p + 2 - p == Polynomial({(0, 0, 0): 2})
+    assert 3 - p == -(p - 3)
+    assert Fraction(1, 3) * p * 3 == p
+    assert p**3 == p * p * p
+    assert hash(p + q) == hash(q + p)
+    assert p**0 == Polynomial({(0, 0, 0): 1})
+
+
+@settings(deadline=None)
+@given(POLYNOMIALS, POLYNOMIALS, POINTS)
+def test_derivatives_are_exact(p, q, x):
+    for i in range(3):
+        assert (p * q).derivative(i) == p.derivative(i) * q + p * q.derivative(i)
+    assert p.gradient(x).tolist() == [p.derivative(i)(x) for i in range(3)]
+    assert p.hessian(x).tolist() == [[p.derivative(i).derivative(j)(x) for j in range(3)] for i in range(3)]
+
+
+@settings(deadline=None)
+@given(POLYNOMIALS, POINTS)
+def test_floats_agree_with_fractions(p, x):
+    # at most 6 monomials of degree 9, coefficients below 9, derivatives at most 9 * 8 times as large
+    bound = 64 * 2.0**-53 * 6 * 9 * 72 * 3.0**9
+    f = x.astype(float)
+    assert abs(p(f) - float(p(x))) <= bound
+    assert np.abs(p.gradient(f) - p.gradient(x).astype(float)).max() <= bound
+    assert np.abs(p.hessian(f) - p.hessian(x).astype(float)).max() <= bound
+    assert p.gradient(f).dtype == p.hessian(f).dtype == np.float64
+
+
+def test_multiprecision_and_float_coefficients():
+    p = Polynomial({(2, 1): 0.5, (0, 3): 0.1, (0, 0): 1})
+    with mpmath.workdps(60):
+        x = np.array([mpmath.sqrt(2), mpmath.sqrt(3)], dtype=object)
+        wanted = mpmath.mpf(0.5) * x[0] ** 2 * x[1] + mpmath.mpf(0.1) * x[1] ** 3 + 1  # 0.1 is the float that it is
+        assert abs(p(x) - wanted) < mpmath.mpf(10) ** -57
+        assert abs(p.gradient(x)[0] - x[0] * x[1]) < mpmath.mpf(10) ** -57
+
+
+def test_kinds_of_coefficients_are_kept():
+    p = Polynomial({(1, 0): 2, (0, 1): Fraction(1, 3), (1, 1): 0.25, (2, 2): np.int64(4), (3, 0): np.float32(0.5)})
+    assert [type(c) for c in p.monomials.values()] == [int, Fraction, float, float, int]
+    assert type(p.monomials[2, 2]) is int
+    assert type((p * p).monomials[2, 0]) is int
+    assert type((p * p).monomials[0, 2]) is Fraction
+
+
+def test_order_degree_and_repr():
+    p = Polynomial(
+        {(0, 1, 1): 1, (2, 0, 0): 0.5, (0, 0, 0): -3, (0, 0, 3): Fraction(-2, 3), (0, 1, 0): -1, (1, 1, 0): 0}
+    )
+    assert list(p.monomials) == [(0, 0, 0), (0, 1, 0), (2, 0, 0), (0, 1, 1), (0, 0, 3)]
+    assert repr(p) == "-3 - x2 + 0.5*x1^2 + x2*x3 - (2/3)*x3^3"
+    assert (p.degree, p.dim) == (3, 3)
+    assert repr(Polynomial({(2, 0, 0): 0.5, (0, 1, 1): 1.0})) == "0.5*x1^2 + x2*x3"
+    assert repr(Polynomial({}, dim=2)) == "0"
+    assert Polynomial({}, dim=2).degree == 0
+    with pytest.raises(TypeError):
+        p.monomials[0, 0, 0] = 1
+
+
+def test_equality_and_hash():
+    p = Polynomial({(1, 0): 2, (0, 1): 1})
+    assert p == Polynomial({(0, 1): 1.0, (1, 0): Fraction(2), (3, 3): 0})
+    assert hash(p) == hash(Polynomial({(0, 1): 1.0, (1, 0): Fraction(2)}))
+    assert p != Polynomial({(1, 0, 0): 2, (0, 1, 0): 1})
+    assert p != 3
+    assert Polynomial.variable(0, 2) * 2 + Polynomial.variable(1, 2) == p
+
+
+def test_zero_and_constant_polynomials_evaluate():
+    for value in (0, 5):
+        p = Polynomial({(0, 0): value}, dim=2)
+        assert p([1.0, 2.0]) == value
+        assert p.gradient([1.0, 2.0]).tolist() == [0.0, 0.0]
+        assert p.hessian(np.array([1.0, 2.0])).tolist() == [[0.0, 0.0], [0.0, 0.0]]
+
+
+def test_powers_at_zero():
+    p = Polynomial({(1, 1): 1, (2, 0): 1})
+    assert p.gradient([0.0, 3.0]).tolist() == [3.0, 0.0]
+    assert p.hessian([0.0, 0.0]).tolist() == [[2.0, 1.0], [1.0, 0.0]]
+
+
+def test_ten_thousand_monomials():
+    rng = np.random.default_rng(0)
+    monomials = {tuple(e): int(c) for *e, c in rng.integers(0, 12, (12_000, 7)).tolist() if c}
+    begin = time.perf_counter()
+    p = Polynomial(monomials)
+    assert len(p.monomials) > 10_000
+    x = rng.uniform(-1, 1, 6)
+    value, gradient = p(x), p.gradient(x)
+    first = time.perf_counter() - begin
+    exponents = np.array(list(p.monomials))
+    products = np.prod(x**exponents, axis=1) * np.array(list(p.monomials.values()), dtype=float)
+    # 10^4 terms of at most 66 factors each
+    bound = 2.0**-53 * 200 * np.abs(products).sum()
+    assert abs(value - products.sum()) <= bound
+    assert abs(gradient @ x - (products * exponents.sum(axis=1)).sum()) <= 72 * 6 * bound  # Euler
+    assert len((p + p * 2).monomials) == len(p.monomials)
+    assert first < 20.0  # below 1 s on an idle machine; quadratic work would take minutes
+
+
+@pytest.mark.parametrize(
+    ("monomials", "dim", "error", "message"),
+    [
+        ({(1, -1): 1}, None, ValueError, r"\(1, -1\) must not be negative"),
+        ({(1, 0.5): 1}, None, TypeError, "0.5 is not"),
+        ({(1, True): 1}, None, TypeError, "True is not"),
+        ({(1, 0): 1, (1,): 2}, None, ValueError, r"\(1,\) have length 1; this Polynomial has dimension 2"),
+        ({(1, 0): 1}, 3, ValueError, "has dimension 3"),
+        ({1: 1}, None, TypeError, "tuple of whole numbers"),
+        ({(1, 0): float("nan")}, None, ValueError, r"coefficient of \(1, 0\) is nan; it must be finite"),
+        ({(1, 0): float("-inf")}, None, ValueError, "is -inf"),
+        ({(1, 0): "2"}, None, TypeError, "must be an int, float or Fraction, not '2'"),
+        ({(1, 0): True}, None, TypeError, "not True"),
+        ({(1, 0): 1j}, None, TypeError, "not 1j"),
+        ({}, None, ValueError, "dim must be given"),
+        ({(): 1}, None, ValueError, "at least one coordinate"),
+        ({(1,): 1}, 0, ValueError, "positive integer, not 0"),
+        ([((1,), 1)], None, TypeError, "must be a mapping"),
+    ],
+)
+def test_wrong_polynomials_are_refused(monomials, dim, error, message):
+    with pytest.raises(error, match=message):
+        Polynomial(monomials, dim=dim)
+
+
+def test_wrong_operations_are_refused():
+    p, q = Polynomial({(1, 0): 1}), Polynomial({(1, 0, 0): 1})
+    with pytest.raises(ValueError, match="in 2 and in 3 coordinates"):
+        p + q
+    with pytest.raises(ValueError, match="in 2 and in 3 coordinates"):
+        p * q
+    with pytest.raises(TypeError):
+        p + "x"
+    for power in (-1, 0.5, True):
+        with pytest.raises(ValueError, match="whole powers"):
+            p**power
+    with pytest.raises(ValueError, match="index 2 of a coordinate"):
+        p.derivative(2)
+    with pytest.raises(ValueError, match="index 3 of a coordinate"):
+        Polynomial.variable(3, 3)
+    with pytest.raises(ValueError, match=r"shape \(2,\), not \(3,\)"):
+        p([1.0, 2.0, 3.0])
+    with pytest.raises(TypeError, match="must hold numbers"):
+        p(["a", "b"])
+    with pytest.raises(ValueError, match="constant is nan"):
+        p + float("nan")
+    with pytest.raises(ValueError, match="overflows to inf"):
+        Polynomial({(1,): 1e300}) ** 2

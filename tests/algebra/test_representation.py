@@ -1,0 +1,151 @@
+"""Representations, the forms they keep, and how they carry the coadjoint action."""
+
+import numpy as np
+import pytest
+
+from coadjoint.algebra import catalogue
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.representation import intertwiner, invariant_form
+
+ALGEBRAS = [
+    catalogue.so(2),
+    catalogue.so(3),
+    catalogue.so(4),
+    catalogue.so(5),
+    catalogue.e(3),
+    catalogue.sl(2),
+    catalogue.heisenberg(2),
+    catalogue.A3_7(0.3),
+    catalogue.A3_7(-7.0),
+]
+
+
+def coadjoint_matrices(g):
+    return np.array([g.coadjoint(row) for row in np.eye(g.dim)])
+
+
+def dense_defect(g, rho):
+    commutators = np.einsum("iab,jbc->ijac", rho, rho)
+    commutators = commutators - commutators.transpose(1, 0, 2, 3)
+    c = np.array([[g.bracket(u, v) for v in np.eye(g.dim)] for u in np.eye(g.dim)])
+    return np.abs(commutators - np.einsum("ijk,kab->ijab", c, rho)).max()
+
+
+@pytest.mark.parametrize("g", ALGEBRAS, ids=str)
+def test_catalogue_representations_and_the_adjoint_one(g):
+    assert dense_defect(g, g.representation) <= 64 * 2.0**-53 * 50  # |a| <= 7: products below 50
+    actions = coadjoint_matrices(g)
+    for matrices in (actions, -actions.transpose(0, 2, 1)):
+        assert dense_defect(g, matrices) <= 64 * 2.0**-53 * 100
+        assert np.array_equal(LieAlgebra(g.triples, dim=g.dim, representation=matrices).representation, matrices)
+    if g.name not in ("so(2)", "heisenberg(2)"):  # there every D_[u, v] is zero
+        with pytest.raises(ValueError, match="representation violates the commutator"):
+            LieAlgebra(g.triples, dim=g.dim, representation=actions.transpose(0, 2, 1))
+
+
+@pytest.mark.parametrize("g", ALGEBRAS[2:], ids=str)
+def test_a_wrong_entry_is_named(g):
+    for flat in np.flatnonzero(g.representation)[::3]:
+        rho = g.representation.copy()
+        rho.flat[flat] += 1e-3 * (1 + abs(rho.flat[flat]))
+        if dense_defect(g, rho) > 1e-6:
+            with pytest.raises(ValueError, match=r"representation violates the commutator of \(\w+, \w+\) = indices"):
+                LieAlgebra(g.triples, dim=g.dim, basis=g.basis, representation=rho)
+
+
+def test_first_wrong_commutator():
+    rho = catalogue.so(3).representation.copy()
+    rho[2] *= 2.0
+    with pytest.raises(ValueError, match=r"\(e1, e2\) = indices \(0, 1\): .* has -?1 at \((0, 1|1, 0)\)"):
+        LieAlgebra(catalogue.so(3).triples, dim=3, representation=rho)
+
+
+@pytest.mark.parametrize(
+    ("rho", "error", "message"),
+    [
+        (np.zeros((2, 3, 3)), ValueError, r"shape \(3, d, d\), one matrix per basis element, not \(2, 3, 3\)"),
+        (np.zeros((3, 3, 2)), ValueError, r"not \(3, 3, 2\)"),
+        (np.zeros((3, 3)), ValueError, r"not \(3, 3\)"),
+        (np.full((3, 1, 1), np.nan), ValueError, r"representation\[0, 0, 0\] is nan"),
+        (np.zeros((3, 2, 2), dtype=complex), TypeError, "real numbers"),
+    ],
+)
+def test_malformed_representations_are_refused(rho, error, message):
+    with pytest.raises(error, match=message):
+        LieAlgebra(catalogue.sl(2).triples, dim=3, representation=rho)
+
+
+def residual(rho, form):
+    return np.abs(np.einsum("iba,bc->iac", rho, form) + np.einsum("ab,ibc->iac", form, rho)).max()
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 6])
+def test_rotations_keep_the_identity(n):
+    assert np.array_equal(invariant_form(catalogue.so(n).representation), np.eye(n))
+
+
+@pytest.mark.parametrize("n", [3, 4, 5])
+def test_rotations_in_a_skewed_basis_keep_another_form(n):
+    rho = catalogue.so(n).representation
+    basis = np.eye(n) + np.triu(np.ones((n, n)), 1)
+    form = invariant_form(np.linalg.inv(basis) @ rho @ basis)
+    wanted = basis.T @ basis
+    assert np.abs(form / form[0, 0] - wanted / wanted[0, 0]).max() < 1e3 * 2.0**-53 * np.linalg.cond(wanted)
+
+
+def test_sl2_keeps_the_area():
+    rho = catalogue.sl(2).representation
+    form = invariant_form(rho)
+    assert np.allclose(form, -form.T, atol=1e-14)
+    assert abs(np.linalg.det(form)) > 0.5
+    assert residual(rho, form) < 64 * 2.0**-53
+
+
+@pytest.mark.parametrize("g", [catalogue.e(3), catalogue.heisenberg(1), catalogue.A3_7(2.0)], ids=str)
+def test_affine_representations_keep_no_form(g):
+    assert invariant_form(g.representation) is None
+
+
+@pytest.mark.parametrize("scale", [1e-150, 1.0, 1e150])
+def test_the_form_does_not_depend_on_units(scale):
+    rho = catalogue.sl(2).representation * np.array([1.0, scale, 1.0])[:, None, None]
+    assert np.allclose(invariant_form(rho), invariant_form(catalogue.sl(2).representation), atol=1e-12)
+
+
+def test_e3_keeps_a_form_in_the_coadjoint_representation():
+    """<(m, p), (m', p')> = m.p' + p.m': the Casimir m.p, nonsingular though |p|^2 is not."""
+    actions = coadjoint_matrices(catalogue.e(3))
+    form = invariant_form(actions)
+    assert residual(actions, form) < 1e-14
+    assert np.linalg.cond(form) < 1e3
+
+
+def test_intertwiner_of_so3_and_its_failure_elsewhere():
+    g = catalogue.so(3)
+    actions = coadjoint_matrices(g)
+    t = intertwiner(g.representation, actions)
+    assert np.linalg.matrix_rank(t) == 3
+    assert np.abs(t @ g.representation - actions @ t).max() < 1e-14
+    for h in (catalogue.so(4), catalogue.e(3), catalogue.sl(2)):
+        assert intertwiner(h.representation, coadjoint_matrices(h)) is None
+
+
+@pytest.mark.parametrize("g", [catalogue.so(4), catalogue.sl(2), catalogue.e(3)], ids=str)
+def test_intertwiner_from_a_larger_representation(g):
+    """The coadjoint action inside its sum with itself, in a skewed basis."""
+    actions = coadjoint_matrices(g)
+    n = g.dim
+    double = np.zeros((n, 2 * n, 2 * n))
+    double[:, :n, :n] = double[:, n:, n:] = actions
+    basis = np.eye(2 * n) + np.triu(np.ones((2 * n, 2 * n)), 1)
+    rho = np.linalg.inv(basis) @ double @ basis
+    t = intertwiner(rho, actions)
+    assert t.shape == (n, 2 * n)
+    assert np.linalg.matrix_rank(t) == n
+    assert np.abs(t @ rho - actions @ t).max() < 1e-10
+    assert np.array_equal(t, intertwiner(rho, actions))
+
+
+def test_intertwiner_refuses_different_lengths():
+    with pytest.raises(ValueError, match=r"shape \(3, d, d\)"):
+        intertwiner(catalogue.so(3).representation, coadjoint_matrices(catalogue.so(4)))

@@ -1,0 +1,206 @@
+"""The closed form of the free rigid body: against 25 digits, in every degenerate case, and with permuted axes."""
+
+import itertools
+import json
+from pathlib import Path
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from coadjoint import systems
+from coadjoint.systems.free_rigid_body import amplitude, free_rigid_body, third_kind
+
+U = 2.0**-53
+CASES = json.loads((Path(__file__).parent / "rigid_body_reference.json").read_text())["cases"]
+
+
+def floats(numbers):
+    return np.array(numbers, dtype=object).astype(np.float64)
+
+
+def integrated(m, x0, t):
+    """x and A by DOP853 at its tightest tolerance."""
+
+    def field(_, y):
+        x, A = y[:3], y[3:].reshape(3, 3)
+        w = m * x
+        hat = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
+        return np.r_[np.cross(x, w), (A @ hat).ravel()]
+
+    start = np.r_[x0, np.eye(3).ravel()]
+    run = solve_ivp(field, (0.0, t), start, method="DOP853", rtol=1e-13, atol=1e-15)
+    return run.y[:3, -1], run.y[3:, -1].reshape(3, 3)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case['name']} t={case['t']}")
+def test_against_25_digits(case):
+    m, x0, t = floats(case["m"]), floats(case["x0"]), float(case["t"])
+    x, A = free_rigid_body(m, x0, np.array([t]))
+    # Rounded data and |lam t| radians: u times the phase, with what the separatrix multiplies it by (|x|^2/gap < 2^8).
+    phase = np.linalg.norm(x0) * np.abs(m).max() * abs(t)
+    tolerance = 2.0**7 * U * (1 + phase) * np.linalg.norm(x0)
+    assert np.abs(x[0] - floats(case["x"])).max() <= tolerance
+    if abs(t) <= 100:
+        assert np.abs(x[0] - floats(case["x"])).max() <= 1e-12
+    if "A" in case:
+        assert np.abs(A[0] - floats(case["A"])).max() <= tolerance
+        if abs(t) <= 100:
+            assert np.abs(A[0] - floats(case["A"])).max() <= 1e-12
+
+
+S3 = 1.0 / np.sqrt(3.0)
+DEGENERATE = {
+    "two equal, c largest": ((0.5, 0.5, 0.8), (0.3, -0.4, 1.2)),
+    "two equal, c smallest": ((0.7, 0.7, 0.2), (0.3, -0.4, -1.2)),
+    "two equal, no component on the axis": ((0.5, 0.5, 0.8), (0.3, -0.4, 0.0)),
+    "two equal, on the axis": ((0.5, 0.5, 0.8), (0.0, 0.0, -1.2)),
+    "three equal": ((0.6, 0.6, 0.6), (0.3, -0.4, 1.2)),
+    "at rest": ((1.0, 0.5, 0.25), (0.0, 0.0, 0.0)),
+    "permanent, first": ((1.0, 0.5, 0.25), (2.0, 0.0, 0.0)),
+    "permanent, middle": ((1.0, 0.5, 0.25), (0.0, -2.0, 0.0)),
+    "permanent, last": ((1.0, 0.5, 0.25), (0.0, 0.0, 2.0)),
+    "near permanent, first": ((1.0, 0.5, 0.25), (2.0, 1e-9, -1e-10)),
+    "near permanent, last": ((1.0, 0.5, 0.25), (0.0, 1e-12, 2.0)),
+    # (m1 - m2) x1^2 = (m2 - m3) x3^2 in binary numbers: exactly on the separatrix
+    "separatrix ++": ((1.25, 1.0, 0.0), (2.0, 0.75, 1.0)),
+    "separatrix -+": ((1.25, 1.0, 0.0), (-2.0, 0.75, 1.0)),
+    "separatrix +-": ((1.25, 1.0, 0.0), (2.0, -0.75, -1.0)),
+    "separatrix --": ((1.25, 1.0, 0.0), (-2.0, 0.75, -1.0)),
+    "near separatrix, inside": ((1.25, 1.0, 0.0), (2.0, 0.75, 1.0 + 2.0**-20)),
+    "near separatrix, outside": ((1.25, 1.0, 0.0), (-2.0, 0.75, 1.0 - 2.0**-20)),
+    "start in a coordinate plane": ((1.0, 0.5, 0.25), (1.0, 0.0, 1.5)),
+    "start in another plane": ((1.0, 0.5, 0.25), (1.5, 1.0, 0.0)),
+    "almost two equal": ((0.5, 0.5 + 2.0**-50, 0.8), (0.3, -0.4, 1.2)),
+    "paper": ((1.0, 0.5, 1.0 / 3.0), (1.0, 10.0, 1.0)),
+    "a negative mass": ((1.0, -0.5, 0.25), (1.0, 0.5, -1.0)),
+}
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations(range(3))), ids=str)
+@pytest.mark.parametrize("name", DEGENERATE)
+def test_degenerate_cases_and_permuted_axes(name, order):
+    m, x0 = (np.array(values)[list(order)] for values in DEGENERATE[name])
+    t = 6.0
+    expected_x, expected_A = integrated(m, x0, t)
+    x, A = free_rigid_body(m, x0, np.array([0.0, t]))
+    size = max(1.0, np.linalg.norm(x0))
+    np.testing.assert_allclose(x[0], x0, rtol=0, atol=8 * U * size)
+    np.testing.assert_allclose(A[0], np.eye(3), rtol=0, atol=16 * U)
+    # DOP853 itself: 1e-13 a step, some hundred steps, times the growth near the separatrix.
+    np.testing.assert_allclose(x[1], expected_x, rtol=0, atol=1e-10 * size)
+    np.testing.assert_allclose(A[1], expected_A, rtol=0, atol=1e-10 * size)
+
+
+@pytest.mark.parametrize("name", DEGENERATE)
+def test_invariants_hold_at_every_time(name):
+    m, x0 = (np.array(values) for values in DEGENERATE[name])
+    t = np.linspace(-300.0, 300.0, 1001)
+    x, A = free_rigid_body(m, x0, t)
+    length2, energy2 = x0 @ x0, m @ x0**2
+    assert np.abs(np.sum(x**2, axis=1) - length2).max() <= 32 * U * length2
+    assert np.abs(x**2 @ m - energy2).max() <= 32 * U * np.abs(m).max() * length2
+    momentum = np.einsum("kij,kj->ki", A, x)
+    assert np.abs(momentum - x0).max() <= 64 * U * np.sqrt(length2)
+    assert np.abs(A @ A.transpose(0, 2, 1) - np.eye(3)).max() <= 32 * U
+
+
+@pytest.mark.parametrize("name", ["paper", "near separatrix, inside", "two equal, c smallest", "separatrix -+"])
+def test_the_flow_is_a_group(name):
+    m, x0 = (np.array(values) for values in DEGENERATE[name])
+    x, A = free_rigid_body(m, x0, np.array([2.5]))
+    y, B = free_rigid_body(m, x[0], np.array([1.75]))
+    z, C = free_rigid_body(m, x0, np.array([4.25]))
+    # the separatrix multiplies the rounding of x by exp(lam t), lam t < 13 and lam < 3
+    size = 2.0**7 * U * np.exp(min(2.5 * 1.75, 6.0)) * np.linalg.norm(x0)
+    np.testing.assert_allclose(y[0], z[0], rtol=0, atol=size)
+    np.testing.assert_allclose(A[0] @ B[0], C[0], rtol=0, atol=size)
+
+
+@pytest.mark.parametrize("scale", [2.0**-600, 2.0**500])
+def test_any_size_of_momentum(scale):
+    m, x0 = np.array([1.0, 0.5, 0.25]), np.array([1.0, 2.0, 0.5])
+    x, A = free_rigid_body(m, x0, np.array([3.0]))
+    scaled, B = free_rigid_body(m, scale * x0, np.array([3.0 / scale]))
+    np.testing.assert_array_equal(scaled, scale * x)
+    np.testing.assert_array_equal(A, B)
+
+
+@pytest.mark.parametrize("complement", [1.0, 0.3, 1e-4, 1e-12, 1e-24])
+def test_elliptic_functions_over_many_periods(complement):
+    u = np.array([-35.0, -3.0, 1e-3, 0.7, 5.0, 60.0])
+    phi = amplitude(u, complement)
+    with mpmath.workdps(50):
+        k2 = 1 - mpmath.mpf(complement)
+        for value, at in zip(phi, u, strict=True):
+            sine = mpmath.ellipfun("sn", mpmath.mpf(float(at)), m=k2)
+            cosine = mpmath.ellipfun("cn", mpmath.mpf(float(at)), m=k2)
+            assert abs(np.sin(value) - sine) <= 8 * U * (1 + abs(at))
+            assert abs(np.cos(value) - cosine) <= 8 * U * (1 + abs(at))
+            exact = mpmath.ellippi(mpmath.mpf(-1.5), mpmath.mpf(float(value)), k2)
+            tolerance = 16 * U * (1 + abs(exact)) + 2 * U * abs(value) / np.sqrt(complement + np.cos(value) ** 2)
+            assert abs(third_kind(-1.5, np.array([value]), complement)[0] - exact) <= tolerance
+
+
+def test_shapes_and_attitudes():
+    system = systems.rigid_body((1.0, 2.0, 3.0))
+    x0 = [1.0, 2.0, 0.5]
+    assert system.exact(x0, 1.0).shape == (3,)
+    assert system.exact(x0, [1.0, 2.0]).shape == (2, 3)
+    x, A = system.exact(x0, 1.0, attitude=True)
+    assert (x.shape, A.shape) == ((3,), (3, 3))
+    assert system.exact(x0, [0.0, 1.0], attitude=True)[1].shape == (2, 3, 3)
+    turned = system.exact(x0, 1.0, attitude=A)[1]
+    np.testing.assert_array_equal(turned, A @ A)
+    for arguments, message in (
+        (([1.0, 2.0], 1.0), "three finite numbers"),
+        (([1.0, np.nan, 0.0], 1.0), "three finite numbers"),
+        ((x0, np.inf), "finite"),
+        ((x0, np.zeros((2, 2))), "shape"),
+        ((x0, 1.0, np.eye(2)), "attitude has shape"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            system.exact(*arguments)
+
+
+def test_full_inertia_turns_with_its_axes():
+    Q = np.linalg.qr(np.random.default_rng(7).standard_normal((3, 3)))[0]
+    inertia = np.array([1.0, 2.0, 3.5])
+    x0, t = np.array([1.0, -2.0, 0.5]), np.array([0.5, 20.0])
+    x, A = systems.rigid_body(inertia).exact(x0, t, attitude=True)
+    Q = Q if np.linalg.det(Q) > 0 else -Q
+    full = Q @ np.diag(inertia) @ Q.T
+    y, B = systems.rigid_body((full + full.T) / 2).exact(Q @ x0, t, attitude=True)
+    # the rounded tensor has other moments: u times the phase of 20 * |x| radians, conditioned by I's ratio
+    tolerance = 2.0**7 * U * 20.0 * np.linalg.norm(x0) * 3.5
+    np.testing.assert_allclose(y, x @ Q.T, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(B, Q @ A @ Q.T, rtol=0, atol=tolerance)
+    diagonal = systems.rigid_body(np.diag(inertia)).exact(x0, t)
+    np.testing.assert_array_equal(diagonal, x)
+
+
+def test_the_papers_convention_runs_backwards():
+    body, paper = systems.rigid_body((1.0, 2.0, 4.0)), systems.paper_rigid_body((1.0, 0.5, 0.25))
+    x0, t = [1.0, 10.0, 1.0], np.array([0.3, 7.0])
+    for forwards, backwards in zip(paper.exact(x0, t, attitude=True), body.exact(x0, -t, attitude=True), strict=True):
+        np.testing.assert_array_equal(forwards, backwards)
+    # A11(10) of section 5.2, the solution in the paper's convention
+    A = systems.paper_rigid_body().exact(x0, 10.0, attitude=True)[1]
+    assert A[0, 0] == pytest.approx(0.0720212720707, abs=1e-12)
+
+
+@pytest.mark.parametrize("make", [systems.rigid_body, systems.paper_rigid_body])
+def test_the_closed_form_solves_the_systems_own_equation(make):
+    system = make()
+    x0, h = np.array([1.0, 2.0, 0.5]), 2.0**-8
+    t = 3.0 + h * np.array([-2.0, -1.0, 1.0, 2.0])
+    weights = np.array([1.0, -8.0, 8.0, -1.0]) / (12.0 * h)
+    x, A = system.exact(x0, t, attitude=True)
+    now, attitude = system.exact(x0, 3.0, attitude=True)
+    rho = np.einsum("i,ijk->jk", system.hamiltonian.gradient(now), system.representation)
+    # a difference of order 4: h^4 |x^(5)| / 30 with |x^(5)| < 2^10
+    tolerance = h**4 * 2.0**10 / 30
+    np.testing.assert_allclose(weights @ x, system.vector_field(now), rtol=0, atol=tolerance)
+    slope = np.tensordot(weights, A, axes=1)
+    np.testing.assert_allclose(slope, -system.sign * attitude @ rho, rtol=0, atol=tolerance)

@@ -1,0 +1,217 @@
+"""Lie-Poisson systems on several algebras: the vector field, its derivative, and what is refused."""
+
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+
+from coadjoint.algebra import catalogue
+from coadjoint.algebra.invariant import Invariant
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.systems.hamiltonian import Hamiltonian
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.separable import Separable
+from coadjoint.systems.split_hamiltonian import SplitHamiltonian
+
+U = 2.0**-53
+ALGEBRAS = {
+    "so(3)": catalogue.so(3),
+    "A3,7": catalogue.get("A3,7", a=1.75),
+    "e(3)": catalogue.e(3),
+    "sl(2)": catalogue.sl(2),
+    "so(4)": catalogue.so(4),
+    "heisenberg": catalogue.heisenberg(2),
+}
+
+
+def dense_constants(algebra):
+    c = np.zeros((algebra.dim,) * 3)
+    for i, j, k, value in zip(*algebra.triples, strict=True):
+        c[i, j, k], c[j, i, k] = value, -value
+    return c
+
+
+def changed_basis(algebra, seed=5):
+    """The constants in a random basis of determinant one: no longer sparse, and exact, being sums of few bits."""
+    n = algebra.dim
+    draw = np.random.default_rng(seed).integers(-1, 2, (2, n, n)).astype(float)
+    P = (np.tril(draw[0], -1) + np.eye(n)) @ (np.triu(draw[1], 1) + np.eye(n))
+    inverse = np.rint(np.linalg.inv(P))
+    assert np.array_equal(P @ inverse, np.eye(n))
+    return np.einsum("ai,bj,ijk,kc->abc", P, P, dense_constants(algebra), inverse)
+
+
+def random_system(algebra, sign, seed=11):
+    n = algebra.dim
+    rng = np.random.default_rng(seed)
+    A, b = rng.standard_normal((n, n)), rng.standard_normal(n)
+    return LiePoissonSystem(algebra, Quadratic(A + A.T, linear=b), sign=sign), rng.standard_normal(n), A + A.T, b
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("name", ALGEBRAS)
+def test_vector_field_is_the_dense_formula(name, sign):
+    for basis_change in (False, True):
+        algebra = ALGEBRAS[name]
+        n = algebra.dim
+        c = changed_basis(algebra) if basis_change else dense_constants(algebra)
+        system, x, M, b = random_system(LieAlgebra(c) if basis_change else algebra, sign)
+        u = M @ x + b
+        expected = sign * np.einsum("ijk,k,j->i", c, x, u)
+        size = np.einsum("ijk,k,j->i", np.abs(c), np.abs(x), np.abs(M) @ np.abs(x) + np.abs(b))
+        assert np.all(np.abs(system.vector_field(x) - expected) <= 64 * n * n * U * size.max())
+        np.testing.assert_allclose(sign * system.structure_matrix(x) @ u, expected, atol=64 * n * n * U * size.max())
+        assert system.energy(x) == pytest.approx(x @ M @ x / 2 + b @ x, rel=1e-13)
+
+
+HAMILTONIANS = {
+    "quadratic": lambda n: (
+        random_system(ALGEBRAS["so(3)"], 1)[0].hamiltonian if n == 3 else Quadratic(np.arange(1.0, n + 1))
+    ),
+    "polynomial": lambda n: Polynomial(
+        {tuple(2 * (j == 0) + (j == 1) for j in range(n)): 1.5, tuple(4 * (j == 2) for j in range(n)): -0.25}
+    ),
+    "separable": lambda n: Separable({0: (np.sin, np.cos, lambda y: -np.sin(y)), 2: (np.cosh, np.sinh, np.cosh)}),
+    "general": lambda n: Hamiltonian(
+        lambda x: np.exp(x[0] * x[1]),
+        lambda x: np.exp(x[0] * x[1]) * np.array([x[1], x[0]] + [0.0] * (n - 2)),
+        lambda x: (
+            np.exp(x[0] * x[1])
+            * np.pad(np.array([[x[1] ** 2, 1 + x[0] * x[1]], [1 + x[0] * x[1], x[0] ** 2]]), (0, n - 2))
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", HAMILTONIANS)
+@pytest.mark.parametrize("name", ALGEBRAS)
+def test_jacobian_by_complex_steps(name, kind):
+    algebra = ALGEBRAS[name]
+    n = algebra.dim
+    system = LiePoissonSystem(algebra, HAMILTONIANS[kind](n), sign=-1)
+    x = np.random.default_rng(3).uniform(-1, 1, n)
+    jacobian = system.jacobian(x)
+    for i in range(n):
+        column = np.imag(system.vector_field(x + 1e-30j * np.eye(n)[i])) / 1e-30
+        np.testing.assert_allclose(jacobian[:, i], column, rtol=0, atol=64 * n * U * max(1.0, np.abs(jacobian).max()))
+
+
+def test_exact_and_multiprecision_numbers():
+    algebra = catalogue.get("A3,7", a=0.1)
+    system = LiePoissonSystem(algebra, Quadratic([1.0, 2.0, 0.25]))
+    x = np.array([Fraction(1, 3), Fraction(-2), Fraction(5, 7)], dtype=object)
+    a = Fraction(0.1)
+    u = [x[0], 2 * x[1], x[2] / 4]
+    expected = [
+        (a * x[0] - x[1]) * u[2],
+        (x[0] + a * x[1]) * u[2],
+        -(a * x[0] - x[1]) * u[0] - (x[0] + a * x[1]) * u[1],
+    ]
+    assert system.vector_field(x).tolist() == expected
+    with mpmath.workdps(40):
+        multi = system.vector_field(np.array([mpmath.mpf(v.numerator) / v.denominator for v in x], dtype=object))
+        assert all(
+            abs(p - mpmath.mpf(q.numerator) / q.denominator) < mpmath.mpf(10) ** -38
+            for p, q in zip(multi, expected, strict=True)
+        )
+
+
+def test_time_reaches_the_field():
+    H = Hamiltonian(lambda x, t: t * (x @ x) / 2 + x[0], lambda x, t: t * x + np.eye(3)[0])
+    system = LiePoissonSystem(catalogue.sl(2), H)
+    x = np.array([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(
+        system.vector_field(x, 2.0), system.structure_matrix(x) @ (2 * x + np.eye(3)[0]), rtol=1e-15
+    )
+    assert system.energy(x, 2.0) == 15.0
+
+
+def test_defaults_come_from_the_algebra():
+    algebra = catalogue.e(3)
+    system = LiePoissonSystem(algebra, Quadratic(1.0))
+    assert system.dim == 6
+    assert system.casimirs == dict(algebra.casimirs_known)
+    np.testing.assert_array_equal(system.representation, algebra.representation)
+    assert system.parameters is None
+    assert "e(3)" in repr(system)
+    with pytest.raises(TypeError, match="no closed form is known for tops"):
+        LiePoissonSystem(algebra, Quadratic(1.0), name="tops").exact(np.ones(6), 1.0)
+
+
+@pytest.mark.parametrize("name", ALGEBRAS)
+def test_known_casimirs_pass_the_check(name):
+    algebra = ALGEBRAS[name]
+    system = LiePoissonSystem(algebra, Quadratic(1.0), casimirs=algebra.casimirs_known)
+    assert list(system.casimirs) == list(algebra.casimirs_known)
+
+
+def test_wrong_casimirs_are_refused_by_name():
+    so4 = catalogue.so(4)
+    nearly = dict(so4.casimirs_known["|x|^2"].monomials)
+    nearly[next(iter(nearly))] = 1.0 + 1e-10
+    with pytest.raises(ValueError, match="'C' is not a Casimir"):
+        LiePoissonSystem(so4, Quadratic(1.0), casimirs={"C": Polynomial(nearly)})
+    with pytest.raises(ValueError, match="'log C' is not a Casimir"):
+        wrong = Invariant(lambda x: x[0] * x[1], lambda x: np.array([x[1], x[0], 0.0]))
+        LiePoissonSystem(catalogue.get("A3,7", a=2.0), Quadratic(1.0), casimirs={"log C": wrong})
+    with pytest.raises(ValueError, match="'C' has 2 variables"):
+        LiePoissonSystem(so4, Quadratic(1.0), casimirs={"C": Polynomial({(1, 1): 1})})
+    with pytest.raises(ValueError, match="gradient of the Casimir 'C' has shape"):
+        LiePoissonSystem(so4, Quadratic(1.0), casimirs={"C": Invariant(lambda x: 0.0, lambda x: x[:2])})
+    with pytest.raises(TypeError, match="mapping"):
+        LiePoissonSystem(so4, Quadratic(1.0), casimirs=[so4.casimirs_known["|x|^2"]])
+    with pytest.raises(TypeError, match="'C' is 3"):
+        LiePoissonSystem(so4, Quadratic(1.0), casimirs={"C": 3})
+
+
+def test_functions_become_invariants():
+    system = LiePoissonSystem(catalogue.sl(2), Quadratic(1.0), casimirs={"C": lambda x: x[0] * x[2] + x[1] ** 2})
+    assert isinstance(system.casimirs["C"], Invariant)
+    assert system.casimirs["C"]([1.0, 2.0, 3.0]) == 7.0
+
+
+def test_pieces_must_commute():
+    e3 = catalogue.e(3)
+    LiePoissonSystem(
+        e3, SplitHamiltonian([((3, 4, 5), Quadratic(1.0)), ((0, 3), Quadratic(1.0)), ((1,), Quadratic(2.0))])
+    )
+    with pytest.raises(ValueError, match="piece 1 has the coordinates 0 and 4"):
+        LiePoissonSystem(e3, SplitHamiltonian([((3, 4, 5), Quadratic(1.0)), ((4, 0), Quadratic(1.0))]))
+
+
+def test_representations_are_checked():
+    algebra = catalogue.so(3)
+    rho = np.array(algebra.representation)
+    given = LiePoissonSystem(algebra, Quadratic(1.0), representation=rho)
+    assert not given.representation.flags.writeable
+    rho[0, 0, 1] += 1e-9
+    with pytest.raises(ValueError, match="commutator"):
+        LiePoissonSystem(algebra, Quadratic(1.0), representation=rho)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ((catalogue.so(3), Quadratic(1.0), 0), ValueError, "sign is 0"),
+        ((catalogue.so(3), Quadratic(1.0), True), ValueError, "sign is True"),
+        ((catalogue.so(3), Quadratic([1.0, 2.0])), ValueError, "dimension 3"),
+        ((catalogue.so(3), None), TypeError, "NoneType"),
+        (("so(3)", Quadratic(1.0)), TypeError, "algebra is a str"),
+    ],
+)
+def test_refusals(arguments, error, message):
+    with pytest.raises(error, match=message):
+        LiePoissonSystem(*arguments)
+
+
+def test_systems_are_immutable():
+    system = LiePoissonSystem(catalogue.so(3), Quadratic(1.0))
+    with pytest.raises(AttributeError):
+        system.sign = -1
+    system.casimirs.clear()
+    assert system.casimirs
+    with pytest.raises(ValueError, match=r"shape \(3,\)"):
+        system.vector_field([1.0, 2.0])

@@ -1,0 +1,79 @@
+"""Systems with any skew J(x): Lotka-Volterra and a nonholonomic example, and what is refused."""
+
+import numpy as np
+import pytest
+
+from coadjoint.algebra.invariant import Invariant
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.systems.poisson import PoissonSystem
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.separable import Separable
+
+A = np.array([[0.0, 1.0, -2.0], [-1.0, 0.0, 0.5], [2.0, -0.5, 0.0]])
+
+
+def lotka_volterra(x):
+    return np.outer(x, x) * A
+
+
+def lotka_volterra_slope(x):
+    e = np.eye(3)
+    return A[:, :, None] * (e[:, None, :] * x[None, :, None] + x[:, None, None] * e[None, :, :])
+
+
+SUM = Separable({i: (lambda y: y - np.log(y), lambda y: 1 - 1 / y, lambda y: 1 / y**2) for i in range(3)})
+# J(x) grad C = x_i sum_j A_ij v_j = 0 with A v = 0.
+KERNEL = np.array([0.5, 2.0, 1.0])
+LOG = Invariant(lambda x: KERNEL @ np.log(x), lambda x: KERNEL / x)
+
+
+def test_field_energy_and_casimir():
+    system = PoissonSystem(lotka_volterra, SUM, dim=3, casimirs={"C": LOG}, sign=-1)
+    x = np.array([0.5, 1.5, 2.0])
+    np.testing.assert_allclose(system.vector_field(x), -x * (A @ (x - 1)), rtol=1e-14)
+    assert system.energy(x) == pytest.approx(np.sum(x - np.log(x)))
+    assert system.casimirs["C"] is LOG
+    assert system.algebra is None and system.representation is None and system.parameters is None
+    assert system.structure_function is lotka_volterra
+    with pytest.raises(TypeError, match="derivative="):
+        system.jacobian(x)
+    with pytest.raises(TypeError, match="no closed form is known for Poisson system"):
+        system.exact(x, 1.0)
+
+
+def test_jacobian_by_complex_steps():
+    system = PoissonSystem(lotka_volterra, SUM, dim=3, derivative=lotka_volterra_slope)
+    x = np.array([0.5, 1.5, 2.0])
+    jacobian = system.jacobian(x)
+    for i in range(3):
+        column = np.imag(system.vector_field(x + 1e-30j * np.eye(3)[i])) / 1e-30
+        np.testing.assert_allclose(jacobian[:, i], column, rtol=1e-14, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "keywords", "error", "message"),
+    [
+        ((lotka_volterra, Quadratic(1.0)), {}, TypeError, "give dim="),
+        ((A, Quadratic(1.0)), {"dim": 3}, TypeError, "structure_matrix is a ndarray"),
+        ((lambda x: np.outer(x, x), Quadratic([1.0, 2.0, 3.0])), {}, ValueError, "not skew"),
+        ((lambda x: A[:2], Quadratic([1.0, 2.0, 3.0])), {}, ValueError, r"returns shape \(2, 3\)"),
+        ((lotka_volterra, Quadratic([1.0, 2.0])), {"dim": 3}, ValueError, "dimension 3"),
+        ((lotka_volterra, Quadratic(1.0)), {"dim": 3, "sign": 2}, ValueError, "sign is 2"),
+        (
+            (lotka_volterra, Quadratic(1.0)),
+            {"dim": 3, "derivative": lambda x: 2 * lotka_volterra_slope(x)},
+            ValueError,
+            "derivative contradicts structure_matrix",
+        ),
+        ((lotka_volterra, Quadratic(1.0)), {"dim": 3, "derivative": A}, TypeError, "derivative is a ndarray"),
+        (
+            (lotka_volterra, Quadratic(1.0)),
+            {"dim": 3, "casimirs": {"C": Polynomial({(1, 0, 0): 1.0})}},
+            ValueError,
+            "'C' is not a Casimir",
+        ),
+    ],
+)
+def test_refusals(arguments, keywords, error, message):
+    with pytest.raises(error, match=message):
+        PoissonSystem(*arguments, **keywords)

@@ -1,0 +1,168 @@
+"""Quadratic Hamiltonians: every form of M, exactness in any number type, and what is refused."""
+
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+import scipy.sparse
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.systems.quadratic import Quadratic
+
+U = 2.0**-53
+
+
+def random_symmetric(n, seed=0):
+    A = np.random.default_rng(seed).standard_normal((n, n))
+    return A + A.T
+
+
+def test_forms_of_m_agree():
+    n = 5
+    diagonal = np.random.default_rng(1).standard_normal(n)
+    x = np.random.default_rng(2).standard_normal(n)
+    forms = [Quadratic(diagonal), Quadratic(np.diag(diagonal)), Quadratic(scipy.sparse.diags_array(diagonal))]
+    for H in forms:
+        assert H.dim == n
+        np.testing.assert_array_equal(H.gradient(x), diagonal * x)
+        np.testing.assert_array_equal(H.hessian(x), np.diag(diagonal))
+        assert H.value(x) == pytest.approx(0.5 * np.sum(diagonal * x**2), rel=8 * U * n)
+
+
+@pytest.mark.parametrize(
+    "sparse", [np.asarray, scipy.sparse.csr_array, scipy.sparse.coo_matrix, scipy.sparse.csc_array]
+)
+def test_full_m_with_linear_part(sparse):
+    n = 6
+    M, b = random_symmetric(n), np.random.default_rng(3).standard_normal(n)
+    M[0, 3] = M[3, 0] = 0.0
+    x = np.random.default_rng(4).standard_normal(n)
+    H = Quadratic(sparse(M), linear=b, constant=2.0)
+    size = np.abs(M) @ np.abs(x) + np.abs(b)
+    assert np.all(np.abs(H.gradient(x) - (M @ x + b)) <= 2 * (n + 2) * U * size)
+    assert abs(H.value(x) - (x @ M @ x / 2 + b @ x + 2)) <= 4 * (n + 2) * U * (size @ np.abs(x) + 2)
+    np.testing.assert_array_equal(H.hessian(x), M)
+    (term,) = H.terms()
+    assert (0, 3) not in set(zip(term.rows.tolist(), term.indices.tolist(), strict=True))
+    again = scipy.sparse.csr_array((term.values, term.indices, term.indptr), shape=(n, n))
+    np.testing.assert_array_equal(again.toarray(), M)
+    assert again.has_sorted_indices
+
+
+def test_a_number_binds_to_any_dimension():
+    H = Quadratic(3.0)
+    assert H.dim is None
+    with pytest.raises(TypeError, match="bind"):
+        H.terms()
+    assert H.value([1.0, 2.0]) == 7.5
+    np.testing.assert_array_equal(H.bind(4).hessian(np.zeros(4)), 3.0 * np.eye(4))
+    assert Quadratic(3.0, linear=[1.0, 0.0]).dim == 2
+
+
+def test_round_off_asymmetry_takes_the_upper_triangle():
+    M = np.array([[1.0, 0.3], [0.3 + 2.0**-53, 2.0]])
+    hessian = Quadratic(M).hessian(np.zeros(2))
+    assert hessian[0, 1] == hessian[1, 0] == 0.3
+
+
+@pytest.mark.parametrize("wrap", [np.asarray, scipy.sparse.csr_array])
+def test_asymmetry_is_refused_by_entry(wrap):
+    M = random_symmetric(4)
+    M[2, 1] += 1e-12
+    with pytest.raises(ValueError, match=r"M\[1, 2\]"):
+        Quadratic(wrap(M))
+    only_below = np.zeros((3, 3))
+    only_below[2, 0] = 1.0
+    with pytest.raises(ValueError, match=r"M\[0, 2\] = 0 but M\[2, 0\] = 1"):
+        Quadratic(wrap(only_below))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        (([1.0, np.nan],), ValueError, r"M\[1\] is nan"),
+        ((scipy.sparse.csr_array(np.diag([1.0, np.inf])),), ValueError, r"M\[1, 1\] is inf"),
+        ((np.zeros((2, 3)),), ValueError, "shape"),
+        ((scipy.sparse.csr_array(np.zeros((2, 3))),), ValueError, "shape"),
+        ((np.zeros((2, 2, 2)),), ValueError, "shape"),
+        (([1.0, 2.0], [1.0]), ValueError, "linear has 1"),
+        (([1.0, 2.0], 1.0), ValueError, "linear has shape"),
+        (([1.0, 1j],), TypeError, "real"),
+        ((["a", "b"],), TypeError, "real"),
+        (([1.0, 2.0], None, np.inf), ValueError, "constant"),
+        (([],), ValueError, "no entries"),
+    ],
+)
+def test_refusals(arguments, error, message):
+    with pytest.raises(error, match=message):
+        Quadratic(*arguments)
+
+
+def test_wrong_points_are_refused():
+    with pytest.raises(ValueError, match=r"shape \(2,\)"):
+        Quadratic([1.0, 2.0, 3.0]).gradient([1.0, 2.0])
+    with pytest.raises(ValueError, match="dimension 4"):
+        Quadratic([1.0, 2.0, 3.0]).bind(4)
+    with pytest.raises(TypeError, match="real"):
+        Quadratic([1.0]).gradient(["a"])
+
+
+def test_fractions_are_exact():
+    third = Fraction(1, 3)
+    M = np.array([[third, Fraction(1, 7)], [Fraction(1, 7), Fraction(2)]], dtype=object)
+    H = Quadratic(M, linear=[0.5, 0.0])
+    x = np.array([Fraction(3, 5), Fraction(-1, 2)], dtype=object)
+    assert H.gradient(x).tolist() == [third * x[0] + x[1] / 7 + Fraction(1, 2), x[0] / 7 + 2 * x[1]]
+    assert H.value(x) == (third * x[0] ** 2 + 2 * x[0] * x[1] / 7 + 2 * x[1] ** 2) / 2 + x[0] / 2
+    assert H.hessian(x)[0, 0] == third
+    assert H.hessian(np.zeros(2)).dtype == np.float64
+    rounded = Quadratic([0.1, 0.2])
+    assert rounded.gradient(x).tolist() == [Fraction(0.1) * x[0], Fraction(0.2) * x[1]]
+
+
+def test_multiprecision():
+    with mpmath.workdps(50):
+        H = Quadratic(np.array([Fraction(1, 3), Fraction(2)], dtype=object), linear=[0.0, 0.25])
+        x = np.array([mpmath.sqrt(2), mpmath.pi], dtype=object)
+        assert abs(H.gradient(x)[0] - mpmath.sqrt(2) / 3) < mpmath.mpf(10) ** -49
+        assert abs(H.value(x) - (mpmath.mpf(1) / 3 + mpmath.pi**2 + mpmath.pi / 4)) < mpmath.mpf(10) ** -47
+
+
+def test_input_is_copied():
+    M = np.array([1.0, 2.0])
+    H = Quadratic(M)
+    M[0] = 9.0
+    assert H.gradient([1.0, 1.0])[0] == 1.0
+
+
+def test_polynomial_of_degree_two():
+    p = Polynomial({(2, 0, 0): Fraction(1, 3), (0, 1, 1): -1, (0, 0, 1): 4, (0, 0, 0): 7})
+    H = Quadratic.from_polynomial(p)
+    x = np.array([Fraction(1, 2), Fraction(3), Fraction(-5, 4)], dtype=object)
+    assert H.value(x) == p(x)
+    assert H.gradient(x).tolist() == p.gradient(x).tolist()
+    assert H.hessian(x).tolist() == p.hessian(x).tolist()
+    assert H.terms()[0].constant == 7.0
+    with pytest.raises(ValueError, match="degree 3"):
+        Quadratic.from_polynomial(Polynomial({(3,): 1.0}))
+
+
+def test_a_million_coordinates_stay_sparse():
+    n = 10**6
+    M = scipy.sparse.diags_array([np.full(n - 1, -1.0), np.full(n, 2.0), np.full(n - 1, -1.0)], offsets=[-1, 0, 1])
+    H = Quadratic(M)
+    gradient = H.gradient(np.ones(n))
+    assert gradient[0] == gradient[-1] == 1.0
+    assert not gradient[1:-1].any()
+    assert H.value(np.ones(n)) == 1.0
+    assert H.terms()[0].values.size == 3 * n - 2
+    assert "nonzero" in repr(H)
+
+
+def test_repr():
+    assert repr(Quadratic([1.0, 2.0])) == "Quadratic([1.0, 2.0])"
+    assert repr(Quadratic(2.0)) == "Quadratic(2.0)"
+    assert repr(Quadratic([[1.0, 0.5], [0.5, 1.0]], [1.0, 0.0])) == (
+        "Quadratic([[1.0, 0.5], [0.5, 1.0]], linear=[1.0, 0.0])"
+    )

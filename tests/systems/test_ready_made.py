@@ -1,0 +1,96 @@
+"""The ready-made systems: by name, from their own parameters, and in which convention."""
+
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from coadjoint import systems
+
+X = np.array([1.0, 2.0, 0.5])
+SOURCE = Path(systems.__file__).parents[2]
+
+
+@pytest.mark.parametrize("name", systems.names())
+def test_made_again_from_parameters(name):
+    system = systems.get(name)
+    assert system.name == name
+    again = systems.get(system.name, **system.parameters)
+    assert again.parameters == system.parameters
+    assert again.algebra == system.algebra
+    np.testing.assert_array_equal(again.vector_field(X), system.vector_field(X))
+
+
+def test_parameters_are_checked():
+    with pytest.raises(ValueError, match="did you mean 'rigid_body'"):
+        systems.get("rigidbody")
+    with pytest.raises(ValueError, match="unknown parameter of rigid_body 'inertias'; did you mean 'inertia'"):
+        systems.get("rigid_body", inertias=(1, 2, 3))
+    with pytest.raises(ValueError, match="masses"):
+        systems.get("paper_rigid_body", masses=(1.0, 2.0))
+
+
+def test_rigid_body_is_the_body_equation():
+    inertia = np.array([1.0, 2.0, 4.0])
+    system = systems.rigid_body(inertia)
+    np.testing.assert_allclose(system.vector_field(X), np.cross(X, X / inertia), rtol=1e-15)
+    paper = systems.paper_rigid_body(1 / inertia)
+    np.testing.assert_allclose(paper.vector_field(X), np.cross(X / inertia, X), rtol=1e-15)
+    assert (system.sign, paper.sign) == (-1, 1)
+
+
+def test_full_inertia():
+    inertia = np.array([[2.0, 0.25, -0.1], [0.25, 3.0, 0.5], [-0.1, 0.5, 4.0]])
+    system = systems.rigid_body(inertia)
+    expected = np.cross(X, np.linalg.solve(inertia, X))
+    np.testing.assert_allclose(system.vector_field(X), expected, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(system.hamiltonian.hessian(X), system.hamiltonian.hessian(X).T)
+    again = systems.get("rigid_body", **system.parameters)
+    np.testing.assert_array_equal(again.hamiltonian.hessian(X), system.hamiltonian.hessian(X))
+
+
+@pytest.mark.parametrize(
+    ("inertia", "message"),
+    [
+        ((1.0, 0.0, 2.0), r"inertia\[1\] is 0"),
+        ((1.0, 2.0), "shape"),
+        ((1.0, np.nan, 2.0), "finite"),
+        (np.diag([1.0, -1.0, 2.0]), "not positive definite"),
+        (-np.eye(3), "not positive definite"),
+        ([[1.0, 0.1, 0], [0.2, 1, 0], [0, 0, 1]], "not symmetric"),
+    ],
+)
+def test_wrong_inertia(inertia, message):
+    with pytest.raises(ValueError, match=message):
+        systems.rigid_body(inertia)
+
+
+def test_triangle_inequality_is_not_asked_for():
+    assert systems.rigid_body((1.0, 1.0, 10.0)).parameters == {"inertia": (1.0, 1.0, 10.0)}
+
+
+def test_paper_a37_has_the_papers_energy_and_casimir():
+    system = systems.paper_a37()
+    assert system.energy(np.ones(3)) == pytest.approx(1.505, rel=1e-15)
+    casimir = system.casimirs["log C"]
+    assert np.array(casimir.gradient(X)) @ system.vector_field(X) == pytest.approx(0.0, abs=1e-14)
+    with pytest.raises(TypeError, match="no closed form is known for paper_a37"):
+        system.exact(X, 1.0)
+
+
+def test_systems_can_be_sent_to_another_process():
+    system = pickle.loads(pickle.dumps(systems.rigid_body((1.0, 2.0, 3.0))))
+    np.testing.assert_array_equal(system.exact(X, 2.0), systems.rigid_body((1.0, 2.0, 3.0)).exact(X, 2.0))
+
+
+def test_import_is_light():
+    heavy = ("scipy", "numba", "xarray", "matplotlib", "pydantic")
+    code = (
+        f"import sys; sys.path.insert(0, {str(SOURCE)!r}); import coadjoint.systems as s; s.rigid_body(); "
+        f"print([m for m in {heavy} if m in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
