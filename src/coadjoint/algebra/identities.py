@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from coadjoint.algebra.constants import Triples, triple_name
-from coadjoint.algebra.joins import DEFECT_FACTOR, UNIT_ROUNDOFF, chunks, expand, groups, violated
+from coadjoint.algebra.joins import DEFECT_FACTOR, UNIT_ROUNDOFF, chunks, expand, groups, largest_alike, violated
 
 
 def antisymmetric(triples: Triples, dim: int, names: Sequence[str], complete: bool) -> Triples:
@@ -105,8 +105,8 @@ def both_orders(triples: Triples) -> Triples:
 def check_jacobi(triples: Triples, dim: int, names: Sequence[str]) -> None:
     """Check the Jacobi identity sum_m (c_ab^m c_md^l + c_bd^m c_ma^l + c_da^m c_mb^l) = 0 for all a < b < d and l.
 
-    Each identity is held against 64 u times the sum of the absolute values of its products. Only products of nonzero
-    constants are formed: first with a in the inner bracket, then with a in the outer one, in runs of bounded memory.
+    Each identity is held against 64 u times the sum of the absolute values of its products, each constant with the size of
+    the largest one in its bracket [e_i, e_j], with which it was rounded. Only products of nonzero constants are formed: first with a in the inner bracket, then with a in the outer one, in runs of bounded memory.
 
     Parameters
     ----------
@@ -128,8 +128,10 @@ def check_jacobi(triples: Triples, dim: int, names: Sequence[str]) -> None:
     every = both_orders(triples)
     order, _ = groups(every.i, every.j, every.k)
     outer = every.rows(order)  # by first, then second index
+    outer_size = largest_alike(outer.i * dim + outer.j, outer.c)
     order, _ = groups(triples.k, triples.i)
     inner = triples.rows(order)  # by component, then first index
+    inner_size = largest_alike(inner.i * dim + inner.j, inner.c)
     outer_key, inner_key = outer.i * dim + outer.j, inner.k * dim + inner.i
     # the other factor must have its free indices above a: a range, thanks to the sorting
     outer_start = np.searchsorted(outer_key, outer.k * dim + outer.i, side="right")
@@ -147,12 +149,14 @@ def check_jacobi(triples: Triples, dim: int, names: Sequence[str]) -> None:
         below, under = expand(inner_start[part], inner_stop[part])  # c_bd^m c_ma^l = -c_am^l c_bd^m
         first = np.concatenate([np.where(b[row] < other, c[row], -c[row]), -c[below]])
         second = np.concatenate([outer.c[at], inner.c[under]])
+        size = outer_size[part]
+        sizes = np.concatenate([size[row], size[below]]), np.concatenate([outer_size[at], inner_size[under]])
         pair = np.concatenate([a[row] * dim + low, a[below] * dim + inner.i[under]])
         rest = np.concatenate([high * dim + outer.k[at], inner.j[under] * dim + m[below]])
-        found = violated((pair, rest), first, second)
+        found = violated((pair, rest), (first, second), sizes)
         if found is not None:
             (a_, b_), (d_, l_) = divmod(int(pair[found[0]]), dim), divmod(int(rest[found[0]]), dim)
             raise ValueError(
                 f"Jacobi identity violated for {triple_name((a_, b_, d_), names)}: defect {found[1]:.3g} in component "
-                f"{names[l_]}, where it must be zero to {DEFECT_FACTOR} units of round-off of its products"
+                f"{names[l_]}, where it must be zero to {DEFECT_FACTOR} units of round-off of the products in it"
             )

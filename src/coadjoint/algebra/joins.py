@@ -95,18 +95,37 @@ def chunks(labels: Integers, costs: Integers) -> Iterator[slice]:
         begin, spent = end, int(reached[end - 1])
 
 
-def violated(keys: tuple[Integers, ...], first: Floats, second: Floats) -> tuple[int, float] | None:
-    """Find the sum of products that is farthest from zero, relative to its own terms.
+def largest_alike(labels: Integers, values: Floats) -> Floats:
+    """Return for each row the largest absolute value among the rows of the same label.
 
-    The products first * second with equal keys are added up; a sum counts as zero when it is below 64 u times the sum
-    of their absolute values (u = 2^-53). Mantissas and exponents are kept apart: no product over- or underflows.
+    Examples
+    --------
+    >>> largest_alike(np.array([4, 7, 4]), np.array([1.0, 2.0, -3.0]))
+    array([3., 2., 3.])
+    """
+    _, place = np.unique(labels, return_inverse=True)
+    largest = np.zeros(place.max(initial=-1) + 1)
+    np.maximum.at(largest, place, np.abs(values))
+    return largest[place]
+
+
+def violated(
+    keys: tuple[Integers, ...], factors: tuple[Floats, Floats], sizes: tuple[Floats, Floats]
+) -> tuple[int, float] | None:
+    """Find the sum of products that is farthest from zero, relative to the sizes of its factors.
+
+    The products of the two factors with equal keys are added up; a sum counts as zero when it is below 64 u times the sum of the products
+    of their sizes (u = 2^-53). A factor is as exact as the largest number of the row or bracket that it was rounded with: its size.
+    Mantissas and exponents are kept apart: no product over- or underflows.
 
     Parameters
     ----------
     keys : tuple of (m,) integer arrays
         Rows with equal keys belong to one identity.
-    first, second : (m,) float arrays
-        The factors.
+    factors : two (m,) float arrays
+        What is multiplied.
+    sizes : two (m,) float arrays
+        At least the absolute values of the factors.
 
     Returns
     -------
@@ -115,25 +134,32 @@ def violated(keys: tuple[Integers, ...], first: Floats, second: Floats) -> tuple
 
     Examples
     --------
-    >>> same = (np.array([0, 0]),)
-    >>> violated(same, np.array([1.0, -1.0]), np.array([2.0, 2.0])) is None
+    >>> same, ones = (np.array([0, 0]),), np.array([1.0, 1.0])
+    >>> violated(same, (np.array([1.0, -1.0]), np.array([2.0, 2.0])), (ones, 2 * ones)) is None
     True
-    >>> violated(same, np.array([1.0, -1.0]), np.array([2.0, 1.5]))
+    >>> violated(same, (np.array([1.0, -1.0]), np.array([2.0, 1.5])), (ones, 2 * ones))
     (0, 0.5)
     """
-    if first.size == 0:
+    if factors[0].size == 0:
         return None
     order, starts = groups(*keys)
-    (head, head_exponent), (tail, tail_exponent) = np.frexp(first[order]), np.frexp(second[order])
-    products, exponents = head * tail, head_exponent + tail_exponent
-    nonzero = np.where(products == 0.0, np.iinfo(exponents.dtype).min // 2, exponents)
+    counts = np.diff(np.append(starts, order.size))
+    products, exponents = _product(factors, order)
+    bounds, bound_exponents = _product(sizes, order)
+    nonzero = np.where(bounds == 0.0, np.iinfo(exponents.dtype).min // 2, bound_exponents)
     largest = np.maximum(np.maximum.reduceat(nonzero, starts), -4096)
-    sizes = np.diff(np.append(starts, order.size))
-    products = np.ldexp(products, np.maximum(exponents - np.repeat(largest, sizes), -4096))
-    sums = np.add.reduceat(products, starts)
-    excess = np.abs(sums) - DEFECT_FACTOR * UNIT_ROUNDOFF * np.add.reduceat(np.abs(products), starts)
+    base = np.repeat(largest, counts)
+    sums = np.add.reduceat(np.ldexp(products, np.maximum(exponents - base, -4096)), starts)
+    allowed = np.add.reduceat(np.ldexp(bounds, np.maximum(bound_exponents - base, -4096)), starts)
+    excess = np.abs(sums) - DEFECT_FACTOR * UNIT_ROUNDOFF * allowed
     worst = int(np.argmax(excess))
     if excess[worst] <= 0.0:
         return None
     with np.errstate(over="ignore", under="ignore"):
         return int(order[starts[worst]]), float(np.ldexp(sums[worst], largest[worst]))
+
+
+def _product(pair: tuple[Floats, Floats], order: Integers) -> tuple[Floats, Integers]:
+    """Return mantissas and exponents of the products of two columns."""
+    (head, head_exponent), (tail, tail_exponent) = (np.frexp(column[order]) for column in pair)
+    return head * tail, head_exponent + tail_exponent

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples, read_numbers, triple_name
-from coadjoint.algebra.joins import DEFECT_FACTOR, UNIT_ROUNDOFF, Floats, Integers, chunks, expand, groups, violated
+from coadjoint.algebra.joins import DEFECT_FACTOR, UNIT_ROUNDOFF, Floats, Integers, chunks, expand, groups, largest_alike, violated
 
 FOLDED_ROWS = 1 << 12  # equations of the linear systems that are folded into a triangle at a time
 
@@ -68,6 +68,7 @@ def check_representation(representation: Any, triples: Triples, dim: int, names:
     d = rho.shape[1]
     i, a, b = (index.astype(np.int64) for index in np.nonzero(rho))
     v = rho[i, a, b]
+    v_size, c_size = largest_alike(i, v), largest_alike(triples.i * dim + triples.j, triples.c)
     by_row, _ = groups(a, i)
     by_column, _ = groups(b, i)
     row_key, column_key = (a * dim + i)[by_row], (b * dim + i)[by_column]
@@ -92,9 +93,12 @@ def check_representation(representation: Any, triples: Triples, dim: int, names:
         pair = [i[one] * dim + i[other], i[two] * dim + i[also], (triples.i * dim + triples.j)[row]]
         place = [a[one] * d + b[other], a[also] * d + b[two], a[element] * d + b[element]]
         keys = np.concatenate(pair), np.concatenate(place)
-        found = violated(
-            keys, np.concatenate([v[one], -v[two], -triples.c[row]]), np.concatenate([v[other], v[also], v[element]])
+        factors = np.concatenate([v[one], -v[two], -triples.c[row]]), np.concatenate([v[other], v[also], v[element]])
+        sizes = (
+            np.concatenate([v_size[one], v_size[two], c_size[row]]),
+            np.concatenate([v_size[other], v_size[also], v_size[element]]),
         )
+        found = violated(keys, factors, sizes)
         if found is not None:
             first, second = divmod(int(keys[0][found[0]]), dim)
             at = divmod(int(keys[1][found[0]]), d)

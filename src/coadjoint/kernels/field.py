@@ -1,4 +1,4 @@
-"""The vector field and its group equation: sign * J(x) u, and -sign * g rho(u), both bilinear."""
+"""The vector field and its group equation: sign * J(x) u, and -sign * g rho(u), both bilinear. Tables and vectors come as pointers."""
 
 from __future__ import annotations
 
@@ -9,24 +9,27 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.arithmetic import fma
 from coadjoint.kernels.compiling import inlined
-from coadjoint.kernels.functions import call_function
+from coadjoint.kernels.pointers import call_function
 from coadjoint.kernels.terms import gradient
 from coadjoint.program.terms import Terms
 
 
 class Field(NamedTuple):
-    """The field x' = sign * J(x) grad H(x, t).
+    """The field x' = sign * J(x) grad H(x, t) in `size` coordinates.
 
-    On a Lie algebra J is given by the nonzero structure constants, `constant` = sign * c_ij^k with i = `row` < j = `column`, k = `state`;
-    otherwise `structure` holds the address of the compiled function x -> J(x), and is empty on a Lie algebra. `longest` is the most rows
-    of a term of H.
+    On a Lie algebra J is given by `count` nonzero structure constants, `constant` = sign * c_ij^k with i = `row` < j = `column`,
+    k = `state`; where `nonlinear`, `structure` holds the address of the compiled function x -> J(x). `longest` is the most rows of a
+    term of H.
     """
 
+    size: int
     sign: float
+    count: int
     row: NDArray[np.uint32]
     column: NDArray[np.uint32]
     state: NDArray[np.uint32]
     constant: NDArray[np.float64]
+    nonlinear: bool
     structure: NDArray[np.int64]
     terms: Terms
     addresses: NDArray[np.int64]
@@ -36,10 +39,11 @@ class Field(NamedTuple):
 class GroupField(NamedTuple):
     """The equation g' = -sign * g rho(u) for d x d matrices; `size` is d, or 0 where no group element is carried.
 
-    Entry by entry: (rho_i)_ab is nonzero for i = `element`, a = `row`, b = `column`, and `value` = -sign * (rho_i)_ab.
+    Entry by entry, `count` of them: (rho_i)_ab is nonzero for i = `element`, a = `row`, b = `column`, and `value` = -sign * (rho_i)_ab.
     """
 
     size: int
+    count: int
     element: NDArray[np.uint32]
     row: NDArray[np.uint32]
     column: NDArray[np.uint32]
@@ -48,60 +52,62 @@ class GroupField(NamedTuple):
 
 @inlined
 def product(field: Any, x: Any, u: Any, f: Any, matrix: Any) -> None:
-    """Set f = sign * J(x) u; `matrix` is room for J, (n * n) where it is a function of x."""
-    n = f.size
-    if field.structure.size > 0:
+    """Set f = sign * J(x) u; `matrix` is room for J, n * n, where it is a function of x."""
+    n = field.size
+    if field.nonlinear:
         call_function(field.structure[0], x, 0.0, matrix)
         for i in range(n):
             total = 0.0
             for j in range(n):
                 total = fma(matrix[i * n + j], u[j], total)
             f[i] = field.sign * total
-        return
-    for i in range(n):
-        f[i] = 0.0
-    for q in range(field.constant.size):
-        i, j = field.row[q], field.column[q]
-        entry = field.constant[q] * x[field.state[q]]
-        f[i] = fma(entry, u[j], f[i])
-        f[j] = fma(-entry, u[i], f[j])
+    else:
+        for i in range(n):
+            f[i] = 0.0
+        for q in range(field.count):
+            i, j = field.row[q], field.column[q]
+            entry = field.constant[q] * x[field.state[q]]
+            f[i] = fma(entry, u[j], f[i])
+            f[j] = fma(-entry, u[i], f[j])
 
 
 @inlined
 def slope(field: Any, x: Any, u: Any, momentum: Any, t: float, renew: bool, f: Any, rows: Any, y: Any, matrix: Any) -> None:
     """Set f = sign * J(momentum) u, with u = grad H(x, t) renewed first where it is not given."""
     if renew:
-        gradient(field.terms, field.addresses, x, t, u, rows, y)
+        gradient(field.terms, field.addresses, field.size, x, t, u, rows, y)
     product(field, momentum, u, f, matrix)
 
 
 @inlined
-def structure_times_matrix(field: Any, x: Any, quadratic: Any, factor: float, out: Any, n: int, matrix: Any) -> None:
+def structure_times_matrix(field: Any, x: Any, quadratic: Any, factor: float, out: Any, matrix: Any) -> None:
     """Set out = factor * sign * J(x) M, for the dense n x n matrix M."""
+    n = field.size
     for i in range(n * n):
         out[i] = 0.0
-    if field.structure.size > 0:
+    if field.nonlinear:
         call_function(field.structure[0], x, 0.0, matrix)
         for i in range(n):
             for j in range(n):
                 entry = factor * field.sign * matrix[i * n + j]
                 for k in range(n):
                     out[i * n + k] = fma(entry, quadratic[j * n + k], out[i * n + k])
-        return
-    for q in range(field.constant.size):
-        i, j = np.int64(field.row[q]), np.int64(field.column[q])
-        entry = factor * field.constant[q] * x[field.state[q]]
-        for k in range(n):
-            out[i * n + k] = fma(entry, quadratic[j * n + k], out[i * n + k])
-            out[j * n + k] = fma(-entry, quadratic[i * n + k], out[j * n + k])
+    else:
+        for q in range(field.count):
+            i, j = np.int64(field.row[q]), np.int64(field.column[q])
+            entry = factor * field.constant[q] * x[field.state[q]]
+            for k in range(n):
+                out[i * n + k] = fma(entry, quadratic[j * n + k], out[i * n + k])
+                out[j * n + k] = fma(-entry, quadratic[i * n + k], out[j * n + k])
 
 
 @inlined
-def coadjoint_matrix(field: Any, u: Any, factor: float, out: Any, n: int) -> None:
+def coadjoint_matrix(field: Any, u: Any, factor: float, out: Any) -> None:
     """Set out = factor * sign * D_u, dense: J(x) u = D_u x."""
+    n = field.size
     for i in range(n * n):
         out[i] = 0.0
-    for q in range(field.constant.size):
+    for q in range(field.count):
         i, j, k = np.int64(field.row[q]), np.int64(field.column[q]), np.int64(field.state[q])
         out[i * n + k] = fma(factor * field.constant[q], u[j], out[i * n + k])
         out[j * n + k] = fma(-factor * field.constant[q], u[i], out[j * n + k])
@@ -113,7 +119,7 @@ def group_matrix(group: Any, u: Any, factor: float, out: Any) -> None:
     d = group.size
     for i in range(d * d):
         out[i] = 0.0
-    for q in range(group.value.size):
+    for q in range(group.count):
         place = np.int64(group.column[q]) * d + np.int64(group.row[q])
         out[place] = fma(factor * group.value[q], u[group.element[q]], out[place])
 
@@ -124,7 +130,7 @@ def group_slope(group: Any, u: Any, g: Any, f: Any) -> None:
     d = group.size
     for i in range(d * d):
         f[i] = 0.0
-    for q in range(group.value.size):
+    for q in range(group.count):
         entry = group.value[q] * u[group.element[q]]
         source, goal = np.int64(group.row[q]) * d, np.int64(group.column[q]) * d
         for r in range(d):

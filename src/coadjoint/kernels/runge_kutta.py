@@ -20,6 +20,7 @@ from coadjoint.kernels.field import (
     structure_times_matrix,
 )
 from coadjoint.kernels.linear_solve import factorize, substitute
+from coadjoint.kernels.pointers import pointed, shifted
 from coadjoint.kernels.stagnation import FAILED, GO_ON, restage, verdict
 from coadjoint.kernels.watching import (
     DONE,
@@ -50,6 +51,8 @@ class RungeKuttaTables(NamedTuple):
 
     field: Field
     group: GroupField
+    stages: int
+    substeps: int
     solver: int
     iterations: int
     direct: bool
@@ -86,7 +89,7 @@ class Work(NamedTuple):
 @inlined
 def work_for(tables: Any, n: int) -> Work:
     """Return room for the steps of one call of `advance`."""
-    s, d = tables.node.size, tables.group.size
+    s, d = tables.stages, tables.group.size
     size = max(n, d * d)
     edge = s * max(n, d) if tables.direct else 0
     return Work(
@@ -102,7 +105,7 @@ def work_for(tables: Any, n: int) -> Work:
         np.empty(size),
         np.empty(tables.field.longest),
         np.empty(tables.field.longest + 1),
-        np.empty(n * n if tables.field.structure.size > 0 else 0),
+        np.empty(n * n if tables.field.nonlinear else 0),
         np.empty(edge * edge),
         np.empty(edge * edge),
         np.empty(edge, np.int64),
@@ -125,9 +128,11 @@ def assemble(mix: Any, stages: int, edge: int, work: Any) -> bool:
 
 
 @inlined
-def refine(mix: Any, stages: int, edge: int, lanes: int, base: Any, error: Any, slopes: Any, points: Any, work: Any) -> None:
+def refine(
+    mix: Any, stages: int, edge: int, lanes: int, base: Any, error: Any, slopes: Any, points: Any, work: Any
+) -> None:
     """Add to the points the solution of the factorized system for their defect; from any start the first time solves it."""
-    n = base.size
+    n = edge * lanes
     for i in range(stages):
         for c in range(n):
             total = error[c]
@@ -145,7 +150,7 @@ def solve_stages(tables: Any, x: Any, dx: Any, t: float, h: float, work: Any) ->
 
     Returns a status, the last correction, and how many evaluations of the field and iterations it took.
     """
-    n, s, solver = x.size, tables.node.size, tables.solver
+    n, s, solver = tables.field.size, tables.stages, tables.solver
     for q in range(s * n):
         work.points[q] = x[q % n]
         work.slopes[q] = 0.0
@@ -156,24 +161,22 @@ def solve_stages(tables: Any, x: Any, dx: Any, t: float, h: float, work: Any) ->
     while True:
         low, high = (passed, passed + 1) if solver == EXPLICIT else (0, s)
         for j in range(low, high):
-            first, last = j * n, (j + 1) * n
-            point = work.points[first:last]
-            momentum = work.frozen[first:last] if freeze == STRUCTURE else point
+            point, slopes = shifted(work.points, j * n), shifted(work.slopes, j * n)
             slope(
                 tables.field,
                 point,
-                work.gradients[first:last],
-                momentum,
+                shifted(work.gradients, j * n),
+                shifted(work.frozen, j * n) if freeze == STRUCTURE else point,
                 t + tables.node[j] * h,
                 freeze != GRADIENT,
-                work.slopes[first:last],
+                slopes,
                 work.rows,
                 work.arguments,
                 work.structure,
             )
             factor = h * tables.scale[j]
-            for q in range(first, last):
-                work.slopes[q] *= factor
+            for c in range(n):
+                slopes[c] *= factor
         passed += 1
         iterations += 1
         evaluations += high - low
@@ -187,15 +190,12 @@ def solve_stages(tables: Any, x: Any, dx: Any, t: float, h: float, work: Any) ->
                 work.least[c] = np.inf
             if tables.direct:
                 for j in range(s):
-                    first, last = j * n, (j + 1) * n
-                    block = work.blocks[j * n * n : (j + 1) * n * n]
-                    factor = h * tables.scale[j]
+                    block, factor = shifted(work.blocks, j * n * n), h * tables.scale[j]
                     if solver == STRUCTURE:
-                        structure_times_matrix(
-                            tables.field, work.frozen[first:last], tables.quadratic, factor, block, n, work.structure
-                        )
+                        frozen = shifted(work.frozen, j * n)
+                        structure_times_matrix(tables.field, frozen, tables.quadratic, factor, block, work.structure)
                     else:
-                        coadjoint_matrix(tables.field, work.gradients[first:last], factor, block, n)
+                        coadjoint_matrix(tables.field, shifted(work.gradients, j * n), factor, block)
                 if not assemble(tables.mix, s, n, work):
                     return NOT_CONVERGED, np.inf, evaluations, iterations
         elif freeze != NOT_FROZEN and tables.direct:
@@ -204,7 +204,7 @@ def solve_stages(tables: Any, x: Any, dx: Any, t: float, h: float, work: Any) ->
             refine(tables.mix, s, n, 1, x, dx, work.slopes, work.points, work)
         else:
             low, high = (passed, passed + 1) if solver == EXPLICIT else (0, s)
-            largest, size, falling = restage(tables.mix, s, low, high, x, dx, work.slopes, work.points, work)
+            largest, size, falling = restage(tables.mix, s, low, high, n, x, dx, work.slopes, work.points, work)
             if solver == IMPLICIT or freeze != NOT_FROZEN:
                 result, quiet = verdict(passed, largest, size, falling, quiet)
                 if result == FAILED:
@@ -217,7 +217,7 @@ def solve_stages(tables: Any, x: Any, dx: Any, t: float, h: float, work: Any) ->
 @inlined
 def solve_group(tables: Any, g: Any, dg: Any, h: float, work: Any) -> tuple[int, float]:
     """Find the slopes of the group element for the gradients that the stages of the momentum left."""
-    n, s, d, explicit = work.points.size // tables.node.size, tables.node.size, tables.group.size, tables.solver == EXPLICIT
+    n, s, d, explicit = tables.field.size, tables.stages, tables.group.size, tables.solver == EXPLICIT
     size = d * d
     for q in range(s * size):
         work.group_points[q] = g[q % size]
@@ -226,24 +226,19 @@ def solve_group(tables: Any, g: Any, dg: Any, h: float, work: Any) -> tuple[int,
         work.least[c] = np.inf
     if tables.direct:
         for j in range(s):
-            block = work.blocks[j * size : (j + 1) * size]
-            group_matrix(tables.group, work.gradients[j * n : (j + 1) * n], h * tables.scale[j], block)
+            factor = h * tables.scale[j]
+            group_matrix(tables.group, shifted(work.gradients, j * n), factor, shifted(work.blocks, j * size))
         if not assemble(tables.mix, s, d, work):
             return NOT_CONVERGED, np.inf
     passed, quiet = 0, 0
     while True:
         low, high = (passed, passed + 1) if explicit else (0, s)
         for j in range(low, high):
-            first, last = j * size, (j + 1) * size
-            group_slope(
-                tables.group,
-                work.gradients[j * n : (j + 1) * n],
-                work.group_points[first:last],
-                work.group_slopes[first:last],
-            )
+            point, slopes = shifted(work.group_points, j * size), shifted(work.group_slopes, j * size)
+            group_slope(tables.group, shifted(work.gradients, j * n), point, slopes)
             factor = h * tables.scale[j]
-            for q in range(first, last):
-                work.group_slopes[q] *= factor
+            for c in range(size):
+                slopes[c] *= factor
         passed += 1
         if (explicit and passed == s) or (tables.direct and passed == REFINED):
             return DONE, 0.0
@@ -252,7 +247,7 @@ def solve_group(tables: Any, g: Any, dg: Any, h: float, work: Any) -> tuple[int,
         else:
             low, high = (passed, passed + 1) if explicit else (0, s)
             largest, extent, falling = restage(
-                tables.mix, s, low, high, g, dg, work.group_slopes, work.group_points, work
+                tables.mix, s, low, high, size, g, dg, work.group_slopes, work.group_points, work
             )
             if not explicit:
                 result, quiet = verdict(passed, largest, extent, falling, quiet)
@@ -263,14 +258,37 @@ def solve_group(tables: Any, g: Any, dg: Any, h: float, work: Any) -> tuple[int,
 
 
 @inlined
-def add_slopes(out: Any, slopes: Any, x: Any, dx: Any) -> None:
+def add_slopes(out: Any, stages: int, slopes: Any, n: int, x: Any, dx: Any) -> None:
     """Add sum_j out_j L_j to x, with compensation."""
-    n = x.size
     for c in range(n):
         total = 0.0
-        for j in range(out.size):
+        for j in range(stages):
             total = fma(out[j], slopes[j * n + c], total)
         add(x, dx, c, total, True)
+
+
+@inlined
+def take_step(
+    tables: Any, x: Any, dx: Any, group: Any, dgroup: Any, t: float, h: float, work: Any
+) -> tuple[int, float, int, int]:
+    """Take one step of all substeps; returns a status, the last correction, and the numbers of evaluations and iterations."""
+    evaluations, iterations, residual = 0, 0, 0.0
+    square = tables.group.size * tables.group.size
+    for part in range(tables.substeps):
+        length, moment = h * tables.fraction[part], t + tables.moment[part] * h
+        status, residual, evaluated, iterated = solve_stages(tables, x, dx, moment, length, work)
+        evaluations += evaluated
+        iterations += iterated
+        if status == DONE and square > 0:
+            status, residual = solve_group(tables, group, dgroup, length, work)
+        if status != DONE:
+            return status, residual, evaluations, iterations
+        add_slopes(tables.out, tables.stages, work.slopes, tables.field.size, x, dx)
+        if square > 0:
+            add_slopes(tables.out, tables.stages, work.group_slopes, square, group, dgroup)
+    if not finite(tables.field.size, x):
+        return OVERFLOW, np.nan, evaluations, iterations
+    return DONE, residual, evaluations, iterations
 
 
 @compiled
@@ -289,34 +307,24 @@ def advance(
 
     `state` is (momentum, its compensation, group, its compensation), each (members, ...). Every step starts anew from it.
     """
-    momenta, errors, groups, group_errors = state
-    work = work_for(tables, momenta.shape[1])
-    watch_room = np.empty(watch.longest + 1)
+    size, square = state[0].shape[1], state[2].shape[1]
+    work, room = work_for(tables, size), np.empty(watch.longest + 1)
+    at, watch_at, saves_at, report_at = pointed((tables, watch, saves, report))
+    x_at, dx_at, group_at, dgroup_at = pointed(state)
+    work_at, room_at = pointed((work, room))
     for member in range(crew[0], crew[1]):
-        if report.status[member] != DONE:
+        if report_at.status[member] != DONE:
             continue
-        x, dx, group, dgroup = momenta[member], errors[member], groups[member], group_errors[member]
+        x, dx = shifted(x_at, member * size), shifted(dx_at, member * size)
+        group, dgroup = shifted(group_at, member * square), shifted(dgroup_at, member * square)
         for k in range(k0 + 1, k1 + 1):
-            start = schedule.t0 + (k - 1) * schedule.h
-            status, residual = DONE, 0.0
-            for part in range(tables.fraction.size):
-                h = schedule.h * tables.fraction[part]
-                t = start + tables.moment[part] * schedule.h
-                status, residual, evaluations, iterations = solve_stages(tables, x, dx, t, h, work)
-                report.evaluations[member] += evaluations
-                report.iterations[member] += iterations
-                if status == DONE and tables.group.size > 0:
-                    status, residual = solve_group(tables, group, dgroup, h, work)
-                if status != DONE:
-                    break
-                add_slopes(tables.out, work.slopes, x, dx)
-                if tables.group.size > 0:
-                    add_slopes(tables.out, work.group_slopes, group, dgroup)
-            if status == DONE and not finite(x):
-                status, residual = OVERFLOW, np.nan
+            t = schedule.t0 + (k - 1) * schedule.h
+            status, residual, evaluations, iterations = take_step(at, x, dx, group, dgroup, t, schedule.h, work_at)
+            report_at.evaluations[member] += evaluations
+            report_at.iterations[member] += iterations
             if status != DONE:
-                report.status[member], report.step[member], report.residual[member] = status, k, residual
+                report_at.status[member], report_at.step[member], report_at.residual[member] = status, k, residual
                 break
             slot = slot_of(schedule, k)
             if schedule.watching or slot >= 0:
-                record(watch, saves, schedule, member, k, slot, x, group, watch_room)
+                record(watch_at, saves_at, schedule, member, k, slot, size, x, square, group, room_at)

@@ -15,14 +15,13 @@ NOISE = 2.0**-32  # of the size of the stages: only below it is a correction tha
 
 @inlined
 def restage(
-    mix: Any, stages: int, low: int, high: int, base: Any, error: Any, slopes: Any, points: Any, work: Any
+    mix: Any, stages: int, low: int, high: int, n: int, base: Any, error: Any, slopes: Any, points: Any, work: Any
 ) -> tuple[float, float, bool]:
-    """Set the points low to high - 1 to base + (error + sum_j mix_ij slope_j), all stored stage after stage.
+    """Set the points low to high - 1 to base + (error + sum_j mix_ij slope_j), all stored stage after stage, of n components each.
 
     Returns the largest correction (NaN if anything is not finite), the largest component, and whether the correction of any component
     has fallen below all that it has been: components differ in size, and each is followed until it stops.
     """
-    n = base.size
     largest, size, spoilt, falling = 0.0, 0.0, 0.0, False
     for c in range(n):
         work.change[c] = 0.0

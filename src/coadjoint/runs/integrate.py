@@ -96,7 +96,7 @@ def integrate(
     times = times_of(t_span, step, save_every)
     start = start_of(system, scheme, x0, attitude)
     workers = _workers(threads, len(start.momenta))
-    run = _Run(system, scheme, times, start, watch, dict(observe or {}))
+    run = Run(system, scheme, times, start, bool(watch), dict(observe or {}))
     run.advance(workers, progress)
     return run.solution()
 
@@ -107,20 +107,26 @@ def _workers(threads: int | None, members: int) -> int:
     return min(members, int(threads) if threads is not None else os.cpu_count() or 1)
 
 
-class _Run:
+class Run:
     """Arrays of one run and the compiled loop that fills them."""
 
     def __init__(
         self, system: System, method: Method, times: Times, start: Start, watch: bool, observe: Mapping[str, Any]
     ) -> None:
         from coadjoint.kernels.tables import watch_tables
-        from coadjoint.kernels.watching import TENTHS, Report, Saves, Schedule, record_start
 
-        self.system, self.method, self.times, self.start, self.watching = system, method, times, start, watch
+        self.system, self.method, self.watching = system, method, watch
         self.names = ["energy", *system.casimirs]
         self.prepared = prepare(system, method, times.h, start.representation)
         self.watch = watch_tables(system, system.casimirs)
         self.observed = _observables(system, observe) if observe else None
+        self.restart(times, start)
+
+    def restart(self, times: Times, start: Start) -> None:
+        """Begin again at another state or time; the step must be the one that was prepared."""
+        from coadjoint.kernels.watching import TENTHS, Report, Saves, Schedule, record_start
+
+        self.times, self.start = times, start
         members, size = start.momenta.shape
         square = start.groups.shape[1] ** 2
         count, invariants = len(times.saved), len(self.names)
@@ -133,7 +139,7 @@ class _Run:
             first=np.zeros((members, invariants)),
             last=np.zeros((members, invariants)),
         )
-        self.schedule = Schedule(times.t0, times.h, times.steps, times.save_every, bool(watch))
+        self.schedule = Schedule(times.t0, times.h, times.steps, times.save_every, self.watching)
         transposed = np.swapaxes(start.groups, 1, 2).reshape(members, square).copy()
         self.state = (start.momenta.copy(), np.zeros((members, size)), transposed, np.zeros((members, square)))
         whole = [np.zeros(members, dtype=np.int64) for _ in range(4)]

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
 from typing import Any
 
 from coadjoint.errors import unknown_name
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.paper_examples import paper_a37, paper_rigid_body
-from coadjoint.systems.rigid_body import rigid_body
+from coadjoint.systems.poisson import PoissonSystem
+from coadjoint.systems.ready_made import ready_made_systems
 
-__all__ = ["get", "names", "paper_a37", "paper_rigid_body", "rigid_body"]
 
-# A new system is one file and one entry here.
-_SYSTEMS: dict[str, Callable[..., LiePoissonSystem]] = {
-    "paper_a37": paper_a37,
-    "paper_rigid_body": paper_rigid_body,
-    "rigid_body": rigid_body,
-}
+# The functions take the place of the files of the same name: co.systems.rigid_body is the system.
+globals().update(ready_made_systems())
 
 
 def names() -> tuple[str, ...]:
@@ -33,10 +27,10 @@ def names() -> tuple[str, ...]:
     >>> "rigid_body" in names()
     True
     """
-    return tuple(sorted(_SYSTEMS))
+    return tuple(sorted(ready_made_systems()))
 
 
-def get(name: str, **parameters: Any) -> LiePoissonSystem:
+def get(name: str, **parameters: Any) -> LiePoissonSystem | PoissonSystem:
     """Return a ready-made system by its name, as a configuration file does.
 
     Parameters
@@ -61,10 +55,11 @@ def get(name: str, **parameters: Any) -> LiePoissonSystem:
     >>> get("rigid_body", inertia=(1.0, 2.0, 4.0)).parameters
     {'inertia': (1.0, 2.0, 4.0)}
     """
-    if name not in _SYSTEMS:
-        raise unknown_name("system", name, _SYSTEMS)
-    known = inspect.signature(_SYSTEMS[name]).parameters
+    systems = ready_made_systems()
+    if name not in systems:
+        raise unknown_name("system", name, systems)
+    known = inspect.signature(systems[name]).parameters
     for parameter in parameters:
         if parameter not in known:
             raise unknown_name(f"parameter of {name}", parameter, known)
-    return _SYSTEMS[name](**parameters)
+    return systems[name](**parameters)

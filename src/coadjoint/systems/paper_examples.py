@@ -8,6 +8,7 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.rigid_body import so3_body
 
 
@@ -18,6 +19,7 @@ def _three(masses: npt.ArrayLike) -> tuple[float, ...]:
     return tuple(values.tolist())
 
 
+@ready_made
 def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePoissonSystem:
     """Return example 5.1 of the paper: the algebra A3,7 with a diagonal quadratic Hamiltonian.
 
@@ -60,6 +62,7 @@ def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePo
     )
 
 
+@ready_made
 def paper_rigid_body(masses: npt.ArrayLike = (1.0, 0.5, 1.0 / 3.0)) -> LiePoissonSystem:
     """Return example 5.2 of the paper: the rigid body, ``x' = (M x) cross x``, with its exact solution.
 

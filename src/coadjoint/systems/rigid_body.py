@@ -14,8 +14,10 @@ from coadjoint.systems.free_rigid_body import exact_solution
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.points import UNIT_ROUNDOFF
 from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.ready_made import ready_made
 
 
+@ready_made
 def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> LiePoissonSystem:
     """Return the free rigid body, ``x' = x cross (I^-1 x)``, with its exact solution.
 

@@ -1,0 +1,115 @@
+"""From a system to the arrays of its vector field and of its group equation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.field import Field, GroupField
+from coadjoint.kernels.functions import CompiledFunction
+from coadjoint.kernels.tables import addresses_of
+from coadjoint.methods.base import System
+from coadjoint.program.terms import TermTable
+
+Kept = tuple[CompiledFunction, ...]
+
+
+def field_of(system: System) -> tuple[Field, Kept]:
+    """Return the vector field of a system, its functions compiled.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+
+    Returns
+    -------
+    field : Field
+        Arrays and addresses.
+    keep : tuple of CompiledFunction
+        What must live as long as the addresses.
+
+    Raises
+    ------
+    TypeError
+        A function of the user cannot be compiled.
+    """
+    table = TermTable()
+    for term in system.hamiltonian.terms():
+        table.add(term)
+    terms = table.table()
+    addresses, keep = addresses_of(table.functions, len(table), "gradient", "the Hamiltonian")
+    none = np.zeros(0, dtype=np.int64)
+    i, j, k, c = (none, none, none, np.zeros(0)) if system.algebra is None else system.algebra.triples
+    structure = none
+    if system.algebra is None:
+        n = system.dim
+        compiled = CompiledFunction(
+            system.structure_function, n, n * n, scalar=False, flat=True, timed=False, what="the structure matrix"
+        )
+        structure, keep = np.array([compiled.address], dtype=np.int64), (*keep, compiled)
+    field = Field(
+        system.dim,
+        float(system.sign),
+        len(c),
+        _indices(i),
+        _indices(j),
+        _indices(k),
+        np.ascontiguousarray(system.sign * c, dtype=np.float64),
+        system.algebra is None,
+        structure,
+        terms,
+        addresses,
+        max(1, int(np.max(np.diff(terms.row.astype(np.int64)), initial=0))),
+    )
+    return field, keep
+
+
+def group_of(system: System, representation: Any) -> GroupField:
+    """Return the group equation of a system.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    representation : None, "coadjoint" or (n, d, d) array
+        What is carried along: nothing, the coadjoint matrix, or an element in this representation.
+
+    Returns
+    -------
+    GroupField
+        Its size is zero for None.
+    """
+    none = np.zeros(0, dtype=np.int64)
+    if representation is None or system.algebra is None:
+        return GroupField(0, 0, _indices(none), _indices(none), _indices(none), np.zeros(0))
+    if isinstance(representation, str):
+        # (D_u)_ac = sum_i u_i c_ai^c, from both orders of every listed pair
+        i, j, k, c = system.algebra.triples
+        element, row, column = np.concatenate([j, i]), np.concatenate([i, j]), np.concatenate([k, k])
+        value, size = np.concatenate([c, -c]), system.dim
+    else:
+        rho = np.asarray(representation, dtype=np.float64)
+        element, row, column = np.nonzero(rho)
+        value, size = rho[element, row, column], rho.shape[1]
+    return GroupField(size, len(value), _indices(element), _indices(row), _indices(column), -system.sign * value)
+
+
+def substeps(fractions: Sequence[float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lengths of the substeps of a step, and the moments at which they start, in units of the step.
+
+    Examples
+    --------
+    >>> substeps((0.75, -0.5, 0.75))[1].tolist()
+    [0.0, 0.75, 0.25]
+    """
+    lengths = np.array(fractions, dtype=np.float64)
+    return lengths, np.array([0.0, *accumulate(fractions)][:-1], dtype=np.float64)
+
+
+def _indices(values: Any) -> NDArray[np.uint32]:
+    return np.ascontiguousarray(values, dtype=np.uint32)

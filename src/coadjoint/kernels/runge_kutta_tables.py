@@ -1,0 +1,74 @@
+"""From a system and a Runge-Kutta method to the arrays of the compiled loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from coadjoint.kernels.field_tables import field_of, group_of, substeps
+from coadjoint.kernels.runge_kutta import EXPLICIT, GRADIENT, IMPLICIT, ITERATED, STRUCTURE, RungeKuttaTables
+from coadjoint.kernels.tables import Compiled
+from coadjoint.methods.base import System
+from coadjoint.methods.runge_kutta import RungeKuttaMethod
+
+SOLVERS = {
+    "explicit": EXPLICIT,
+    "iterated": ITERATED,
+    "implicit": IMPLICIT,
+    "structure": STRUCTURE,
+    "gradient": GRADIENT,
+}
+LARGEST_DIRECT = 160  # unknowns: above, iterating costs less than LU factors, and their square is not stored
+
+
+def runge_kutta_tables(
+    system: System, method: RungeKuttaMethod, representation: Any = None, fractions: Sequence[float] = (1.0,)
+) -> Compiled:
+    """Return a Runge-Kutta method on a system as arrays for `coadjoint.kernels.runge_kutta.advance`.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    method : RungeKuttaMethod
+        The scheme of one substep.
+    representation : None, "coadjoint" or (n, d, d) array
+        The group element that is carried along.
+    fractions : sequence of float
+        Lengths of the substeps of a step.
+
+    Returns
+    -------
+    Compiled
+        With `RungeKuttaTables`; they do not depend on the step.
+
+    Raises
+    ------
+    ValueError
+        The scheme cannot serve the system.
+    TypeError
+        A function of the user cannot be compiled.
+    """
+    method.properties(system)
+    field, keep = field_of(system)
+    group = group_of(system, representation)
+    node, scale, mix, out = method.coefficients()
+    solver = SOLVERS[method.solver]
+    direct = solver in (STRUCTURE, GRADIENT) and node.size * max(system.dim, group.size) <= LARGEST_DIRECT
+    dense = np.zeros((0, 0))
+    if direct and solver == STRUCTURE:
+        dense = np.asarray(system.hamiltonian.hessian(np.zeros(system.dim)), dtype=np.float64)
+    tables = RungeKuttaTables(
+        field,
+        group,
+        node.size,
+        len(fractions),
+        solver,
+        method.function_iterations,
+        direct,
+        *(np.array(part, dtype=np.float64).ravel() for part in (node, scale, mix, out, dense)),
+        *substeps(fractions),
+    )
+    return Compiled(tables, keep)

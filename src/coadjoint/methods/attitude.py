@@ -1,0 +1,67 @@
+"""Which group element can a scheme carry on a system?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.representation import intertwiner, invariant_form
+from coadjoint.methods.base import Method, System
+
+
+def check_attitude(method: Method, system: System, representation: Any) -> None:
+    """Refuse a group element that the scheme cannot keep.
+
+    Gauss methods keep quadratic invariants: the group is kept where it is that of a bilinear form, rho_i^T P + P rho_i = 0, and the spatial
+    momentum is constant where it is bilinear in g and x, which takes a T of full rank with T rho_i = D_(e_i) T (then K T = T g,
+    K the coadjoint matrix). So the rotation matrices of so(3) are carried; those of so(n), n >= 4, are not: there the spatial momentum is
+    g X g^T, quadratic in g.
+
+    Parameters
+    ----------
+    method : Method
+        The scheme.
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    representation : "coadjoint" or (n, d, d) array
+        What is to be carried.
+
+    Raises
+    ------
+    ValueError
+        In one sentence: what cannot be kept, and what would be right.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> check_attitude(co.GaussLegendre(2), co.systems.rigid_body((1, 2, 3)), "coadjoint")
+    """
+    kind = method.properties(system).attitude
+    scheme = type(method).__name__
+    if system.algebra is None:
+        raise ValueError(f"{system.name} has no Lie algebra and so no group element; integrate it with attitude=False")
+    if kind == "none":
+        raise ValueError(f"{scheme} carries no group element; take Splitting, or GaussLegendre for the coadjoint matrix")
+    if kind != "coadjoint" or isinstance(representation, str):
+        return
+    rho = np.asarray(representation, dtype=np.float64)
+    actions = coadjoint_matrices(system)
+    if np.array_equal(rho, actions):
+        return
+    if invariant_form(rho) is None:
+        raise ValueError(
+            f"{scheme} would leave the group of this representation of {system.name}, which is not that of a "
+            'bilinear form; take attitude="coadjoint", or Splitting'
+        )
+    if intertwiner(rho, actions) is None:
+        raise ValueError(
+            f"{scheme} would not keep the spatial momentum of {system.name}, which is not bilinear in this "
+            'representation and the state; take attitude="coadjoint", or Splitting'
+        )
+
+
+def coadjoint_matrices(system: Any) -> NDArray[np.float64]:
+    """Return the matrices D_(e_i), shape (n, n, n)."""
+    return np.stack([system.algebra.coadjoint(unit) for unit in np.eye(system.dim)])

@@ -1,0 +1,135 @@
+"""Explicit Runge-Kutta methods: Runge's of order 2 and the classical one of order 4."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import unknown_name
+from coadjoint.methods.base import Properties, System
+from coadjoint.methods.runge_kutta import Coefficients, Evaluation, RungeKuttaMethod, Step
+from coadjoint.program.numbers import Number, convert
+
+HALF = Fraction(1, 2)
+TABLEAUX: dict[str, tuple[int, tuple[Any, ...], tuple[tuple[Any, ...], ...], tuple[Any, ...]]] = {
+    "runge2": (2, (0, HALF), ((), (HALF,)), (0, 1)),
+    "rk4": (
+        4,
+        (0, HALF, HALF, 1),
+        ((), (HALF,), (0, HALF), (0, 0, 1)),
+        (Fraction(1, 6), Fraction(1, 3), Fraction(1, 3), Fraction(1, 6)),
+    ),
+}
+"""Name: order, nodes c, rows of a, weights b."""
+
+
+@dataclass(frozen=True)
+class ExplicitRungeKutta(RungeKuttaMethod):
+    """An explicit Runge-Kutta method, the general-purpose scheme to compare with; it keeps nothing.
+
+    ``X_i = x + h sum_{j<i} a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)``. The group element is integrated beside the momentum,
+    ``g' = -sign g rho(grad H)`` (equation (13)), and leaves the group slowly. For short runs, and to show what the other schemes are for.
+
+    Parameters
+    ----------
+    name : {"runge2", "rk4"}
+        ``"runge2"``: Runge's method of order 2, ``x + h f(x + h/2 f(x))``. ``"rk4"``: the classical method of order 4.
+
+    Raises
+    ------
+    ValueError
+        The name is unknown.
+
+    References
+    ----------
+    E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, II.1; S. Reich 1993, section 5.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> co.ExplicitRungeKutta("rk4").order
+    4
+    """
+
+    name: str = "rk4"
+
+    solver = "explicit"
+    explicit = True
+    symmetric = False
+
+    def __post_init__(self) -> None:
+        if self.name not in TABLEAUX:
+            raise unknown_name("explicit Runge-Kutta method", str(self.name), TABLEAUX)
+
+    @property
+    def order(self) -> int:
+        """2 or 4."""
+        return TABLEAUX[self.name][0]
+
+    @property
+    def function_iterations(self) -> int:
+        """How often a stage is computed from earlier ones, s - 1."""
+        return len(TABLEAUX[self.name][1]) - 1
+
+    def properties(self, system: System) -> Properties:
+        """Return what is kept: nothing but linear invariants; any system is served.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        Properties
+        """
+        attitude = "none" if system.algebra is None else "integrated"
+        return Properties(poisson=False, energy=False, casimirs="none", attitude=attitude)
+
+    def coefficients(self, number: Number = float) -> Coefficients:
+        """Return the tableau.
+
+        Parameters
+        ----------
+        number : callable
+            Number type; fractions stay exact.
+
+        Returns
+        -------
+        Coefficients
+        """
+        _, nodes, rows, weights = TABLEAUX[self.name]
+
+        def filled(values: tuple[Any, ...]) -> NDArray[Any]:
+            padded = [*values, *[0] * (len(nodes) - len(values))]
+            return np.array([convert(number, value) for value in padded])
+
+        return Coefficients(filled(nodes), filled((1,) * len(nodes)), np.stack([filled(row) for row in rows]), filled(weights))
+
+    def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
+        """Return the slopes L_j = h f(x + sum_{k<j} a_jk L_k), and dL_j = h f'(X_j) (1 + sum_{k<j} a_jk dL_k).
+
+        Parameters
+        ----------
+        step : Step
+            Where the step starts.
+        tangent : bool
+            Whether derivatives are wanted.
+
+        Returns
+        -------
+        Evaluation
+        """
+        s, n = len(step.times), step.x.size
+        slopes = np.zeros((s, n), dtype=step.x.dtype)
+        derivatives = np.zeros((s, n, n)) if tangent else None
+        for j in range(s):
+            X = step.points(slopes)[j]
+            slopes[j] = step.lengths[j] * step.system.vector_field(X, step.times[j])
+            if derivatives is not None:
+                derivatives[j] = step.lengths[j] * step.system.jacobian(X, step.times[j]) @ step.spread(derivatives)[j]
+        return Evaluation(slopes, derivatives)

@@ -1,0 +1,138 @@
+"""The Gauss-Legendre Runge-Kutta methods (equation (5))."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from coadjoint.methods.base import Properties, System, has_quadratic_energy
+from coadjoint.methods.gauss_coefficients import gauss_legendre
+from coadjoint.methods.runge_kutta import Coefficients, Evaluation, RungeKuttaMethod, Step, settle
+from coadjoint.program.numbers import Number
+
+
+def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
+    """Return the Gauss-Legendre coefficients as L_j = h b_j f(X_j), X_i = x + sum_j mu_ij L_j, x_new = x + sum_j L_j.
+
+    Examples
+    --------
+    >>> gauss_tableau(1).mix.tolist()
+    [[0.5]]
+    """
+    nodes, weights, mu = gauss_legendre(stages, number)
+    return Coefficients(nodes, weights, mu, np.array([number(1)] * stages))
+
+
+def whole_number(value: Any, least: int, name: str) -> int:
+    """Return a whole number from `least` up, or refuse it by name.
+
+    Examples
+    --------
+    >>> whole_number(2, 1, "stages")
+    2
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"{name} must be a whole number from {least} up, not {value!r}")
+    return int(value)
+
+
+@dataclass(frozen=True)
+class GaussLegendre(RungeKuttaMethod):
+    """The Gauss-Legendre method with s stages: implicit, symmetric, of order 2 s; every quadratic invariant is kept.
+
+    ``X_i = x + h sum_j a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)`` (equation (5)), by function iteration from X_i = x until the
+    corrections stop falling. With many stages and a large step it is the cheapest way to high accuracy; energy (if quadratic) and quadratic
+    Casimirs then wander like the square root of time only. It is not a Poisson map, and Casimirs of higher degree are not kept: for
+    these take `Splitting`. `GaussLegendre(1)` is the implicit midpoint rule.
+
+    Parameters
+    ----------
+    stages : int
+        Number of stages s, from 1.
+
+    Raises
+    ------
+    ValueError
+        `stages` is no whole number from 1 up.
+
+    Notes
+    -----
+    Computed as ``L_j = h b_j f(X_j)``, ``X_i = x + sum_j mu_ij L_j``, ``x_new = x + sum_j L_j`` with mu_ij = a_ij / b_j rounded such that
+    mu_ij + mu_ji = 1 exactly, and compensated summation.
+
+    References
+    ----------
+    S. Reich 1993, section 3, equation (5); E. Hairer, R. McLachlan, A. Razakarivony, BIT 48 (2008) 231, on round-off.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> method = co.GaussLegendre(stages=3)
+    >>> method.order, method.explicit, method.symmetric
+    (6, False, True)
+    """
+
+    stages: int = 2
+
+    solver = "implicit"
+    explicit = False
+    symmetric = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stages", whole_number(self.stages, 1, "stages of GaussLegendre"))
+
+    @property
+    def order(self) -> int:
+        """2 s."""
+        return 2 * self.stages
+
+    def properties(self, system: System) -> Properties:
+        """Return what is kept: quadratic invariants; any system is served.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        Properties
+        """
+        attitude = "none" if system.algebra is None else "coadjoint"
+        return Properties(poisson=False, energy=has_quadratic_energy(system), casimirs="quadratic", attitude=attitude)
+
+    def coefficients(self, number: Number = float) -> Coefficients:
+        """Return the tableau.
+
+        Parameters
+        ----------
+        number : callable
+            Number type.
+
+        Returns
+        -------
+        Coefficients
+        """
+        return gauss_tableau(self.stages, number)
+
+    def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
+        """Return the slopes L_j = h b_j f(x + sum_k mu_jk L_k), and dL_j = h b_j f'(X_j) dX_j.
+
+        Parameters
+        ----------
+        step : Step
+            Where the step starts.
+        tangent : bool
+            Whether derivatives are wanted.
+
+        Returns
+        -------
+        Evaluation
+        """
+        slopes = settle(step, step.fields)
+        if not tangent:
+            return Evaluation(slopes, None)
+        jacobians = step.jacobians(step.points(slopes))
+        return Evaluation(slopes, step.solve(jacobians, np.zeros_like(jacobians)))

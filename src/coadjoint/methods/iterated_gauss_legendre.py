@@ -1,0 +1,117 @@
+"""Gauss-Legendre methods stopped after a fixed number of function iterations (equation (6))."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from coadjoint.methods.base import Properties, System
+from coadjoint.methods.gauss_legendre import gauss_tableau, whole_number
+from coadjoint.methods.runge_kutta import Coefficients, Evaluation, RungeKuttaMethod, Step, iterate, iterate_tangents
+from coadjoint.program.numbers import Number
+
+
+@dataclass(frozen=True)
+class IteratedGaussLegendre(RungeKuttaMethod):
+    """A fixed number m of function iterations of a Gauss-Legendre method: explicit, of order min(m + 1, 2 s).
+
+    ``X_i^0 = x``, ``X_i^l = x + h sum_j a_ij f(X_j^(l-1))`` (equation (6)), and ``x_new = x + h sum_i b_i f(X_i^m)``. An explicit method
+    without any step-size restriction from convergence; energy and Casimirs drift slowly, by O(h^(m+1)) or better. Where they
+    must be kept take `GaussLegendre` or `ModifiedGaussLegendre`.
+
+    Parameters
+    ----------
+    stages : int
+        Number of stages s.
+    iterations : int, optional
+        Number m of iterations, from 1; None is 2 s - 1, which gives the full order.
+
+    Raises
+    ------
+    ValueError
+        `stages` or `iterations` is no whole number from 1 up.
+
+    Notes
+    -----
+    The paper asks for m = p = 2 s iterations; one fewer suffices, since the output evaluates f once more.
+
+    References
+    ----------
+    S. Reich 1993, section 3, equation (6).
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> co.IteratedGaussLegendre(stages=2).order, co.IteratedGaussLegendre(stages=2, iterations=1).order
+    (4, 2)
+    """
+
+    stages: int = 2
+    iterations: int | None = None
+
+    solver = "iterated"
+    explicit = True
+    symmetric = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stages", whole_number(self.stages, 1, "stages of IteratedGaussLegendre"))
+        if self.iterations is not None:
+            count = whole_number(self.iterations, 1, "iterations of IteratedGaussLegendre")
+            object.__setattr__(self, "iterations", count)
+
+    @property
+    def function_iterations(self) -> int:
+        """The number m of iterations."""
+        return 2 * self.stages - 1 if self.iterations is None else self.iterations
+
+    @property
+    def order(self) -> int:
+        """min(m + 1, 2 s)."""
+        return min(self.function_iterations + 1, 2 * self.stages)
+
+    def properties(self, system: System) -> Properties:
+        """Return what is kept: nothing but linear invariants; any system is served.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        Properties
+        """
+        return Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+    def coefficients(self, number: Number = float) -> Coefficients:
+        """Return the tableau of the Gauss-Legendre method.
+
+        Parameters
+        ----------
+        number : callable
+            Number type.
+
+        Returns
+        -------
+        Coefficients
+        """
+        return gauss_tableau(self.stages, number)
+
+    def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
+        """Return the slopes L_j = h b_j f(X_j^m), and dL_j = h b_j f'(X_j^m) dX_j^m.
+
+        Parameters
+        ----------
+        step : Step
+            Where the step starts.
+        tangent : bool
+            Whether derivatives are wanted.
+
+        Returns
+        -------
+        Evaluation
+        """
+        iterates = iterate(step, self.function_iterations)
+        slopes = step.fields(iterates[-1])
+        if not tangent:
+            return Evaluation(slopes, None)
+        return Evaluation(slopes, step.jacobians(iterates[-1]) @ iterate_tangents(step, iterates))

@@ -1,0 +1,178 @@
+"""The modified Gauss-Legendre methods: a linear system in place of the last iteration (Lemma 3.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from coadjoint.errors import unknown_name
+from coadjoint.methods.base import Properties, System, has_quadratic_energy
+from coadjoint.methods.gauss_legendre import gauss_tableau, whole_number
+from coadjoint.methods.runge_kutta import (
+    Coefficients,
+    Evaluation,
+    RungeKuttaMethod,
+    Step,
+    iterate,
+    iterate_tangents,
+)
+from coadjoint.program.numbers import Number
+
+FREEZES = ("structure", "gradient")
+
+
+@dataclass(frozen=True)
+class ModifiedGaussLegendre(RungeKuttaMethod):
+    """Gauss-Legendre with m - 1 function iterations and then one linear system: order min(m, 2 s), no nonlinear equations.
+
+    ``X^0 = x``; equation (6) for l = 1, ..., m - 1; then, with Z = X^(m-1), the linear system for X = X^m
+
+    ``freeze="structure"``:  ``X_i = x + h sum_j a_ij sign J(Z_j) grad H(X_j)``  (equation (7)), H quadratic: the energy is kept;
+
+    ``freeze="gradient"``:  ``X_i = x + h sum_j a_ij sign D_u(Z_j) X_j``, u = grad H: every quadratic Casimir is kept,
+
+    and the output ``x_new = x + sum_i b_i`` of the same right-hand sides (equation (8)). ``stages=1`` is the modified midpoint rule,
+    equations (10)-(11). For a fixed cost in each step and one invariant to round-off; not symmetric, so that the other
+    invariant drifts: over long times `GaussLegendre` or `Splitting` is better.
+
+    Parameters
+    ----------
+    stages : int
+        Number of stages s.
+    iterations : int, optional
+        The number m, from 1; None is 2 s, which gives the full order.
+    freeze : {"structure", "gradient"}
+        What the linear system takes from the iterate Z: the structure matrix (energy exact, the paper's M-orthogonality; quadratic H, any
+        skew J), or the gradient (quadratic Casimirs exact, I-orthogonality on so(3); any H, a Lie algebra).
+
+    Raises
+    ------
+    ValueError
+        A number is no whole number from 1 up, or `freeze` is unknown.
+
+    Notes
+    -----
+    Linearly implicit: the system has s n unknowns, and is solved by LU factors with partial pivoting and one refinement up to
+    s n = 160, above that, matrix-free, by function iteration until the corrections stop falling.
+
+    References
+    ----------
+    S. Reich 1993, section 3, equations (6)-(8), (10)-(11), Lemma 3.1, Example 3.1.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> method = co.ModifiedGaussLegendre(stages=2, iterations=3, freeze="gradient")
+    >>> method.order, method.explicit, method.symmetric
+    (3, False, False)
+    """
+
+    stages: int = 1
+    iterations: int | None = None
+    freeze: str = "structure"
+
+    explicit = False
+    symmetric = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stages", whole_number(self.stages, 1, "stages of ModifiedGaussLegendre"))
+        if self.iterations is not None:
+            count = whole_number(self.iterations, 1, "iterations of ModifiedGaussLegendre")
+            object.__setattr__(self, "iterations", count)
+        if self.freeze not in FREEZES:
+            raise unknown_name("freeze", str(self.freeze), FREEZES)
+
+    @property
+    def solver(self) -> str:
+        """What is frozen."""
+        return self.freeze
+
+    @property
+    def function_iterations(self) -> int:
+        """m - 1, the iterations before the linear system."""
+        return (2 * self.stages if self.iterations is None else self.iterations) - 1
+
+    @property
+    def order(self) -> int:
+        """min(m, 2 s)."""
+        return min(self.function_iterations + 1, 2 * self.stages)
+
+    def properties(self, system: System) -> Properties:
+        """Return what is kept: the energy, or the quadratic Casimirs.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        Properties
+
+        Raises
+        ------
+        ValueError
+            The Hamiltonian is not quadratic (``freeze="structure"``), or there is no Lie algebra (``freeze="gradient"``).
+        """
+        if self.freeze == "structure":
+            if not has_quadratic_energy(system):
+                raise ValueError(
+                    'ModifiedGaussLegendre with freeze="structure" needs a quadratic Hamiltonian, which that of '
+                    f'{system.name} is not; take freeze="gradient" or GaussLegendre'
+                )
+            return Properties(poisson=False, energy=True, casimirs="none", attitude="none")
+        if system.algebra is None:
+            raise ValueError(
+                'ModifiedGaussLegendre with freeze="gradient" needs a Lie algebra, which '
+                f'{system.name} does not have; take freeze="structure" or GaussLegendre'
+            )
+        return Properties(poisson=False, energy=False, casimirs="quadratic", attitude="coadjoint")
+
+    def coefficients(self, number: Number = float) -> Coefficients:
+        """Return the tableau of the Gauss-Legendre method.
+
+        Parameters
+        ----------
+        number : callable
+            Number type.
+
+        Returns
+        -------
+        Coefficients
+        """
+        return gauss_tableau(self.stages, number)
+
+    def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
+        """Return the slopes of equation (7), linear in the stages X.
+
+        With W_j = h b_j sign J(Z_j) M or h b_j sign D_u(Z_j), dL_j = W_j dX_j + (derivative of L_j with respect to Z_j) dZ_j.
+
+        Parameters
+        ----------
+        step : Step
+            Where the step starts.
+        tangent : bool
+            Whether derivatives are wanted.
+
+        Returns
+        -------
+        Evaluation
+        """
+        self.properties(step.system)
+        iterates = iterate(step, self.function_iterations)
+        frozen, structure = iterates[-1], self.freeze == "structure"
+        gradients = step.gradients(frozen)
+
+        def slopes_at(points: NDArray[Any]) -> NDArray[Any]:
+            return step.products(frozen, step.gradients(points)) if structure else step.products(points, gradients)
+
+        blocks = step.bends(frozen) if structure else step.turns(frozen, gradients)
+        points = frozen + step.resolve(blocks, step.points(slopes_at(frozen)) - frozen)
+        slopes = slopes_at(points)
+        if not tangent:
+            return Evaluation(slopes, None)
+        points = step.points(slopes)
+        others = step.turns(frozen, step.gradients(points)) if structure else step.bends(points, frozen)
+        return Evaluation(slopes, step.solve(blocks, others @ iterate_tangents(step, iterates)))

@@ -1,0 +1,173 @@
+"""One step as a function, with its exact tangent and its group element."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.methods.base import FlowMethod, Method, System
+from coadjoint.methods.composition import Composition
+from coadjoint.runs.integrate import Run
+from coadjoint.runs.start import start_of
+from coadjoint.runs.times import Times
+
+
+class Stepper:
+    """The map that a scheme makes of one step; see `stepper`.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        What moves.
+    method : Method
+        The scheme.
+    h : float
+        The step; negative for backward.
+    """
+
+    def __init__(self, system: System, method: Method, h: float) -> None:
+        if not isinstance(method, Method):
+            raise TypeError(f"method is {method!r}; it must be a scheme such as Splitting(order=2)")
+        self.h = float(h)
+        if not np.isfinite(self.h) or self.h == 0.0:
+            raise ValueError(f"h is {h!r}; it must be finite and not zero")
+        method.properties(system)
+        self.system, self.method = system, method
+        self._runs: dict[Any, Any] = {}
+
+    def __repr__(self) -> str:
+        return f"stepper({self.system!r}, {self.method!r}, {self.h!r})"
+
+    def _advance(self, x: Any, t: float, attitude: Any) -> Any:
+        start = start_of(self.system, self.method, x, attitude)
+        key = attitude if isinstance(attitude, bool | str) else "initial"
+        times = Times(float(t), self.h, 1, 1)
+        run = self._runs.get(key)
+        if run is None:
+            run = self._runs[key] = Run(self.system, self.method, times, start, watch=False, observe={})
+        else:
+            run.restart(times, start)
+        run.advance(1, False)
+        return run.solution()
+
+    def __call__(self, x: Any, t: float = 0.0) -> NDArray[np.float64]:
+        """Return the state after one step.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,) or (members, n)
+            Momentum.
+        t : float
+            Time at the start of the step, for a Hamiltonian that depends on it.
+
+        Returns
+        -------
+        ndarray
+            Of the same shape; the same bits as the first step of `integrate`.
+        """
+        return np.asarray(self._advance(x, t, False).x[-1])
+
+    def group(self, x: Any, t: float = 0.0, attitude: Any = None) -> NDArray[np.float64]:
+        """Return the group element g of the step: attitude after it, for the unit element before it.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,)
+            Momentum before the step.
+        t : float
+            Time at the start of the step.
+        attitude : bool, "coadjoint", or array_like, optional
+            As in `integrate`; None is the system's own representation where it has one, else the coadjoint matrix K
+            (with K step(x) = x).
+
+        Returns
+        -------
+        ndarray, shape (d, d)
+            The element.
+        """
+        if attitude is None:
+            attitude = True if self.system.representation is not None else "coadjoint"
+        return np.asarray(self._advance(x, t, attitude).attitude[-1])
+
+    def tangent(self, x: Any, t: float = 0.0) -> NDArray[np.float64]:
+        """Return the exact derivative of the step at x, by the chain rule through the scheme.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,)
+            Momentum before the step.
+        t : float
+            Time at the start of the step.
+
+        Returns
+        -------
+        ndarray, shape (n, n)
+            d step_i / d x_j.
+
+        Raises
+        ------
+        TypeError
+            If the Hamiltonian was given without second derivatives.
+        """
+        x = start_of(self.system, self.method, x, False).momenta[0]
+        if isinstance(self.method, Composition) and not isinstance(self.method.innermost, FlowMethod):
+            return self._composed_tangent(self.method, x, t)
+        if isinstance(self.method, FlowMethod):
+            return np.asarray(self._reading.steps(x, self.h, 1, t0=t, tangent=np.eye(len(x)))[1])
+        return np.asarray(self.method.tangent(self.system, x, t, self.h)[1])
+
+    @property
+    def _reading(self) -> Any:
+        from coadjoint.program.reading import Reading
+        from coadjoint.program.table import build_program
+
+        found = self._runs.get("reading")
+        if found is None:
+            found = self._runs["reading"] = Reading(build_program(self.system, self.method))
+        return found
+
+    def _composed_tangent(self, method: Composition, x: NDArray[np.float64], t: float) -> NDArray[np.float64]:
+        product = np.eye(len(x))
+        for fraction in method.fractions:
+            x, own = method.innermost.tangent(self.system, x, t, self.h * fraction)
+            product, t = own @ product, t + self.h * fraction
+        return product
+
+
+def stepper(system: System, method: Method, h: float) -> Stepper:
+    """Return one step of a scheme as a function, for maps, certificates and Lyapunov exponents.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        What moves.
+    method : Method
+        The scheme.
+    h : float
+        The step; negative for backward.
+
+    Returns
+    -------
+    Stepper
+        ``step(x)``, ``step.tangent(x)``, ``step.group(x)``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the scheme cannot serve the system, or h is zero.
+
+    Examples
+    --------
+    The condition of a Poisson map, P J(x) P^T = J(step(x)):
+
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> step, x = co.stepper(body, co.Splitting(order=2), 0.1), np.array([1.0, 0.2, 0.5])
+    >>> P = step.tangent(x)
+    >>> bool(np.allclose(P @ body.structure_matrix(x) @ P.T, body.structure_matrix(step(x)), atol=1e-15))
+    True
+    """
+    return Stepper(system, method, h)
