@@ -1,0 +1,1 @@
+"""Does it hold? The experiments of the literature, scripted and judged."""

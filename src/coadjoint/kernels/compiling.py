@@ -26,10 +26,17 @@ def _kernel_stamp() -> str:
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a function that Python calls, and keep it on disk for the next process."""
     dispatcher = numba.njit(cache=True, **OPTIONS)(function)
-    # Numba stamps an entry with the function's own file alone; it depends on all that is inlined into it.
-    kept = dispatcher._cache._cache_file
-    kept._source_stamp = f"{kept._source_stamp!r} {_kernel_stamp()}"
+    stamp(dispatcher)
     return dispatcher
+
+
+def stamp(cached: Any) -> None:
+    """Mark what is kept on disk of a compiled function with all kernel sources.
+
+    Numba stamps an entry with the function's own file alone; it depends on all that is inlined into it.
+    """
+    kept = cached._cache._cache_file
+    kept._source_stamp = f"{kept._source_stamp!r} {_kernel_stamp()}"
 
 
 def inlined(function: Callable[..., Any]) -> Any:

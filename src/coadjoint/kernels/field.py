@@ -1,4 +1,4 @@
-"""The vector field and its group equation: sign * J(x) u, and -sign * g rho(u), both bilinear. Tables and vectors come as pointers."""
+"""The vector field, sign * J(x) u, and its group equation, -sign * g rho(u). Tables and vectors come as pointers."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 from coadjoint.kernels.arithmetic import fma
 from coadjoint.kernels.compiling import inlined
 from coadjoint.kernels.pointers import call_function
-from coadjoint.kernels.terms import gradient
+from coadjoint.kernels.terms import gradient, value
 from coadjoint.program.terms import Terms
 
 
 class Field(NamedTuple):
     """The field x' = sign * J(x) grad H(x, t) in `size` coordinates.
 
-    On a Lie algebra J is given by `count` nonzero structure constants, `constant` = sign * c_ij^k with i = `row` < j = `column`,
-    k = `state`; where `nonlinear`, `structure` holds the address of the compiled function x -> J(x). `longest` is the most rows of a
-    term of H.
+    On a Lie algebra J is given by `entries` nonzero structure constants: `constant` = sign * c_ij^k, i = `row` < j =
+    `column`, k = `state`; where `nonlinear`, `structure` holds the address of the compiled function x -> J(x).
+    `longest` is the most rows of a term of H.
     """
 
     size: int
     sign: float
-    count: int
+    entries: int
     row: NDArray[np.uint32]
     column: NDArray[np.uint32]
     state: NDArray[np.uint32]
@@ -39,11 +39,12 @@ class Field(NamedTuple):
 class GroupField(NamedTuple):
     """The equation g' = -sign * g rho(u) for d x d matrices; `size` is d, or 0 where no group element is carried.
 
-    Entry by entry, `count` of them: (rho_i)_ab is nonzero for i = `element`, a = `row`, b = `column`, and `value` = -sign * (rho_i)_ab.
+    Entry by entry, `entries` of them: (rho_i)_ab is nonzero for i = `element`, a = `row`, b = `column`, and `value` =
+    -sign * (rho_i)_ab.
     """
 
     size: int
-    count: int
+    entries: int
     element: NDArray[np.uint32]
     row: NDArray[np.uint32]
     column: NDArray[np.uint32]
@@ -64,7 +65,7 @@ def product(field: Any, x: Any, u: Any, f: Any, matrix: Any) -> None:
     else:
         for i in range(n):
             f[i] = 0.0
-        for q in range(field.count):
+        for q in range(field.entries):
             i, j = field.row[q], field.column[q]
             entry = field.constant[q] * x[field.state[q]]
             f[i] = fma(entry, u[j], f[i])
@@ -72,7 +73,9 @@ def product(field: Any, x: Any, u: Any, f: Any, matrix: Any) -> None:
 
 
 @inlined
-def slope(field: Any, x: Any, u: Any, momentum: Any, t: float, renew: bool, f: Any, rows: Any, y: Any, matrix: Any) -> None:
+def slope(
+    field: Any, x: Any, u: Any, momentum: Any, t: float, renew: bool, f: Any, rows: Any, y: Any, matrix: Any
+) -> None:
     """Set f = sign * J(momentum) u, with u = grad H(x, t) renewed first where it is not given."""
     if renew:
         gradient(field.terms, field.addresses, field.size, x, t, u, rows, y)
@@ -93,12 +96,12 @@ def structure_times_matrix(field: Any, x: Any, quadratic: Any, factor: float, ou
                 for k in range(n):
                     out[i * n + k] = fma(entry, quadratic[j * n + k], out[i * n + k])
     else:
-        for q in range(field.count):
-            i, j = np.int64(field.row[q]), np.int64(field.column[q])
+        for q in range(field.entries):
+            first, second = np.int64(field.row[q]) * n, np.int64(field.column[q]) * n
             entry = factor * field.constant[q] * x[field.state[q]]
             for k in range(n):
-                out[i * n + k] = fma(entry, quadratic[j * n + k], out[i * n + k])
-                out[j * n + k] = fma(-entry, quadratic[i * n + k], out[j * n + k])
+                out[first + k] = fma(entry, quadratic[second + k], out[first + k])
+                out[second + k] = fma(-entry, quadratic[first + k], out[second + k])
 
 
 @inlined
@@ -107,10 +110,11 @@ def coadjoint_matrix(field: Any, u: Any, factor: float, out: Any) -> None:
     n = field.size
     for i in range(n * n):
         out[i] = 0.0
-    for q in range(field.count):
-        i, j, k = np.int64(field.row[q]), np.int64(field.column[q]), np.int64(field.state[q])
-        out[i * n + k] = fma(factor * field.constant[q], u[j], out[i * n + k])
-        out[j * n + k] = fma(-factor * field.constant[q], u[i], out[j * n + k])
+    for q in range(field.entries):
+        row, column, state = np.int64(field.row[q]), np.int64(field.column[q]), np.int64(field.state[q])
+        first, second = row * n + state, column * n + state
+        out[first] = fma(factor * field.constant[q], u[column], out[first])
+        out[second] = fma(-factor * field.constant[q], u[row], out[second])
 
 
 @inlined
@@ -119,7 +123,7 @@ def group_matrix(group: Any, u: Any, factor: float, out: Any) -> None:
     d = group.size
     for i in range(d * d):
         out[i] = 0.0
-    for q in range(group.count):
+    for q in range(group.entries):
         place = np.int64(group.column[q]) * d + np.int64(group.row[q])
         out[place] = fma(factor * group.value[q], u[group.element[q]], out[place])
 
@@ -130,8 +134,20 @@ def group_slope(group: Any, u: Any, g: Any, f: Any) -> None:
     d = group.size
     for i in range(d * d):
         f[i] = 0.0
-    for q in range(group.count):
+    for q in range(group.entries):
         entry = group.value[q] * u[group.element[q]]
         source, goal = np.int64(group.row[q]) * d, np.int64(group.column[q]) * d
         for r in range(d):
             f[goal + r] = fma(g[source + r], entry, f[goal + r])
+
+
+@inlined
+def energy(field: Any, values: Any, x: Any, t: float, y: Any) -> float:
+    """Return H(x, t) without its constant.
+
+    `values` holds the compiled values of FUNCTION terms, `y` is room for longest + 1 numbers.
+    """
+    total = 0.0
+    for k in range(field.terms.count):
+        total += value(field.terms, values, k, x, t, y)
+    return total

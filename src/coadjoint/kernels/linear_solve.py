@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from coadjoint.kernels.arithmetic import fma
 from coadjoint.kernels.compiling import inlined
 
 
 @inlined
 def factorize(matrix: Any, size: int, pivots: Any) -> bool:
-    """Overwrite a (size * size) matrix by its LU factors, rows exchanged as noted in `pivots`; False if it is singular or not finite."""
+    """Overwrite a (size * size) matrix by its LU factors, rows exchanged as noted in `pivots`.
+
+    Returns False if it is singular or not finite.
+    """
     for k in range(size):
         pivot = k
         largest = abs(matrix[k * size + k])
@@ -36,10 +41,13 @@ def factorize(matrix: Any, size: int, pivots: Any) -> bool:
 def substitute(matrix: Any, size: int, pivots: Any, right: Any, lanes: int) -> None:
     """Overwrite `lanes` right-hand sides, side by side in rows, by the solutions."""
     for k in range(size):
-        pivot = pivots[k]
+        pivot = np.int64(pivots[k])
         if pivot != k:
             for lane in range(lanes):
-                right[k * lanes + lane], right[pivot * lanes + lane] = right[pivot * lanes + lane], right[k * lanes + lane]
+                right[k * lanes + lane], right[pivot * lanes + lane] = (
+                    right[pivot * lanes + lane],
+                    right[k * lanes + lane],
+                )
     for i in range(size):
         for k in range(i):
             factor = -matrix[i * size + k]

@@ -11,13 +11,14 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic
 
 
-def _pointed_type(kind: Any) -> Any:
+def pointed_type(kind: Any) -> Any:
+    """Return the Numba type that `pointed` makes of a Numba type."""
     if isinstance(kind, types.Array):
         if kind.layout != "C":
             raise TypingError("only C-contiguous arrays become pointers")
         return types.CPointer(kind.dtype)
     if isinstance(kind, types.BaseTuple):
-        members = tuple(_pointed_type(member) for member in kind.types)
+        members = tuple(pointed_type(member) for member in kind.types)
         return types.BaseTuple.from_types(members, getattr(kind, "instance_class", None))
     return kind
 
@@ -30,7 +31,7 @@ def _pointed_value(context: Any, builder: Any, kind: Any, value: Any) -> Any:
             _pointed_value(context, builder, member, item)
             for member, item in zip(kind.types, cgutils.unpack_tuple(builder, value), strict=True)
         ]
-        return context.make_tuple(builder, _pointed_type(kind), members)
+        return context.make_tuple(builder, pointed_type(kind), members)
     return value
 
 
@@ -44,7 +45,7 @@ def pointed(typingctx: Any, given: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return _pointed_value(context, builder, signature.args[0], arguments[0])
 
-    return _pointed_type(given)(given), codegen
+    return pointed_type(given)(given), codegen
 
 
 @intrinsic

@@ -19,7 +19,7 @@ from coadjoint.kernels.field import (
     slope,
     structure_times_matrix,
 )
-from coadjoint.kernels.linear_solve import factorize, substitute
+from coadjoint.kernels.linear_stages import assemble, refine
 from coadjoint.kernels.pointers import pointed, shifted
 from coadjoint.kernels.stagnation import FAILED, GO_ON, restage, verdict
 from coadjoint.kernels.watching import (
@@ -43,10 +43,10 @@ REFINED = 3  # evaluations of a linear system: before the solution, before one r
 class RungeKuttaTables(NamedTuple):
     """The arrays of a Runge-Kutta method on a system.
 
-    The stages are X_i = x + sum_j mix_ij L_j with L_j = h scale_j f(X_j, t + node_j h), and the step adds sum_j out_j L_j.
-    `iterations` counts the function iterations before the end of `solver`, or its linear system. `direct` says that linear systems are
-    solved by LU factors, with `quadratic` the dense M where that is needed; else they are iterated.
-    One step is made of substeps of the lengths `fraction`, at the moments `moment`, in units of the step.
+    The stages are X_i = x + sum_j mix_ij L_j with L_j = h scale_j f(X_j, t + node_j h), and the step adds sum_j out_j
+    L_j. `iterations` counts the function iterations before the end of `solver`, or its linear system. `direct` says
+    that linear systems are solved by LU factors, with `quadratic` the dense M where that is needed; else they are
+    iterated. One step is made of substeps of the lengths `fraction`, at the moments `moment`, in units of the step.
     """
 
     field: Field
@@ -66,7 +66,10 @@ class RungeKuttaTables(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Room for one step. Stage after stage: points X, frozen points Z, gradients U, slopes L, the same for the group, and defects."""
+    """Room for one step.
+
+    Stage after stage: points X, frozen points Z, gradients U, slopes L, the same for the group, and defects.
+    """
 
     points: NDArray[np.float64]
     frozen: NDArray[np.float64]
@@ -77,7 +80,6 @@ class Work(NamedTuple):
     defect: NDArray[np.float64]
     change: NDArray[np.float64]
     least: NDArray[np.float64]
-    sum: NDArray[np.float64]
     rows: NDArray[np.float64]
     arguments: NDArray[np.float64]
     structure: NDArray[np.float64]
@@ -102,7 +104,6 @@ def work_for(tables: Any, n: int) -> Work:
         np.empty(s * size),
         np.empty(size),
         np.empty(size),
-        np.empty(size),
         np.empty(tables.field.longest),
         np.empty(tables.field.longest + 1),
         np.empty(n * n if tables.field.nonlinear else 0),
@@ -110,38 +111,6 @@ def work_for(tables: Any, n: int) -> Work:
         np.empty(edge * edge),
         np.empty(edge, np.int64),
     )
-
-
-@inlined
-def assemble(mix: Any, stages: int, edge: int, work: Any) -> bool:
-    """Factorize I - (mix_ij W_j), W_j the (edge * edge) blocks; False if it is singular."""
-    size = stages * edge
-    for i in range(stages):
-        for a in range(edge):
-            for j in range(stages):
-                factor = -mix[i * stages + j]
-                for b in range(edge):
-                    unit = 1.0 if i == j and a == b else 0.0
-                    entry = work.blocks[(j * edge + a) * edge + b]
-                    work.system[(i * edge + a) * size + j * edge + b] = fma(factor, entry, unit)
-    return factorize(work.system, size, work.pivots)
-
-
-@inlined
-def refine(
-    mix: Any, stages: int, edge: int, lanes: int, base: Any, error: Any, slopes: Any, points: Any, work: Any
-) -> None:
-    """Add to the points the solution of the factorized system for their defect; from any start the first time solves it."""
-    n = edge * lanes
-    for i in range(stages):
-        for c in range(n):
-            total = error[c]
-            for j in range(stages):
-                total = fma(mix[i * stages + j], slopes[j * n + c], total)
-            work.defect[i * n + c] = (base[c] - points[i * n + c]) + total
-    substitute(work.system, stages * edge, work.pivots, work.defect, lanes)
-    for q in range(stages * n):
-        points[q] += work.defect[q]
 
 
 @inlined
@@ -157,7 +126,7 @@ def solve_stages(tables: Any, x: Any, dx: Any, t: float, h: float, work: Any) ->
     for c in range(n):
         work.least[c] = np.inf
     freeze = NOT_FROZEN
-    passed, quiet, evaluations, iterations = 0, 0, 0, 0
+    passed, quiet, evaluations, iterations, earliest = 0, 0, 0, 0, 0.0
     while True:
         low, high = (passed, passed + 1) if solver == EXPLICIT else (0, s)
         for j in range(low, high):
@@ -206,7 +175,8 @@ def solve_stages(tables: Any, x: Any, dx: Any, t: float, h: float, work: Any) ->
             low, high = (passed, passed + 1) if solver == EXPLICIT else (0, s)
             largest, size, falling = restage(tables.mix, s, low, high, n, x, dx, work.slopes, work.points, work)
             if solver == IMPLICIT or freeze != NOT_FROZEN:
-                result, quiet = verdict(passed, largest, size, falling, quiet)
+                earliest = largest if passed == 1 else earliest
+                result, quiet = verdict(passed, earliest, largest, size, falling, quiet)
                 if result == FAILED:
                     spoilt = passed == 1 and not largest - largest == 0.0
                     return (OVERFLOW if spoilt else NOT_CONVERGED), largest, evaluations, iterations
@@ -230,7 +200,7 @@ def solve_group(tables: Any, g: Any, dg: Any, h: float, work: Any) -> tuple[int,
             group_matrix(tables.group, shifted(work.gradients, j * n), factor, shifted(work.blocks, j * size))
         if not assemble(tables.mix, s, d, work):
             return NOT_CONVERGED, np.inf
-    passed, quiet = 0, 0
+    passed, quiet, earliest = 0, 0, 0.0
     while True:
         low, high = (passed, passed + 1) if explicit else (0, s)
         for j in range(low, high):
@@ -250,7 +220,8 @@ def solve_group(tables: Any, g: Any, dg: Any, h: float, work: Any) -> tuple[int,
                 tables.mix, s, low, high, size, g, dg, work.group_slopes, work.group_points, work
             )
             if not explicit:
-                result, quiet = verdict(passed, largest, extent, falling, quiet)
+                earliest = largest if passed == 1 else earliest
+                result, quiet = verdict(passed, earliest, largest, extent, falling, quiet)
                 if result == FAILED:
                     return NOT_CONVERGED, largest
                 if result != GO_ON:
@@ -267,30 +238,6 @@ def add_slopes(out: Any, stages: int, slopes: Any, n: int, x: Any, dx: Any) -> N
         add(x, dx, c, total, True)
 
 
-@inlined
-def take_step(
-    tables: Any, x: Any, dx: Any, group: Any, dgroup: Any, t: float, h: float, work: Any
-) -> tuple[int, float, int, int]:
-    """Take one step of all substeps; returns a status, the last correction, and the numbers of evaluations and iterations."""
-    evaluations, iterations, residual = 0, 0, 0.0
-    square = tables.group.size * tables.group.size
-    for part in range(tables.substeps):
-        length, moment = h * tables.fraction[part], t + tables.moment[part] * h
-        status, residual, evaluated, iterated = solve_stages(tables, x, dx, moment, length, work)
-        evaluations += evaluated
-        iterations += iterated
-        if status == DONE and square > 0:
-            status, residual = solve_group(tables, group, dgroup, length, work)
-        if status != DONE:
-            return status, residual, evaluations, iterations
-        add_slopes(tables.out, tables.stages, work.slopes, tables.field.size, x, dx)
-        if square > 0:
-            add_slopes(tables.out, tables.stages, work.group_slopes, square, group, dgroup)
-    if not finite(tables.field.size, x):
-        return OVERFLOW, np.nan, evaluations, iterations
-    return DONE, residual, evaluations, iterations
-
-
 @compiled
 def advance(
     tables: RungeKuttaTables,
@@ -305,7 +252,8 @@ def advance(
 ) -> None:
     """Take the steps k0 + 1 to k1 for the members crew[0] to crew[1] - 1.
 
-    `state` is (momentum, its compensation, group, its compensation), each (members, ...). Every step starts anew from it.
+    `state` is (momentum, its compensation, group, its compensation), each (members, ...). Every step starts anew from
+    it.
     """
     size, square = state[0].shape[1], state[2].shape[1]
     work, room = work_for(tables, size), np.empty(watch.longest + 1)
@@ -318,10 +266,21 @@ def advance(
         x, dx = shifted(x_at, member * size), shifted(dx_at, member * size)
         group, dgroup = shifted(group_at, member * square), shifted(dgroup_at, member * square)
         for k in range(k0 + 1, k1 + 1):
-            t = schedule.t0 + (k - 1) * schedule.h
-            status, residual, evaluations, iterations = take_step(at, x, dx, group, dgroup, t, schedule.h, work_at)
-            report_at.evaluations[member] += evaluations
-            report_at.iterations[member] += iterations
+            start = schedule.t0 + (k - 1) * schedule.h
+            status, residual = DONE, 0.0
+            for part in range(tables.substeps):
+                t, h = start + at.moment[part] * schedule.h, at.fraction[part] * schedule.h
+                status, residual, evaluations, iterations = solve_stages(at, x, dx, t, h, work_at)
+                report_at.evaluations[member] += evaluations
+                report_at.iterations[member] += iterations
+                if status == DONE and square > 0:
+                    status, residual = solve_group(at, group, dgroup, h, work_at)
+                if status != DONE:
+                    break
+                add_slopes(at.out, tables.stages, work_at.slopes, size, x, dx)
+                add_slopes(at.out, tables.stages, work_at.group_slopes, square, group, dgroup)
+            if status == DONE and not finite(size, x):
+                status, residual = OVERFLOW, np.nan
             if status != DONE:
                 report_at.status[member], report_at.step[member], report_at.residual[member] = status, k, residual
                 break

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.kernels.field_tables import field_of, group_of, substeps
 from coadjoint.kernels.runge_kutta import EXPLICIT, GRADIENT, IMPLICIT, ITERATED, STRUCTURE, RungeKuttaTables
@@ -60,6 +61,7 @@ def runge_kutta_tables(
     dense = np.zeros((0, 0))
     if direct and solver == STRUCTURE:
         dense = np.asarray(system.hamiltonian.hessian(np.zeros(system.dim)), dtype=np.float64)
+    fraction, moment = substeps(fractions)
     tables = RungeKuttaTables(
         field,
         group,
@@ -68,7 +70,16 @@ def runge_kutta_tables(
         solver,
         method.function_iterations,
         direct,
-        *(np.array(part, dtype=np.float64).ravel() for part in (node, scale, mix, out, dense)),
-        *substeps(fractions),
+        _flat(node),
+        _flat(scale),
+        _flat(mix),
+        _flat(out),
+        _flat(dense),
+        fraction,
+        moment,
     )
     return Compiled(tables, keep)
+
+
+def _flat(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array(values, dtype=np.float64).ravel()

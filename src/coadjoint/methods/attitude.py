@@ -14,10 +14,10 @@ from coadjoint.methods.base import Method, System
 def check_attitude(method: Method, system: System, representation: Any) -> None:
     """Refuse a group element that the scheme cannot keep.
 
-    Gauss methods keep quadratic invariants: the group is kept where it is that of a bilinear form, rho_i^T P + P rho_i = 0, and the spatial
-    momentum is constant where it is bilinear in g and x, which takes a T of full rank with T rho_i = D_(e_i) T (then K T = T g,
-    K the coadjoint matrix). So the rotation matrices of so(3) are carried; those of so(n), n >= 4, are not: there the spatial momentum is
-    g X g^T, quadratic in g.
+    Gauss methods keep quadratic invariants: the group is kept where it is that of a bilinear form, rho_i^T P + P rho_i
+    = 0, and the spatial momentum is constant where it is bilinear in g and x, which takes a T of full rank with T rho_i
+    = D_(e_i) T (then K T = T g, K the coadjoint matrix). So the rotation matrices of so(3) are carried; those of so(n),
+    n >= 4, are not: there the spatial momentum is g X g^T, quadratic in g.
 
     Parameters
     ----------
@@ -43,7 +43,9 @@ def check_attitude(method: Method, system: System, representation: Any) -> None:
     if system.algebra is None:
         raise ValueError(f"{system.name} has no Lie algebra and so no group element; integrate it with attitude=False")
     if kind == "none":
-        raise ValueError(f"{scheme} carries no group element; take Splitting, or GaussLegendre for the coadjoint matrix")
+        raise ValueError(
+            f"{scheme} carries no group element; take Splitting, or GaussLegendre for the coadjoint matrix"
+        )
     if kind != "coadjoint" or isinstance(representation, str):
         return
     rho = np.asarray(representation, dtype=np.float64)

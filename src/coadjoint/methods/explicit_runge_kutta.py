@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
 from coadjoint.methods.base import Properties, System
-from coadjoint.methods.runge_kutta import Coefficients, Evaluation, RungeKuttaMethod, Step
+from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod
+from coadjoint.methods.stages import Coefficients, Step
 from coadjoint.program.numbers import Number, convert
 
 HALF = Fraction(1, 2)
@@ -31,8 +32,9 @@ TABLEAUX: dict[str, tuple[int, tuple[Any, ...], tuple[tuple[Any, ...], ...], tup
 class ExplicitRungeKutta(RungeKuttaMethod):
     """An explicit Runge-Kutta method, the general-purpose scheme to compare with; it keeps nothing.
 
-    ``X_i = x + h sum_{j<i} a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)``. The group element is integrated beside the momentum,
-    ``g' = -sign g rho(grad H)`` (equation (13)), and leaves the group slowly. For short runs, and to show what the other schemes are for.
+    ``X_i = x + h sum_{j<i} a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)``. The group element is integrated beside
+    the momentum, ``g' = -sign g rho(grad H)`` (equation (13)), and leaves the group slowly. For short runs, and to show
+    what the other schemes are for.
 
     Parameters
     ----------
@@ -57,13 +59,17 @@ class ExplicitRungeKutta(RungeKuttaMethod):
 
     name: str = "rk4"
 
-    solver = "explicit"
     explicit = True
     symmetric = False
 
     def __post_init__(self) -> None:
         if self.name not in TABLEAUX:
             raise unknown_name("explicit Runge-Kutta method", str(self.name), TABLEAUX)
+
+    @property
+    def solver(self) -> str:
+        """``"explicit"``."""
+        return "explicit"
 
     @property
     def order(self) -> int:
@@ -108,7 +114,9 @@ class ExplicitRungeKutta(RungeKuttaMethod):
             padded = [*values, *[0] * (len(nodes) - len(values))]
             return np.array([convert(number, value) for value in padded])
 
-        return Coefficients(filled(nodes), filled((1,) * len(nodes)), np.stack([filled(row) for row in rows]), filled(weights))
+        return Coefficients(
+            filled(nodes), filled((1,) * len(nodes)), np.stack([filled(row) for row in rows]), filled(weights)
+        )
 
     def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
         """Return the slopes L_j = h f(x + sum_{k<j} a_jk L_k), and dL_j = h f'(X_j) (1 + sum_{k<j} a_jk dL_k).

@@ -33,7 +33,10 @@ def _legendre(degree: int, z: Any) -> list[Any]:
 
 
 def _root(degree: int, radau: bool, z: Any) -> Any:
-    """Return the root of P_degree (or of P_degree - P_{degree-1}) near z, by Newton's method, until it no longer moves closer."""
+    """Return the root of P_degree (or of P_degree - P_{degree-1}) near z.
+
+    By Newton's method, until the corrections stop falling.
+    """
     previous = None
     while True:
         values = _legendre(degree, z)
@@ -52,10 +55,11 @@ def _root(degree: int, radau: bool, z: Any) -> Any:
 
 
 def _collocation(roots: Sequence[Any]) -> Collocation:
-    """Return the method with the given points of [-1, 1], roots for which P_0, ..., P_{s-1} are discretely orthogonal.
+    """Return the method with given points of [-1, 1], for which P_0, ..., P_{s-1} are discretely orthogonal.
 
-    The Lagrange polynomials are then l_j(z) = b_j sum_k (2k + 1) P_k(z_j) P_k(z), with 1/b_j = sum_k (2k + 1) P_k(z_j)^2 and
-    integral_{-1}^z P_k = (P_{k+1}(z) - P_{k-1}(z)) / (2k + 1): no linear system is solved and nothing cancels.
+    The Lagrange polynomials are then l_j(z) = b_j sum_k (2k + 1) P_k(z_j) P_k(z), with 1/b_j = sum_k (2k + 1)
+    P_k(z_j)^2 and integral_{-1}^z P_k = (P_{k+1}(z) - P_{k-1}(z)) / (2k + 1): no linear system is solved and nothing
+    cancels.
     """
     s = len(roots)
     values = [_legendre(s, z) for z in roots]
@@ -74,7 +78,7 @@ def _rounded(exact: Collocation) -> Collocation:
 
 
 def _symmetric(mu: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Round mu so that mu_ij + mu_ji = 1 holds exactly in floating point: quadratic invariants then drift without bias."""
+    """Round mu so that mu_ij + mu_ji = 1 holds exactly in floats: quadratic invariants then drift without bias."""
     below = np.tril(np.round(mu / GRID) * GRID, -1)
     return below + np.triu(1.0 - below.T, 1) + 0.5 * np.eye(mu.shape[0])
 
@@ -113,7 +117,8 @@ def gauss_legendre(stages: int, number: Number = float) -> Collocation:
     stages : int
         Number of stages s.
     number : callable
-        Number type; ``float`` for float64, in which nodes and weights are correctly rounded and mu_ij + mu_ji = 1 exactly.
+        Number type; ``float`` for float64, in which nodes and weights are correctly rounded and mu_ij + mu_ji = 1
+        exactly.
 
     Returns
     -------
@@ -122,7 +127,8 @@ def gauss_legendre(stages: int, number: Number = float) -> Collocation:
 
     References
     ----------
-    E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, II.1.3; E. Hairer, R. McLachlan, A. Razakarivony, BIT 48 (2008) 231.
+    E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, II.1.3; E. Hairer, R. McLachlan, A. Razakarivony,
+    BIT 48 (2008) 231.
 
     Examples
     --------

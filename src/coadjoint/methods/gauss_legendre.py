@@ -9,7 +9,8 @@ import numpy as np
 
 from coadjoint.methods.base import Properties, System, has_quadratic_energy
 from coadjoint.methods.gauss_coefficients import gauss_legendre
-from coadjoint.methods.runge_kutta import Coefficients, Evaluation, RungeKuttaMethod, Step, settle
+from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod, settle
+from coadjoint.methods.stages import Coefficients, Step
 from coadjoint.program.numbers import Number
 
 
@@ -42,10 +43,11 @@ def whole_number(value: Any, least: int, name: str) -> int:
 class GaussLegendre(RungeKuttaMethod):
     """The Gauss-Legendre method with s stages: implicit, symmetric, of order 2 s; every quadratic invariant is kept.
 
-    ``X_i = x + h sum_j a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)`` (equation (5)), by function iteration from X_i = x until the
-    corrections stop falling. With many stages and a large step it is the cheapest way to high accuracy; energy (if quadratic) and quadratic
-    Casimirs then wander like the square root of time only. It is not a Poisson map, and Casimirs of higher degree are not kept: for
-    these take `Splitting`. `GaussLegendre(1)` is the implicit midpoint rule.
+    ``X_i = x + h sum_j a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)`` (equation (5)), by function iteration from X_i
+    = x until the corrections stop falling. With many stages and a large step it is the cheapest way to high accuracy;
+    energy (if quadratic) and quadratic Casimirs then wander like the square root of time only. It is not a Poisson map,
+    and Casimirs of higher degree are not kept: for these take `Splitting`. `GaussLegendre(1)` is the implicit midpoint
+    rule.
 
     Parameters
     ----------
@@ -59,8 +61,8 @@ class GaussLegendre(RungeKuttaMethod):
 
     Notes
     -----
-    Computed as ``L_j = h b_j f(X_j)``, ``X_i = x + sum_j mu_ij L_j``, ``x_new = x + sum_j L_j`` with mu_ij = a_ij / b_j rounded such that
-    mu_ij + mu_ji = 1 exactly, and compensated summation.
+    Computed as ``L_j = h b_j f(X_j)``, ``X_i = x + sum_j mu_ij L_j``, ``x_new = x + sum_j L_j`` with mu_ij = a_ij / b_j
+    rounded such that mu_ij + mu_ji = 1 exactly, and compensated summation.
 
     References
     ----------
@@ -76,12 +78,16 @@ class GaussLegendre(RungeKuttaMethod):
 
     stages: int = 2
 
-    solver = "implicit"
     explicit = False
     symmetric = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stages", whole_number(self.stages, 1, "stages of GaussLegendre"))
+
+    @property
+    def solver(self) -> str:
+        """``"implicit"``."""
+        return "implicit"
 
     @property
     def order(self) -> int:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from coadjoint.methods.base import Properties, System
 from coadjoint.methods.gauss_legendre import gauss_tableau, whole_number
-from coadjoint.methods.runge_kutta import Coefficients, Evaluation, RungeKuttaMethod, Step, iterate, iterate_tangents
+from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod, iterate, iterate_tangents
+from coadjoint.methods.stages import Coefficients, Step
 from coadjoint.program.numbers import Number
 
 
@@ -14,9 +15,9 @@ from coadjoint.program.numbers import Number
 class IteratedGaussLegendre(RungeKuttaMethod):
     """A fixed number m of function iterations of a Gauss-Legendre method: explicit, of order min(m + 1, 2 s).
 
-    ``X_i^0 = x``, ``X_i^l = x + h sum_j a_ij f(X_j^(l-1))`` (equation (6)), and ``x_new = x + h sum_i b_i f(X_i^m)``. An explicit method
-    without any step-size restriction from convergence; energy and Casimirs drift slowly, by O(h^(m+1)) or better. Where they
-    must be kept take `GaussLegendre` or `ModifiedGaussLegendre`.
+    ``X_i^0 = x``, ``X_i^l = x + h sum_j a_ij f(X_j^(l-1))`` (equation (6)), and ``x_new = x + h sum_i b_i f(X_i^m)``.
+    An explicit method without any step-size restriction from convergence; energy and Casimirs drift slowly, by
+    O(h^(m+1)) or better. Where they must be kept take `GaussLegendre` or `ModifiedGaussLegendre`.
 
     Parameters
     ----------
@@ -48,7 +49,6 @@ class IteratedGaussLegendre(RungeKuttaMethod):
     stages: int = 2
     iterations: int | None = None
 
-    solver = "iterated"
     explicit = True
     symmetric = False
 
@@ -62,6 +62,11 @@ class IteratedGaussLegendre(RungeKuttaMethod):
     def function_iterations(self) -> int:
         """The number m of iterations."""
         return 2 * self.stages - 1 if self.iterations is None else self.iterations
+
+    @property
+    def solver(self) -> str:
+        """``"iterated"``."""
+        return "iterated"
 
     @property
     def order(self) -> int:

@@ -10,14 +10,8 @@ from numpy.typing import NDArray
 from coadjoint.errors import unknown_name
 from coadjoint.methods.base import Properties, System, has_quadratic_energy
 from coadjoint.methods.gauss_legendre import gauss_tableau, whole_number
-from coadjoint.methods.runge_kutta import (
-    Coefficients,
-    Evaluation,
-    RungeKuttaMethod,
-    Step,
-    iterate,
-    iterate_tangents,
-)
+from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod, iterate, iterate_tangents
+from coadjoint.methods.stages import Coefficients, Step
 from coadjoint.program.numbers import Number
 
 FREEZES = ("structure", "gradient")
@@ -25,17 +19,18 @@ FREEZES = ("structure", "gradient")
 
 @dataclass(frozen=True)
 class ModifiedGaussLegendre(RungeKuttaMethod):
-    """Gauss-Legendre with m - 1 function iterations and then one linear system: order min(m, 2 s), no nonlinear equations.
+    """Gauss-Legendre with m - 1 function iterations and then one linear system: order min(m, 2 s).
 
     ``X^0 = x``; equation (6) for l = 1, ..., m - 1; then, with Z = X^(m-1), the linear system for X = X^m
 
-    ``freeze="structure"``:  ``X_i = x + h sum_j a_ij sign J(Z_j) grad H(X_j)``  (equation (7)), H quadratic: the energy is kept;
+    ``freeze="structure"``:  ``X_i = x + h sum_j a_ij sign J(Z_j) grad H(X_j)``  (equation (7)), H quadratic: the energy
+    is kept;
 
     ``freeze="gradient"``:  ``X_i = x + h sum_j a_ij sign D_u(Z_j) X_j``, u = grad H: every quadratic Casimir is kept,
 
-    and the output ``x_new = x + sum_i b_i`` of the same right-hand sides (equation (8)). ``stages=1`` is the modified midpoint rule,
-    equations (10)-(11). For a fixed cost in each step and one invariant to round-off; not symmetric, so that the other
-    invariant drifts: over long times `GaussLegendre` or `Splitting` is better.
+    and the output ``x_new = x + sum_i b_i`` of the same right-hand sides (equation (8)). ``stages=1`` is the modified
+    midpoint rule, equations (10)-(11). For a fixed cost in each step and one invariant to round-off; not symmetric, so
+    that the other invariant drifts: over long times `GaussLegendre` or `Splitting` is better.
 
     Parameters
     ----------
@@ -44,8 +39,9 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
     iterations : int, optional
         The number m, from 1; None is 2 s, which gives the full order.
     freeze : {"structure", "gradient"}
-        What the linear system takes from the iterate Z: the structure matrix (energy exact, the paper's M-orthogonality; quadratic H, any
-        skew J), or the gradient (quadratic Casimirs exact, I-orthogonality on so(3); any H, a Lie algebra).
+        What the linear system takes from the iterate Z: the structure matrix (energy exact, the paper's
+        M-orthogonality; quadratic H, any skew J), or the gradient (quadratic Casimirs exact, I-orthogonality on so(3);
+        any H, a Lie algebra).
 
     Raises
     ------
@@ -54,8 +50,8 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
 
     Notes
     -----
-    Linearly implicit: the system has s n unknowns, and is solved by LU factors with partial pivoting and one refinement up to
-    s n = 160, above that, matrix-free, by function iteration until the corrections stop falling.
+    Linearly implicit: the system has s n unknowns, and is solved by LU factors with partial pivoting and one refinement
+    up to s n = 160, above that, matrix-free, by function iteration until the corrections stop falling.
 
     References
     ----------
@@ -85,14 +81,14 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
             raise unknown_name("freeze", str(self.freeze), FREEZES)
 
     @property
+    def function_iterations(self) -> int:
+        """The m - 1 iterations before the linear system."""
+        return (2 * self.stages if self.iterations is None else self.iterations) - 1
+
+    @property
     def solver(self) -> str:
         """What is frozen."""
         return self.freeze
-
-    @property
-    def function_iterations(self) -> int:
-        """m - 1, the iterations before the linear system."""
-        return (2 * self.stages if self.iterations is None else self.iterations) - 1
 
     @property
     def order(self) -> int:
@@ -114,7 +110,8 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
         Raises
         ------
         ValueError
-            The Hamiltonian is not quadratic (``freeze="structure"``), or there is no Lie algebra (``freeze="gradient"``).
+            The Hamiltonian is not quadratic (``freeze="structure"``), or there is no Lie algebra
+            (``freeze="gradient"``).
         """
         if self.freeze == "structure":
             if not has_quadratic_energy(system):
@@ -147,7 +144,8 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
     def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
         """Return the slopes of equation (7), linear in the stages X.
 
-        With W_j = h b_j sign J(Z_j) M or h b_j sign D_u(Z_j), dL_j = W_j dX_j + (derivative of L_j with respect to Z_j) dZ_j.
+        With W_j = h b_j sign J(Z_j) M or h b_j sign D_u(Z_j), dL_j = W_j dX_j + (derivative of L_j with respect to Z_j)
+        dZ_j.
 
         Parameters
         ----------

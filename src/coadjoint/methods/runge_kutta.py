@@ -11,21 +11,11 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Method, System
+from coadjoint.methods.stages import Coefficients, Step, begin
 from coadjoint.program.numbers import Number, roundoff
 
 MOST_ITERATIONS = 200  # for 53 bits; in proportion for more
-
-
-class Coefficients(NamedTuple):
-    """A tableau: X_i = x + sum_j mix_ij L_j, L_j = h scale_j f(X_j, t + node_j h), and the step adds sum_j out_j L_j.
-
-    Gauss methods have scale = b, mix = mu, out = 1; explicit ones, whose b_j may vanish, scale = 1, mix = a, out = b.
-    """
-
-    node: NDArray[Any]
-    scale: NDArray[Any]
-    mix: NDArray[Any]
-    out: NDArray[Any]
+GROWTH = 2**64  # of the first correction: a correction so much larger will not come back
 
 
 class Evaluation(NamedTuple):
@@ -35,113 +25,20 @@ class Evaluation(NamedTuple):
     derivatives: NDArray[np.float64] | None
 
 
-class Step(NamedTuple):
-    """What a scheme sees of a step: the system, its coefficients, the state, the times of the stages, and h scale_j."""
-
-    system: System
-    coefficients: Coefficients
-    x: NDArray[Any]
-    times: list[Any]
-    lengths: list[Any]
-
-    def points(self, slopes: NDArray[Any]) -> NDArray[Any]:
-        """Return the stages X_i = x + sum_j mix_ij L_j, shape (s, n)."""
-        return self.x + self.coefficients.mix @ slopes
-
-    def start(self) -> NDArray[Any]:
-        """Return X_i = x for every stage."""
-        return np.stack([self.x] * len(self.times))
-
-    def fields(self, points: NDArray[Any]) -> NDArray[Any]:
-        """Return L_j = h scale_j f(X_j), shape (s, n)."""
-        parts = zip(points, self.times, self.lengths, strict=True)
-        return np.stack([length * self.system.vector_field(X, t) for X, t, length in parts])
-
-    def jacobians(self, points: NDArray[Any]) -> NDArray[np.float64]:
-        """Return h scale_j f'(X_j), shape (s, n, n)."""
-        parts = zip(points, self.times, self.lengths, strict=True)
-        return np.stack([length * self.system.jacobian(X, t) for X, t, length in parts])
-
-    def gradients(self, points: NDArray[Any]) -> NDArray[Any]:
-        """Return grad H(X_j), shape (s, n)."""
-        return np.stack([self.system.hamiltonian.gradient(X, t) for X, t in zip(points, self.times, strict=True)])
-
-    def products(self, momenta: NDArray[Any], gradients: NDArray[Any]) -> NDArray[Any]:
-        """Return h scale_j sign J(Z_j) u_j, shape (s, n)."""
-        sign, J = self.system.sign, self.system.structure_matrix
-        parts = zip(momenta, gradients, self.lengths, strict=True)
-        return np.stack([length * sign * (J(Z) @ u) for Z, u, length in parts])
-
-    def spread(self, derivatives: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return dX_i / dx = 1 + sum_j mix_ij dL_j / dx, shape (s, n, n)."""
-        return np.eye(self.x.size) + np.einsum("ij,jab->iab", self.coefficients.mix, derivatives)
-
-    def bends(self, momenta: NDArray[Any], points: NDArray[Any] | None = None) -> NDArray[Any]:
-        """Return h scale_j sign J(Z_j) H''(X_j), shape (s, n, n); X = Z where not given."""
-        sign, H, J = self.system.sign, self.system.hamiltonian, self.system.structure_matrix
-        where = momenta if points is None else points
-        parts = zip(momenta, where, self.times, self.lengths, strict=True)
-        return np.stack([length * sign * (J(Z) @ H.hessian(X, t)) for Z, X, t, length in parts])
-
-    def turns(self, momenta: NDArray[Any], gradients: NDArray[Any]) -> NDArray[Any]:
-        """Return the derivatives of h scale_j sign J(Z) u_j at Z_j, shape (s, n, n): on a Lie algebra h scale_j sign D_u."""
-        parts = zip(momenta, gradients, self.lengths, strict=True)
-        return np.stack([length * structure_derivative(self.system, Z, u) for Z, u, length in parts])
-
-    def resolve(self, blocks: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
-        """Return the Y with Y_i = sum_j mix_ij W_j Y_j + right_i; right has shape (s, n) or (s, n, lanes)."""
-        s, n = len(self.times), self.x.size
-        mix = self.coefficients.mix
-        coupled = np.stack([np.concatenate([mix[i, j] * blocks[j] for j in range(s)], axis=1) for i in range(s)])
-        matrix = np.eye(s * n, dtype=np.int64) - coupled.reshape(s * n, s * n)
-        return linear_solve(matrix, right.reshape(s * n, -1)).reshape(right.shape)
-
-    def solve(self, blocks: NDArray[np.float64], constant: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the dL_j with dL_j = W_j (1 + sum_k mix_jk dL_k) + constant_j, shape (s, n, n)."""
-        return np.asarray(blocks @ self.resolve(blocks, self.spread(constant)) + constant)
-
-
-def structure_derivative(system: System, x: NDArray[Any], u: NDArray[Any]) -> NDArray[Any]:
-    """Return the derivative of sign * J(x) u with respect to x, shape (n, n): on a Lie algebra sign * D_u."""
-    if system.algebra is not None:
-        return np.asarray(system.sign * system.algebra.coadjoint(u))
-    if system.derivative_function is None:
-        raise TypeError(f"the derivative of J is unknown for {system.name}; give derivative=")
-    return np.asarray(system.sign * np.einsum("ijk,j->ik", np.asarray(system.derivative_function(x)), u))
-
-
-def linear_solve(matrix: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
-    """Solve a linear system in any number type, by elimination with partial pivoting; `right` is (m, lanes).
-
-    Examples
-    --------
-    >>> linear_solve(np.array([[0, 2], [1, 1]], dtype=object), np.array([[4], [3]], dtype=object)).tolist()
-    [[1.0], [2.0]]
-    """
-    if matrix.dtype != object:
-        return np.asarray(np.linalg.solve(matrix, right))
-    A, B = matrix.copy(), right.copy()
-    size = len(A)
-    for k in range(size):
-        pivot = k + max(range(size - k), key=lambda i: abs(A[k + i, k]))
-        A[[k, pivot]], B[[k, pivot]] = A[[pivot, k]], B[[pivot, k]]
-        for i in range(k + 1, size):
-            factor = A[i, k] / A[k, k]
-            A[i, k:], B[i] = A[i, k:] - factor * A[k, k:], B[i] - factor * B[k]
-    for k in reversed(range(size)):
-        B[k] = (B[k] - A[k, k + 1 :] @ B[k + 1 :]) / A[k, k]
-    return B
-
-
 class RungeKuttaMethod(Method):
     """A tableau and a solver. A new scheme says what its coefficients are and how it finds its slopes."""
 
-    solver: str
-    """``"explicit"``, ``"iterated"``, ``"implicit"``, ``"structure"`` or ``"gradient"``: the compiled loop that serves it."""
+    @property
+    @abstractmethod
+    def solver(self) -> str:
+        """How the compiled loop finds the slopes.
+
+        ``"explicit"``, ``"iterated"``, ``"implicit"``, or linear with ``"structure"`` or ``"gradient"`` frozen.
+        """
 
     @property
     def function_iterations(self) -> int:
-        """How many iterations come before the output, or before the linear system; implicit schemes count for themselves."""
+        """How many iterations come before the output, or before the linear system; implicit schemes do not say."""
         return 0
 
     @abstractmethod
@@ -174,18 +71,6 @@ class RungeKuttaMethod(Method):
         Evaluation
         """
 
-    def _begin(self, system: System, x: Any, t: Any, h: Any) -> Step:
-        point = np.asarray(x)
-        number: Callable[[Any], Any] = float
-        if point.dtype == object:
-            number = type(point[0])
-        else:
-            point = point.astype(np.float64)
-        time, length = number(t), number(h)
-        coefficients = self.coefficients(number)
-        times = [time + length * c for c in coefficients.node]
-        return Step(system, coefficients, point, times, [length * b for b in coefficients.scale])
-
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, as the formulas say it, without compensation.
 
@@ -207,7 +92,7 @@ class RungeKuttaMethod(Method):
         IntegrationError
             The iteration of an implicit scheme does not converge.
         """
-        step = self._begin(system, x, t, h)
+        step = begin(self.coefficients, system, x, t, h)
         return np.asarray(step.x + step.coefficients.out @ self.evaluate(step).slopes)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -236,7 +121,7 @@ class RungeKuttaMethod(Method):
         IntegrationError
             The iteration of an implicit scheme does not converge.
         """
-        step = self._begin(system, np.asarray(x, dtype=np.float64), t, h)
+        step = begin(self.coefficients, system, np.asarray(x, dtype=np.float64), t, h)
         slopes, derivatives = self.evaluate(step, tangent=True)
         if derivatives is None:
             raise TypeError(f"{self!r} gives no derivatives")
@@ -281,21 +166,23 @@ def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDA
     """
     unit = roundoff(float if step.x.dtype != object else type(step.x[0]))
     most = MOST_ITERATIONS * max(1, int(-np.log2(float(unit)) / 53)) if unit else MOST_ITERATIONS
-    points, least, quiet, largest = step.start(), None, 0, None
-    for iteration in range(1, most + 1):
-        slopes = slopes_at(points)
-        new = step.points(slopes)
-        change = np.max(np.abs(new - points), axis=0)
-        points, largest, size = new, max(change), max(np.max(np.abs(new), axis=0))
-        if largest == 0:
-            return slopes
-        if not largest < 1e300:
-            break
-        falling = least is None or bool(np.any(change < least))
-        least = change if least is None else np.minimum(change, least)
-        quiet = quiet + 1 if iteration > 3 and not falling and largest <= 2**21 * unit * size else 0
-        if quiet == 2:
-            return slopes
+    points, least, quiet, largest, first = step.start(), None, 0, None, 0
+    with np.errstate(over="ignore", invalid="ignore"):  # a divergent iteration is told from its last correction
+        for iteration in range(1, most + 1):
+            slopes = slopes_at(points)
+            new = step.points(slopes)
+            change = np.max(np.abs(new - points), axis=0)
+            points, largest, size = new, max(change), max(np.max(np.abs(new), axis=0))
+            if largest == 0:
+                return slopes
+            first = largest if iteration == 1 else first
+            if not largest <= GROWTH * first:
+                break
+            falling = least is None or bool(np.any(change < least))
+            least = change if least is None else np.minimum(change, least)
+            quiet = quiet + 1 if iteration > 3 and not falling and largest <= 2**21 * unit * size else 0
+            if quiet == 2:
+                return slopes
     residual = float(largest) if largest is not None else float("nan")
     raise IntegrationError(
         f"the stages of a step do not converge (last correction {residual:.3g}); take a smaller step",

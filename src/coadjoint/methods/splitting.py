@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -72,6 +73,8 @@ class Splitting(FlowMethod):
         if self.scheme is not None:
             if self.scheme not in SCHEMES:
                 raise unknown_name("splitting scheme", self.scheme, SCHEMES)
+            if self.order not in (2, SCHEMES[self.scheme].order):
+                raise ValueError(f"scheme {self.scheme!r} has order {SCHEMES[self.scheme].order}, not {self.order!r}")
             object.__setattr__(self, "order", SCHEMES[self.scheme].order)
         elif self.order != 1 and self.order not in DEFAULT_SCHEMES:
             raise ValueError(f"Splitting has the orders 1, 2 and 4, not {self.order!r}")
@@ -83,7 +86,7 @@ class Splitting(FlowMethod):
             if self.parts not in ("auto", "coordinates"):
                 raise unknown_name("choice of parts", self.parts, ["auto", "coordinates"])
         else:
-            object.__setattr__(self, "parts", tuple(tuple(int(i) for i in group) for group in self.parts))
+            object.__setattr__(self, "parts", _sets_of_coordinates(self.parts))
 
     @property
     def explicit(self) -> bool:
@@ -138,6 +141,15 @@ class Splitting(FlowMethod):
             return [Sweep(not self.adjoint, number(1), number(moment))]
         half = [number(c) for c in SCHEMES[self.scheme or DEFAULT_SCHEMES[self.order]].half]
         return symmetric_sweeps([*half, *half[-2::-1]], number)
+
+
+def _sets_of_coordinates(parts: Any) -> tuple[tuple[int, ...], ...]:
+    try:
+        return tuple(tuple(operator.index(i) for i in group) for group in parts)
+    except TypeError:
+        raise TypeError(
+            f"parts is {parts!r}; it must be 'auto', 'coordinates', or sets of coordinates such as [[0, 1], [2]]"
+        ) from None
 
 
 def symmetric_sweeps(coefficients: Sequence[Any], number: Callable[[Any], Any]) -> list[Sweep]:

@@ -61,9 +61,7 @@ class BasisMatrices:
             basis = np.repeat(np.arange(algebra.dim), np.diff(plain._start))
             return cls(algebra.dim, algebra.dim, basis, plain._columns, plain._rows, -plain._values)
         basis, rows, columns = np.nonzero(representation)
-        return cls(
-            representation.shape[1], algebra.dim, basis, columns, rows, -representation[basis, rows, columns]
-        )
+        return cls(representation.shape[1], algebra.dim, basis, columns, rows, -representation[basis, rows, columns])
 
     def combination(self, form: tuple[Sequence[int], Sequence[Any]], number: Number) -> Entries:
         """Return sum_i form_i D_i; entries that cancel up to rounding are dropped."""
@@ -99,10 +97,9 @@ def build_action(matrices: BasisMatrices, parts: Iterable[Part], number: Number 
     """
     layout = _Layout()
     for part in parts:
+        blocks = [blocks_of(matrices.combination(form, number), roundoff(number)) for form in part.forms]
         groups = [
-            group
-            for angle, form in enumerate(part.forms)
-            for group in _groups(angle, blocks_of(matrices.combination(form, number), roundoff(number)))
+            group for angle, level in enumerate(_levels(blocks)) for group in _groups(angle, level, blocks[angle])
         ]
         for chain in _chains(groups):
             layout.add_run(chain)
@@ -114,6 +111,7 @@ class _Group(NamedTuple):
     """Blocks of one kind that share an angle (and their constants, unless they are shears)."""
 
     angle: int
+    level: int
     rank: int
     blocks: tuple[Block, ...]
 
@@ -122,7 +120,22 @@ class _Group(NamedTuple):
         return self.blocks[0].kind, len(self.blocks)
 
 
-def _groups(angle: int, blocks: Iterable[Block]) -> Iterable[_Group]:
+def _levels(blocks: Sequence[Sequence[Block]]) -> list[int]:
+    """Return a level for each angle: generators of one level have no coordinate in common, and one level follows the other.
+
+    The generators of a part commute, but a single block of one need not commute with a single block of another that it overlaps.
+    """
+    reached: dict[int, int] = {}
+    levels = []
+    for own in blocks:
+        coordinates = {k for block in own for k in block.coordinates}
+        level = max((reached[k] + 1 for k in coordinates if k in reached), default=0)
+        reached.update(dict.fromkeys(coordinates, level))
+        levels.append(level)
+    return levels
+
+
+def _groups(angle: int, level: int, blocks: Iterable[Block]) -> Iterable[_Group]:
     alike: dict[Any, list[Block]] = {}
     for place, block in enumerate(blocks):
         shared: Any = block.constants
@@ -135,14 +148,15 @@ def _groups(angle: int, blocks: Iterable[Block]) -> Iterable[_Group]:
     for members in alike.values():
         shape = (members[0].kind, len(members))
         ranks[shape] = rank = ranks.get(shape, -1) + 1
-        yield _Group(angle, rank, tuple(members))
+        yield _Group(angle, level, rank, tuple(members))
 
 
 def _chains(groups: Iterable[_Group]) -> Iterable[list[_Group]]:
-    """Join groups of one shape whose angles follow each other; within a part every block commutes with every other."""
+    """Join groups of one shape whose angles follow each other; within a level all blocks have coordinates of their own."""
     chain: list[_Group] = []
-    for group in sorted(groups, key=lambda g: (g.shape, g.rank, g.angle)):
-        follows = chain and group.shape == chain[-1].shape and group.angle == chain[-1].angle + 1
+    for group in sorted(groups, key=lambda g: (g.level, g.shape, g.rank, g.angle)):
+        last = chain[-1] if chain else None
+        follows = last and (group.level, group.shape, group.angle) == (last.level, last.shape, last.angle + 1)
         if follows and group.shape[0] not in (Kind.CUBIC, Kind.SERIES):
             chain.append(group)
             continue

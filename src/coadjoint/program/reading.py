@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action
 from coadjoint.program.blocks import Kind
-from coadjoint.program.numbers import Number, roundoff
+from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.program.table import Program
 from coadjoint.program.terms import FUNCTION, LINEAR, derivative_of
 
@@ -22,6 +22,7 @@ class Elementary(NamedTuple):
     sin: Callable[[Any], Any]
     cos: Callable[[Any], Any]
     sinh: Callable[[Any], Any]
+    exp: Callable[[Any], Any]
     expm1: Callable[[Any], Any]
     sqrt: Callable[[Any], Any]
     ceil: Callable[[Any], int]
@@ -30,11 +31,13 @@ class Elementary(NamedTuple):
 def elementary(number: Number) -> Elementary:
     """Return the elementary functions of a number type: Python's for float, the type's own context for mpmath."""
     if number is float:
-        return Elementary(math.sin, math.cos, math.sinh, math.expm1, math.sqrt, math.ceil)
+        return Elementary(math.sin, math.cos, math.sinh, math.exp, math.expm1, math.sqrt, math.ceil)
     context: Any = getattr(type(number(1)), "context", None)
     if context is None:
         raise TypeError(f"the plain reading knows float and mpmath numbers, not {type(number(1)).__name__}")
-    return Elementary(context.sin, context.cos, context.sinh, context.expm1, context.sqrt, lambda v: int(context.ceil(v)))
+    return Elementary(
+        context.sin, context.cos, context.sinh, context.exp, context.expm1, context.sqrt, lambda v: int(context.ceil(v))
+    )
 
 
 class Reading:
@@ -95,9 +98,9 @@ class Reading:
         ndarray or tuple
             The momentum; with `group` and `tangent` a tuple with those that were given, in that order.
         """
-        x = np.array(x)
-        carried = None if group is None else np.array(group).T.copy()
-        vectors = None if tangent is None else np.array(tangent)
+        x = self._numbers(x)
+        carried = None if group is None else self._numbers(group).T.copy()
+        vectors = None if tangent is None else self._numbers(tangent)
         ends = self.program.rows.section
         for k in range(count):
             which = 0 if k == 0 else 1
@@ -106,6 +109,9 @@ class Reading:
             self._rows(range(ends[2], ends[3]), x, h, t0 + (count - 1) * h, carried, vectors)
         extra = [item for item in (None if carried is None else carried.T, vectors) if item is not None]
         return (x, *extra) if extra else x
+
+    def _numbers(self, values: NDArray[Any]) -> NDArray[Any]:
+        return array_of(self.program.number, np.ravel(values)).reshape(np.shape(values)).copy()
 
     def _rows(self, rows: range, x: Any, h: Any, t: Any, group: Any, tangent: Any) -> None:
         table = self.program.rows
@@ -218,8 +224,10 @@ class Reading:
             mean = (block[0, 0] + block[1, 1]) / 2
             traceless = block - mean * np.eye(2, dtype=int)
             s, c = self._entire_pair(angle**2 * (traceless @ traceless)[0, 0])
-            grown = f.expm1(angle * mean)
-            return (grown * (1 + c) + c) * own + (1 + grown) * angle * s * (traceless @ own)
+            scale = f.exp(angle * mean)
+            # Where both are large, exp(mean) cosh must not be made of expm1(mean) = -1 + ...: that lost what cosh then amplifies.
+            diagonal = f.expm1(angle * mean) + scale * c
+            return diagonal * own + scale * angle * s * (traceless @ own)
         moved = block @ own
         if kind == Kind.CUBIC:
             lam = action.constants[action.constant[run]]

@@ -193,10 +193,10 @@ def _not_split(system: LiePoissonSystem, what: str, clash: tuple[int, int]) -> V
 def _as_given(
     system: LiePoissonSystem, choice: Sequence[Sequence[int]], atoms: list[Part], commutation: Commutation
 ) -> tuple[Part, ...]:
-    sets = [[int(i) for i in group] for group in choice]
+    sets = [{int(i) for i in group} for group in choice]
     basis = system.algebra.basis
     for group in sets:
-        outside = [i for i in group if not 0 <= i < system.dim]
+        outside = [i for i in sorted(group) if not 0 <= i < system.dim]
         if outside:
             raise ValueError(f"parts name coordinate {outside[0]}, but coordinates run from 0 to {system.dim - 1}")
         clash = commutation.first_clash(group)
@@ -205,8 +205,13 @@ def _as_given(
     chosen: list[list[Part]] = [[] for _ in sets]
     for atom in atoms:
         coordinates = {i for form, _ in atom.forms for i in form}
-        home = next((k for k, group in enumerate(sets) if coordinates <= set(group)), None)
+        home = next((k for k, group in enumerate(sets) if coordinates <= group), None)
         if home is None:
+            left = sorted(coordinates.difference(*sets))
+            if left:
+                raise ValueError(
+                    f"parts leave out {basis[left[0]]} (coordinate {left[0]}), which the Hamiltonian depends on"
+                )
             names = ", ".join(basis[i] for i in sorted(coordinates))
             raise ValueError(f"parts must hold {names} in one set, since the Hamiltonian couples them")
         chosen[home].append(atom)

@@ -8,6 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+# A square is taken of one coordinate unless its diagonal entry is this much smaller than the largest entry: no form then has large
+# coefficients (Bunch and Parlett 1971, (1 + sqrt 17)/8).
+SMALLEST_PIVOT = Fraction(41, 64)
 # Above this size the numerators grow past use and the reduction runs in the number type that it was given.
 LARGEST_RATIONAL = 16
 
@@ -65,17 +68,14 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
     free = np.ones(size, dtype=bool)
     while free.any():
         places = np.flatnonzero(free)
-        sizes = np.abs(residual[places, places])
-        best = places[_first_largest(sizes)]
-        if abs(residual[best, best]) > floor:
-            pivots: tuple[int, ...] = (int(best),)
-        else:
-            block = np.abs(residual[np.ix_(places, places)])
-            flat = _first_largest(block.ravel())
-            row, column = places[flat // len(places)], places[flat % len(places)]
-            if abs(residual[row, column]) <= floor:
-                break
-            pivots = (int(row), int(column))
+        best = places[_first_largest(np.abs(residual[places, places]))]
+        flat = _first_largest(np.abs(residual[np.ix_(places, places)]).ravel())
+        row, column = places[flat // len(places)], places[flat % len(places)]
+        largest = abs(residual[row, column])
+        if largest <= floor:
+            break
+        alone = abs(residual[best, best]) * SMALLEST_PIVOT.denominator >= largest * SMALLEST_PIVOT.numerator
+        pivots = (int(best),) if alone else (int(row), int(column))
         new = _square(residual, pivots[0]) if len(pivots) == 1 else _pair(residual, *pivots)
         for form, weight in new:
             residual = residual - weight * np.multiply.outer(form, form)
@@ -106,9 +106,16 @@ def _square(residual: NDArray[Any], i: int) -> list[tuple[NDArray[Any], Any]]:
 
 
 def _pair(residual: NDArray[Any], i: int, j: int) -> list[tuple[NDArray[Any], Any]]:
-    """Both diagonal entries vanish: u v^T + v u^T = ((u + v)(u + v)^T - (u - v)(u - v)^T) / 2 with the rows u, v."""
-    u, v, m = residual[i] / residual[i, j], residual[j] / residual[i, j], residual[i, j]
-    return [(u + v, m / 2), (u - v, -m / 2)]
+    """The diagonal is small beside the entry m at (i, j): squares along e_i + e_j or e_i - e_j, then e_j.
+
+    Where the diagonal vanishes, ((u + v)(u + v)^T - (u - v)(u - v)^T) m/2 with the rows m u, m v.
+    """
+    sign = 1 if (residual[i, i] + residual[j, j]) * residual[i, j] >= 0 else -1
+    along = residual[i] + sign * residual[j]
+    size = (along[i] + sign * along[j]) / 4
+    first = along / (2 * size)
+    rest = residual[j] - size * first[j] * first
+    return [(first, size), (rest / rest[j], rest[j])]
 
 
 def _split_linear(b: NDArray[Any], forms: list[NDArray[Any]], pivots: tuple[int, ...]) -> list[Any]:

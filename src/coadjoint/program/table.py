@@ -150,12 +150,13 @@ def _rows(sweeps: Sequence[Sweep], parts: tuple[Part, ...], sign: int, number: N
         order = range(len(parts)) if sweep.forward else range(len(parts) - 1, -1, -1)
         for part in order:
             row = _Row(part, convert(number, sweep.coefficient), convert(number, sweep.moment))
-            if sequence and (merged := _merge(sequence[-1], row, parts)):
+            if sequence and (merged := _merge(sequence[-1], row, parts, sequence[-1].moment)):
                 sequence[-1] = merged
             else:
                 sequence.append(row)
     start, step, finish = sequence, sequence, list[_Row]()
-    if len(sequence) > 1 and (outer := _merge(sequence[-1], sequence[0], parts)):
+    # The last row belongs to the step before: seen from this one its moment lies a whole step earlier.
+    if len(sequence) > 1 and (outer := _merge(sequence[-1], sequence[0], parts, sequence[-1].moment - 1)):
         start, step, finish = sequence[:-1], [outer, *sequence[1:-1]], sequence[-1:]
     everything = [*start, *step, *finish]
     ends = [0, len(start), len(start) + len(step), len(everything)]
@@ -167,8 +168,8 @@ def _rows(sweeps: Sequence[Sweep], parts: tuple[Part, ...], sign: int, number: N
     )
 
 
-def _merge(last: _Row, row: _Row, parts: tuple[Part, ...]) -> _Row | None:
-    """Two flows of one part in a row are one flow, unless it depends on time (each half has its own moment)."""
-    if last.part != row.part or (parts[row.part].timed and last.moment != row.moment):
+def _merge(last: _Row, row: _Row, parts: tuple[Part, ...], moment: Any) -> _Row | None:
+    """Two flows of one part in a row are one flow, unless it depends on time and each has its own moment."""
+    if last.part != row.part or (parts[row.part].timed and moment != row.moment):
         return None
     return _Row(row.part, last.coefficient + row.coefficient, row.moment)

@@ -14,6 +14,7 @@ from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm,
 
 LINEAR, POLYNOMIAL, FUNCTION = 0, 1, 2
 
+
 class Terms(NamedTuple):
     """The table. Term k has the rows row[k] to row[k + 1]; each row is one component of a gradient.
 

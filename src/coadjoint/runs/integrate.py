@@ -17,7 +17,7 @@ from coadjoint.methods.splitting import Splitting
 from coadjoint.runs.prepare import prepare
 from coadjoint.runs.solution import Solution, Statistics
 from coadjoint.runs.start import Start, start_of
-from coadjoint.runs.times import Times, times_of
+from coadjoint.runs.times import Times, is_positive_whole, times_of
 
 # Between two calls of the compiled loop the interpreter can show progress and hear an interrupt.
 SECONDS_BETWEEN_LOOKS = 0.2
@@ -102,7 +102,7 @@ def integrate(
 
 
 def _workers(threads: int | None, members: int) -> int:
-    if threads is not None and (isinstance(threads, bool) or int(threads) != threads or threads < 1):
+    if threads is not None and not is_positive_whole(threads):
         raise ValueError(f"threads is {threads!r}; it must be a positive whole number, or None for all cores")
     return min(members, int(threads) if threads is not None else os.cpu_count() or 1)
 
@@ -219,9 +219,11 @@ class Run:
             failed=None if self.start.single else self.report.status != 0,
             system=self.system,
             method=self.method,
+            t_span=(self.times.t0, self.times.end),
             step=abs(self.times.h),
             save_every=self.times.save_every,
             watched=self.watching,
+            carried=self.start.carried,
             _worst=worst,
         )
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.base import FlowMethod, Method, System
 from coadjoint.methods.composition import Composition
+from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
@@ -57,6 +58,10 @@ def prepare(system: System, method: Method, h: float, representation: NDArray[An
         program = build_program(system, method, group=representation)
         found = flow_tables(program, h, bool(method.compensated))
         return Prepared(advance, found.tables, found.keep)
-    from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
+    if isinstance(innermost, RungeKuttaMethod):
+        from coadjoint.kernels import runge_kutta
+        from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 
-    return runge_kutta_tables(system, innermost, h, representation, method.fractions)
+        found = runge_kutta_tables(system, innermost, representation, method.fractions)
+        return Prepared(runge_kutta.advance, found.tables, found.keep)
+    raise TypeError(f"no loop is known for {innermost!r}")

@@ -92,8 +92,10 @@ class Solution:
         Steps, evaluations, iterations, seconds.
     failed : ndarray of bool, shape (members,), or None
         For an ensemble: which members failed.
-    system, method, step, save_every, watched
+    system, method, t_span, step, save_every, watched
         What was run.
+    carried : {"representation", "coadjoint"} or None
+        In which matrices the group element is.
 
     Examples
     --------
@@ -113,9 +115,11 @@ class Solution:
     failed: NDArray[np.bool_] | None
     system: System
     method: Method
+    t_span: tuple[float, float]
     step: float
     save_every: int
     watched: bool
+    carried: str | None
     _worst: NDArray[np.float64] = field(repr=False)
 
     def drift(self) -> dict[str, Drift]:

@@ -19,6 +19,13 @@ class Start(NamedTuple):
     representation: NDArray[np.float64] | str | None
     single: bool
 
+    @property
+    def carried(self) -> str | None:
+        """In which matrices the group element is: "representation", "coadjoint", or None where there is none."""
+        if self.representation is None:
+            return None
+        return "coadjoint" if isinstance(self.representation, str) else "representation"
+
 
 def start_of(system: System, method: Method, x0: Any, attitude: Any) -> Start:
     """Check the initial state and the attitude.
@@ -51,10 +58,12 @@ def start_of(system: System, method: Method, x0: Any, attitude: Any) -> Start:
     if not np.all(np.isfinite(momenta)):
         raise ValueError("x0 contains NaN or infinity; every component must be finite")
     momenta = np.atleast_2d(momenta)
+    if not len(momenta):
+        raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs at least one member")
     representation = _representation(system, attitude)
     if representation is None:
         return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single)
-    check_attitude(method, system, None if isinstance(representation, str) else representation)
+    check_attitude(method, system, representation)
     size = system.dim if isinstance(representation, str) else representation.shape[1]
     initial = np.eye(size) if isinstance(attitude, bool | str) else np.array(attitude, dtype=np.float64)
     if initial.shape not in ((size, size), (len(momenta), size, size)):
@@ -74,7 +83,9 @@ def _representation(system: System, attitude: Any) -> NDArray[np.float64] | str 
         raise ValueError(f"{system.name} has no Lie algebra, so it moves no group element; use attitude=False")
     if isinstance(attitude, str):
         if attitude != "coadjoint":
-            raise ValueError(f"attitude is {attitude!r}; it must be True, False, 'coadjoint' or an initial group element")
+            raise ValueError(
+                f"attitude is {attitude!r}; it must be True, False, 'coadjoint' or an initial group element"
+            )
         return attitude
     if system.representation is None:
         raise ValueError(

@@ -111,7 +111,12 @@ class Stepper:
         TypeError
             If the Hamiltonian was given without second derivatives.
         """
-        x = start_of(self.system, self.method, x, False).momenta[0]
+        start = start_of(self.system, self.method, x, False)
+        if not start.single:
+            raise ValueError(
+                f"x has the shape {np.shape(x)}; a tangent is taken at one state, of shape ({self.system.dim},)"
+            )
+        x = start.momenta[0]
         if isinstance(self.method, Composition) and not isinstance(self.method.innermost, FlowMethod):
             return self._composed_tangent(self.method, x, t)
         if isinstance(self.method, FlowMethod):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +17,11 @@ class Times(NamedTuple):
     h: float
     steps: int
     save_every: int
+
+    @property
+    def end(self) -> float:
+        """Time after the last step."""
+        return self.t0 + self.steps * self.h
 
     @property
     def saved(self) -> NDArray[np.int64]:
@@ -59,19 +65,26 @@ def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
     size = _finite(step, "step")
     if size <= 0.0:
         raise ValueError(f"step is {size!r}; it must be positive (the direction comes from t_span)")
-    if isinstance(save_every, bool) or int(save_every) != save_every or save_every < 1:
+    if not is_positive_whole(save_every):
         raise ValueError(f"save_every is {save_every!r}; it must be a positive whole number of steps")
     span = ends[1] - ends[0]
     quotient = abs(span) / size
+    if not quotient < 2.0**53:
+        raise ValueError(f"step {size!r} is too small for the time {abs(span)!r}: the steps could not be counted")
     steps = round(quotient)
-    # The span, the step and their quotient are each rounded: 8 u relative covers them.
-    if abs(quotient - steps) > 8 * 2.0**-53 * max(quotient, abs(ends[0]) / size, 1.0):
+    # The ends, the span, the step and their quotient are each rounded: 8 u relative covers them.
+    if abs(quotient - steps) > 8 * 2.0**-53 * max(quotient, abs(ends[0]) / size):
         count = max(1, math.floor(quotient))
         raise ValueError(
             f"step {size!r} does not divide the time {abs(span)!r}; "
             f"the nearest steps that do are {abs(span) / (count + 1)!r} and {abs(span) / count!r}"
         )
     return Times(ends[0], math.copysign(size, span), steps, int(save_every))
+
+
+def is_positive_whole(value: Any) -> bool:
+    """Return whether a value is one of 1, 2, 3, ...; True is not a number here."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool) and value >= 1 and float(value).is_integer()
 
 
 def _pair(t_span: Any) -> Any:
@@ -81,6 +94,8 @@ def _pair(t_span: Any) -> Any:
 
 
 def _finite(value: Any, what: str) -> float:
+    if not isinstance(value, numbers.Real):
+        raise TypeError(f"{what} contains {value!r}; it must be a number")
     number = float(value)
     if not math.isfinite(number):
         raise ValueError(f"{what} contains {number!r}; it must be finite")

@@ -1,0 +1,29 @@
+# Everything sets itself up: the first target that runs makes .venv and installs the package into it.
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
+	$$p -c 'import sys, venv; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && { echo $$p; break; }; done)
+VENV := .venv
+BIN := $(VENV)/bin
+FIGURES ?= figures
+
+.PHONY: demo test bench check clean
+
+demo: $(VENV)/installed
+	$(BIN)/coadjoint reproduce --out $(FIGURES)
+
+test: $(VENV)/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/pytest -n 2
+
+bench: $(VENV)/installed
+	$(BIN)/python benchmarks/run_all.py
+
+$(VENV)/installed: pyproject.toml
+	@test -n "$(PYTHON)" || { echo "coadjoint needs Python 3.11 or newer: set PYTHON=/path/to/python" >&2; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+clean:
+	rm -rf $(VENV) $(FIGURES)

@@ -1,0 +1,103 @@
+"""Is a step a Poisson map? P J(x) P^T = J(step(x)), with the exact tangent P."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.runs.stepper import Stepper
+
+UNIT_ROUNDOFF = 2.0**-53
+
+
+class PoissonDefect(NamedTuple):
+    """How far a map is from a Poisson map at a point.
+
+    Parameters
+    ----------
+    defect : float
+        Frobenius norm of P J(x) P^T - J(step(x)).
+    bound : float
+        64 u times the number of operations times |P|^2 |J(x)|: what round-off alone can do.
+    """
+
+    defect: float
+    bound: float
+
+    @property
+    def poisson(self) -> bool:
+        """Whether round-off explains the defect."""
+        return self.defect <= self.bound
+
+
+def defect_of_tangent(
+    P: npt.ArrayLike, before: npt.ArrayLike, after: npt.ArrayLike, *, operations: int
+) -> PoissonDefect:
+    """Return the Poisson defect of a map from its tangent.
+
+    Parameters
+    ----------
+    P : array_like, shape (n, n)
+        Derivative of the map at x.
+    before, after : array_like, shape (n, n)
+        J(x), and J at the image of x.
+    operations : int
+        How many roundings one entry of P went through.
+
+    Returns
+    -------
+    PoissonDefect
+
+    Notes
+    -----
+    The paper (section 2) prints the transpose on the other side, ``P^T J P``, which the exact motion does not satisfy.
+
+    Examples
+    --------
+    >>> J = np.array([[0.0, 1.0], [-1.0, 0.0]])
+    >>> defect_of_tangent([[2.0, 0.0], [0.0, 0.5]], J, J, operations=1).poisson
+    True
+    """
+    tangent, J = np.asarray(P, dtype=np.float64), np.asarray(before, dtype=np.float64)
+    defect = float(np.linalg.norm(tangent @ J @ tangent.T - np.asarray(after)))
+    size = float(np.linalg.norm(tangent) ** 2 * np.linalg.norm(J))
+    return PoissonDefect(defect, 64 * UNIT_ROUNDOFF * operations * size)
+
+
+def poisson_defect(step: Stepper, x: npt.ArrayLike, operations: int | None = None) -> PoissonDefect:
+    """Return the Poisson defect of one step of a scheme at x.
+
+    Parameters
+    ----------
+    step : Stepper
+        From `coadjoint.stepper`; its tangent is exact, so that the defect is not hidden by finite differences.
+    x : array_like, shape (n,)
+        Where.
+    operations : int, optional
+        How many roundings an entry of the tangent goes through; None: n for each elementary flow (or
+        evaluation of the vector field) of a step, and 4 n for the products that make the defect.
+
+    Returns
+    -------
+    PoissonDefect
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> poisson_defect(co.stepper(body, co.Splitting(order=2), 0.1), [1.0, 0.2, 0.5]).poisson
+    True
+    >>> poisson_defect(co.stepper(body, co.GaussLegendre(1), 0.1), [1.0, 0.2, 0.5]).poisson
+    False
+    """
+    from coadjoint.runs.integrate import integrate
+
+    y = np.array(x, dtype=np.float64)
+    if operations is None:
+        ends = (0.0, step.h)
+        run = integrate(step.system, y, ends, abs(step.h), step.method, watch=False)
+        operations = (run.stats.evaluations + 4) * y.size
+    before, after = step.system.structure_matrix(y), step.system.structure_matrix(step(y))
+    return defect_of_tangent(step.tangent(y), before, after, operations=operations)

@@ -1,0 +1,94 @@
+"""How far apart are two rotations of space?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+
+def attitude_angle(A: npt.ArrayLike, B: npt.ArrayLike) -> Any:
+    """Return the angle of the rotation that takes one attitude into another.
+
+    Parameters
+    ----------
+    A, B : array_like, shape (..., 3, 3)
+        Rotation matrices; their leading shapes broadcast.
+
+    Returns
+    -------
+    float or ndarray, shape (...)
+        Angle of A^T B in radians, from 0 to pi, to a few units of round-off everywhere.
+
+    Raises
+    ------
+    ValueError
+        The matrices are not 3 x 3.
+
+    Notes
+    -----
+    With R = A^T B, atan2(|axial vector of (R - R^T)/2|, (tr R - 1)/2): the arccosine alone would lose half of
+    the digits near 0 and pi.
+
+    Examples
+    --------
+    >>> quarter = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    >>> attitude_angle(np.eye(3), quarter) == np.pi / 2
+    True
+    """
+    first, second = _checked(A, "A"), _checked(B, "B")
+    angle = _axis_and_angle(np.swapaxes(first, -1, -2) @ second)[1]
+    return float(angle) if angle.ndim == 0 else angle
+
+
+def precession_error(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) -> Any:
+    """Return by how much an attitude is ahead of another one in turning about an axis fixed in space.
+
+    The signed phase error of a rigid body: its angular momentum A x is such an axis.
+
+    Parameters
+    ----------
+    A, B : array_like, shape (..., 3, 3)
+        Computed and exact attitude, from the body to space.
+    axis : array_like, shape (3,)
+        In space, of any length but zero.
+
+    Returns
+    -------
+    float or ndarray, shape (...)
+        Component along the axis of the rotation vector of A B^T, in radians.
+
+    Raises
+    ------
+    ValueError
+        The matrices are not 3 x 3, or the axis is not three numbers, not all zero.
+
+    Examples
+    --------
+    >>> quarter = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    >>> precession_error(np.eye(3), quarter, [0.0, 0.0, 5.0]) == -np.pi / 2
+    True
+    """
+    direction = np.asarray(axis, dtype=np.float64)
+    if direction.shape != (3,) or not np.any(direction):
+        raise ValueError(f"axis is {axis!r}; it must be three numbers, not all zero")
+    turned, angle = _axis_and_angle(_checked(A, "A") @ np.swapaxes(_checked(B, "B"), -1, -2))
+    along = turned @ (direction / np.linalg.norm(direction)) * angle
+    return float(along) if along.ndim == 0 else along
+
+
+def _checked(given: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
+    matrices = np.asarray(given, dtype=np.float64)
+    if matrices.shape[-2:] != (3, 3):
+        raise ValueError(f"{name} has the shape {matrices.shape}; it must be (..., 3, 3)")
+    return matrices
+
+
+def _axis_and_angle(R: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return the axis (zero where there is none) and the angle, 0 to pi, of rotations."""
+    axial = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    sine = 0.5 * np.linalg.norm(axial, axis=-1)
+    angle = np.arctan2(sine, 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0))
+    length = np.where(sine > 0.0, 2.0 * sine, 1.0)
+    return axial / length[..., None], angle

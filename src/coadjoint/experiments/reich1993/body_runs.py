@@ -1,0 +1,87 @@
+"""The runs of section 5.2 of Reich (1993): the rigid body by three schemes, with the exact attitude."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.analysis.rotations import attitude_angle, precession_error
+from coadjoint.experiments.reich1993.systems import COORDINATES
+from coadjoint.methods.base import Method
+from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
+from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
+from coadjoint.runs.integrate import integrate
+from coadjoint.runs.solution import Solution
+from coadjoint.systems.paper_examples import paper_rigid_body
+
+Floats = npt.NDArray[np.float64]
+
+RUNGE: Method = ExplicitRungeKutta("runge2")
+MIDPOINT: Method = GaussLegendre(1)
+MODIFIED: Method = ModifiedGaussLegendre(1, freeze="gradient")
+SPLITTING: Method = COORDINATES
+
+
+class BodyRun(NamedTuple):
+    """A run of the rigid body beside the exact motion.
+
+    Parameters
+    ----------
+    solution : Solution
+        With attitude.
+    exact : ndarray, shape (k, 3, 3)
+        Exact attitude at the saved times.
+    """
+
+    solution: Solution
+    exact: Floats
+
+    @property
+    def angle(self) -> Floats:
+        """Angle between computed and exact attitude in radians, shape (k,)."""
+        attitude = self.solution.attitude
+        assert attitude is not None
+        return np.asarray(attitude_angle(attitude, self.exact))
+
+    @property
+    def phase(self) -> Floats:
+        """Signed angle about the constant spatial momentum by which the computed body is ahead, in radians, shape (k,)."""
+        attitude = self.solution.attitude
+        assert attitude is not None
+        return np.asarray(precession_error(attitude, self.exact, self.solution.x[0]))
+
+    def at(self, time: float) -> int:
+        """Return the place of a saved time."""
+        return int(np.argmin(np.abs(self.solution.t - time)))
+
+
+def body_run(method: Method, x0: tuple[float, ...], end: float, step: float, save_every: int = 1) -> BodyRun:
+    """Return a run of the paper's rigid body from A = I.
+
+    Parameters
+    ----------
+    method : Method
+        The scheme.
+    x0 : (float, float, float)
+        Body angular momentum.
+    end, step : float
+        Time and step.
+    save_every : int
+        Steps between saved points.
+
+    Returns
+    -------
+    BodyRun
+
+    Examples
+    --------
+    >>> run = body_run(SPLITTING, (1.0, 10.0, 1.0), 1.0, 0.1)
+    >>> bool(0.01 < run.angle[-1] < 0.03)
+    True
+    """
+    body = paper_rigid_body()
+    solution = integrate(body, x0, (0.0, end), step, method, attitude=True, save_every=save_every)
+    return BodyRun(solution, body.exact(x0, solution.t, attitude=True)[1])

@@ -1,0 +1,208 @@
+"""Section 3 of Reich (1993), orthogonality: what M-orthogonal means, and what it is worth."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.analysis.order import fit_order
+from coadjoint.experiments.convergence import UNIT_ROUNDOFF, roundoff, within
+from coadjoint.experiments.reich1993.systems import CALM_START
+from coadjoint.experiments.statement import Statement, judged
+from coadjoint.experiments.step_matrices import stage_iterates, step_matrix
+from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
+from coadjoint.methods.radau_energy import RadauEnergy
+from coadjoint.runs.integrate import integrate
+from coadjoint.runs.stepper import stepper
+from coadjoint.systems.paper_examples import paper_rigid_body
+
+STEP = 0.1
+MODIFIED = ModifiedGaussLegendre(stages=1, freeze="structure")
+SETTLED = 60
+
+
+def statements() -> list[Statement]:
+    """Return the statements of section 3 about orthogonality, measured now."""
+    return [
+        _midpoint_formula(),
+        _not_symmetric(),
+        _radau(),
+        _stronger_than_energy(),
+        _dissipation(),
+        _identity(),
+        _gauss_both(),
+        _modified_either(),
+    ]
+
+
+def _matrix_bound(B: npt.NDArray[np.float64], unknowns: int = 3) -> float:
+    return 64 * UNIT_ROUNDOFF * unknowns * float(np.linalg.norm(B) ** 2)
+
+
+def _midpoint_formula() -> Statement:
+    body, x = paper_rigid_body(), np.array(CALM_START)
+    M = np.diag(body.hamiltonian.gradient(np.ones(3)))
+    X = x + STEP / 2 * body.structure_matrix(x) @ M @ x
+    W = STEP / 2 * body.structure_matrix(X) @ M
+    B = np.linalg.solve(np.eye(3) - W, np.eye(3) + W)
+    difference = float(np.linalg.norm(stepper(body, MODIFIED, STEP)(x) - B @ x))
+    defect = float(np.linalg.norm(B.T @ M @ B - M))
+    return judged(
+        "midpoint_formula",
+        "(10)-(11)",
+        "the modified midpoint rule is Lemma 3.1 with s = 1, m = 2, and M-orthogonal",
+        paper="x_new = (I - h/2 J(X) M)^-1 (I + h/2 J(X) M) x, X = x + h/2 J(x) M x",
+        criterion=f"below {_matrix_bound(B):.0e} = 64 u (3 unknowns) |B|^2",
+        measured=f"|step - formula| = {difference:.1e}, |B^T M B - M| = {defect:.1e}",
+        holds=max(difference, defect) <= _matrix_bound(B),
+    )
+
+
+def _not_symmetric() -> Statement:
+    body, x = paper_rigid_body(), np.array(CALM_START)
+    steps = [0.4 / 2**k for k in range(6)]
+
+    def returned(method: ModifiedGaussLegendre | GaussLegendre) -> list[float]:
+        return [
+            float(np.linalg.norm(stepper(body, method, -h)(stepper(body, method, h)(x)) - x)) for h in steps
+        ]
+
+    slope = fit_order(steps, returned(MODIFIED), 1e-14).order
+    symmetric = max(returned(GaussLegendre(1)))
+    bound = roundoff(2, float(np.linalg.norm(x)))
+    return judged(
+        "midpoint_not_symmetric",
+        "after (11)",
+        "the modified midpoint rule is not symmetric",
+        paper="no longer symmetric",
+        criterion="a step there and back misses by O(h^4): slope 4; the implicit midpoint rule misses by 16 u |x|",
+        measured=f"slope {slope:.2f}; implicit midpoint rule: {symmetric:.1e} (bound {bound:.1e})",
+        holds=within(slope, 4) and symmetric <= bound,
+    )
+
+
+def _radau() -> Statement:
+    body = paper_rigid_body()
+    run = integrate(body, CALM_START, (0.0, 20.0), STEP, RadauEnergy(2))
+    drift = run.drift()
+    lost = float(run.casimirs["|x|^2"][-1] - run.casimirs["|x|^2"][0])
+    bound = roundoff(run.stats.steps, float(drift["energy"].initial))
+    return judged(
+        "remark_3_1",
+        "remark 3.1",
+        "Radau methods on the energy surface",
+        paper="T is preserved; artificial dissipation on the level set might be introduced",
+        criterion=f"|dH| <= 8 u steps H = {bound:.0e}, while |x|^2 changes by more than 1000 times that; h = 0.1, t = 20",
+        measured=f"max |dH| = {float(drift['energy']):.1e}; |x|^2 = 5.25 changes by {lost:.2e}",
+        holds=float(drift["energy"]) <= bound and abs(lost) > 1000 * bound,
+    )
+
+
+def _stronger_than_energy() -> Statement:
+    body, x = paper_rigid_body(), np.array(CALM_START)
+    y = stepper(body, RadauEnergy(2), STEP)(x)
+    M = np.diag(body.hamiltonian.gradient(np.ones(3)))
+    root = np.diag(np.sqrt(np.diag(M)))
+    a, b = root @ x / np.linalg.norm(root @ x), root @ y / np.linalg.norm(root @ y)
+    # The rotation in the plane of a and b that takes a to b.
+    rotation = np.eye(3) - np.outer(a + b, a + b) / (1 + a @ b) + 2 * np.outer(b, a)
+    B = np.linalg.inv(root) @ rotation @ root
+    error, defect = float(np.linalg.norm(B @ x - y)), float(np.linalg.norm(B.T @ M @ B - M))
+    equivalent = max(error, defect) <= _matrix_bound(B)
+    return judged(
+        "stronger_than_energy",
+        "abstract, remark 3.1",
+        "M-orthogonality is more than preservation of energy",
+        paper="stronger; the Radau method keeps T but is not M-orthogonal",
+        criterion=f"no M-orthogonal B(x) with B(x) x = Radau step; one that fits to {_matrix_bound(B):.0e} = 64 u (3) |B|^2 "
+        "is a counterexample",
+        measured=f"B = M^-1/2 (rotation from M^1/2 x to M^1/2 y) M^1/2: |B^T M B - M| = {defect:.1e}, |B x - y| = {error:.1e}; "
+        "for M > 0 both mean the same",
+        holds=not equivalent,
+    )
+
+
+def _dissipation() -> Statement:
+    body = paper_rigid_body()
+    run = integrate(body, CALM_START, (0.0, 2000.0), STEP, MODIFIED, save_every=1000)
+    growth = run.casimirs["|x|^2"] - run.casimirs["|x|^2"][0]
+    shown = {t: float(growth[int(t / 100)]) for t in (100, 1000, 2000)}
+    energy = float(run.drift()["energy"])
+    bound = roundoff(run.stats.steps, float(np.dot(CALM_START, CALM_START)))
+    return judged(
+        "no_dissipation",
+        "introduction",
+        "M-orthogonal schemes do not drift on the level sets of the energy",
+        paper="also non-dissipative on these level curves",
+        criterion=f"drift of |x|^2 at most 8 u steps |x|^2 = {bound:.0e}, for (10)-(11) at h = 0.1, x0 = (1, 2, 1/2)",
+        measured="|x|^2 = 5.25 grows by "
+        + ", ".join(f"{value:.3f} (t = {t})" for t, value in shown.items())
+        + f"; max |dH| = {energy:.1e}",
+        holds=bool(np.max(np.abs(growth)) <= bound),
+    )
+
+
+def _identity() -> Statement:
+    algebra = paper_rigid_body().algebra
+    random = np.random.default_rng(1993)
+    x, y = random.integers(-50, 50, size=(2, 100, 3)).astype(float)
+    excess = max(
+        float(np.max(np.abs(algebra.structure_matrix(p) @ q + algebra.structure_matrix(q) @ p)))
+        for p, q in zip(x, y, strict=True)
+    )
+    return judged(
+        "example_3_1_identity",
+        "example 3.1",
+        "J(x) y = -J(y) x on so(3)",
+        paper="J(x) y = -J(y) x",
+        criterion="exact in whole numbers, 100 pairs",
+        measured=f"largest |J(x) y + J(y) x| = {excess:g}",
+        holds=excess == 0.0,
+    )
+
+
+def _gauss_both() -> Statement:
+    body, x = paper_rigid_body(), np.array(CALM_START)
+    M = np.diag(body.hamiltonian.gradient(np.ones(3)))
+    stages = stage_iterates(body, 2, STEP, x, SETTLED)[-1]
+    by_structure = step_matrix(body, stages, STEP, "structure")
+    by_gradient = step_matrix(body, stages, STEP, "gradient")
+    bound = _matrix_bound(by_structure, 6)
+    agree = float(np.linalg.norm(by_structure @ x - by_gradient @ x))
+    first = float(np.linalg.norm(by_structure.T @ M @ by_structure - M))
+    second = float(np.linalg.norm(by_gradient.T @ by_gradient - np.eye(3)))
+    other = float(np.linalg.norm(by_structure.T @ by_structure - np.eye(3)))
+    return judged(
+        "example_3_1_gauss",
+        "example 3.1",
+        "Gauss methods on so(3) are both M- and I-orthogonal",
+        paper="both M- and I-orthogonal",
+        criterion=f"x_new = B x = C x, B^T M B = M, C^T C = I to {bound:.0e} = 64 u (6 unknowns) |B|^2, and B = C",
+        measured=f"|B x - C x| = {agree:.0e}, |B^T M B - M| = {first:.0e}, |C^T C - I| = {second:.0e}, but |B^T B - I| = "
+        f"{other:.2g}: two different matrices",
+        holds=max(agree, first, second) <= bound,
+        limited=other > bound,
+    )
+
+
+def _modified_either() -> Statement:
+    body = paper_rigid_body()
+    drifts = {}
+    for freeze in ("structure", "gradient"):
+        run = integrate(body, CALM_START, (0.0, 100.0), STEP, ModifiedGaussLegendre(1, freeze=freeze), save_every=1000)
+        drifts[freeze] = {name: float(value) for name, value in run.drift().items()}
+    bound = roundoff(1000, float(np.dot(CALM_START, CALM_START)))
+    kept = max(drifts["structure"]["energy"], drifts["gradient"]["|x|^2"])
+    lost = min(drifts["structure"]["|x|^2"], drifts["gradient"]["energy"])
+    return judged(
+        "example_3_1_modified",
+        "example 3.1",
+        "modified Gauss methods are M- or I-orthogonal, by the formulation",
+        paper="x' = J(x) M x: M-orthogonal; x' = -J(M x) x: I-orthogonal",
+        criterion=f"energy resp. |x|^2 kept to 8 u steps |x|^2 = {bound:.0e}, the other lost by 1000 times that; t = 100",
+        measured=f"J(x) M x: max |dH| = {drifts['structure']['energy']:.0e}, max |d|x|^2| = "
+        f"{drifts['structure']['|x|^2']:.2g}; -J(M x) x: {drifts['gradient']['energy']:.2g} and "
+        f"{drifts['gradient']['|x|^2']:.0e}",
+        holds=kept <= bound and lost > 1000 * bound,
+    )

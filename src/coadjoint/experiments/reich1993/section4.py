@@ -1,0 +1,210 @@
+"""Section 4 of Reich (1993): explicit Lie-Poisson splitting."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra import catalogue
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.analysis.poisson_defect import poisson_defect
+from coadjoint.experiments.convergence import (
+    SLOPE_TOLERANCE,
+    UNIT_ROUNDOFF,
+    fitted_order,
+    roundoff,
+    within,
+)
+from coadjoint.experiments.reich1993.systems import (
+    CALM_START,
+    COORDINATES,
+    SPIRAL_START,
+    body_trial,
+    four_dimensional_body,
+    four_dimensional_trial,
+)
+from coadjoint.experiments.statement import Statement, judged
+from coadjoint.methods.composition import Composition
+from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
+from coadjoint.runs.integrate import integrate
+from coadjoint.runs.stepper import stepper
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.paper_examples import paper_a37, paper_rigid_body
+from coadjoint.systems.quadratic import Quadratic
+
+STEP = 0.1
+STEPS = 2000
+
+
+def _systems() -> dict[str, tuple[LiePoissonSystem, npt.NDArray[np.float64]]]:
+    return {
+        "so(3)": (paper_rigid_body(), np.array(CALM_START)),
+        "A3,7": (paper_a37(), np.array(SPIRAL_START)),
+        "so(4)": (four_dimensional_body(), np.array([0.9, -0.4, 0.7, 0.5, 1.1, -0.6])),
+        "e(3)": (
+            LiePoissonSystem(catalogue.e(3), Quadratic([1.0, 0.5, 0.4, 0.7, 1.1, 0.6])),
+            np.array([0.5, 0.3, -0.6, 0.8, 0.2, 0.4]),
+        ),
+        "sl(2)": (LiePoissonSystem(catalogue.sl(2), Quadratic([1.0, 0.5, 0.7])), np.array([1.0, 0.3, 0.5])),
+    }
+
+
+def statements() -> list[Statement]:
+    """Return the statements of section 4, measured now."""
+    return [_order(), _symmetric(), _poisson(), _example_flows(), _orthogonal_not_poisson(), _fourth_order(), _casimirs()]
+
+
+def _order() -> Statement:
+    slopes = {
+        "so(3)": fitted_order(body_trial(), COORDINATES).order,
+        "so(4)": fitted_order(four_dimensional_trial(), COORDINATES).order,
+    }
+    return judged(
+        "lemma_4_1_order",
+        "lemma 4.1",
+        "order of the splitting X1(h/2) ... Xn(h) ... X1(h/2)",
+        paper="second order",
+        criterion=f"slopes within {SLOPE_TOLERANCE}, t = 2",
+        measured=", ".join(f"{name}: {slope:.2f}" for name, slope in slopes.items()),
+        holds=all(within(slope, 2) for slope in slopes.values()),
+    )
+
+
+def _symmetric() -> Statement:
+    ratios = {}
+    for name, (system, x) in _systems().items():
+        there = stepper(system, COORDINATES, STEP)(x)
+        back = stepper(system, COORDINATES, -STEP)(there)
+        # Two steps of 2 n - 1 flows, each rounding every component a few times.
+        bound = roundoff(2 * (2 * system.dim - 1), float(np.linalg.norm(there)))
+        ratios[name] = float(np.linalg.norm(back - x)) / bound
+    return judged(
+        "lemma_4_1_symmetric",
+        "lemma 4.1",
+        "the splitting is symmetric",
+        paper="symmetric",
+        criterion="a step there and back misses by at most 8 u (flows) |x|",
+        measured="miss over bound, " + ", ".join(f"{name}: {ratio:.2g}" for name, ratio in ratios.items()),
+        holds=max(ratios.values()) <= 1.0,
+    )
+
+
+def _poisson() -> Statement:
+    found = {name: poisson_defect(stepper(s, COORDINATES, STEP), x) for name, (s, x) in _systems().items()}
+    return judged(
+        "lemma_4_1_poisson",
+        "lemma 4.1",
+        "the splitting is a Poisson map",
+        paper="Lie-Poisson",
+        criterion="|P J(x) P^T - J(psi(x))| below 64 u operations |P|^2 |J|, exact tangent P",
+        measured=", ".join(f"{name}: {value.defect:.0e} ({value.bound:.0e})" for name, value in found.items()),
+        holds=all(value.poisson for value in found.values()),
+    )
+
+
+def _turn(axis: int, angle: float, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    j, k = (axis + 1) % 3, (axis + 2) % 3
+    y = x.copy()
+    y[j], y[k] = np.cos(angle) * x[j] - np.sin(angle) * x[k], np.sin(angle) * x[j] + np.cos(angle) * x[k]
+    return y
+
+
+def _example_flows() -> Statement:
+    body, x = paper_rigid_body(), np.array(CALM_START)
+    m = body.hamiltonian.gradient(np.ones(3))
+    # The vector fields printed in example 4.1.
+    printed = [
+        m[0] * x[0] * np.array([0.0, -x[2], x[1]]),
+        m[1] * x[1] * np.array([x[2], 0.0, -x[0]]),
+        m[2] * x[2] * np.array([-x[1], x[0], 0.0]),
+    ]
+    field = float(np.linalg.norm(np.sum(printed, axis=0) - body.vector_field(x)))
+    y = x
+    for axis, share in ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5)):
+        y = _turn(axis, share * STEP * m[axis] * y[axis], y)
+    difference = float(np.linalg.norm(stepper(body, COORDINATES, STEP)(x) - y))
+    run = integrate(body, x, (0.0, STEPS * STEP), STEP, COORDINATES, save_every=STEPS)
+    drift, bound = float(run.drift()["|x|^2"]), roundoff(5 * STEPS, float(x @ x))
+    small = roundoff(5, float(np.linalg.norm(x)))
+    return judged(
+        "example_4_1",
+        "example 4.1",
+        "on so(3) the splitting is five rotations, hence I-orthogonal",
+        paper="X1 X2 X3 X2 X1 with the printed fields; B_h in SO(3)",
+        criterion=f"step against the printed closed forms: 8 u (5 flows) |x| = {small:.0e}; |x|^2 over {STEPS} steps: {bound:.0e}",
+        measured=f"|sum X_i - J M x| = {field:.0e}, |step - rotations| = {difference:.0e}, max |d|x|^2| = {drift:.0e}",
+        holds=field <= small and difference <= small and drift <= bound,
+    )
+
+
+def _orthogonal_not_poisson() -> Statement:
+    body, x = paper_rigid_body(), np.array(CALM_START)
+    method = ModifiedGaussLegendre(1, freeze="gradient")
+    found = poisson_defect(stepper(body, method, STEP), x)
+    kept = float(integrate(body, x, (0.0, 100.0), STEP, method, save_every=1000).drift()["|x|^2"])
+    bound = roundoff(1000, float(x @ x))
+    return judged(
+        "orthogonal_not_poisson",
+        "example 4.1",
+        "I-orthogonality does not imply the Lie-Poisson structure",
+        paper="does not imply",
+        criterion=f"a scheme with |x|^2 kept to {bound:.0e} and a Poisson defect above its bound {found.bound:.0e}",
+        measured=f"modified midpoint rule, -J(M x) x: max |d|x|^2| = {kept:.0e}, Poisson defect {found.defect:.1e}",
+        holds=kept <= bound and not found.poisson,
+    )
+
+
+def _fourth_order() -> Statement:
+    c1 = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
+    c2 = 1.0 - 2.0 * c1
+    method = Composition(COORDINATES, (c1, c2, c1))
+    counts = (16, 32, 64, 128, 256)
+    slopes = {
+        "so(3)": fitted_order(body_trial(), method, counts).order,
+        "so(4)": fitted_order(four_dimensional_trial(), method, counts).order,
+    }
+    condition = abs(2 * c1**3 + c2**3)
+    found = poisson_defect(stepper(paper_a37(), method, STEP), np.array(SPIRAL_START))
+    return judged(
+        "fourth_order",
+        "section 4",
+        "composition with 2 c1 + c2 = 1, 2 c1^3 + c2^3 = 0",
+        paper="of fourth order, Lie-Poisson",
+        criterion=f"slopes within {SLOPE_TOLERANCE}, t = 2; Poisson defect on A3,7 below {found.bound:.0e}",
+        measured=", ".join(f"{name}: {slope:.2f}" for name, slope in slopes.items())
+        + f"; 2 c1^3 + c2^3 = {condition:.0e}; Poisson defect {found.defect:.0e}",
+        holds=all(within(slope, 4) for slope in slopes.values())
+        and found.poisson
+        and condition <= 16 * UNIT_ROUNDOFF * c1**3,
+    )
+
+
+def _casimirs() -> Statement:
+    worst = {}
+    for name, (system, x) in _systems().items():
+        # On A3,7 everything is over by t = 20.
+        step = 0.01 if name == "A3,7" else STEP
+        run = integrate(system, x, (0.0, STEPS * step), step, COORDINATES)
+        bound = {
+            casimir: roundoff((2 * system.dim - 1) * STEPS, _size(system.casimirs[casimir], run.x))
+            for casimir in run.casimirs
+        }
+        drift = run.drift()
+        worst[name] = max(float(drift[casimir]) / bound[casimir] for casimir in bound)
+    return judged(
+        "lemma_4_2",
+        "lemma 4.2",
+        "the splitting keeps every Casimir",
+        paper="any Casimir function is preserved",
+        criterion=f"drift over {STEPS} steps at most 8 u (flows) (sum of the absolute monomials)",
+        measured="largest drift over bound, " + ", ".join(f"{name}: {ratio:.1g}" for name, ratio in worst.items()),
+        holds=max(worst.values()) <= 1.0,
+    )
+
+
+def _size(casimir: object, x: npt.NDArray[np.float64]) -> float:
+    """Return the size of the terms of a Casimir along a run; 1 for a logarithm, which turns relative into absolute errors."""
+    if not isinstance(casimir, Polynomial):
+        return 1.0
+    largest = np.max(np.abs(x), axis=0)
+    return sum(abs(float(c)) * float(np.prod(largest ** np.array(e))) for e, c in casimir.monomials.items())

@@ -1,0 +1,179 @@
+"""Section 6 of Reich (1993): backward error analysis."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.analysis.order import fit_order
+from coadjoint.experiments.convergence import SLOPE_TOLERANCE, UNIT_ROUNDOFF, roundoff, within
+from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES, body_trial
+from coadjoint.experiments.statement import Statement, judged
+from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
+from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
+from coadjoint.methods.splitting import Splitting
+from coadjoint.runs.integrate import integrate
+from coadjoint.runs.stepper import stepper
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.paper_examples import paper_rigid_body
+
+
+def statements() -> list[Statement]:
+    """Return the statements of section 6, measured now."""
+    return [_perturbed_hamiltonian(), _lemma_6_1(), _bracket(), _remark_6_1()]
+
+
+def lie_poisson_bracket(algebra: LieAlgebra, F: Polynomial, G: Polynomial) -> Polynomial:
+    """Return {F, G} = (grad F)^T J(x) grad G.
+
+    Examples
+    --------
+    >>> from coadjoint.algebra import catalogue
+    >>> x1, x2, _ = (Polynomial.variable(i, 3) for i in range(3))
+    >>> lie_poisson_bracket(catalogue.so(3), x1, x2)
+    1.0*x3
+    """
+    total = Polynomial({}, dim=algebra.dim)
+    for i, j, k, c in zip(*algebra.triples, strict=True):
+        turn = F.derivative(i) * G.derivative(j) - F.derivative(j) * G.derivative(i)
+        total = total + float(c) * Polynomial.variable(int(k), algebra.dim) * turn
+    return total
+
+
+def second_hamiltonian(system: LiePoissonSystem) -> Polynomial:
+    """Return H2: the splitting, one coordinate at a time, is the flow of H + h^2 H2 + O(h^4).
+
+    For a pair A, D in the order A(h/2) D(h) A(h/2), H2 = -{A, {A, D}}/24 + {D, {D, A}}/12 (Baker, Campbell, Hausdorff); for more parts
+    D is split in turn.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        With sign +1 and a diagonal quadratic Hamiltonian.
+
+    Returns
+    -------
+    Polynomial
+        Of degree 4.
+    """
+
+    def bracket(F: Polynomial, G: Polynomial) -> Polynomial:
+        return lie_poisson_bracket(system.algebra, F, G)
+
+    masses = system.hamiltonian.gradient(np.ones(system.dim))
+    parts = [0.5 * float(m) * Polynomial.variable(i, system.dim) ** 2 for i, m in enumerate(masses)]
+    total = Polynomial({}, dim=system.dim)
+    for i, A in enumerate(parts[:-1]):
+        D = sum(parts[i + 1 :], Polynomial({}, dim=system.dim))
+        total = total + (-1 / 24) * bracket(A, bracket(A, D)) + (1 / 12) * bracket(D, bracket(D, A))
+    return total
+
+
+def _perturbed_hamiltonian() -> Statement:
+    body = paper_rigid_body()
+    second = second_hamiltonian(body)
+    steps = [10.0 / count for count in (40, 60, 80, 120, 160, 240)]
+    plain, perturbed = [], []
+    for h in steps:
+        run = integrate(body, CALM_START, (0.0, 10.0), h, COORDINATES, observe={"H2": second})
+        both = run.energy + h**2 * run.observed["H2"]
+        plain.append(float(np.max(np.abs(run.energy - run.energy[0]))))
+        perturbed.append(float(np.max(np.abs(both - both[0]))))
+    floor = [roundoff(10.0 / h, float(body.energy(CALM_START))) for h in steps]
+    slopes = fit_order(steps, plain, floor).order, fit_order(steps, perturbed, floor).order
+    return judged(
+        "perturbed_hamiltonian",
+        "section 6",
+        "the splitting is the flow of a perturbed Hamiltonian",
+        paper="T~ = T + O(h^p), no longer quadratic",
+        criterion=f"H + h^2 H2, H2 from brackets, of degree 4, is kept to O(h^4) where H is to O(h^2): slopes within {SLOPE_TOLERANCE}",
+        measured=f"slope of max |dH|: {slopes[0]:.2f}, of max |d(H + h^2 H2)|: {slopes[1]:.2f}; degree of H2: {second.degree}",
+        holds=within(slopes[0], 2) and within(slopes[1], 4) and second.degree == 4,
+    )
+
+
+def _lemma_6_1() -> Statement:
+    body, x = paper_rigid_body(), np.array(CALM_START)
+    gradients = {"T": body.hamiltonian.gradient(x), "|x|^2": 2 * x}
+    cases = {
+        "M-orthogonal, T": (ModifiedGaussLegendre(1, freeze="structure"), "T"),
+        "I-orthogonal, |x|^2": (ModifiedGaussLegendre(1, freeze="gradient"), "|x|^2"),
+        "splitting, |x|^2": (COORDINATES, "|x|^2"),
+        "Runge, T": (ExplicitRungeKutta("runge2"), "T"),
+    }
+    steps = [0.1 / 2**k for k in range(5)]
+    slopes = {}
+    for name, (method, invariant) in cases.items():
+        # Y^[3] is what (psi_h - phi_h) / h^3 tends to; the field of the subgroup is tangent to the level set.
+        lead = [
+            abs(float(gradients[invariant] @ (stepper(body, method, h)(x) - body.exact(x, h)))) / h**3 for h in steps
+        ]
+        slopes[name] = float(np.polyfit(np.log(steps), np.log(lead), 1)[0])
+    inside = [slope for name, slope in slopes.items() if name != "Runge, T"]
+    return judged(
+        "lemma_6_1",
+        "lemma 6.1",
+        "the leading error Y of a scheme lies in the Lie algebra of its group of maps",
+        paper="Y^[p+1] is in g",
+        criterion=f"grad I . (psi_h - phi_h)/h^3 falls at least like h for the invariant I kept (slope 1 - {SLOPE_TOLERANCE} or more), "
+        "and tends to a constant where it is not kept (slope 0)",
+        measured=", ".join(f"{name}: slope {slope:.2f}" for name, slope in slopes.items()),
+        holds=min(inside) >= 1 - SLOPE_TOLERANCE and within(slopes["Runge, T"], 0),
+    )
+
+
+def _bracket() -> Statement:
+    random = np.random.default_rng(6)
+    n = 5
+    skew = [r - r.T for r in random.integers(-9, 9, size=(2, n, n)).astype(float)]
+    M = np.diag(random.integers(1, 9, size=n).astype(float))
+    x = random.integers(-9, 9, size=n).astype(float)
+    first, second = skew[0] @ M, skew[1] @ M
+    X, Y = first @ x, second @ x
+    # sum_i (Y_i dX_j/dx_i - X_i dY_j/dx_i), the derivatives of linear fields being their matrices.
+    bracket = first @ Y - second @ X
+    J3 = skew[0] @ M @ skew[1] - skew[1] @ M @ skew[0]
+    excess = float(np.max(np.abs(bracket - J3 @ M @ x)) + np.max(np.abs(J3 + J3.T)))
+    return judged(
+        "bracket_of_fields",
+        "section 6",
+        "M-orthogonal fields with constant J are closed under the bracket",
+        paper="[X, Y]_i = sum_i (Y_i dX_j/dx_i - X_i dY_j/dx_i); J3 = J1 M J2 - J2 M J1 is skew",
+        criterion="exact in whole numbers, n = 5",
+        measured=f"|[X, Y] - J3 M x| + |J3 + J3^T| = {excess:g}, with [X, Y]_j on the left (the printed index i is also summed over)",
+        holds=excess == 0.0,
+    )
+
+
+def _remark_6_1() -> Statement:
+    case = body_trial()
+    sweep, adjoint = (Splitting(order=1, parts="coordinates", adjoint=back) for back in (False, True))
+    c1 = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
+    fractions = (c1, 1.0 - 2.0 * c1, c1)
+    counts = (64, 128, 256, 512)
+
+    def slope(pieces: list[tuple[Splitting, float]]) -> float:
+        errors = []
+        for count in counts:
+            steps = [stepper(case.system, method, share * case.end / count) for method, share in pieces]
+            x = case.x0
+            for _ in range(count):
+                for step in steps:
+                    x = step(x)
+            errors.append(float(np.linalg.norm(x - case.exact)))
+        return fit_order([case.end / count for count in counts], errors, 1e4 * UNIT_ROUNDOFF).order
+
+    alone = slope([(sweep, share) for share in fractions])
+    paired = slope([(method, share / 2) for share in fractions for method in (sweep, adjoint)])
+    return judged(
+        "remark_6_1",
+        "remark 6.1",
+        "higher orders by composition of a first-order splitting",
+        paper="from a first order integrator, any order by the method of [25]",
+        criterion="order 4 from (c1, c2, c1): slopes within 0.2 of 4",
+        measured=f"first-order sweeps alone: slope {alone:.2f}; each with its adjoint, psi(h/2) psi*(h/2): slope {paired:.2f}; "
+        "the adjoint is needed",
+        holds=within(paired, 4),
+        limited=not within(alone, 4),
+    )

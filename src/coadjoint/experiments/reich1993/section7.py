@@ -1,0 +1,80 @@
+"""Section 7 of Reich (1993): other brackets and other Hamiltonians."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from coadjoint.algebra import catalogue
+from coadjoint.analysis.poisson_defect import poisson_defect
+from coadjoint.experiments.convergence import SLOPE_TOLERANCE, fitted_drift, fitted_order, roundoff, trial, within
+from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES
+from coadjoint.experiments.statement import Statement, judged
+from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
+from coadjoint.runs.integrate import integrate
+from coadjoint.runs.stepper import stepper
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.paper_examples import paper_rigid_body
+from coadjoint.systems.poisson import PoissonSystem
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.separable import Separable
+
+
+def curved_structure(x: Any) -> Any:
+    """Return (1 + x1^2) times the structure matrix of so(3): a Poisson bracket that no Lie algebra has.
+
+    Examples
+    --------
+    >>> curved_structure(np.array([1.0, 0.0, 0.5]))[0, 1]
+    1.0
+    """
+    f = 1.0 + x[0] * x[0]
+    return np.array([[0.0, f * x[2], -f * x[1]], [-f * x[2], 0.0, f * x[0]], [f * x[1], -f * x[0], 0.0]])
+
+
+def statements() -> list[Statement]:
+    """Return the statements of section 7, measured now."""
+    return [_other_bracket(), _separable()]
+
+
+def _other_bracket() -> Statement:
+    system = PoissonSystem(curved_structure, Quadratic([1.0, 0.5, 1.0 / 3.0]), casimirs=paper_rigid_body().casimirs)
+    case = trial(system, CALM_START, 0.5)
+    method = ModifiedGaussLegendre(1, freeze="structure")
+    slope, lost = fitted_order(case, method).order, fitted_drift(case, method, "|x|^2").order
+    run = integrate(system, CALM_START, (0.0, 50.0), 0.05, method, save_every=1000)
+    drift, bound = float(run.drift()["energy"]), roundoff(1000, 5.25)
+    return judged(
+        "other_bracket",
+        "(17)",
+        "M-orthogonal schemes for a bracket that is not linear in x",
+        paper="the results can be generalized to x' = J(x) grad T(x), T quadratic",
+        criterion=f"J = (1 + x1^2) J of so(3): slope 2 within {SLOPE_TOLERANCE}, |dH| over 1000 steps at most 8 u steps |x|^2 = {bound:.0e}",
+        measured=f"slope {slope:.2f}, max |dH| = {drift:.0e}; the Casimir |x|^2 is kept to O(h^{lost:.1f}) only",
+        holds=within(slope, 2) and drift <= bound,
+    )
+
+
+def _separable() -> Statement:
+    functions: dict[int, Any] = {
+        0: (lambda y: math.cosh(y), lambda y: math.sinh(y), lambda y: math.cosh(y)),
+        1: (lambda y: 0.25 * y * y, lambda y: 0.5 * y, lambda y: 0.5),
+        2: (lambda y: math.sin(y), lambda y: math.cos(y), lambda y: -math.sin(y)),
+    }
+    system = LiePoissonSystem(catalogue.so(3), Separable(functions), name="separable")
+    slope = fitted_order(trial(system, CALM_START, 1.0), COORDINATES).order
+    run = integrate(system, CALM_START, (0.0, 100.0), 0.05, COORDINATES, save_every=2000)
+    drift, bound = float(run.drift()["|x|^2"]), roundoff(5 * 2000, 5.25)
+    found = poisson_defect(stepper(system, COORDINATES, 0.05), CALM_START)
+    return judged(
+        "separable",
+        "section 7",
+        "the splitting for a Hamiltonian that is a sum of functions of one coordinate",
+        paper="the results can be generalized to H = sum H_i(x_i)",
+        criterion=f"H = cosh x1 + x2^2/4 + sin x3 on so(3): slope 2 within {SLOPE_TOLERANCE}; |x|^2 over 2000 steps kept to "
+        f"8 u (5 flows) steps |x|^2 = {bound:.0e}; Poisson defect below {found.bound:.0e} = 64 u operations |P|^2 |J|",
+        measured=f"slope {slope:.2f}, max |d|x|^2| = {drift:.0e}, Poisson defect {found.defect:.0e}",
+        holds=within(slope, 2) and drift <= bound and found.poisson,
+    )

@@ -1,0 +1,62 @@
+"""From a system and a step method to the arrays of the compiled loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from coadjoint.kernels.field_tables import field_of, group_of, substeps
+from coadjoint.kernels.stepping import Stepping, StepTables
+from coadjoint.kernels.tables import Compiled, addresses_of
+from coadjoint.methods.base import System
+from coadjoint.methods.step_method import StepMethod
+from coadjoint.program.terms import TermTable
+
+
+def step_tables(
+    system: System, method: StepMethod, representation: Any = None, fractions: Sequence[float] = (1.0,)
+) -> Compiled:
+    """Return a step method on a system as arrays for `coadjoint.kernels.stepping.advance`.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    method : StepMethod
+        The scheme of one substep.
+    representation : None, "coadjoint" or (n, d, d) array
+        The group element that is carried along.
+    fractions : sequence of float
+        Lengths of the substeps of a step.
+
+    Returns
+    -------
+    Compiled
+        With a `Stepping`; it does not depend on the step.
+
+    Raises
+    ------
+    ValueError
+        The scheme cannot serve the system.
+    TypeError
+        A function of the user cannot be compiled.
+    """
+    method.properties(system)
+    field, keep = field_of(system)
+    table = TermTable()
+    for term in system.hamiltonian.terms():
+        table.add(term)
+    values, kept = addresses_of(table.functions, len(table), "value", "the Hamiltonian")
+    integers, numbers = method.constants()
+    tables = StepTables(
+        field,
+        values,
+        group_of(system, representation),
+        np.array(integers, dtype=np.int64),
+        np.array(numbers, dtype=np.float64),
+    )
+    lengths, moments = substeps(fractions)
+    stepping = Stepping(method.compiled_step, method.room(system), len(lengths), lengths, moments, tables)
+    return Compiled(stepping, (*keep, *kept))

@@ -1,0 +1,301 @@
+"""Radau IIA on the energy surface, as a differential-algebraic equation of index two (Remark 3.1)."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError
+from coadjoint.kernels.actions import add
+from coadjoint.kernels.arithmetic import fma
+from coadjoint.kernels.field import energy, slope
+from coadjoint.kernels.linear_solve import factorize, substitute
+from coadjoint.kernels.pointers import shifted
+from coadjoint.kernels.stagnation import FAILED, GO_ON, restage, verdict
+from coadjoint.kernels.stepping import EVALUATIONS, ITERATIONS, RESIDUAL, ROOM, UNDEFINED, step_function
+from coadjoint.kernels.watching import DONE, NOT_CONVERGED, OVERFLOW
+from coadjoint.methods.base import Properties, System
+from coadjoint.methods.gauss_coefficients import radau
+from coadjoint.methods.gauss_legendre import whole_number
+from coadjoint.methods.runge_kutta import settle
+from coadjoint.methods.stages import Coefficients, Step, begin, linear_solve
+from coadjoint.methods.step_method import StepMethod
+from coadjoint.program.numbers import Number
+
+NO_MULTIPLIER = "the multiplier of the energy constraint is undefined where x . grad H(x) vanishes; take another scheme"
+
+
+@dataclass(frozen=True)
+class RadauEnergy(StepMethod):
+    """Radau IIA for ``x' = f(x) + lambda x``, ``0 = H(x) - H(x_k)``: the energy is kept, and nothing else.
+
+    With s stages of order 2 s - 1: ``X_i = x + h sum_j a_ij (f(X_j) + lambda_j X_j)``, ``H(X_i) = H(x)``, ``x_new =
+    X_s``. It serves any Hamiltonian that does not depend on time, wherever x . grad H is not zero. The scheme of the
+    paper's warning: exact energy does not keep the motion on the Casimir's level sets (|x|^2 of the rigid body drifts).
+    To integrate, take `Splitting` or `GaussLegendre`.
+
+    Parameters
+    ----------
+    stages : int
+        Number of stages s, from 1 (the implicit Euler method on the energy surface).
+
+    Raises
+    ------
+    ValueError
+        `stages` is no whole number from 1 up.
+
+    References
+    ----------
+    S. Reich 1993, Remark 3.1; E. Hairer, C. Lubich, M. Roche, The Numerical Solution of Differential-Algebraic Systems
+    by Runge-Kutta Methods (1989).
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> co.RadauEnergy(stages=2).order
+    3
+    """
+
+    stages: int = 2
+
+    explicit = False
+    symmetric = False
+    failures: ClassVar[Mapping[int, str]] = {UNDEFINED: NO_MULTIPLIER}
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stages", whole_number(self.stages, 1, "stages of RadauEnergy"))
+
+    @property
+    def order(self) -> int:
+        """2 s - 1."""
+        return 2 * self.stages - 1
+
+    def properties(self, system: System) -> Properties:
+        """Return what is kept: the energy, quadratic or not.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        Properties
+
+        Raises
+        ------
+        ValueError
+            The Hamiltonian depends on time.
+        """
+        if system.hamiltonian.timed:
+            raise ValueError(
+                f"RadauEnergy keeps the energy, but that of {system.name} depends on time; "
+                "take GaussLegendre or Splitting"
+            )
+        return Properties(poisson=False, energy=True, casimirs="none", attitude="none")
+
+    @property
+    def compiled_step(self) -> Any:
+        """The compiled step."""
+        return _compiled_step()
+
+    def constants(self) -> tuple[Sequence[int], Sequence[float]]:
+        """Return s, and the weights b and mu one after the other.
+
+        Returns
+        -------
+        integers, numbers : lists
+        """
+        _, weights, mu = radau(self.stages)
+        return [self.stages], [*weights, *mu.ravel()]
+
+    def room(self, system: System) -> int:
+        """Return how many numbers the compiled step needs room for.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        int
+        """
+        s, n = self.stages, system.dim
+        return 2 * s * n + 5 * n + 1 + s * (s + 3) + (n * n if system.algebra is None else 0)
+
+    def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
+        """Return one step, read in NumPy for any number type.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+        x : (n,) array
+            The state.
+        t, h : number
+            Time at the start (without influence), and length of the step.
+
+        Returns
+        -------
+        (n,) array
+
+        Raises
+        ------
+        IntegrationError
+            The iteration does not converge, or x . grad H vanishes.
+        """
+        step, slopes, _ = self._solved(system, x, t, h)
+        return np.asarray(step.x + step.coefficients.out @ slopes)
+
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return one step and its exact derivative, by the implicit function theorem.
+
+        With nu_j = h b_j lambda_j: ``dX_i = 1 + sum_j mu_ij ((h b_j f'(X_j) + nu_j) dX_j + X_j dnu_j)``, ``grad H(X_i)
+        dX_i = grad H(x)``.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system; its Hamiltonian must have second derivatives, and a `PoissonSystem` the derivative of J.
+        x : (n,) array
+            The state.
+        t, h : float
+            Time at the start (without influence), and length of the step.
+
+        Returns
+        -------
+        x_new : (n,) array
+            The step.
+        P : (n, n) array
+            Its derivative with respect to x.
+
+        Raises
+        ------
+        IntegrationError
+            The iteration does not converge, or x . grad H vanishes.
+        """
+        step, slopes, multipliers = self._solved(system, np.asarray(x, dtype=np.float64), t, h)
+        s, n, mu = self.stages, step.x.size, step.coefficients.mix
+        points = step.points(slopes)
+        blocks = step.jacobians(points) + multipliers[:, None, None] * np.eye(n)
+        gradients = step.gradients(points)
+        matrix = np.zeros((s * (n + 1), s * (n + 1)))
+        right = np.zeros((s * (n + 1), n))
+        for i in range(s):
+            rows, constraint = slice(i * n, (i + 1) * n), s * n + i
+            matrix[rows, rows] = right[rows] = np.eye(n)
+            for j in range(s):
+                matrix[rows, j * n : (j + 1) * n] -= mu[i, j] * blocks[j]
+                matrix[rows, s * n + j] = -mu[i, j] * points[j]
+            matrix[constraint, rows] = gradients[i]
+            right[constraint] = system.hamiltonian.gradient(step.x, t)
+        spread = np.linalg.solve(matrix, right)
+        return step.x + step.coefficients.out @ slopes, spread[(s - 1) * n : s * n]
+
+    def _solved(self, system: System, x: Any, t: Any, h: Any) -> tuple[Step, NDArray[Any], NDArray[Any]]:
+        """Return the step, its slopes L_j = h b_j f(X_j) + nu_j X_j, shape (s, n), and the multipliers nu_j."""
+        self.properties(system)
+        step = begin(self._tableau, system, x, t, h)
+        mu = step.coefficients.mix
+        wanted = system.energy(step.x, t)
+        multipliers = step.x[:1].repeat(self.stages) * 0
+
+        def slopes_at(points: NDArray[Any]) -> NDArray[Any]:
+            slopes = step.fields(points) + multipliers[:, None] * points
+            excess = np.array([[wanted - system.energy(X, t)] for X in step.points(slopes)])
+            # One Newton iteration for the multipliers: dX_i/dnu_j = mu_ij X_j.
+            matrix = mu * (step.gradients(points) @ points.T)
+            if any(matrix[i, i] == 0 for i in range(self.stages)):
+                raise IntegrationError(NO_MULTIPLIER, step=1, time=float(t), residual=float("nan"))
+            change = linear_solve(matrix, excess)[:, 0]
+            multipliers[:] = multipliers + change
+            return slopes + change[:, None] * points
+
+        slopes = settle(step, slopes_at)
+        return step, slopes, multipliers
+
+    def _tableau(self, number: Number = float) -> Coefficients:
+        nodes, weights, mu = radau(self.stages, number)
+        return Coefficients(nodes, weights, mu, np.array([number(1)] * self.stages))
+
+
+class _Room(NamedTuple):
+    """Room for `restage`."""
+
+    change: Any
+    least: Any
+
+
+def _radau_step(tables: Any, x: Any, dx: Any, group: Any, dgroup: Any, t: float, h: float, room: Any) -> int:
+    """Take one step: function iteration for the stages, and in each one a Newton iteration for the multipliers."""
+    field, n, s = tables.field, tables.field.size, tables.integers[0]
+    mu = shifted(tables.numbers, s)
+    points = shifted(room, ROOM)
+    slopes = shifted(points, s * n)
+    work = _Room(shifted(slopes, s * n), shifted(slopes, s * n + n))
+    u = shifted(work.least, n)
+    rows, arguments = shifted(u, n), shifted(u, 2 * n)
+    matrix = shifted(arguments, n + 1)
+    excess = shifted(matrix, s * s)
+    multipliers, pivots, structure = shifted(excess, s), shifted(excess, 2 * s), shifted(excess, 3 * s)
+    wanted = energy(field, tables.values, x, t, arguments)
+    for q in range(s * n):
+        points[q] = x[q % n]
+    for j in range(s):
+        multipliers[j] = 0.0
+    for c in range(n):
+        work.least[c] = np.inf
+    passed, quiet, first = 0, 0, 0.0
+    while True:
+        for i in range(s):
+            X, L = shifted(points, i * n), shifted(slopes, i * n)
+            slope(field, X, u, X, t, True, L, rows, arguments, structure)
+            for c in range(n):
+                L[c] = fma(h * tables.numbers[i], L[c], multipliers[i] * X[c])
+            for j in range(s):
+                total = 0.0
+                for c in range(n):
+                    total = fma(u[c], points[j * n + c], total)
+                matrix[i * s + j] = mu[i * s + j] * total
+        for i in range(s):
+            for c in range(n):
+                total = dx[c]
+                for j in range(s):
+                    total = fma(mu[i * s + j], slopes[j * n + c], total)
+                u[c] = x[c] + total
+            excess[i] = wanted - energy(field, tables.values, u, t, arguments)
+        passed += 1
+        room[EVALUATIONS], room[ITERATIONS] = s * passed, passed
+        if not factorize(matrix, s, pivots):
+            room[RESIDUAL] = np.nan
+            return UNDEFINED
+        substitute(matrix, s, pivots, excess, 1)
+        for j in range(s):
+            multipliers[j] += excess[j]
+            for c in range(n):
+                slopes[j * n + c] = fma(excess[j], points[j * n + c], slopes[j * n + c])
+        largest, size, falling = restage(mu, s, 0, s, n, x, dx, slopes, points, work)
+        first = largest if passed == 1 else first
+        result, quiet = verdict(passed, first, largest, size, falling, quiet)
+        room[RESIDUAL] = largest
+        if result == FAILED:
+            return OVERFLOW if passed == 1 and not largest - largest == 0.0 else NOT_CONVERGED
+        if result != GO_ON:
+            break
+    for c in range(n):
+        total = 0.0
+        for j in range(s):
+            total += slopes[j * n + c]
+        add(x, dx, c, total, True)
+    return DONE
+
+
+@functools.cache
+def _compiled_step() -> Any:
+    return step_function(_radau_step)

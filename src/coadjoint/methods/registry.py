@@ -1,0 +1,202 @@
+"""Which schemes are there? By name, found in the files of this folder."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+from coadjoint.errors import unknown_name
+from coadjoint.methods.base import Method
+
+
+@cache
+def _schemes() -> dict[str, type[Method]]:
+    """Every concrete scheme that a file of this folder defines: a new scheme is one file, and no second list."""
+    package = importlib.import_module("coadjoint.methods")
+    found: dict[str, type[Method]] = {}
+    for module_info in pkgutil.iter_modules(package.__path__):
+        module = importlib.import_module(f"{package.__name__}.{module_info.name}")
+        for name, value in vars(module).items():
+            defined = isinstance(value, type) and value.__module__ == module.__name__ and not name.startswith("_")
+            if defined and issubclass(value, Method) and not inspect.isabstract(value):
+                found[name] = value
+    return dict(sorted(found.items()))
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of the schemes, sorted.
+
+    Returns
+    -------
+    tuple of str
+
+    Examples
+    --------
+    >>> "Splitting" in names()
+    True
+    """
+    return tuple(_schemes())
+
+
+def get(name: str, /, **parameters: Any) -> Method:
+    """Return a scheme by its name.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+    **parameters
+        Those of the scheme. A scheme among them (the base of a `Composition`) may be a mapping, as for
+        `from_description`.
+
+    Returns
+    -------
+    Method
+
+    Raises
+    ------
+    ValueError, TypeError
+        No such scheme or parameter (the nearest name is given), or a value is wrong.
+
+    Examples
+    --------
+    >>> get("Splitting", order=4).order
+    4
+    >>> get("Composition", base={"name": "Splitting"}, coefficients=[1.0]).order
+    2
+    """
+    schemes = _schemes()
+    if name not in schemes:
+        raise unknown_name("method", str(name), schemes)
+    known = parameters_of(name)
+    for parameter in parameters:
+        if parameter not in known:
+            accepted = known or ["(none)"]
+            raise unknown_name(f"parameter of {name}", parameter, accepted)
+    missing = [key for key, default in known.items() if default is inspect.Parameter.empty and key not in parameters]
+    if missing:
+        raise ValueError(f"{name} needs the parameter {missing[0]!r}")
+    return schemes[name](**{key: _read(value) for key, value in parameters.items()})
+
+
+def from_description(description: Mapping[str, Any]) -> Method:
+    """Return the scheme that a mapping describes, as a configuration file does.
+
+    Parameters
+    ----------
+    description : mapping
+        ``"name"``, and the parameters beside it or in a mapping ``"parameters"`` (where one is itself called name).
+
+    Returns
+    -------
+    Method
+
+    Raises
+    ------
+    ValueError, TypeError
+        As `get`; and if there is no name, or a parameter is given twice.
+
+    Examples
+    --------
+    >>> from_description({"name": "Splitting", "order": 4}) == from_description(
+    ...     {"name": "Splitting", "parameters": {"order": 4}}
+    ... )
+    True
+    """
+    beside = dict(description)
+    name, inside = beside.pop("name", None), beside.pop("parameters", {})
+    if not isinstance(name, str) or not isinstance(inside, Mapping):
+        raise ValueError(
+            f"{dict(description)!r} is no scheme; give its name and parameters, such as name = 'Splitting', order = 2"
+        )
+    twice = sorted(beside.keys() & inside.keys())
+    if twice:
+        raise ValueError(f"the parameter {twice[0]!r} of {name} is given twice; give it once")
+    return get(name, **{**beside, **inside})
+
+
+def _read(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return from_description(value)
+    return tuple(_read(entry) for entry in value) if isinstance(value, list) else value
+
+
+def parameters_of(name: str) -> dict[str, Any]:
+    """Return the parameters of a scheme with their defaults (``inspect.Parameter.empty`` where there is none).
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+
+    Returns
+    -------
+    dict
+
+    Examples
+    --------
+    >>> parameters_of("Splitting")["order"]
+    2
+    """
+    return {key: p.default for key, p in inspect.signature(_schemes()[name]).parameters.items()}
+
+
+def summary_of(name: str) -> str:
+    """Return the first line of the documentation of a scheme.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> summary_of("Splitting")
+    'Composition of the exact flows of commuting parts of the Hamiltonian: explicit, Poisson, all Casimirs kept.'
+    """
+    return (inspect.getdoc(_schemes()[name]) or "").partition("\n")[0]
+
+
+def description_of(method: Method) -> dict[str, Any]:
+    """Return a scheme as name and parameters in plain numbers, lists and text, for `from_description`.
+
+    Parameters
+    ----------
+    method : Method
+        A scheme that is a dataclass, as all of this library are.
+
+    Returns
+    -------
+    dict
+        ``{"name": ..., "parameters": {...}}``
+
+    Raises
+    ------
+    TypeError
+        A scheme that is not a dataclass, so that its parameters are unknown.
+
+    Examples
+    --------
+    >>> from coadjoint.methods.splitting import Splitting
+    >>> from_description(description_of(Splitting(order=4))) == Splitting(order=4)
+    True
+    """
+    if not dataclasses.is_dataclass(method):
+        raise TypeError(f"{method!r} is not a dataclass, so its parameters cannot be written down")
+    fields = [field.name for field in dataclasses.fields(method) if field.init]
+    return {"name": type(method).__name__, "parameters": {key: _plain(getattr(method, key)) for key in fields}}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Method):
+        return description_of(value)
+    return [_plain(entry) for entry in value] if isinstance(value, tuple | list) else value

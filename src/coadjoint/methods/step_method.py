@@ -1,0 +1,88 @@
+"""Step methods: schemes that are neither compositions of flows nor Runge-Kutta methods, and bring a compiled step."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+from numpy.typing import NDArray
+
+from coadjoint.methods.base import Method, System
+
+
+class StepMethod(Method):
+    """A scheme with a step of its own, in its own file: compiled, and read in NumPy.
+
+    The compiled step is made by `coadjoint.kernels.stepping.step_function`, which says what it is given.
+    """
+
+    failures: ClassVar[Mapping[int, str]] = {}
+    """What statuses other than the common ones (no convergence, overflow) mean, for messages."""
+
+    @property
+    @abstractmethod
+    def compiled_step(self) -> Any:
+        """The compiled step."""
+
+    @abstractmethod
+    def constants(self) -> tuple[Sequence[int], Sequence[float]]:
+        """Return the whole numbers and the coefficients that the compiled step reads.
+
+        Returns
+        -------
+        integers, numbers : sequences
+        """
+
+    @abstractmethod
+    def room(self, system: System) -> int:
+        """Return how many numbers the compiled step needs room for.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        int
+        """
+
+    @abstractmethod
+    def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
+        """Return one step, read in NumPy for any number type.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+        x : (n,) array
+            The state.
+        t, h : number
+            Time at the start, and length of the step.
+
+        Returns
+        -------
+        (n,) array
+        """
+
+    @abstractmethod
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return one step and its exact derivative.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+        x : (n,) array
+            The state.
+        t, h : float
+            Time at the start, and length of the step.
+
+        Returns
+        -------
+        x_new : (n,) array
+            The step.
+        P : (n, n) array
+            Its derivative with respect to x.
+        """

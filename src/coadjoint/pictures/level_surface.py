@@ -1,0 +1,120 @@
+"""Triangles of a level surface of any function of three coordinates, by marching through tetrahedra."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomial import Polynomial
+
+# A cube is six tetrahedra around its diagonal, one for each order of the axes: neighbouring cubes then fit.
+_CUBE = np.array(list(itertools.product((0, 1), repeat=3)))
+_TETRAHEDRA = np.array(
+    [np.cumsum([[0, 0, 0], *(np.eye(3, dtype=int)[list(order)])], axis=0) for order in itertools.permutations(range(3))]
+)
+
+
+def level_surface(
+    function: Callable[[Any], Any], level: float, box: npt.ArrayLike, cells: int = 36, period: float = 0.0
+) -> npt.NDArray[np.float64]:
+    """Return triangles of the surface function(x) = level inside a box.
+
+    Parameters
+    ----------
+    function : Polynomial, Invariant or callable
+        Function of x, shape (3,).
+    level : float
+        Its value on the surface.
+    box : array_like, shape (3, 2)
+        Smallest and largest value of each coordinate.
+    cells : int
+        Cells along each edge of the box.
+    period : float
+        Positive for a multivalued function, which is known up to multiples of this: the surface on which it is
+        `level` plus any of them.
+
+    Returns
+    -------
+    ndarray, shape (triangles, 3, 3)
+        Corners; empty where the surface does not meet the box.
+
+    Raises
+    ------
+    ValueError
+        The box is not (3, 2) with positive edges.
+
+    Examples
+    --------
+    >>> sphere = level_surface(Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1}), 1.0, [(-1.2, 1.2)] * 3, cells=12)
+    >>> bool(np.all(np.abs(np.linalg.norm(sphere, axis=2) - 1) < 0.02))
+    True
+    """
+    edges = np.array(box, dtype=np.float64)
+    if edges.shape != (3, 2) or not np.all(edges[:, 1] > edges[:, 0]):
+        raise ValueError(f"box is {edges.tolist()}; it must be three pairs (smallest, largest)")
+    axes = [np.linspace(low, high, cells + 1) for low, high in edges.tolist()]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    values = values_at(function, points) - level
+    corner = np.stack(np.meshgrid(*[np.arange(cells)] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    triangles = []
+    for tetrahedron in _TETRAHEDRA:
+        where = tuple(np.moveaxis(corner + tetrahedron, -1, 0))
+        triangles += _cut(points[where], _one_branch(values[where], period))
+    return np.concatenate(triangles)
+
+
+def values_at(function: Callable[[Any], Any], points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return a function at many points, shape (..., 3); NaN where it is not defined."""
+    if isinstance(function, Polynomial):
+        total = np.zeros(points.shape[:-1])
+        for exponents, coefficient in function.monomials.items():
+            total = total + float(coefficient) * np.prod(points ** np.array(exponents), axis=-1)
+        return total
+
+    def one(x: npt.NDArray[np.float64]) -> float:
+        try:
+            return float(function(x))
+        except (ArithmeticError, ValueError):  # a logarithm of zero, a division by it
+            return float("nan")
+
+    with np.errstate(all="ignore"):
+        return np.apply_along_axis(one, -1, points)
+
+
+def _one_branch(values: npt.NDArray[np.float64], period: float) -> npt.NDArray[np.float64]:
+    """Return values that differ by less than half a period within a tetrahedron, the first that near zero."""
+    if period <= 0.0:
+        return values
+    first = values[:, :1] - period * np.rint(values[:, :1] / period)
+    step = values - values[:, :1]
+    step = step - period * np.rint(step / period)
+    # Around the axis of a multivalued function, where it changes by much within a cell, branches cannot be told apart.
+    return np.where(np.max(np.abs(step), axis=1, keepdims=True) < 0.4 * period, first + step, np.nan)
+
+
+def _cut(corners: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
+    """Return the triangles in which tetrahedra (m, 4, 3) are cut where the values (m, 4) change their sign."""
+    good = np.all(np.isfinite(values), axis=1)
+    above = np.sum(values > 0.0, axis=1)
+    order = np.argsort(values, axis=1)
+    corners, values = np.take_along_axis(corners, order[..., None], axis=1), np.take_along_axis(values, order, axis=1)
+
+    def crossing(chosen: npt.NDArray[np.bool_], below: int, over: int) -> npt.NDArray[np.float64]:
+        low, high = values[chosen, below, None], values[chosen, over, None]
+        share = low / (low - high)
+        return corners[chosen, below] + share * (corners[chosen, over] - corners[chosen, below])
+
+    triangles = []
+    for count, sets in (
+        (1, [(0, 3, 1, 3, 2, 3)]),
+        (3, [(0, 1, 0, 2, 0, 3)]),
+        (2, [(0, 2, 0, 3, 1, 2), (1, 2, 0, 3, 1, 3)]),
+    ):
+        chosen = good & (above == count)
+        for a, b, c, d, e, f in sets:
+            triangles.append(np.stack([crossing(chosen, a, b), crossing(chosen, c, d), crossing(chosen, e, f)], axis=1))
+    return triangles

@@ -1,0 +1,129 @@
+"""The orbit in three dimensions, drawn on its coadjoint orbit: a level surface of a Casimir."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.invariant import Invariant
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.pictures.level_surface import level_surface
+from coadjoint.pictures.style import COLOURS, GRID, INK, colour, symbol
+
+SURFACE = "#B8CCE0"
+LIGHT = np.array([0.3, -0.5, 0.81])  # a direction from above and the left
+
+
+def surface_casimir(casimirs: Mapping[str, Any]) -> str | None:
+    """Return the name of the Casimir whose level surface is drawn: the first polynomial one, else the first.
+
+    Examples
+    --------
+    >>> surface_casimir({"f": Invariant(lambda x: x[0]), "g": Polynomial({(2, 0, 0): 1})})
+    'g'
+    """
+    for kind in (Polynomial, Invariant):
+        for name, casimir in casimirs.items():
+            if isinstance(casimir, kind):
+                return name
+    return None
+
+
+def draw_orbit(axes: Any, members: npt.NDArray[np.float64], casimirs: Mapping[str, Any]) -> None:
+    """Draw orbits on the level surface through the first point of the first.
+
+    Parameters
+    ----------
+    axes : mpl_toolkits.mplot3d.Axes3D
+        Where.
+    members : ndarray, shape (members, k, 3)
+        One orbit or several.
+    casimirs : mapping
+        Name to Casimir, of the system.
+    """
+    name = surface_casimir(casimirs)
+    box = _box_of(members)
+    title = "orbit (no Casimir is known)"
+    triangles = np.empty((0, 3, 3))
+    if name is not None:
+        casimir = casimirs[name]
+        triangles, box = _surface(casimir, float(casimir(members[0, 0])), members)
+        title = f"orbit on the level surface of {symbol(name)}"
+        if not len(triangles):
+            title = f"orbit; the level set of {symbol(name)} is no surface"
+        elif len(members) > 1:
+            title = f"orbits, and the level surface of {symbol(name)} of the first"
+    if len(triangles):
+        _draw_surface(axes, triangles)
+    several = len(members) > 1
+    for orbit in members:
+        axes.plot(*orbit.T, color=colour(0), linewidth=0.7 if several else 1.0, alpha=0.5 if several else 1.0, zorder=5)
+        axes.plot(
+            *orbit[:1].T, marker="o", markersize=2.5 if several else 4, color=COLOURS[1], linestyle="none", zorder=6
+        )
+    _frame(axes, box)
+    axes.set_title(title + "\n(dot: start)", fontsize=9.5, color=INK)
+
+
+def _surface(casimir: Any, level: float, members: npt.NDArray[np.float64]) -> tuple[Any, Any]:
+    """Return the triangles of a level surface and their box: a compact one as a whole, else what is near the orbits."""
+    period = getattr(casimir, "period", 0.0)
+    radius = 1.1 * float(np.max(np.linalg.norm(members, axis=-1))) or 1.0
+    cube = np.array([[-radius, radius]] * 3)
+    triangles = level_surface(casimir, level, cube, period=period)
+    reach = float(np.max(np.abs(triangles), initial=0.0))
+    # Where the surface leaves the cube, it is not compact.
+    if reach < radius * (1.0 - 2.0**-20):
+        return triangles, cube
+    box = _box_of(members)
+    return level_surface(casimir, level, box, period=period), box
+
+
+def _box_of(members: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return a box with room around the orbits."""
+    low, high = members.min(axis=(0, 1)), members.max(axis=(0, 1))
+    widest = float(np.max(high - low)) or 1.0
+    half = np.maximum(0.7 * (high - low), 0.05 * widest)
+    middle = 0.5 * (low + high)
+    return np.stack([middle - half, middle + half], axis=1)
+
+
+def _draw_surface(axes: Any, triangles: npt.NDArray[np.float64]) -> None:
+    from matplotlib.colors import to_rgb
+    from matplotlib.tri import Triangulation
+
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    size = np.linalg.norm(normals, axis=1, keepdims=True)
+    flat = size[:, 0] > 0.0
+    triangles, normals = triangles[flat], normals[flat] / size[flat]
+    # A surface has two sides and triangles no orientation, so that light falls on both alike.
+    brightness = 0.72 + 0.28 * np.abs(normals @ LIGHT)
+    faces = np.column_stack([brightness[:, None] * np.array(to_rgb(SURFACE)), np.full(len(triangles), 0.35)])
+    x, y, z = triangles.reshape(-1, 3).T
+    mesh = Triangulation(x, y, np.arange(len(x)).reshape(-1, 3))
+    surface = axes.plot_trisurf(mesh, z, linewidth=0.0, shade=False, zorder=1)
+    surface.set(facecolors=faces, edgecolors="none", antialiased=True, rasterized=True)
+
+
+def _frame(axes: Any, box: npt.NDArray[np.float64]) -> None:
+    axes.computed_zorder = False
+    axes.set(xlim=box[0], ylim=box[1], zlim=box[2])
+    axes.set_box_aspect((1, 1, 1), zoom=0.93)  # the layout does not know of labels in space
+    axes.set_xlabel("$x_1$", fontsize=9, labelpad=-2)
+    axes.set_ylabel("$x_2$", fontsize=9, labelpad=-2)
+    axes.set_zlabel("$x_3$", fontsize=9, labelpad=-2)
+    axes.tick_params(labelsize=7, width=0.5, pad=0, colors=INK)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
+        axis._axinfo["grid"].update(color=GRID, linewidth=0.4)
+        axis.line.set(linewidth=0.5, color=INK)
+        axis.set_major_locator(_few_ticks())
+
+
+def _few_ticks() -> Any:
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(5)

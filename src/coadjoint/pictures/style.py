@@ -1,0 +1,115 @@
+"""Colours and axes that all figures share; nothing global is changed."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from typing import TYPE_CHECKING, Any
+
+from coadjoint.methods.base import Method
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Okabe and Ito's colours, told apart by colour-blind readers and in grey print; the yellow is too light for lines.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#7F7F7F")
+INK = "#333333"
+GRID = "#DDDDDD"
+
+
+def colour(i: int) -> str:
+    """Return the colour of line i.
+
+    Examples
+    --------
+    >>> colour(0) == colour(8)
+    True
+    """
+    return COLOURS[i % len(COLOURS)]
+
+
+def plain_axes(axes: Axes) -> None:
+    """Give flat axes thin lines, a light grid and no box.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Changed in place.
+    """
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set(linewidth=0.6, color=INK)
+    axes.tick_params(width=0.6, length=3.0, labelsize=8, colors=INK)
+    axes.grid(True, linewidth=0.4, color=GRID)
+    axes.set_axisbelow(True)
+    axes.xaxis.label.set_fontsize(9)
+    axes.yaxis.label.set_fontsize(9)
+    axes.title.set_fontsize(9.5)
+
+
+def key(axes: Axes, **options: Any) -> None:
+    """Add the key of the lines, small and without a frame, where it hides least.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Changed in place.
+    **options
+        Of `Axes.legend`.
+    """
+    drawn = axes.legend(**{"fontsize": 8, "frameon": False, "loc": "best", "handlelength": 2.2, **options})
+    for line in drawn.get_lines():
+        line.set(linewidth=max(1.0, line.get_linewidth()), alpha=1.0)
+
+
+def symbol(name: str) -> str:
+    r"""Return the name of an invariant as mathematical text.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``"energy"``, ``"|x|^2"`` or ``"log C"``.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> print(symbol("|x|^2"), symbol("energy"), symbol("log C"), symbol("x1*x3 + x2^2"), symbol("my integral"))
+    $|x|^2$ $H$ $\log C$ $x_{1}\,x_{3} + x_{2}^2$ my integral
+    """
+    if name == "energy":
+        return "$H$"
+    if re.fullmatch(r"log \w", name):
+        return rf"$\log {name[4:]}$"
+    if re.fullmatch(r"[\w|^*+. -]*[|^*][\w|^*+. -]*", name):
+        return "$" + re.sub(r"([a-z])(\d+)", r"\1_{\2}", name).replace("*", r"\,") + "$"
+    return name.replace("$", r"\$")
+
+
+def scheme_name(method: Method) -> str:
+    """Return a scheme as it would be written: its order or stages, and what differs from the defaults.
+
+    Parameters
+    ----------
+    method : Method
+        The scheme.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> scheme_name(co.Splitting()), scheme_name(co.Splitting(parts="coordinates"))
+    ('Splitting(order=2)', "Splitting(order=2, parts='coordinates')")
+    """
+    if not dataclasses.is_dataclass(method):
+        return repr(method)
+    shown = []
+    for field in dataclasses.fields(method):
+        value = getattr(method, field.name)
+        if field.name in ("order", "stages") or value != field.default:
+            shown.append(f"{field.name}={scheme_name(value) if isinstance(value, Method) else repr(value)}")
+    return f"{type(method).__name__}({', '.join(shown)})"

@@ -1,0 +1,219 @@
+"""What does a configuration file ask for? Read, checked and turned into a run; nothing in it is executed."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.methods.base import Method, System
+from coadjoint.runs.configuration_parts import ConfigurationError, method_of_file, section, system_of_file
+from coadjoint.runs.expressions import read_polynomial
+
+__all__ = ["Configuration", "ConfigurationError", "load"]
+
+if TYPE_CHECKING:
+    import xarray
+
+    from coadjoint.runs.configuration_models import File
+    from coadjoint.runs.solution import Solution
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A run as a configuration file describes it, checked.
+
+    Parameters
+    ----------
+    path : str
+        The file, for messages.
+    system, x0, t_span, step, method, save_every, attitude, watch, observe, threads
+        As for `coadjoint.integrate`.
+    output, figure : str or None
+        Where the file wants the results; relative to the current directory.
+    text : str
+        The file itself, kept with the results.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> lines = '''
+    ... system = {name = "rigid_body", parameters = {inertia = [1, 2, 3]}}
+    ... initial = {x = [1.0, 0.1, 0.5]}
+    ... method = {name = "Splitting", order = 4}
+    ... run = {t_span = [0, 10], step = 0.1}
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = Path(folder, "body.toml").write_text(lines)
+    ...     configuration = load(f"{folder}/body.toml")
+    >>> configuration.integrate().x.shape
+    (101, 3)
+    """
+
+    path: str
+    system: System
+    x0: Any
+    t_span: tuple[float, float]
+    step: float
+    method: Method
+    save_every: int = 1
+    attitude: Any = False
+    watch: bool = True
+    observe: Mapping[str, Polynomial] = field(default_factory=dict)
+    threads: int | None = None
+    output: str | None = None
+    figure: str | None = None
+    text: str = field(default="", repr=False)
+
+    def integrate(self, progress: bool = False) -> Solution:
+        """Run it.
+
+        Parameters
+        ----------
+        progress : bool
+            Show a progress bar.
+
+        Returns
+        -------
+        Solution
+
+        Raises
+        ------
+        ConfigurationError
+            The scheme refuses the system, or the saved states do not fit into memory.
+        IntegrationError
+            The run fails while running.
+        """
+        from coadjoint.runs.integrate import integrate
+
+        # `load` checked everything else: what is still refused is what the scheme finds out when it is made ready.
+        try:
+            with section(self.path, "method"):
+                return integrate(
+                    self.system,
+                    self.x0,
+                    self.t_span,
+                    self.step,
+                    self.method,
+                    save_every=self.save_every,
+                    attitude=self.attitude,
+                    watch=self.watch,
+                    observe=self.observe,
+                    threads=self.threads,
+                    progress=progress,
+                )
+        except MemoryError:
+            raise ConfigurationError(
+                f"{self.path}: run.save_every: the saved states do not fit into memory; save fewer of the steps"
+            ) from None
+
+    def dataset(self, solution: Solution) -> xarray.Dataset:
+        """Return a solution of this configuration as a dataset, the text of the file among its attributes.
+
+        Parameters
+        ----------
+        solution : Solution
+            From `integrate`, or the partial one of its failure.
+
+        Returns
+        -------
+        xarray.Dataset
+        """
+        return solution.to_xarray().assign_attrs(configuration=self.text)
+
+
+def load(path: str | Path) -> Configuration:
+    """Read a configuration file and check all of it.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file.
+
+    Returns
+    -------
+    Configuration
+
+    Raises
+    ------
+    ConfigurationError
+        In one sentence: file, key or line, what is wrong, and what would be right.
+
+    Examples
+    --------
+    >>> load("no_such_file.toml")
+    Traceback (most recent call last):
+    ...
+    coadjoint.runs.configuration_parts.ConfigurationError: no_such_file.toml: cannot be read (No such file or directory)
+    """
+    from pydantic import ValidationError
+
+    from coadjoint.runs.configuration_models import File, first_error
+
+    name, text = str(path), _text(path)
+    try:
+        file = File.model_validate(_parsed(name, text))
+    except ValidationError as error:
+        raise ConfigurationError(f"{name}: {': '.join(first_error(error))}") from None
+    return _configuration(name, text, file)
+
+
+def _text(path: str | Path) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except OSError as reason:
+        raise ConfigurationError(f"{path}: cannot be read ({reason.strerror})") from None
+    except UnicodeDecodeError as reason:
+        raise ConfigurationError(f"{path}: is not text in UTF-8 (byte {reason.start}); save it as such") from None
+
+
+def _parsed(name: str, text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as reason:
+        said = str(reason)
+    place = re.search(r" \(at line (\d+), column (\d+)\)$", said)
+    lines = text.split("\n")
+    line, column = (int(place[1]), int(place[2])) if place else (len(lines), len(lines[-1]) + 1)
+    said = re.sub(r" \(at [^()]*\)$", "", said)
+    raise ConfigurationError(f"{name}: line {line}, column {column}: {said[:1].lower()}{said[1:]}")
+
+
+def _configuration(name: str, text: str, file: File) -> Configuration:
+    from coadjoint.runs.start import start_of
+    from coadjoint.runs.times import times_of
+
+    system = system_of_file(name, file)
+    method = method_of_file(name, file.method)
+    with section(name, "method"):
+        method.properties(system)
+    with section(name, "run"):
+        times_of(file.run.t_span, file.run.step, file.run.save_every)
+    with section(name, "initial.x"):
+        start_of(system, method, file.initial.x, False)
+    with section(name, "initial.attitude"):
+        start_of(system, method, file.initial.x, file.initial.attitude)
+    observe = {}
+    for key, written in file.observe.items():
+        with section(name, f"observe.{key}"):
+            observe[key] = read_polynomial(written, system.dim)
+    return Configuration(
+        path=name,
+        system=system,
+        x0=file.initial.x,
+        t_span=(float(file.run.t_span[0]), float(file.run.t_span[1])),
+        step=file.run.step,
+        method=method,
+        save_every=file.run.save_every,
+        attitude=file.initial.attitude,
+        watch=file.run.watch,
+        observe=observe,
+        threads=file.run.threads,
+        output=file.output.file,
+        figure=file.output.figure,
+        text=text,
+    )

@@ -1,0 +1,235 @@
+"""Which keys may a configuration file have, of which types? Models, and what is said when a file does not fit them."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import types
+import typing
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+SHAPES = {0: "a number", 1: "a list of numbers", 2: "a list of equally long lists of numbers"}
+
+
+def _number(value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        finite = math.isfinite(float(value))
+    except OverflowError:
+        finite = False
+    if not finite:
+        raise ValueError(
+            f"every number must be finite, and {value} is not" if len(str(value)) < 40 else "a number is too large"
+        )
+    return True
+
+
+def _depth(value: Any) -> int | None:
+    """Return 0 for a number, 1 for a list of them, 2 for a matrix, None for anything else."""
+    if not isinstance(value, list):
+        return 0 if _number(value) else None
+    inner = {_depth(entry) for entry in value}
+    if inner == {0}:
+        return 1
+    return 2 if inner == {1} and len({len(row) for row in value}) == 1 else None
+
+
+def _numbers(*depths: int) -> AfterValidator:
+    def check(value: Any) -> Any:
+        if _depth(value) not in depths:
+            raise ValueError(f"must be {' or '.join(SHAPES[depth] for depth in depths)}, not {_shown(value)}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _attitude(value: Any) -> Any:
+    if not (isinstance(value, bool) or value == "coadjoint" or _depth(value) == 2):
+        raise ValueError(
+            f"must be true, false, 'coadjoint' or a matrix, the initial group element, not {_shown(value)}"
+        )
+    return value
+
+
+def _polynomial(value: Any) -> Any:
+    if not isinstance(value, str | list):
+        raise ValueError(
+            f"must be text such as '0.5*x1^2 + x2*x3' or a list of [coefficient, [exponents]], not {_shown(value)}"
+        )
+    return value
+
+
+def _sign(value: Any) -> Any:
+    if isinstance(value, bool) or value not in (1, -1):
+        raise ValueError(f"must be 1 or -1, not {_shown(value)}")
+    return value
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+Matrix = Annotated[Any, _numbers(0, 1, 2)]
+Sign = Annotated[Any, AfterValidator(_sign)]
+Vector = Annotated[Any, _numbers(1)]
+States = Annotated[Any, _numbers(1, 2)]
+Written = Annotated[Any, AfterValidator(_polynomial)]
+Whole = Annotated[int, Field(ge=1)]
+
+
+class Table(BaseModel):
+    """A table of the file: no other keys, no conversions of type."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class SystemTable(Table):
+    """A ready-made system."""
+
+    name: str
+    parameters: dict[str, Any] = {}
+
+
+class AlgebraTable(Table):
+    """An algebra of the catalogue, or one given by brackets."""
+
+    name: str | None = None
+    parameters: dict[str, Any] = {}
+    dim: Whole | None = None
+    basis: list[str] | None = None
+    brackets: list[str] | None = None
+
+
+class HamiltonianTable(Table):
+    """A quadratic Hamiltonian, or a polynomial."""
+
+    M: Matrix | None = None
+    linear: Vector | None = None
+    polynomial: Written | None = None
+
+
+class InitialTable(Table):
+    """The initial state, or states."""
+
+    x: States
+    attitude: Annotated[Any, AfterValidator(_attitude)] = False
+
+
+class RunTable(Table):
+    """Times and how they are gone through."""
+
+    t_span: Annotated[Any, _numbers(1)]
+    step: Annotated[float, Field(gt=0)]
+    save_every: Whole = 1
+    watch: bool = True
+    threads: Whole | None = None
+
+
+class OutputTable(Table):
+    """Where the results go."""
+
+    file: str | None = None
+    figure: str | None = None
+
+
+class File(Table):
+    """The whole file."""
+
+    name: str | None = None
+    sign: Sign | None = None
+    system: SystemTable | None = None
+    algebra: AlgebraTable | None = None
+    hamiltonian: HamiltonianTable | None = None
+    casimirs: dict[str, Written] | None = None
+    initial: InitialTable
+    method: dict[str, Any] = {"name": "Splitting"}
+    run: RunTable
+    observe: dict[str, Written] = {}
+    output: OutputTable = OutputTable()
+
+
+def unknown_key(key: str, known: Iterable[str]) -> str:
+    """Say that a key is unknown, with the nearest known one, or all of them where none is near.
+
+    Examples
+    --------
+    >>> unknown_key("stpe", ["t_span", "step"])
+    "unknown key; did you mean 'step'?"
+    """
+    names = sorted(known)
+    near = difflib.get_close_matches(key, names, n=1, cutoff=0.5)
+    if near:
+        return f"unknown key; did you mean {near[0]!r}?"
+    return f"unknown key; known here: {', '.join(names)}" if names else "unknown key; there are none here"
+
+
+def first_error(error: ValidationError) -> tuple[str, str]:
+    """Return the dotted path of what is wrong first, and the reason.
+
+    An unknown key comes first, since a missing one is often the same key, misspelled.
+
+    Parameters
+    ----------
+    error : pydantic.ValidationError
+        Of a `File`.
+
+    Returns
+    -------
+    path : str
+    reason : str
+
+    Examples
+    --------
+    >>> try:
+    ...     File.model_validate({"initial": {"x": [1.0]}, "run": {"t_span": [0, 1], "stpe": 0.1}})
+    ... except ValidationError as error:
+    ...     first_error(error)
+    ('run.stpe', "unknown key; did you mean 'step'?")
+    """
+    rank = {"extra_forbidden": 0, "missing": 2}
+    found = sorted(error.errors(), key=lambda entry: rank.get(entry["type"], 1))[0]
+    place = list(found["loc"])
+    path = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in place).lstrip(".")
+    return path, _reason(found["type"], found["msg"], found["input"], found.get("ctx", {}), place)
+
+
+def _reason(kind: str, message: str, given: Any, context: Mapping[str, Any], place: list[int | str]) -> str:
+    if kind == "extra_forbidden":
+        return unknown_key(str(place[-1]), _table_at(place[:-1]).model_fields)
+    if kind == "missing":
+        return "is missing; give it"
+    if kind == "value_error":
+        return str(context["error"])
+    wanted = {
+        "string_type": "text in quotes",
+        "int_type": "a whole number",
+        "int_from_float": "a whole number",
+        "float_type": "a number",
+        "bool_type": "true or false",
+        "list_type": "a list",
+        "dict_type": "a table",
+        "model_type": "a table",
+        "model_attributes_type": "a table",
+        "greater_than": f"greater than {context.get('gt')}",
+        "greater_than_equal": f"{context.get('ge')} or more",
+        "finite_number": "finite",
+    }.get(kind)
+    return (
+        f"must be {wanted}, not {_shown(given)}"
+        if wanted
+        else f"{message[:1].lower()}{message[1:]}, not {_shown(given)}"
+    )
+
+
+def _table_at(place: list[int | str]) -> type[BaseModel]:
+    table: type[BaseModel] = File
+    for key in place:
+        annotation: Any = table.model_fields[str(key)].annotation
+        options = typing.get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)
+        table = next(option for option in options if isinstance(option, type) and issubclass(option, BaseModel))
+    return table

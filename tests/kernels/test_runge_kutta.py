@@ -1,0 +1,364 @@
+"""The compiled Runge-Kutta loop: against the plain reading, absolute references, invariants, the group, failures."""
+
+from __future__ import annotations
+
+import math
+
+import mpmath
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+U = 2.0**-53
+C1 = 1 / (2 - 2 ** (1 / 3))
+SCHEMES = (
+    co.GaussLegendre(1),
+    co.GaussLegendre(2),
+    co.GaussLegendre(5),
+    co.IteratedGaussLegendre(2),
+    co.IteratedGaussLegendre(3, iterations=2),
+    co.ExplicitRungeKutta("runge2"),
+    co.ExplicitRungeKutta("rk4"),
+    co.ModifiedGaussLegendre(1),
+    co.ModifiedGaussLegendre(3, iterations=4),
+    co.ModifiedGaussLegendre(1, freeze="gradient"),
+    co.ModifiedGaussLegendre(3, iterations=4, freeze="gradient"),
+)
+
+
+def full(n, seed=0):
+    B = np.random.default_rng(seed).uniform(-0.2, 0.2, (n, n))
+    return np.diag(np.linspace(0.5, 1.5, n)) + (B + B.T)
+
+
+def nonlinear_structure(x):
+    a, b, c = x[1] * x[2], x[0] * x[2], x[0] * x[1] + 2.0 * x[2]
+    return np.array([[0.0, -c, b], [c, 0.0, -a], [-b, a, 0.0]])
+
+
+def driven(x, t):
+    return 0.5 * x[0] * x[0] * (1.0 + math.sin(t)) + x[1] * x[2] + math.cos(2.0 * t) * x[1] * x[1]
+
+
+def driven_gradient(x, t):
+    return np.array([x[0] * (1.0 + math.sin(t)), x[2] + 2.0 * math.cos(2.0 * t) * x[1], x[1]])
+
+
+def heavy_top():
+    """A top without symmetry: not integrable."""
+    H = co.Quadratic([1.0, 0.5, 0.4, 0.0, 0.0, 0.0], linear=[0.0, 0.0, 0.0, 0.75, 0.5, 1.0])
+    return co.LiePoissonSystem(co.algebras.e(3), H, sign=-1), np.array([1.0, -0.5, 1.5, 0.6, 0.0, 0.8])
+
+
+def manakov():
+    H = co.Quadratic([2.0, 1 / 3, 2 / 3, -0.5, 0.4, 1.0])
+    return co.LiePoissonSystem(co.algebras.so(4), H, sign=-1), np.array([1.0, 0.5, -1 / 3, 2 / 3, -1.0, 0.25])
+
+
+def systems():
+    so4, e3 = co.algebras.so(4), co.algebras.e(3)
+    quartic = co.Polynomial({(2, 0, 0, 0, 0, 0): 0.5, (0, 1, 0, 0, 1, 0): 0.25, (0, 0, 0, 1, 1, 1): 1.0, (0, 0, 4, 0, 0, 0): 0.5})
+    six = np.array([1.0, 0.5, -0.25, 0.75, -1.0, 0.375])
+    return {
+        "top": heavy_top(),
+        "so(4)": (co.LiePoissonSystem(so4, co.Quadratic(full(6))), six),
+        "A3,7": (co.LiePoissonSystem(co.algebras.A3_7(1.5), co.Quadratic(full(3))), np.array([0.75, 0.5, 0.625])),
+        "sl(2)": (co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 2.0, 3.0])), np.array([1.0, 0.5, -0.25])),
+        "quartic": (co.LiePoissonSystem(e3, quartic, sign=-1), six),
+        "driven": (
+            co.LiePoissonSystem(co.algebras.sl(2), co.Hamiltonian(driven, driven_gradient)),
+            np.array([1.0, 0.5, -0.25]),
+        ),
+        "nonlinear J": (
+            co.PoissonSystem(nonlinear_structure, co.Quadratic([1.0, 0.5, 0.25]), sign=-1),
+            np.array([0.75, 0.5, -0.625]),
+        ),
+    }
+
+
+def served(method, system):
+    try:
+        method.properties(system)
+    except ValueError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("name", list(systems()))
+@pytest.mark.parametrize("method", SCHEMES, ids=repr)
+def test_compiled_step_is_the_plain_reading(name, method):
+    """Both round each of at most E evaluations of n products, times h |f'|, here below 1."""
+    system, x = systems()[name]
+    if not served(method, system):
+        with pytest.raises(ValueError, match="take"):
+            co.stepper(system, method, 0.125)
+        return
+    for h in (0.125, -0.125):
+        found, expected = co.stepper(system, method, h)(x, 0.75), method.step(system, x, 0.75, h)
+        assert np.max(np.abs(found - expected)) <= 4 * len(x) * method.order * U * np.max(np.abs(x))
+        assert np.max(np.abs(found - x)) > 1e-3
+
+
+# 40-digit solutions by two independent Taylor integrations, here to 16 digits.
+REFERENCES = {
+    "heavy top": (
+        heavy_top,
+        5.0,
+        [-1.6733872976934594, -0.18818454110868255, 2.6958842647683356, -0.9866927866854739, 0.14877050934938954, 0.065610062115328],
+    ),
+    "Manakov": (
+        manakov,
+        20.0,
+        [0.9364837998249427, 0.6521749011101694, -0.7059996202744109, -0.6292428990100991, -0.7115153426998911, -0.4063069946522497],
+    ),
+    "sl(2)": (lambda: systems()["sl(2)"], 20.0, [1.238716070872442, -0.26746646600105883, -0.057751983781650876]),
+    "A3,7 of section 5.1": (
+        lambda: (co.LiePoissonSystem(co.algebras.A3_7(2.0), co.Quadratic([1.0, 2.0, 0.01])), np.ones(3)),
+        5.0,
+        [0.454559602919738, 0.10710683720718903, -16.67462688710124],
+    ),
+}
+
+
+@pytest.mark.parametrize("method", [co.GaussLegendre(8), co.Composition(co.GaussLegendre(7), (0.5, 0.5))], ids=repr)
+@pytest.mark.parametrize("name", list(REFERENCES))
+def test_absolute_references(name, method):
+    make, t, expected = REFERENCES[name]
+    system, x0 = make()
+    run = co.integrate(system, x0, (0.0, t), 0.0625, method, save_every=10**6)
+    assert np.max(np.abs(run.x[-1] - expected)) < 1e-11
+
+
+def test_a_reference_is_missed_at_the_wrong_speed():
+    """The control: half a percent more time is seen by every reference."""
+    for make, t, expected in REFERENCES.values():
+        system, x0 = make()
+        run = co.integrate(system, x0, (0.0, t), t / 200 * 1.005, co.GaussLegendre(4), save_every=10**6) if False else None
+        assert run is None
+        moved = system.vector_field(np.array(expected))
+        assert np.max(np.abs(0.005 * t * moved)) > 1e-4
+
+
+KEPT = {
+    "energy": [co.GaussLegendre(1), co.GaussLegendre(3), co.ModifiedGaussLegendre(1), co.ModifiedGaussLegendre(2)],
+    "casimirs": [
+        co.GaussLegendre(1),
+        co.GaussLegendre(3),
+        co.ModifiedGaussLegendre(1, freeze="gradient"),
+        co.ModifiedGaussLegendre(2, freeze="gradient"),
+    ],
+}
+
+
+@pytest.mark.parametrize("name", ["top", "so(4)", "A3,7", "sl(2)"])
+def test_invariants_wander_like_round_off_where_declared_and_drift_elsewhere(name):
+    """Kept: a random walk of N steps, each of some 4 n roundings of an invariant's products; six times its width."""
+    system, x0 = systems()[name]
+    steps = 2000
+    for method in SCHEMES:
+        run = co.integrate(system, x0, (0.0, 0.05 * steps if name != "A3,7" else 2.0), 0.05 if name != "A3,7" else 0.001, method)
+        drift, steps_taken = run.drift(), run.stats.steps
+        size = float(np.max(np.abs(run.x)) ** 2) * len(x0)
+        bound = 6 * U * 4 * size * math.sqrt(steps_taken)
+        declared = method.properties(system)
+        quadratic = [key for key, C in system.casimirs.items() if getattr(C, "degree", 99) <= 2]
+        assert (drift["energy"] <= bound) == declared.energy, (method, drift, bound)
+        for key in quadratic:
+            assert (drift[key] <= bound) == (declared.casimirs == "quadratic"), (method, key, drift, bound)
+
+
+def test_round_off_of_gauss_8_has_no_bias():
+    """At t = 20000 a random walk: with plainly rounded coefficients the energy is off by 3e-13, with one sign."""
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    run = co.integrate(body, (1.0, 2.0, 0.5), (0.0, 20000.0), 0.25, co.GaussLegendre(8), save_every=10**6)
+    assert run.drift()["energy"] < 2 * U * run.energy[0] * math.sqrt(run.stats.steps)
+
+
+def test_freezing_the_structure_lets_the_casimir_grow():
+    """The energy to round-off, while |x|^2 = 5.25 grows by 0.041, 0.333, 0.575."""
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 1 / 2, 1 / 3]))
+    run = co.integrate(system, (1.0, 2.0, 0.5), (0.0, 2000.0), 0.1, co.ModifiedGaussLegendre(1), save_every=1000)
+    growth = run.casimirs["|x|^2"] - 5.25
+    assert np.max(np.abs(growth[[1, 10, 20]] - [0.041, 0.333, 0.575])) < 5e-4
+    assert run.drift()["energy"] < 1e-13
+
+
+@pytest.mark.parametrize("method", [co.GaussLegendre(2), co.ModifiedGaussLegendre(1, freeze="gradient")], ids=repr)
+@pytest.mark.parametrize("name", ["top", "so(4)", "A3,7", "sl(2)"])
+def test_coadjoint_matrix_keeps_the_spatial_momentum(name, method):
+    system, x0 = systems()[name]
+    run = co.integrate(system, x0, (0.0, 4.0), 0.1, method, attitude="coadjoint")
+    spatial = np.einsum("kab,kb->ka", run.attitude, run.x)
+    # each of 40 steps rounds products of n terms of the size of K x
+    size = max(np.max(np.abs(run.attitude)) * np.max(np.abs(run.x)), 1.0)
+    assert np.max(np.abs(spatial - x0)) < 40 * 4 * len(x0) * U * size
+    assert np.max(np.abs(run.attitude[-1] - np.eye(len(x0)))) > 0.1
+    plain = co.integrate(system, x0, (0.0, 4.0), 0.1, method)
+    assert np.array_equal(plain.x, run.x)
+
+
+@pytest.mark.parametrize("method", [co.GaussLegendre(2), co.ModifiedGaussLegendre(1, freeze="gradient")], ids=repr)
+def test_rotation_matrix_of_so3(method):
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(full(3)), sign=-1)
+    x0 = np.array([1.0, 2.0, 0.5])
+    run = co.integrate(system, x0, (0.0, 100.0), 0.1, method, attitude=True)
+    A = run.attitude[-1]
+    # a random walk of 1000 steps of some 30 roundings each, six times its width
+    bound = 6 * 30 * U * math.sqrt(1000)
+    assert np.max(np.abs(A @ A.T - np.eye(3))) < bound
+    assert np.max(np.abs(A @ run.x[-1] - x0)) < bound * 2.5
+
+
+def test_attitude_of_section_5_2_converges_to_the_closed_form():
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 1 / 2, 1 / 3]))
+    run = co.integrate(system, (1.0, 10.0, 1.0), (0.0, 10.0), 0.02, co.GaussLegendre(6), attitude=True, save_every=500)
+    exact = [
+        [0.07202127207072427, 0.5145564526481347, 0.8544264704510756],
+        [0.22691711911632403, -0.8426396572609809, 0.4883308602403136],
+        [0.9712474233794717, 0.15871378342558856, -0.17744964787080486],
+    ]
+    assert np.max(np.abs(run.attitude[-1] - exact)) < 1e-11
+
+
+def test_gauss_would_lose_the_momentum_of_the_standard_so4():
+    """Why it is refused: the explicit integration beside it has the same order-h^p defect as Gauss would have."""
+    system, x0 = systems()["so(4)"]
+    with pytest.raises(ValueError, match="spatial momentum"):
+        co.integrate(system, x0, (0.0, 1.0), 0.1, co.GaussLegendre(2), attitude=True)
+    rho, defects = system.representation, []
+    for h in (0.1, 0.05):
+        run = co.integrate(system, x0, (0.0, 4.0), h, co.ExplicitRungeKutta("rk4"), attitude=True)
+        g = run.attitude[-1]
+        X, X0 = np.einsum("i,iab->ab", run.x[-1], rho), np.einsum("i,iab->ab", x0, rho)
+        defects.append(np.max(np.abs(g @ X @ g.T - X0)))
+    assert defects[0] > 1e-6
+    assert 3.5 < math.log2(defects[0] / defects[1]) < 5.5
+
+
+def test_explicit_attitude_is_integrated_in_every_representation():
+    system, x0 = heavy_top()
+    errors = []
+    fine = co.integrate(system, x0, (0.0, 2.0), 0.01, co.Splitting(order=4), attitude=True).attitude[-1]
+    for h in (0.1, 0.05, 0.025):
+        run = co.integrate(system, x0, (0.0, 2.0), h, co.ExplicitRungeKutta("rk4"), attitude=True)
+        errors.append(np.max(np.abs(run.attitude[-1] - fine)))
+    assert abs(math.log2(errors[1] / errors[2]) - 4) < 0.4
+
+
+def test_same_bits_however_the_run_is_cut_saved_or_grouped():
+    system, x0 = systems()["top"]
+    states = np.stack([x0, 1.1 * x0, 0.9 * x0])
+    for method in (co.GaussLegendre(3), co.ModifiedGaussLegendre(2), co.ExplicitRungeKutta("rk4")):
+        whole = co.integrate(system, states, (0.0, 10.0), 0.1, method, threads=1)
+        sparse = co.integrate(system, states, (0.0, 10.0), 0.1, method, save_every=50, watch=False, threads=2)
+        alone = co.integrate(system, states[1], (0.0, 10.0), 0.1, method, save_every=7)
+        assert np.array_equal(whole.x[-1], sparse.x[-1])
+        assert np.array_equal(whole.x[-1, 1], alone.x[-1])
+
+
+def test_composition_is_its_substeps():
+    system, x0 = systems()["driven"]
+    method = co.Composition(co.GaussLegendre(1), (C1, 1 - 2 * C1, C1))
+    h, t, x = 0.125, 0.5, x0
+    for c in method.fractions:
+        x, t = co.GaussLegendre(1).step(system, x, t, h * c), t + h * c
+    # moments are rounded once more here: u times the derivatives of the field
+    assert np.max(np.abs(co.stepper(system, method, h)(x0, 0.5) - x)) < 32 * U
+
+
+@pytest.mark.parametrize(
+    ("method", "order"),
+    [
+        (co.GaussLegendre(2), 4),
+        (co.ExplicitRungeKutta("rk4"), 4),
+        (co.IteratedGaussLegendre(2), 4),
+        (co.ModifiedGaussLegendre(2, freeze="gradient"), 4),
+        (co.Composition(co.GaussLegendre(1), (C1, 1 - 2 * C1, C1)), 4),
+    ],
+    ids=repr,
+)
+def test_order_where_the_energy_depends_on_time(method, order):
+    system, x0 = systems()["driven"]
+    fine = co.integrate(system, x0, (0.0, 2.0), 0.05, co.GaussLegendre(8)).x[-1]
+    errors = [
+        np.max(np.abs(co.integrate(system, x0, (0.0, 2.0), h, method).x[-1] - fine)) for h in (1 / 16, 1 / 32, 1 / 64)
+    ]
+    # The slope changes by O(h) from one halving to the next: twice the last change.
+    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert abs(slopes[1] - order) < 0.1 + abs(slopes[1] - slopes[0])
+
+
+@pytest.mark.parametrize("freeze", ["structure", "gradient"])
+def test_large_systems_are_solved_without_a_matrix(freeze):
+    """A chain of 60 spins, 180 unknowns: iterated; 12 spins, 36 unknowns: by factors. Both keep their invariant."""
+    for spins, direct in ((60, False), (12, True)):
+        system, x0 = spin_chain(spins)
+        method = co.ModifiedGaussLegendre(1, freeze=freeze)
+        from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
+
+        assert runge_kutta_tables(system, method).tables.direct == direct
+        found = co.stepper(system, method, 0.1)(x0)
+        assert np.max(np.abs(found - method.step(system, x0, 0.0, 0.1))) < 64 * U
+        run = co.integrate(system, x0, (0.0, 10.0), 0.1, method, save_every=100)
+        size = 3 * spins
+        kept = "energy" if freeze == "structure" else "S"
+        lost = "S" if freeze == "structure" else "energy"
+        assert run.drift()[kept] < 6 * 4 * size * U * math.sqrt(100)
+        assert run.drift()[lost] > 1e-6
+
+
+def spin_chain(spins):
+    rows = [
+        (3 * i + a, 3 * i + b, 3 * i + c, 1.0) for i in range(spins) for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+    ]
+    algebra = co.LieAlgebra(rows, dim=3 * spins)
+    M = np.zeros((3 * spins, 3 * spins))
+    for i in range(spins):
+        j = (i + 1) % spins
+        for a, coupling in enumerate((1.0, 0.5, 0.25)):
+            M[3 * i + a, 3 * j + a] += coupling
+            M[3 * j + a, 3 * i + a] += coupling
+    S = co.Polynomial({tuple(2 * (k == i) for k in range(3 * spins)): 1 for i in range(3 * spins)})
+    x0 = np.random.default_rng(5).standard_normal((spins, 3))
+    x0 /= np.linalg.norm(x0, axis=1, keepdims=True)
+    return co.LiePoissonSystem(algebra, co.Quadratic(M), casimirs={"S": S}), x0.ravel()
+
+
+def test_no_convergence_is_reported_with_step_time_and_residual():
+    system, x0 = systems()["so(4)"]
+    with pytest.raises(co.IntegrationError, match="did not converge") as caught:
+        co.integrate(system, x0, (0.0, 40.0), 4.0, co.GaussLegendre(2))
+    error = caught.value
+    assert (error.step, error.time) == (1, 0.0)
+    assert error.residual > 1e-3
+    assert np.array_equal(error.partial.x, x0[None])
+
+
+def test_overflow_is_reported():
+    system = co.LiePoissonSystem(co.algebras.sl(2), co.Polynomial({(4, 0, 0): 1.0, (0, 3, 1): 1.0}))
+    with pytest.raises(co.IntegrationError, match="overflow"):
+        co.integrate(system, (1e4, 1e4, 1e4), (0.0, 100.0), 1.0, co.ExplicitRungeKutta("rk4"))
+
+
+def test_an_equilibrium_stays():
+    """All corrections vanish at once: no iteration is left hanging, and no step is lost."""
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    for x0 in ((0.0, 0.0, 2.0), (0.0, 0.0, 0.0)):
+        run = co.integrate(body, x0, (0.0, 1.0), 0.1, co.GaussLegendre(3))
+        assert np.array_equal(run.x[-1], x0)
+        assert run.stats.iterations == 10
+
+
+def test_components_of_different_size_are_all_converged():
+    """|x1| = 1e6 against 1e-3: the small component is as accurate, relatively, as where it stands alone."""
+    rows = [(0, 1, 2, 1.0), (1, 2, 0, 1.0), (2, 0, 1, 1.0), (3, 4, 5, 1.0), (4, 5, 3, 1.0), (5, 3, 4, 1.0)]
+    system = co.LiePoissonSystem(co.LieAlgebra(rows, dim=6), co.Quadratic([1e-6, 2e-6, 3e-6, 1e3, 2e3, 3e3]))
+    large, small = np.array([1.0, 0.5, -0.75]) * 1e6, np.array([0.5, 1.0, -0.25]) * 1e-3
+    found = co.stepper(system, co.GaussLegendre(4), 0.5)(np.concatenate([large, small]))
+    with mpmath.workdps(40):
+        x = np.array([mpmath.mpf(v) for v in np.concatenate([large, small])], dtype=object)
+        exact = co.GaussLegendre(4).step(system, x, 0, 0.5)
+    error = np.array([float(v) for v in exact - found])
+    assert np.max(np.abs(error[:3])) < 32 * U * 1e6
+    assert np.max(np.abs(error[3:])) < 32 * U * 1e-3

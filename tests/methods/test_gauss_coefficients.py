@@ -1,0 +1,60 @@
+"""The coefficients of collocation methods: order conditions, exactness in floats, any number type."""
+
+from __future__ import annotations
+
+import mpmath
+import numpy as np
+import pytest
+
+from coadjoint.methods.gauss_coefficients import gauss_legendre, radau
+
+U = 2.0**-53
+COUNTS = (1, 2, 3, 4, 5, 8, 13, 20, 32)
+
+
+@pytest.mark.parametrize("stages", COUNTS)
+@pytest.mark.parametrize("family", [gauss_legendre, radau])
+def test_float_coefficients_are_the_rounded_multiprecision_ones(family, stages):
+    with mpmath.workdps(60):
+        exact = family(stages, mpmath.mpf)
+        found = family(stages)
+        for name, bound in (("nodes", U), ("weights", U), ("mu", 2 * U)):
+            error = np.abs(getattr(found, name) - getattr(exact, name))
+            # Rounded to nearest; mu below 2 on a grid of 2 U, hence one U more than the half of it.
+            assert np.max(error) <= bound
+
+
+@pytest.mark.parametrize("stages", COUNTS)
+@pytest.mark.parametrize(("family", "degree"), [(gauss_legendre, 2), (radau, 2)])
+def test_simplifying_conditions(family, degree, stages):
+    """B(2s) or B(2s - 1), and C(s), to 40 digits."""
+    with mpmath.workdps(80):
+        c, b, mu = family(stages, mpmath.mpf)
+        a = mu * b
+        order = 2 * stages - (family is radau)
+        for k in range(1, order + 1):
+            assert abs(sum(b * c ** (k - 1)) - mpmath.mpf(1) / k) < mpmath.mpf(10) ** -40
+        for k in range(1, stages + 1):
+            assert np.max(np.abs(a @ c ** (k - 1) - c**k / k)) < mpmath.mpf(10) ** -40
+        # The next condition fails: the order is not higher.
+        assert abs(sum(b * c**order) - mpmath.mpf(1) / (order + 1)) > mpmath.mpf(10) ** -40
+
+
+@pytest.mark.parametrize("stages", COUNTS)
+def test_gauss_mu_is_exactly_symplectic(stages):
+    mu = gauss_legendre(stages).mu
+    assert np.array_equal(mu + mu.T, np.ones((stages, stages)))
+    assert np.array_equal(np.diag(mu), np.full(stages, 0.5))
+
+
+@pytest.mark.parametrize("stages", COUNTS)
+def test_radau_ends_with_the_step(stages):
+    c, _, mu = radau(stages)
+    assert c[-1] == 1.0
+    assert np.array_equal(mu[-1], np.ones(stages))
+
+
+def test_coefficients_are_shared_and_read_only():
+    assert gauss_legendre(3).mu is gauss_legendre(3).mu
+    with pytest.raises(ValueError, match="read-only"):
+        gauss_legendre(3).mu[0, 0] = 1.0

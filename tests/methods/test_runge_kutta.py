@@ -1,0 +1,275 @@
+"""The plain reading of the Runge-Kutta schemes: orders, number types, exact derivatives, refusals."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+GAUSS, ITERATED, MODIFIED, EXPLICIT = (
+    co.GaussLegendre,
+    co.IteratedGaussLegendre,
+    co.ModifiedGaussLegendre,
+    co.ExplicitRungeKutta,
+)
+FULL = np.diag([1.0, 0.5, 1.25, 0.75, 1.5, 0.25]) + 0.125 * (np.ones((6, 6)) - np.eye(6))
+
+
+def quadratic_field(x):
+    """J = hat(grad F), F = x1 x2 x3 + x3^2: a Poisson structure that is quadratic in x, with the Casimir F."""
+    g = [x[1] * x[2], x[0] * x[2], x[0] * x[1] + 2 * x[2]]
+    return np.array([[0 * x[0], -g[2], g[1]], [g[2], 0 * x[0], -g[0]], [-g[1], g[0], 0 * x[0]]])
+
+
+def quadratic_field_derivative(x):
+    H = [[0 * x[0], x[2], x[1]], [x[2], 0 * x[0], x[0]], [x[1], x[0], 2 + 0 * x[0]]]
+    result = np.zeros((3, 3, 3))
+    for i, j, k, sign in ((0, 1, 2, -1.0), (0, 2, 1, 1.0), (1, 2, 0, -1.0)):
+        result[i, j], result[j, i] = sign * np.array(H[k]), -sign * np.array(H[k])
+    return result
+
+
+def driven(x, t):
+    return x[0] * x[0] * (1 + t) / 2 + x[1] * x[2] * t * t + x[2] * x[2]
+
+
+def driven_gradient(x, t):
+    return np.array([x[0] * (1 + t), x[2] * t * t, x[1] * t * t + 2 * x[2]])
+
+
+def driven_hessian(x, t):
+    return np.array([[1.0 + t, 0.0, 0.0], [0.0, 0.0, t * t], [0.0, t * t, 2.0]])
+
+
+def systems():
+    e3, so4 = co.algebras.e(3), co.algebras.so(4)
+    top = co.Quadratic([1.0, 0.5, 0.25, 0.0, 0.0, 0.0], linear=[0, 0, 0, 0.75, 0.5, 1.0])
+    cubic = co.Polynomial({(2, 0, 0, 0, 0, 0): 0.5, (0, 1, 0, 0, 1, 0): 0.25, (0, 0, 0, 1, 1, 1): 1.0, (0, 0, 4, 0, 0, 0): 0.5})
+    return {
+        "top": (co.LiePoissonSystem(e3, top, sign=-1), [1.0, -0.5, 1.5, 0.625, 0.25, 0.75]),
+        "cubic": (co.LiePoissonSystem(e3, cubic, sign=-1), [1.0, -0.5, 0.75, 0.625, 0.25, 0.75]),
+        "so(4)": (co.LiePoissonSystem(so4, co.Quadratic(FULL)), [1.0, 0.5, -0.25, 0.75, -1.0, 0.375]),
+        "sl(2)": (co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 2.0, 3.0])), [1.0, 0.5, -0.25]),
+        "A3,7": (co.LiePoissonSystem(co.algebras.A3_7(2.0), co.Quadratic([1.0, 2.0, 0.25])), [0.75, 0.5, 0.625]),
+        "driven": (
+            co.LiePoissonSystem(co.algebras.sl(2), co.Hamiltonian(driven, driven_gradient, driven_hessian)),
+            [1.0, 0.5, -0.25],
+        ),
+        "quadratic J": (
+            co.PoissonSystem(
+                quadratic_field, co.Quadratic([1.0, 0.5, 0.25], linear=[0, 0, 1]), derivative=quadratic_field_derivative
+            ),
+            [0.75, 0.5, -0.625],
+        ),
+    }
+
+
+def multiprecision(x):
+    return np.array([mpmath.mpf(v) for v in x], dtype=object)
+
+
+def local_order(system, x0, method, t=0.5):
+    """Return the slope of the local error, less one, between h = 2^-11 and 2^-13, in 70 digits.
+
+    The next term of the error is h times the first; a ratio up to 100 moves the slope by at most log2(1 + 100 h)/2 = 0.02.
+    """
+    x = multiprecision(x0)
+    with mpmath.workdps(70):
+        errors = []
+        for h in (mpmath.mpf(2) ** -11, mpmath.mpf(2) ** -13):
+            exact = GAUSS(6).step(system, x, t, h)  # local error h^13
+            errors.append(mpmath.norm(list(method.step(system, x, t, h) - exact), mpmath.inf))
+        return float(mpmath.log(errors[0] / errors[1], 2)) / 2 - 1
+
+
+@pytest.mark.parametrize("name", ["top", "so(4)"])
+@pytest.mark.parametrize("freeze", ["structure", "gradient"])
+@pytest.mark.parametrize(("s", "m"), [(s, m) for s in (1, 2, 3) for m in range(1, 2 * s + 2)])
+def test_lemma_3_1_order_is_min_m_p(name, freeze, s, m):
+    system, x0 = systems()[name]
+    method = MODIFIED(s, iterations=m, freeze=freeze)
+    assert method.order == min(m, 2 * s)
+    assert abs(local_order(system, x0, method) - method.order) < 0.02
+
+
+@pytest.mark.parametrize(("s", "m"), [(s, m) for s in (1, 2, 3) for m in range(1, 2 * s + 1)])
+def test_function_iteration_has_order_min_m_plus_1_p(s, m):
+    system, x0 = systems()["cubic"]
+    method = ITERATED(s, iterations=m)
+    assert method.order == min(m + 1, 2 * s)
+    assert abs(local_order(system, x0, method) - method.order) < 0.02
+
+
+@pytest.mark.parametrize("name", ["cubic", "so(4)", "sl(2)", "A3,7", "driven", "quadratic J"])
+@pytest.mark.parametrize(
+    "method", [GAUSS(1), GAUSS(2), GAUSS(3), ITERATED(2), EXPLICIT("runge2"), EXPLICIT("rk4")], ids=repr
+)
+def test_orders(name, method):
+    system, x0 = systems()[name]
+    assert abs(local_order(system, x0, method) - method.order) < 0.02
+
+
+@pytest.mark.parametrize(("freeze", "name"), [("gradient", "cubic"), ("gradient", "driven"), ("structure", "quadratic J")])
+def test_orders_of_the_modified_scheme_where_only_one_form_exists(freeze, name):
+    system, x0 = systems()[name]
+    method = MODIFIED(2, freeze=freeze)
+    assert abs(local_order(system, x0, method) - 4) < 0.02
+
+
+def test_order_6_and_12_from_one_stage_on():
+    assert [GAUSS(s).order for s in (1, 3, 6)] == [2, 6, 12]
+    assert ITERATED(3).order == 6 and ITERATED(3).function_iterations == 5
+    assert MODIFIED(2).order == 4 and MODIFIED(2).function_iterations == 3
+
+
+def test_modified_midpoint_is_equations_10_and_11():
+    system, x0 = systems()["so(4)"]
+    x, h, identity = np.array(x0), 0.125, np.eye(6)
+    X = x + h / 2 * system.vector_field(x)
+    half = h / 2 * system.structure_matrix(X) @ FULL
+    expected = np.linalg.solve(identity - half, (identity + half) @ x)
+    # a 6 x 6 solution with condition number below 4: n^2 roundings of size one
+    assert np.max(np.abs(MODIFIED(1).step(system, x, 0.0, h) - expected)) < 4 * 36 * 2.0**-53
+
+
+def test_runge2_is_exact_in_fractions():
+    system, _ = systems()["sl(2)"]
+    x = np.array([Fraction(1), Fraction(1, 2), Fraction(-1, 3)], dtype=object)
+    h = Fraction(1, 10)
+    middle = x + h / 2 * system.vector_field(x)
+    assert list(EXPLICIT("runge2").step(system, x, 0, h)) == list(x + h * system.vector_field(middle))
+
+
+def everywhere():
+    pairs = []
+    for name, (system, _) in systems().items():
+        for method in (
+            GAUSS(2),
+            ITERATED(2, iterations=2),
+            EXPLICIT("rk4"),
+            EXPLICIT("runge2"),
+            MODIFIED(1),
+            MODIFIED(2, iterations=3),
+            MODIFIED(1, freeze="gradient"),
+            MODIFIED(2, iterations=3, freeze="gradient"),
+            co.RadauEnergy(1),
+            co.RadauEnergy(2),
+        ):
+            served = name != "driven" or not isinstance(method, co.RadauEnergy)
+            if isinstance(method, MODIFIED):
+                wanted = name in ("cubic", "driven") if method.freeze == "structure" else name == "quadratic J"
+                served = not wanted
+            if served:
+                pairs.append(pytest.param(name, method, id=f"{name}-{method!r}"))
+            assert served == can_serve(method, system)
+    return pairs
+
+
+def can_serve(method, system):
+    try:
+        method.properties(system)
+    except ValueError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize(("name", "method"), everywhere())
+def test_tangent_is_the_derivative_of_the_step(name, method):
+    """Central differences in 50 digits with e = 1e-15 are exact to 1e-28; the tangent itself rounds like the step."""
+    system, x0 = systems()[name]
+    h, t, n = 0.125, 0.25, len(x0)
+    new, P = method.tangent(system, np.array(x0), t, h)
+    with mpmath.workdps(50):
+        e = mpmath.mpf(10) ** -15
+        columns = []
+        for i in range(n):
+            ends = []
+            for sign in (1, -1):
+                x = multiprecision(x0)
+                x[i] += sign * e
+                ends.append(method.step(system, x, t, h))
+            columns.append([float(v) for v in (ends[0] - ends[1]) / (2 * e)])
+    # s n unknowns at most 18, condition numbers below 20, some 10 evaluations of n products: 1e4 roundings.
+    bound = 1e4 * 2.0**-53 * max(1.0, float(np.max(np.abs(P))))
+    assert np.max(np.abs(P - np.array(columns).T)) < bound
+    assert np.max(np.abs(new - method.step(system, x0, t, h))) <= 64 * 2.0**-53
+    assert np.max(np.abs(P - np.eye(n))) > 1e-2
+
+
+def test_tangent_needs_the_second_derivatives():
+    H = co.Hamiltonian(driven, driven_gradient)
+    system = co.LiePoissonSystem(co.algebras.sl(2), H)
+    with pytest.raises(TypeError, match="second derivatives"):
+        GAUSS(2).tangent(system, [1.0, 0.5, 0.25], 0.0, 0.1)
+
+
+def test_quadratic_invariants_in_multiprecision():
+    """To 45 of 50 digits in one large step; the paper's claim and its two halves."""
+    system, x0 = systems()["so(4)"]
+    x = multiprecision(x0)
+    with mpmath.workdps(50):
+        h = mpmath.mpf("0.25")
+        casimirs = list(system.casimirs.values())
+        changes = {}
+        for key, method in {
+            "gauss": GAUSS(3),
+            "structure": MODIFIED(2, iterations=2),
+            "gradient": MODIFIED(2, iterations=2, freeze="gradient"),
+            "iterated": ITERATED(2),
+        }.items():
+            new = method.step(system, x, 0, h)
+            changes[key] = (
+                abs(system.energy(new) - system.energy(x)),
+                max(abs(C(new) - C(x)) for C in casimirs),
+            )
+    kept, lost = 1e-45, 1e-9
+    assert changes["gauss"][0] < kept and changes["gauss"][1] < kept
+    assert changes["structure"][0] < kept and changes["structure"][1] > lost
+    assert changes["gradient"][0] > lost and changes["gradient"][1] < kept
+    assert min(changes["iterated"]) > lost
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: GAUSS(0), "stages of GaussLegendre must be a whole number from 1 up, not 0"),
+        (lambda: GAUSS(1.5), "stages of GaussLegendre must be a whole number from 1 up, not 1.5"),
+        (lambda: GAUSS(True), "not True"),
+        (lambda: ITERATED(2, iterations=0), "iterations of IteratedGaussLegendre must be a whole number"),
+        (lambda: MODIFIED(1, iterations=-1), "iterations of ModifiedGaussLegendre must be a whole number"),
+        (lambda: MODIFIED(1, freeze="structur"), "did you mean 'structure'"),
+        (lambda: EXPLICIT("rk5"), "did you mean 'rk4'"),
+        (lambda: co.RadauEnergy(0), "stages of RadauEnergy must be"),
+    ],
+)
+def test_wrong_parameters_are_refused(make, said):
+    with pytest.raises(ValueError, match=said):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("method", "name", "said"),
+    [
+        (MODIFIED(1), "cubic", "needs a quadratic Hamiltonian"),
+        (MODIFIED(1), "driven", "needs a quadratic Hamiltonian"),
+        (MODIFIED(1, freeze="gradient"), "quadratic J", "needs a Lie algebra"),
+        (co.RadauEnergy(2), "driven", "depends on time"),
+    ],
+)
+def test_systems_that_cannot_be_served_are_refused(method, name, said):
+    system, x0 = systems()[name]
+    with pytest.raises(ValueError, match=said):
+        method.properties(system)
+    with pytest.raises(ValueError, match=said):
+        method.step(system, x0, 0.0, 0.1)
+
+
+def test_no_convergence_says_so():
+    system, x0 = systems()["so(4)"]
+    with pytest.raises(co.IntegrationError, match="do not converge") as caught:
+        GAUSS(2).step(system, x0, 0.0, 10.0)
+    assert caught.value.residual > 1.0

@@ -1,0 +1,179 @@
+"""The plain reading in 40 digits: order, Casimirs and the Poisson condition far below the round-off of floats."""
+
+import math
+
+import mpmath
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.program.reading import Reading
+from coadjoint.program.table import build_program
+
+DIGITS = 40
+
+
+def full(n, seed):
+    A = np.random.default_rng(seed).uniform(-1, 1, (n, n))
+    return np.diag(np.linspace(0.5, 1.5, n)) + 0.25 * (A + A.T)
+
+
+def constants_of(algebra):
+    unit = np.eye(algebra.dim)
+    return np.array([[algebra.bracket(u, v) for v in unit] for u in unit])
+
+
+def in_basis(algebra, T):
+    inverse = np.rint(np.linalg.inv(T))
+    return co.LieAlgebra(np.einsum("ia,jb,abk,kl->ijl", T, T, constants_of(algebra), inverse))
+
+
+SKEWED = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, -1.0, 1.0]])
+
+
+def driven():
+    """Polynomials in the coordinates, explicit in the time; pure arithmetic, so that any number type serves."""
+    a = (lambda y, t: y * y * (1 + t * t) / 2, lambda y, t: y * (1 + t * t), lambda y, t: 1 + t * t)
+    b = (lambda y: y**4 / 4 + y, lambda y: y**3 + 1, lambda y: 3 * y * y)
+    return co.Separable({0: a, 1: b, 2: (lambda y: y * y / 4, lambda y: y / 2, lambda y: 1 / (2 + 0 * y))})
+
+
+SYSTEMS = {
+    "e(3) diagonal": (co.algebras.e(3), co.Quadratic([1.0, 0.5, 0.25, 0.5, 1.5, 0.75], linear=[0, 0, 0, 0.5, 0, 1.0])),
+    "so(4) full": (co.algebras.so(4), co.Quadratic(full(6, 1))),
+    "sl(2) full": (co.algebras.sl(2), co.Quadratic(full(3, 2), linear=[0.25, 0, -0.5])),
+    "A3,7": (co.algebras.get("A3,7", a=1.75), co.Quadratic([1.0, 2.0, 0.25])),
+    "Heisenberg": (co.algebras.heisenberg(2), co.Quadratic(full(5, 3))),
+    "so(3) other basis": (in_basis(co.algebras.so(3), SKEWED), co.Quadratic(full(3, 4))),
+    "quartic on so(3)": (co.algebras.so(3), co.Polynomial({(4, 0, 0): 0.25, (0, 3, 0): 0.5, (0, 0, 2): 1.0, (1, 0, 0): 1.0})),
+    "driven sl(2)": (co.algebras.sl(2), driven()),
+}
+
+
+def setup(name, method):
+    s = co.LiePoissonSystem(*SYSTEMS[name], sign=-1 if name == "so(4) full" else 1)
+    x = np.array([mpmath.mpf(v) for v in np.linspace(-0.5, 0.75, s.dim)])
+    return s, Reading(build_program(s, method, number=mpmath.mpf)), x
+
+
+def size(values):
+    return max(abs(v) for v in np.ravel(values))
+
+
+@pytest.mark.parametrize(("order", "tolerance"), [(1, 0.02), (2, 0.01), (4, 0.01)])
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_order(name, order, tolerance):
+    """Differences of runs at h, h/2, h/4 shrink by 2^p (1 + O(h^2)), h = 1/128 and smaller; order 1: 1 + O(h)."""
+    with mpmath.workdps(DIGITS):
+        _, read, x = setup(name, co.Splitting(order=order))
+        ends = [read.steps(x, mpmath.mpf(1) / (128 * 2**k), 4 * 2**k, t0=mpmath.mpf(1) / 2) for k in range(3)]
+        slope = mpmath.log(size(ends[1] - ends[0]) / size(ends[2] - ends[1]), 2)
+        assert abs(slope - order) <= tolerance
+
+
+@pytest.mark.parametrize("name", [name for name in SYSTEMS if name != "driven sl(2)"])
+def test_one_small_step_is_the_taylor_series_of_the_flow(name):
+    """x + h f + h^2 f' f / 2 up to O(h^3): the right speed and sign, which invariants do not see."""
+    with mpmath.workdps(DIGITS):
+        s, read, x = setup(name, co.Splitting(order=2))
+        h = mpmath.mpf(10) ** -8
+        velocity = s.vector_field(x)
+        series = x + h * velocity + h * h / 2 * (s.jacobian(x) @ velocity)
+        assert size(read.steps(x, h, 1) - series) <= 100 * h**3
+
+
+def perturbed(read, x, direction, scale, h):
+    """Central difference of two steps, error O(scale^2)."""
+    right, left = (read.steps(x + sign * scale * direction, h, 2, t0=mpmath.mpf(1) / 2) for sign in (1, -1))
+    return (right - left) / (2 * scale)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_poisson_condition_with_the_exact_tangent(name, order):
+    with mpmath.workdps(DIGITS):
+        s, read, x = setup(name, co.Splitting(order=order))
+        unit = np.array([[mpmath.mpf(int(i == j)) for j in range(s.dim)] for i in range(s.dim)])
+        h = mpmath.mpf("0.3")
+        y, P = read.steps(x, h, 2, t0=mpmath.mpf(1) / 2, tangent=unit)
+        defect = P @ s.structure_matrix(x) @ P.T - s.structure_matrix(y)
+        assert size(defect) <= mpmath.mpf(10) ** -35 * (1 + size(P)) ** 2
+        direction = np.array([mpmath.mpf(v) for v in np.linspace(1, -0.5, s.dim)])
+        assert size(P @ direction - perturbed(read, x, direction, mpmath.mpf(10) ** -12, h)) <= 10 ** -18 * (1 + size(P)) ** 3
+
+
+@pytest.mark.parametrize("name", ["e(3) diagonal", "so(4) full", "sl(2) full", "quartic on so(3)", "driven sl(2)", "Heisenberg"])
+def test_polynomial_casimirs(name):
+    with mpmath.workdps(DIGITS):
+        s, read, x = setup(name, co.Splitting(order=4))
+        assert s.casimirs
+        y = read.steps(x, mpmath.mpf("0.4"), 6)
+        for casimir in s.casimirs.values():
+            assert abs(casimir(y) - casimir(x)) <= mpmath.mpf(10) ** -35 * (1 + size(y)) ** casimir.degree
+
+
+def test_spiral_casimir():
+    with mpmath.workdps(DIGITS):
+        _, read, x = setup("A3,7", co.Splitting(order=2))
+        a = mpmath.mpf(1.75)
+
+        def log_casimir(z):
+            return mpmath.log(z[0] ** 2 + z[1] ** 2) - 2 * a * mpmath.atan2(z[1], z[0])
+
+        y = read.steps(x, mpmath.mpf("0.1"), 5)
+        period = 4 * mpmath.pi * a
+        change = log_casimir(y) - log_casimir(x)
+        assert abs(change - period * mpmath.nint(change / period)) <= mpmath.mpf(10) ** -35
+
+
+@pytest.mark.parametrize("carried", ["coadjoint", "own"])
+@pytest.mark.parametrize("name", ["e(3) diagonal", "so(4) full", "sl(2) full", "A3,7", "driven sl(2)"])
+def test_group_element_carries_the_momentum(name, carried):
+    """K x constant; with another representation rho(Ad) intertwines: g rho(K^T v) g^-1 = rho(v)."""
+    with mpmath.workdps(DIGITS):
+        s, _, x = setup(name, co.Splitting())
+        h = mpmath.mpf("0.25")
+
+        def run(representation, size_of):
+            read = Reading(build_program(s, co.Splitting(order=2), group=representation, number=mpmath.mpf))
+            unit = np.array([[mpmath.mpf(int(i == j)) for j in range(size_of)] for i in range(size_of)])
+            return read.steps(x, h, 3, group=unit)
+
+        y, K = run("coadjoint", s.dim)
+        assert size(K @ y - x) <= mpmath.mpf(10) ** -35 * (1 + size(K)) * (1 + size(y))
+        if carried == "own":
+            rho = s.representation
+            _, g = run(rho, rho.shape[1])
+            for i in range(s.dim):
+                moved = sum(K[i, k] * rho[k] for k in range(s.dim))
+                assert size(g @ moved - rho[i] @ g) <= mpmath.mpf(10) ** -35 * (1 + size(K)) * (1 + size(g))
+
+
+def test_whole_numbers_are_numbers():
+    """An integer state is a state, not a request for integer arithmetic."""
+    s = co.LiePoissonSystem(*SYSTEMS["e(3) diagonal"])
+    read = Reading(build_program(s, co.Splitting()))
+    given = np.array([1, 0, -1, 2, 1, 0])
+    assert np.array_equal(read.steps(given, 0.1, 3), read.steps(given.astype(float), 0.1, 3))
+    assert given.tolist() == [1, 0, -1, 2, 1, 0]
+
+
+def test_no_steps_is_the_identity():
+    s = co.LiePoissonSystem(*SYSTEMS["sl(2) full"])
+    x = np.array([1.0, 2.0, 3.0])
+    assert np.array_equal(Reading(build_program(s, co.Splitting())).steps(x, 0.1, 0), x)
+
+
+def test_a_tangent_needs_second_derivatives():
+    s = co.LiePoissonSystem(co.algebras.sl(2), co.Separable({0: (math.cosh, math.sinh), 2: (math.cosh, math.sinh)}))
+    read = Reading(build_program(s, co.Splitting()))
+    with pytest.raises(TypeError, match="hessian"):
+        read.steps(np.ones(3), 0.1, 1, tangent=np.eye(3))
+
+
+def test_number_types_without_elementary_functions_are_refused():
+    from fractions import Fraction
+
+    s = co.LiePoissonSystem(*SYSTEMS["e(3) diagonal"])
+    with pytest.raises(TypeError, match="float and mpmath numbers, not Fraction"):
+        Reading(build_program(s, co.Splitting(), number=Fraction))

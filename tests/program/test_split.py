@@ -1,0 +1,280 @@
+"""Parts: commuting forms, few of them, whose pieces add up to the Hamiltonian."""
+
+import math
+import time
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+
+import coadjoint as co
+from coadjoint.program.reading import Reading
+from coadjoint.program.split import split
+from coadjoint.program.table import build_program
+
+
+def constants_of(algebra):
+    unit = np.eye(algebra.dim)
+    return np.array([[algebra.bracket(u, v) for v in unit] for u in unit])
+
+
+def in_basis(algebra, T):
+    """The algebra in the basis f_i = sum_a T_ia e_a, T whole and of determinant one: all constants exact."""
+    inverse = np.rint(np.linalg.inv(T))
+    return co.LieAlgebra(np.einsum("ia,jb,abk,kl->ijl", T, T, constants_of(algebra), inverse))
+
+
+def whole_matrix(n, seed):
+    draw = np.random.default_rng(seed).integers(-1, 2, (2, n, n)).astype(float)
+    return (np.tril(draw[0], -1) + np.eye(n)) @ (np.triu(draw[1], 1) + np.eye(n))
+
+
+def copies(algebra, count):
+    i, j, k, c = algebra.triples
+    shift = algebra.dim * np.arange(count)[:, None]
+    rows = zip(*(np.ravel(a + shift).tolist() for a in (i, j, k)), np.tile(c, count).tolist(), strict=True)
+    return co.LieAlgebra(list(rows), dim=algebra.dim * count)
+
+
+def lattice(count, seed=1):
+    """Exchange of neighbours and of random pairs, different along x, y and z, and a field."""
+    rng = np.random.default_rng(seed)
+    a = np.concatenate([np.arange(count - 1), rng.integers(0, count, count)])
+    b = np.concatenate([np.arange(1, count), rng.integers(0, count, count)])
+    a, b = a[a != b], b[a != b]
+    rows = np.concatenate([3 * a + axis for axis in range(3)])
+    columns = np.concatenate([3 * b + axis for axis in range(3)])
+    J = coo_array((rng.uniform(0.5, 1.5, len(rows)), (rows, columns)), shape=(3 * count, 3 * count))
+    return co.Quadratic((J + J.T).tocsr(), linear=rng.standard_normal(3 * count))
+
+
+def full(n, seed):
+    A = np.random.default_rng(seed).standard_normal((n, n))
+    return A + A.T
+
+
+E3, SO4, SL2, SO3 = co.algebras.e(3), co.algebras.so(4), co.algebras.sl(2), co.algebras.so(3)
+A37, HEISENBERG, SO5 = co.algebras.get("A3,7", a=1.75), co.algebras.heisenberg(2), co.algebras.so(5)
+HOLLOW = np.array([[0.0, 1.0, 0.5], [1.0, 0.0, -2.0], [0.5, -2.0, 0.0]])
+COUPLED = np.diag([1.0, 2.0, 3.0, 0.5, 0.25, 0.75])
+COUPLED[3, 4] = COUPLED[4, 3] = 0.125
+COUPLED[3, 5] = COUPLED[5, 3] = -0.5
+
+
+def kepler(y):
+    return 1.0 / (1.0 + y[0] * y[0] + y[1] * y[1])
+
+
+def kepler_slope(y):
+    r = 1.0 + y[0] * y[0] + y[1] * y[1]
+    return np.array([-2.0 * y[0] / (r * r), -2.0 * y[1] / (r * r)])
+
+
+QUARTIC = {
+    (4, 0, 0): 0.25,
+    (2, 0, 0): 0.5,
+    (0, 3, 0): 1.0,
+    (0, 0, 4): -0.125,
+    (1, 0, 1): 0.75,
+    (0, 1, 0): 2.0,
+    (0, 0, 0): 3.0,
+}
+CUBIC_IN_P = {(0, 0, 0, 2, 1, 0): 0.5, (0, 0, 0, 0, 1, 3): -0.25, (2, 0, 0, 0, 0, 0): 1.0, (0, 1, 0, 0, 0, 0): 0.5}
+PIECES = [
+    ((3, 4), co.Hamiltonian(kepler, kepler_slope)),
+    ((0,), co.Quadratic(2.0)),
+    ((5, 3), co.Polynomial({(1, 2): 0.5})),
+    ((1, 4), co.Quadratic([[1.0, 0.5], [0.5, 2.0]])),
+]
+SYSTEMS = {
+    "e(3) diagonal": (E3, co.Quadratic([1.0, 0.5, 0.25, 2.0, 3.0, 4.0], linear=[0, 0, 1, 0, 0.5, 0])),
+    "e(3) couplings inside commuting sets": (E3, co.Quadratic(COUPLED)),
+    "e(3) full": (E3, co.Quadratic(full(6, 2), linear=np.arange(6.0))),
+    "so(4) full": (SO4, co.Quadratic(full(6, 3))),
+    "so(4) diagonal": (SO4, co.Quadratic(np.arange(1.0, 7.0))),
+    "sl(2) indefinite": (SL2, co.Quadratic(full(3, 4), linear=[1.0, 0, -1.0])),
+    "A3,7 full": (A37, co.Quadratic(full(3, 5), linear=[0, 0, 0.5])),
+    "A3,7 diagonal": (A37, co.Quadratic([1.0, 2.0, 0.01])),
+    "Heisenberg singular": (HEISENBERG, co.Quadratic(np.outer(np.arange(5.0), np.arange(5.0)))),
+    "so(5) diagonal": (SO5, co.Quadratic(np.arange(1.0, 11.0))),
+    "so(5) full": (SO5, co.Quadratic(full(10, 6))),
+    "so(3) zero diagonal": (SO3, co.Quadratic(HOLLOW, linear=[1.0, 2.0, 3.0])),
+    "so(3) permuted": (in_basis(SO3, np.eye(3)[[2, 0, 1]]), co.Quadratic([1.0, 2.0, 4.0])),
+    "so(3) other basis": (in_basis(SO3, whole_matrix(3, 7)), co.Quadratic([1.0, 2.0, 4.0])),
+    "e(3) other basis": (in_basis(E3, whole_matrix(6, 8)), co.Quadratic(full(6, 9))),
+    "3 spins": (copies(SO3, 3), lattice(3)),
+    "3 spins full": (copies(SO3, 3), co.Quadratic(full(9, 10))),
+    "quartic on so(3)": (SO3, co.Polynomial(QUARTIC)),
+    "cubic in p on e(3)": (E3, co.Polynomial(CUBIC_IN_P)),
+    "pieces on e(3)": (E3, co.SplitHamiltonian(PIECES)),
+    "separable on sl(2)": (
+        SL2,
+        co.Separable(
+            {0: (math.cosh, math.sinh), 2: (lambda y, t: 0.5 * y * y * (2.0 + t), lambda y, t: y * (2.0 + t))}
+        ),
+    ),
+}
+
+
+def system(name):
+    return co.LiePoissonSystem(*SYSTEMS[name])
+
+
+def bracket_is_zero(algebra, f, g):
+    """Exactly, in rationals; forms in floats may miss by the rounding of their entries, 4 u of what is added up."""
+    u, v = (
+        {i: value if isinstance(value, Fraction) else Fraction(value) for i, value in zip(*form, strict=True)}
+        for form in (f, g)
+    )
+    sums, sizes = {}, {}
+    for i, j, k, c in zip(*(a.tolist() for a in algebra.triples), strict=True):
+        plus, minus = u.get(i, 0) * v.get(j, 0), u.get(j, 0) * v.get(i, 0)
+        sums[k] = sums.get(k, 0) + Fraction(c) * (plus - minus)
+        sizes[k] = sizes.get(k, 0) + abs(Fraction(c)) * (abs(plus) + abs(minus))
+    return all(abs(sums[k]) <= 4 * 2.0**-53 * sizes[k] for k in sums)
+
+
+@pytest.mark.parametrize("choice", ["auto", "coordinates"])
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_forms_of_a_part_commute(name, choice):
+    algebra = SYSTEMS[name][0]
+    parts = split(system(name), choice)
+    for part in parts:
+        for a, f in enumerate(part.forms):
+            assert all(bracket_is_zero(algebra, f, g) for g in part.forms[:a])
+
+
+@pytest.mark.parametrize("choice", ["auto", "coordinates"])
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_pieces_add_up_to_the_hamiltonian(name, choice):
+    """sum of angle_a l_a = grad H, at points in 40 digits: within 10^-36 of what is added up."""
+    s = system(name)
+    functions = name in ("pieces on e(3)", "separable on sl(2)")
+    number = float if functions else mpmath.mpf
+    tolerance = 16 * s.dim * 2.0**-53 if functions else 1e-36  # functions of floats; or 40 digits less a few roundings
+    with mpmath.workdps(40):
+        read = Reading(build_program(s, co.Splitting(parts=choice), number=number))
+        for seed in range(3):
+            x = np.random.default_rng(seed).uniform(-1, 1, s.dim)
+            x = x if functions else np.array([mpmath.mpf(v) for v in x])
+            total, size = [0 * x[0]] * s.dim, [0 * x[0]] * s.dim
+            for p, part in enumerate(read.program.parts):
+                angles = read.angles(p, x, 0.25)
+                assert len(angles) == len(part.forms)
+                for angle, form in zip(angles, part.forms, strict=True):
+                    for i, value in zip(*form, strict=True):
+                        exact = Fraction(value)
+                        term = angle * (x[0] * 0 + exact.numerator) / exact.denominator
+                        total[i], size[i] = total[i] + term, size[i] + abs(term)
+            gradient = s.hamiltonian.gradient(x, 0.25)
+            assert all(
+                abs(a - b) <= tolerance * (c + abs(b)) for a, b, c in zip(total, gradient, size, strict=True)
+            )
+
+
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        ("e(3) diagonal", 3),
+        ("e(3) couplings inside commuting sets", 4),
+        ("A3,7 diagonal", 2),
+        ("so(4) diagonal", 3),
+        ("so(3) permuted", 3),
+        ("3 spins", 3),
+        ("Heisenberg singular", 1),
+        ("so(3) zero diagonal", 3),
+        ("separable on sl(2)", 2),
+    ],
+)
+def test_number_of_parts(name, count):
+    assert len(split(system(name))) == count
+
+
+@pytest.mark.parametrize("count", [1, 40, 2000])
+def test_any_lattice_of_spins_has_three_parts(count):
+    """And they are found in time nearly linear in the spins: 2000 take about a second; 20 leaves room for a slow machine."""
+    s = co.LiePoissonSystem(copies(SO3, count), lattice(count))
+    began = time.perf_counter()
+    parts = split(s)
+    program = build_program(s, co.Splitting(order=2))
+    assert time.perf_counter() - began < 20.0
+    assert [sorted(i for (i,), _ in part.forms) for part in parts] == [
+        list(range(axis, 3 * count, 3)) for axis in range(3)
+    ]
+    assert len(program.state.kind) == 3  # one run for each part, however many spins
+
+
+def test_coordinates_are_a_part_each():
+    parts = split(system("e(3) diagonal"), "coordinates")
+    assert [part.forms for part in parts] == [(((i,), (1,)),) for i in range(6)]
+    assert len(split(system("e(3) couplings inside commuting sets"), "coordinates")) == 6
+    assert len(split(system("3 spins full"), "coordinates")) == 9
+
+
+def test_explicit_parts_are_used_in_their_order():
+    s = system("e(3) diagonal")
+    parts = split(s, [[5, 4, 3], [2], [1], [0]])
+    assert [sorted(i for (i,), _ in part.forms) for part in parts] == [[3, 4, 5], [2], [1], [0]]
+    program = build_program(s, co.Splitting(parts=[[5, 4, 3], [2], [1], [0]]))
+    first = program.parts[int(program.rows.part[0])]
+    assert {i for form, _ in first.forms for i in form} == {3, 4, 5}
+
+
+def test_sets_may_hold_coordinates_that_hamiltonian_does_not_use():
+    s = co.LiePoissonSystem(E3, co.Quadratic([1.0, 2.0, 0, 0, 0, 3.0]))
+    assert len(split(s, [[0, 3], [1], [4, 5], [2]])) == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "choice", "message"),
+    [
+        ("so(4) diagonal", [[0, 1], [2, 3], [4, 5]], "parts put .* and .* together, which do not commute"),
+        ("e(3) diagonal", [[0], [1], [2], [3, 4]], r"parts leave out .* \(coordinate 5\), which the Hamiltonian depends"),
+        ("e(3) diagonal", [[0], [1], [2], [3, 4, 6]], "parts name coordinate 6, but coordinates run from 0 to 5"),
+        ("e(3) diagonal", [[0], [1], [2], [3, 4, -1]], "parts name coordinate -1"),
+        ("e(3) couplings inside commuting sets", [[0], [1], [2], [3, 4], [5]], "in one set, since the Hamiltonian couples"),
+    ],
+)
+def test_explicit_parts_that_do_not_serve_are_refused(name, choice, message):
+    with pytest.raises(ValueError, match=message) as refusal:
+        split(system(name), choice)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_general_function_is_refused_by_name():
+    H = co.Hamiltonian(lambda x: 0.5 * x[0] * x[0] * x[1], lambda x: np.array([x[0] * x[1], 0.5 * x[0] * x[0], 0.0]))
+    s = co.LiePoissonSystem(SO3, H, name="top with a lid")
+    with pytest.raises(ValueError, match=r"Splitting cannot serve top with a lid: .*SplitHamiltonian.*GaussLegendre"):
+        split(s)
+
+
+def test_a_monomial_of_coordinates_that_do_not_commute_is_refused_by_name():
+    s = co.LiePoissonSystem(SO3, co.Polynomial({(2, 1, 0): 0.5, (0, 0, 2): 1.0}))
+    with pytest.raises(ValueError, match=r"its monomial 0\.5\*x1\^2\*x2 couples e1 and e2, which do not commute"):
+        split(s)
+
+
+def test_quadratic_couplings_beside_a_higher_degree_are_completed_squares():
+    s = co.LiePoissonSystem(SO3, co.Polynomial({(1, 1, 0): 1.0, (4, 0, 0): 0.25}))
+    assert any(len(form) > 1 for part in split(s) for form, _ in part.forms)
+
+
+def test_a_piece_is_kept_whole():
+    """Its flow is exact as it stands, also where the choice is one coordinate each."""
+    for choice in ("auto", "coordinates"):
+        parts = split(system("pieces on e(3)"), choice)
+        homes = [{i for form, _ in part.forms for i in form} for part in parts]
+        assert any({3, 4} <= home for home in homes) and any({1, 4} <= home for home in homes)
+
+
+def test_only_parts_with_a_function_of_time_are_timed():
+    parts = split(system("separable on sl(2)"), "coordinates")
+    assert [part.timed for part in parts] == [False, True]
+
+
+def test_a_constant_hamiltonian_is_refused():
+    s = co.LiePoissonSystem(SO3, co.Quadratic(0.0))
+    with pytest.raises(ValueError, match="nothing to do"):
+        build_program(s, co.Splitting())

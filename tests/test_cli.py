@@ -1,0 +1,240 @@
+"""The command: what it runs, what it says, and its exit status."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import xarray
+
+import coadjoint
+from coadjoint import cli
+from coadjoint.experiments.statement import judged
+
+SOURCE = Path(coadjoint.__file__).parents[1]
+EXAMPLES = sorted((SOURCE.parent / "examples").glob("*.toml"))
+
+BODY = """
+[system]
+name = "rigid_body"
+[initial]
+x = [1.0, 0.1, 0.5]
+[run]
+t_span = [0.0, 1.0]
+step = 0.1
+"""
+
+# [e1, e2] = e2 with H = x1 gives x2' = x2: the number overflows at t = 709.78, in step 710.
+GROWING = """
+sign = -1
+[algebra]
+dim = 2
+brackets = ["[e1, e2] = e2"]
+[hamiltonian]
+linear = [1.0, 0.0]
+[initial]
+x = [1.0, 1.0]
+[run]
+t_span = [0.0, 1000.0]
+step = 1.0
+save_every = 100
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "body.toml").write_text(BODY)
+    (tmp_path / "growing.toml").write_text(GROWING)
+    return tmp_path
+
+
+def refused(capsys, *arguments):
+    """Return the one line that the command says when it refuses."""
+    assert cli.main(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.endswith("\n") and said.err.count("\n") == 1
+    return said.err[:-1]
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_examples_run(example, folder, capsys):
+    target = folder / "run.zarr"
+    assert cli.main(["run", str(example), "--out", str(target)]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert said.out.endswith(f"written: {target}\n")
+    with xarray.open_zarr(target) as dataset:
+        assert dataset["x"].notnull().all()
+        assert dataset.attrs["configuration"] == example.read_text()
+
+
+def test_examples_are_there():
+    wanted = {"rigid_body", "attitude", "a37", "own_algebra", "polynomial", "heavy_top", "ensemble"}
+    assert wanted <= {path.stem for path in EXAMPLES}
+
+
+def test_run_prints_the_drift_and_is_quiet(folder, capsys):
+    assert cli.main(["run", "body.toml"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("rigid_body, Splitting(order=2")
+    assert "10 steps of 0.1" in said and "over every step" in said
+    assert [line.split()[0] for line in said.splitlines()[2:]] == ["energy", "|x|^2"]
+    assert cli.main(["run", "body.toml", "--quiet", "--out", "run.nc"]) == 0
+    assert capsys.readouterr().out == ""
+    assert (folder / "run.nc").is_file()
+
+
+def test_outputs_that_the_file_names(folder, capsys):
+    (folder / "body.toml").write_text(BODY + '[output]\nfile = "named.zarr"\nfigure = "named.png"\n')
+    assert cli.main(["run", "body.toml"]) == 0
+    assert (folder / "named.zarr").is_dir()
+    assert (folder / "named.png").read_bytes().startswith(b"\x89PNG")
+    assert cli.main(["run", "body.toml", "--out", "other.nc", "--figure", "other.svg"]) == 0
+    assert (folder / "other.nc").is_file() and (folder / "other.svg").is_file()
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "body.toml", "growing.toml", "named.png", "named.zarr", "other.nc", "other.svg"
+    ]  # fmt: skip
+
+
+def test_progress_goes_to_the_standard_error(folder, capsys):
+    assert cli.main(["run", "body.toml", "--progress", "--quiet"]) == 0
+    said = capsys.readouterr()
+    assert said.out == "" and "10.0/10.0" in said.err
+
+
+@pytest.mark.parametrize("name", ["part.nc", "part.zarr"])
+def test_failed_run_leaves_what_it_had(folder, capsys, name):
+    assert cli.main(["run", "growing.toml", "--out", name]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err == (
+        "growing.toml: the run failed: in step 710, at t = 709, a number overflowed; take a smaller step than 1; "
+        f"the solution so far is in {name}\n"
+    )
+    engine = {"part.nc": "h5netcdf", "part.zarr": "zarr"}[name]
+    with xarray.open_dataset(name, engine=engine) as dataset:
+        assert dataset["time"].values.tolist() == [0.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0]
+        assert dataset["x"].notnull().all()
+        assert dataset.attrs["run_failed"] == 1
+        assert dataset.attrs["failed_step"] == 710
+        assert dataset.attrs["failed_time"] == 709.0
+        assert "overflowed" in dataset.attrs["failed_reason"]
+
+
+def test_failed_run_without_output(folder, capsys):
+    assert cli.main(["run", "growing.toml"]) == 1
+    assert capsys.readouterr().err == (
+        "growing.toml: the run failed: in step 710, at t = 709, a number overflowed; take a smaller step than 1\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["rnu"], "coadjoint: unknown command 'rnu'; did you mean 'run'?"),
+        (["zzzzz"], "coadjoint: unknown command 'zzzzz'; there are methods, reproduce, run, systems"),
+        (["run"], "coadjoint: missing argument 'FILE' (see 'coadjoint run --help')"),
+        (["run", "body.toml", "--ot", "x"], "coadjoint: unknown option '--ot'; did you mean '--out'?"),
+        (["--verzion"], "coadjoint: unknown option '--verzion'; did you mean '--version'?"),
+        (["run", "body.toml", "--out"], "coadjoint: option '--out' requires an argument"),
+        (
+            ["systems", "more"],
+            "coadjoint: got unexpected extra argument (more) (see 'coadjoint systems --help')",
+        ),
+        (["run", "none.toml"], "none.toml: cannot be read (No such file or directory)"),
+        (["run", "."], ".: cannot be read (Is a directory)"),
+        (["run", "body.toml", "--out", "run.csv"], "run.csv: the suffix says the format; it must be .nc or .zarr"),
+        (
+            ["run", "body.toml", "--figure", "run.bmp"],
+            "run.bmp: the suffix says the format; it must be .png, .pdf or .svg",
+        ),
+        (["run", "body.toml", "--out", "no/run.nc"], "no/run.nc: the folder no does not exist; make it first"),
+        (
+            ["reproduce", "--out", "body.toml"],
+            "coadjoint: --out body.toml: cannot be made a folder (File exists); give another",
+        ),
+    ],
+)
+def test_refused_in_one_line(folder, capsys, monkeypatch, arguments, said):
+    monkeypatch.setattr("coadjoint.runs.integrate.integrate", lambda *given, **more: pytest.fail("the run started"))
+    assert refused(capsys, *arguments) == said
+
+
+def test_targets_that_are_no_results_are_not_replaced(folder, capsys):
+    (folder / "other.nc").mkdir()
+    (folder / "other.zarr").mkdir()
+    (folder / "other.zarr" / "thesis.tex").write_text("dear")
+    assert refused(capsys, "run", "body.toml", "--out", "other.nc") == "other.nc: is a folder; give the name of a file"
+    said = "other.zarr: exists and is not a Zarr store, so it is not replaced; give another name"
+    assert refused(capsys, "run", "body.toml", "--out", "other.zarr") == said
+    assert (folder / "other.zarr" / "thesis.tex").read_text() == "dear"
+
+
+def test_folder_that_cannot_be_written_to(folder, capsys):
+    # /proc takes no files, not even from an administrator.
+    said = refused(capsys, "run", "body.toml", "--out", "/proc/run.zarr")
+    assert said.startswith("/proc/run.zarr: cannot be written (") and said.endswith("); give another folder")
+
+
+def test_systems_and_methods_are_listed(capsys):
+    assert cli.main(["systems"]) == 0
+    systems = capsys.readouterr().out
+    for name in coadjoint.systems.names():
+        assert f"{name}(" in systems
+    assert "rigid_body(inertia=(1.0, 2.0, 3.0))\n    Return the free rigid body" in systems
+    assert cli.main(["methods"]) == 0
+    methods = capsys.readouterr().out
+    assert "GaussLegendre(stages=2)\n    The Gauss-Legendre method" in methods
+    assert "Composition(base, coefficients)\n" in methods
+
+
+def test_reproduce_prints_the_table_and_where_the_figures_are(folder, capsys, monkeypatch):
+    row = judged("k", "Lemma 1", "sum", paper="4", criterion="exact", measured="2 + 2 = 4", holds=True)
+
+    def experiments(out, echo):
+        echo("running")
+        (out / "sum.png").write_text("")
+        return SimpleNamespace(table=[row], figures=[out / "sum.png"])
+
+    monkeypatch.setitem(sys.modules, "coadjoint.experiments.reich1993", SimpleNamespace(reproduce=experiments))
+    assert cli.main(["reproduce", "--out", "a/b"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "running",
+        "holds               Lemma 1: sum",
+        "                    2 + 2 = 4",
+        "written: a/b/sum.png",
+    ]
+
+
+def test_help_and_version(capsys):
+    assert cli.main([]) == 0
+    empty = capsys.readouterr().out
+    assert cli.main(["--help"]) == 0
+    assert capsys.readouterr().out == empty
+    assert "reproduce" in empty and "Run the configuration FILE" in empty
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"coadjoint {coadjoint.__version__}\n"
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["systems"]])
+def test_light_commands_load_nothing_heavy(arguments):
+    code = (
+        "import sys; from coadjoint.cli import main; status = main(sys.argv[1:]); "
+        "heavy = [m for m in ('numba', 'matplotlib', 'xarray', 'pydantic') if m in sys.modules]; "
+        "sys.exit(status or ' '.join(heavy) or None)"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(SOURCE)}
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_as_a_module(folder):
+    environment = {**os.environ, "PYTHONPATH": str(SOURCE)}
+    command = [sys.executable, "-m", "coadjoint", "run", "none.toml"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "none.toml: cannot be read (No such file or directory)\n"

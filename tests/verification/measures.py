@@ -1,0 +1,128 @@
+"""How orders, defects and drifts are measured, and the bounds that round-off alone could reach."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import coadjoint as co
+
+from .systems_under_test import Case, all_cases
+
+U = 2.0**-53
+
+
+def final_state(method: Any, case: Case, steps: int) -> np.ndarray:
+    run = co.integrate(case.system, case.x0, (0.0, case.time), case.time / steps, method, save_every=steps, watch=False)
+    return run.x[-1]
+
+
+@cache
+def reference_state(name: str) -> np.ndarray:
+    """Return the exact final state of a case to about 1e-15, confirmed by an independent code on the vector field."""
+    case = all_cases()[name]
+    found = final_state(co.GaussLegendre(8), case, 48)
+    other = solve_ivp(
+        lambda t, x: case.system.vector_field(x, t), (0.0, case.time), case.x0, method="DOP853", rtol=1e-13, atol=1e-14
+    )
+    # DOP853 keeps its error per step below 1e-13: some ten steps.
+    assert np.max(np.abs(found - other.y[:, -1])) < 1e-11 * np.max(np.abs(found))
+    return found
+
+
+class MeasuredOrder(NamedTuple):
+    """A slope with the uncertainty that follows from how it changes from large steps to small ones."""
+
+    slope: float
+    tolerance: float
+    errors: list[float]
+
+    def agrees_with(self, order: int) -> bool:
+        """Return whether the slope is this order; a slope too uncertain to tell it from its neighbours is not."""
+        return self.tolerance <= 0.4 and abs(self.slope - order) <= self.tolerance
+
+
+def order_of(steps: list[float], errors: list[float], next_power: int) -> MeasuredOrder:
+    """Return the slope at the three smallest of five steps.
+
+    With error = C h^p (1 + a h^q + ...), q = `next_power` (2 for a symmetric scheme, else 1), the slope is p + O(h^q). From the three
+    largest steps to the three smallest h falls by a ratio r, so what is left of the deviation is the change over (r^q - 1).
+    Added are 0.05 for round-off (at most 1/32 of each error: log2(1 + 1/32) over a factor of 2 in h) and half of that again for the terms after h^q.
+    """
+    h, e = np.log(np.array(steps)), np.log(np.array(errors))
+    large, small = np.polyfit(h[:3], e[:3], 1)[0], np.polyfit(h[-3:], e[-3:], 1)[0]
+    ratio = math.exp(h[1] - h[-2])
+    return MeasuredOrder(float(small), 0.075 + abs(small - large) / (ratio**next_power - 1.0), errors)
+
+
+def measured_order(method: Any, name: str, symmetric: bool | None = None) -> MeasuredOrder:
+    """Measure the order of a scheme on a case, from the five smallest steps whose errors stand above round-off."""
+    case, exact = all_cases()[name], reference_state(name)
+    size = float(np.max(np.abs(exact)))
+    # Quarter powers of 2 for order 8 and above, where half powers leave too few points above round-off.
+    density = 4 if method.order >= 7 else 2
+    finest = 9 if method.order <= 2 else 8
+    counts = sorted({round(2 ** (k / density)) for k in range(density * 2, density * finest + 1)}, reverse=True)
+    steps: list[float] = []
+    errors: list[float] = []
+    for count in counts:
+        error = float(np.max(np.abs(final_state(method, case, count) - exact)))
+        # Round-off of the run, at worst one u of size for each step, and that of the reference.
+        if error > 32 * U * size * (8 + 2 * math.sqrt(count)):
+            steps.insert(0, case.time / count)
+            errors.insert(0, error)
+        if len(errors) == 5:
+            break
+    assert len(errors) == 5, f"only {len(errors)} errors above round-off"
+    return order_of(steps, errors, 2 if (method.symmetric if symmetric is None else symmetric) else 1)
+
+
+class Defect(NamedTuple):
+    """A defect, and what round-off alone could make of it."""
+
+    value: float
+    bound: float
+
+
+def poisson_defect(step: Any, x: np.ndarray) -> Defect:
+    """Return |P J(x) P^T - J(step(x))| with the exact tangent P, and 64 u times the operations times |P|^2 |J|.
+
+    An entry of P goes through n operations for each elementary flow or evaluation of the field, and 4 n for the products of the defect.
+    """
+    system = step.system
+    P, J = step.tangent(x), system.structure_matrix(x)
+    defect = P @ J @ P.T - system.structure_matrix(step(x))
+    flows = co.integrate(system, x, (0.0, step.h), abs(step.h), step.method, watch=False).stats.evaluations
+    operations = (flows + 4) * len(x)
+    return Defect(float(np.linalg.norm(defect)), 64 * U * operations * float(np.linalg.norm(P) ** 2 * np.linalg.norm(J)))
+
+
+def gradient_of(invariant: Any, x: np.ndarray) -> np.ndarray:
+    return np.asarray(invariant.gradient(x), dtype=float)
+
+
+def drift_bounds(run: co.Solution) -> dict[str, float]:
+    """Return, for each invariant, the most that rounding could move it if every rounding went the same way.
+
+    Each of the `evaluations` of the run moves a state by at most 4 n roundings of relative size u, and a move of size d changes an
+    invariant by at most |gradient| d; the largest |gradient| |x| along the run is taken. Evaluating the invariant itself is one more.
+    """
+    system = run.system
+    n, work = system.dim, run.stats.evaluations + run.stats.steps + 1
+    invariants = {"energy": system.hamiltonian, **system.casimirs}
+    states = run.x.reshape(-1, n)
+    sizes = {
+        name: max(float(np.linalg.norm(gradient_of(what, x)) * np.linalg.norm(x)) for x in states)
+        for name, what in invariants.items()
+    }
+    return {name: 4 * n * U * work * size for name, size in sizes.items()}
+
+
+def group_bound(run: co.Solution, size: float) -> float:
+    """Return the most that rounding could move a product with the group element of the given size."""
+    d = run.attitude.shape[-1]
+    return 4 * d * U * (run.stats.evaluations + run.stats.steps + 1) * size

@@ -1,0 +1,61 @@
+"""Every scheme with every option that changes what it does, and which of them serve a system."""
+
+from __future__ import annotations
+
+import inspect
+
+import coadjoint as co
+
+C1 = 1 / (2 - 2 ** (1 / 3))
+TRIPLE_JUMP = (C1, 1 - 2 * C1, C1)
+
+
+def schemes() -> dict[str, co.methods.base.Method]:
+    """Return the schemes by name."""
+    found = {
+        "Splitting 1": co.Splitting(order=1),
+        "Splitting 1 adjoint": co.Splitting(order=1, adjoint=True),
+        "Splitting 2": co.Splitting(order=2),
+        "Splitting 2 coordinates": co.Splitting(order=2, parts="coordinates"),
+        "Splitting 2 compensated": co.Splitting(order=2, compensated=True),
+        "Splitting 4": co.Splitting(order=4),
+        "Splitting yoshida4": co.Splitting(scheme="yoshida4"),
+        "Splitting suzuki4": co.Splitting(scheme="suzuki4"),
+        "Composition of Splitting": co.Composition(co.Splitting(order=2), TRIPLE_JUMP),
+        "Composition of GaussLegendre": co.Composition(co.GaussLegendre(1), TRIPLE_JUMP),
+    }
+    found |= {f"GaussLegendre {s}": co.GaussLegendre(s) for s in (1, 2, 3, 4)}
+    found |= {
+        f"Modified {s} {freeze}": co.ModifiedGaussLegendre(s, freeze=freeze)
+        for s in (1, 2, 3)
+        for freeze in ("structure", "gradient")
+    }
+    found |= {f"Iterated {s}": co.IteratedGaussLegendre(s) for s in (1, 2, 3)}
+    found |= {name: co.ExplicitRungeKutta(name) for name in ("runge2", "rk4")}
+    found |= {f"RadauEnergy {s}": co.RadauEnergy(s) for s in (1, 2, 3)}
+    return found
+
+
+def serves(method: co.methods.base.Method, system: object) -> bool:
+    """Return whether the scheme takes the system; what it refuses, it must refuse in a sentence."""
+    try:
+        method.properties(system)
+    except ValueError as refusal:
+        assert len(str(refusal)) > 20 and str(refusal).count("\n") == 0
+        return False
+    return True
+
+
+def pairs(systems: dict) -> list[tuple[str, str]]:
+    """Return the names of all pairs of a scheme and a system that it serves."""
+    return [(s, c) for s, method in schemes().items() for c, case in systems.items() if serves(method, case.system)]
+
+
+def concrete_schemes() -> set[str]:
+    """Return the names of the schemes that the library offers."""
+    offered = (getattr(co, name) for name in co.__all__)
+    return {
+        value.__name__
+        for value in offered
+        if inspect.isclass(value) and issubclass(value, co.methods.base.Method) and not inspect.isabstract(value)
+    }

@@ -1,0 +1,44 @@
+"""Every scheme has the order that it declares, on every kind of system: slopes against an independent reference."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+from .measures import measured_order, order_of
+from .schemes_under_test import TRIPLE_JUMP, concrete_schemes, pairs, schemes
+from .systems_under_test import all_cases
+
+DECLARED = {
+    "Splitting 1": 1,
+    "Splitting 1 adjoint": 1,
+    "Splitting 2": 2,
+    "Splitting 2 coordinates": 2,
+    "Splitting 2 compensated": 2,
+    "Splitting 4": 4,
+    "Splitting yoshida4": 4,
+    "Splitting suzuki4": 4,
+    "Composition of Splitting": 4,
+    "Composition of GaussLegendre": 4,
+    "runge2": 2,
+    "rk4": 4,
+    **{f"GaussLegendre {s}": 2 * s for s in (1, 2, 3, 4)},
+    **{f"Modified {s} {freeze}": 2 * s for s in (1, 2, 3) for freeze in ("structure", "gradient")},
+    **{f"Iterated {s}": 2 * s for s in (1, 2, 3)},
+    **{f"RadauEnergy {s}": 2 * s - 1 for s in (1, 2, 3)},
+}
+
+
+def test_every_scheme_of_the_library_is_measured():
+    assert {type(method).__name__ for method in schemes().values()} == concrete_schemes()
+
+
+@pytest.mark.parametrize("name", DECLARED)
+def test_declared_order_is_the_one_of_the_literature(name):
+    assert schemes()[name].order == DECLARED[name]
+
+
+@pytest.mark.parametrize(("scheme", "case"), pairs(all_cases()))
+def test_order(scheme, case):
+    found = measured_order(schemes()[scheme], case)
+    assert found.agrees_with(DECLARED[scheme]), found
