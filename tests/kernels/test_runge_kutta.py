@@ -58,7 +58,9 @@ def manakov():
 
 def systems():
     so4, e3 = co.algebras.so(4), co.algebras.e(3)
-    quartic = co.Polynomial({(2, 0, 0, 0, 0, 0): 0.5, (0, 1, 0, 0, 1, 0): 0.25, (0, 0, 0, 1, 1, 1): 1.0, (0, 0, 4, 0, 0, 0): 0.5})
+    quartic = co.Polynomial(
+        {(2, 0, 0, 0, 0, 0): 0.5, (0, 1, 0, 0, 1, 0): 0.25, (0, 0, 0, 1, 1, 1): 1.0, (0, 0, 4, 0, 0, 0): 0.5}
+    )
     six = np.array([1.0, 0.5, -0.25, 0.75, -1.0, 0.375])
     return {
         "top": heavy_top(),
@@ -105,12 +107,26 @@ REFERENCES = {
     "heavy top": (
         heavy_top,
         5.0,
-        [-1.6733872976934594, -0.18818454110868255, 2.6958842647683356, -0.9866927866854739, 0.14877050934938954, 0.065610062115328],
+        [
+            -1.6733872976934594,
+            -0.18818454110868255,
+            2.6958842647683356,
+            -0.9866927866854739,
+            0.14877050934938954,
+            0.065610062115328,
+        ],
     ),
     "Manakov": (
         manakov,
         20.0,
-        [0.9364837998249427, 0.6521749011101694, -0.7059996202744109, -0.6292428990100991, -0.7115153426998911, -0.4063069946522497],
+        [
+            0.9364837998249427,
+            0.6521749011101694,
+            -0.7059996202744109,
+            -0.6292428990100991,
+            -0.7115153426998911,
+            -0.4063069946522497,
+        ],
     ),
     "sl(2)": (lambda: systems()["sl(2)"], 20.0, [1.238716070872442, -0.26746646600105883, -0.057751983781650876]),
     "A3,7 of section 5.1": (
@@ -131,13 +147,13 @@ def test_absolute_references(name, method):
 
 
 def test_a_reference_is_missed_at_the_wrong_speed():
-    """The control: half a percent more time is seen by every reference."""
+    """The control: one part in a million of the speed is seen by every reference."""
     for make, t, expected in REFERENCES.values():
         system, x0 = make()
-        run = co.integrate(system, x0, (0.0, t), t / 200 * 1.005, co.GaussLegendre(4), save_every=10**6) if False else None
-        assert run is None
-        moved = system.vector_field(np.array(expected))
-        assert np.max(np.abs(0.005 * t * moved)) > 1e-4
+        slow = co.integrate(
+            system, x0, (0.0, t * (1 - 1e-6)), t * (1 - 1e-6) / 320, co.GaussLegendre(8), save_every=320
+        )
+        assert np.max(np.abs(slow.x[-1] - expected)) > 1e-8
 
 
 KEPT = {
@@ -155,12 +171,13 @@ KEPT = {
 def test_invariants_wander_like_round_off_where_declared_and_drift_elsewhere(name):
     """Kept: a random walk of N steps, each of some 4 n roundings of an invariant's products; six times its width."""
     system, x0 = systems()[name]
-    steps = 2000
+    # the orbits of A3,7 are heteroclinic: after a while they rest
+    t, h = (2.0, 0.02) if name == "A3,7" else (100.0, 0.05)
     for method in SCHEMES:
-        run = co.integrate(system, x0, (0.0, 0.05 * steps if name != "A3,7" else 2.0), 0.05 if name != "A3,7" else 0.001, method)
-        drift, steps_taken = run.drift(), run.stats.steps
+        run = co.integrate(system, x0, (0.0, t), h, method)
+        drift = run.drift()
         size = float(np.max(np.abs(run.x)) ** 2) * len(x0)
-        bound = 6 * U * 4 * size * math.sqrt(steps_taken)
+        bound = 6 * U * 4 * size * math.sqrt(run.stats.steps)
         declared = method.properties(system)
         quadratic = [key for key, C in system.casimirs.items() if getattr(C, "degree", 99) <= 2]
         assert (drift["energy"] <= bound) == declared.energy, (method, drift, bound)
@@ -362,3 +379,32 @@ def test_components_of_different_size_are_all_converged():
     error = np.array([float(v) for v in exact - found])
     assert np.max(np.abs(error[:3])) < 32 * U * 1e6
     assert np.max(np.abs(error[3:])) < 32 * U * 1e-3
+
+
+def allocating(x):
+    """A burden for a loop that does not own its memory: it allocates and frees arrays of all small sizes."""
+    total = 0.0
+    for size in range(1, 120):
+        total += np.full(size, 1e3)[size - 1] - 1e3
+    return 0.5 * x[0] * x[0] + x[1] * x[1] + 1.5 * x[2] * x[2] + total
+
+
+def allocating_gradient(x):
+    total = 0.0
+    for size in range(1, 120):
+        total += np.full(size, 1e3)[size - 1] - 1e3
+    return np.array([x[0] + total, 2.0 * x[1], 3.0 * x[2]])
+
+
+@pytest.mark.parametrize(
+    "method",
+    [co.GaussLegendre(2), co.ModifiedGaussLegendre(2, freeze="gradient"), co.ExplicitRungeKutta("rk4")],
+    ids=repr,
+)
+def test_functions_that_allocate_do_no_harm(method):
+    algebra, x0 = co.algebras.sl(2), np.array([1.0, 0.5, -0.25])
+    plain = co.LiePoissonSystem(algebra, co.Quadratic([1.0, 2.0, 3.0]))
+    given = co.LiePoissonSystem(algebra, co.Hamiltonian(allocating, allocating_gradient))
+    runs = [co.integrate(system, x0, (0.0, 2.0), 0.1, method, attitude="coadjoint") for system in (plain, given)]
+    assert np.array_equal(runs[0].x, runs[1].x)
+    assert np.array_equal(runs[0].attitude, runs[1].attitude)

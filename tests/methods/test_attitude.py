@@ -52,7 +52,9 @@ def test_gauss_refuses_what_it_would_lose(method, algebra, said):
         check_attitude(method, system(algebra), algebra.representation)
 
 
-@pytest.mark.parametrize("method", [co.ModifiedGaussLegendre(1), co.IteratedGaussLegendre(2), co.RadauEnergy(2)], ids=repr)
+@pytest.mark.parametrize(
+    "method", [co.ModifiedGaussLegendre(1), co.IteratedGaussLegendre(2), co.RadauEnergy(2)], ids=repr
+)
 def test_schemes_without_group_element(method):
     so3 = co.algebras.so(3)
     for representation in ("coadjoint", so3.representation):

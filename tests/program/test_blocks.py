@@ -194,13 +194,11 @@ def test_exponential_of_a_matrix(name, theta):
 
 
 @pytest.mark.parametrize("name", ALGEBRAS)
-def test_exponential_of_every_basis_element(name):
+def test_exponential_of_basis_elements(name):
     algebra, _ = ALGEBRAS[name]
     x = np.random.default_rng(2).uniform(-1, 1, algebra.dim)
-    for i in range(algebra.dim):
+    for i in range(0, algebra.dim, 1 + algebra.dim // 4):
         D = algebra.coadjoint(np.eye(algebra.dim)[i])
-        if not D.any():
-            continue
         read = reading_of(algebra, i)
         for theta in (0.0, 1e-12, 0.9, -20.0):
             assert error_of(read, D, x, theta) <= 4 * (algebra.dim + 2) * exponential_bound(D, theta) * np.linalg.norm(x)

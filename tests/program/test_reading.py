@@ -35,7 +35,7 @@ def driven():
     """Polynomials in the coordinates, explicit in the time; pure arithmetic, so that any number type serves."""
     a = (lambda y, t: y * y * (1 + t * t) / 2, lambda y, t: y * (1 + t * t), lambda y, t: 1 + t * t)
     b = (lambda y: y**4 / 4 + y, lambda y: y**3 + 1, lambda y: 3 * y * y)
-    return co.Separable({0: a, 1: b, 2: (lambda y: y * y / 4, lambda y: y / 2, lambda y: 1 / (2 + 0 * y))})
+    return co.Separable({0: a, 1: b, 2: (lambda y: y * y / 4, lambda y: y / 2, lambda y: 0.5 + 0 * y)})
 
 
 SYSTEMS = {

@@ -41,7 +41,15 @@ class Statement(NamedTuple):
 
 
 def judged(
-    key: str, place: str, statement: str, *, paper: str, criterion: str, measured: str, holds: bool, limited: bool = False
+    key: str,
+    place: str,
+    statement: str,
+    *,
+    paper: str,
+    criterion: str,
+    measured: str,
+    holds: bool,
+    limited: bool = False,
 ) -> Statement:
     """Return a row with its verdict.
 
@@ -85,7 +93,7 @@ def write_csv(rows: Sequence[Statement], path: Path) -> None:
 
 
 def markdown(rows: Sequence[Statement]) -> str:
-    """Return the rows as a Markdown table.
+    r"""Return the rows as a Markdown table.
 
     Parameters
     ----------
@@ -100,7 +108,7 @@ def markdown(rows: Sequence[Statement]) -> str:
     --------
     >>> row = Statement("k", "1", "a", "b", "|x| small", "d", HOLDS)
     >>> print(markdown([row]).splitlines()[-1])
-    | 1 | a | b | \\|x\\| small | d | holds |
+    | 1 | a | b | \|x\| small | d | holds |
     """
     lines = [
         "| place | statement | what the paper says | criterion | measured | verdict |",

@@ -40,7 +40,7 @@ def stage_iterates(system: LiePoissonSystem, stages: int, h: float, x: Floats, c
 
 
 def step_matrix(system: LiePoissonSystem, frozen: Floats, h: float, freeze: str) -> Floats:
-    """Return B of the Gauss step for the linear equation x' = W_j x with W_j frozen at given stages (equations (7), (8)).
+    """Return B of the Gauss step for x' = W_j x, W_j frozen at given stages (equations (7), (8)).
 
     Parameters
     ----------

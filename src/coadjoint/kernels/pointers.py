@@ -49,6 +49,16 @@ def pointed(typingctx: Any, given: Any) -> Any:
 
 
 @intrinsic
+def alive(typingctx: Any, arrays: Any) -> Any:
+    """Keep arrays up to here: Numba frees one after its last use, and does not know that a pointer still uses it."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return context.get_dummy_value()
+
+    return types.void(arrays), codegen
+
+
+@intrinsic
 def shifted(typingctx: Any, pointer: Any, count: Any) -> Any:
     """Return a pointer that lies `count` elements further."""
 

@@ -20,7 +20,7 @@ from coadjoint.kernels.field import (
     structure_times_matrix,
 )
 from coadjoint.kernels.linear_stages import assemble, refine
-from coadjoint.kernels.pointers import pointed, shifted
+from coadjoint.kernels.pointers import alive, pointed, shifted
 from coadjoint.kernels.stagnation import FAILED, GO_ON, restage, verdict
 from coadjoint.kernels.watching import (
     DONE,
@@ -287,3 +287,4 @@ def advance(
             slot = slot_of(schedule, k)
             if schedule.watching or slot >= 0:
                 record(watch_at, saves_at, schedule, member, k, slot, size, x, square, group, room_at)
+    alive((work, room))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.compiling import OPTIONS, compiled, stamp
 from coadjoint.kernels.field import Field, GroupField
-from coadjoint.kernels.pointers import pointed, pointed_type, shifted
+from coadjoint.kernels.pointers import alive, pointed, pointed_type, shifted
 from coadjoint.kernels.watching import DONE, OVERFLOW, Report, Saves, Schedule, Watch, finite, record, slot_of
 from coadjoint.program.terms import TermTable
 
@@ -133,3 +133,4 @@ def advance(
             slot = slot_of(schedule, k)
             if schedule.watching or slot >= 0:
                 record(watch_at, saves_at, schedule, member, k, slot, size, x, square, group, watch_room_at)
+    alive((room, watch_room))

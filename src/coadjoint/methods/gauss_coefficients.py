@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.program.numbers import Number
+from coadjoint.program.numbers import Number, roundoff
 
 DIGITS = 60  # of the arithmetic behind float64 coefficients: the formulas lose far fewer than 40 of them
 GRID = 2.0**-52
@@ -94,7 +94,15 @@ def _in_floats(stages: int, radau: bool) -> Collocation:
     return result
 
 
+def _refuse_fractions(stages: int, number: Number) -> None:
+    if stages > 1 and roundoff(number) == 0:
+        raise TypeError(
+            f"the nodes of {stages} stages are irrational: exact fractions do not hold them, take mpmath.mpf"
+        )
+
+
 def _gauss(stages: int, number: Number) -> Collocation:
+    _refuse_fractions(stages, number)
     guesses = np.polynomial.legendre.leggauss(stages)[0].tolist()
     below = [_root(stages, False, number(z)) for z in guesses[: stages // 2]]
     middle = [number(0)] if stages % 2 else []
@@ -102,6 +110,7 @@ def _gauss(stages: int, number: Number) -> Collocation:
 
 
 def _radau(stages: int, number: Number) -> Collocation:
+    _refuse_fractions(stages, number)
     series = np.zeros(stages + 1)
     series[-2:] = -1.0, 1.0
     guesses = np.polynomial.legendre.legroots(series)

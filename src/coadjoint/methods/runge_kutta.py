@@ -165,7 +165,9 @@ def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDA
         The iteration does not converge.
     """
     unit = roundoff(float if step.x.dtype != object else type(step.x[0]))
-    most = MOST_ITERATIONS * max(1, int(-np.log2(float(unit)) / 53)) if unit else MOST_ITERATIONS
+    if unit == 0:
+        raise TypeError("the stages solve equations that exact fractions do not settle: take floats or mpmath.mpf")
+    most = MOST_ITERATIONS * max(1, int(-np.log2(float(unit)) / 53))
     points, least, quiet, largest, first = step.start(), None, 0, None, 0
     with np.errstate(over="ignore", invalid="ignore"):  # a divergent iteration is told from its last correction
         for iteration in range(1, most + 1):

@@ -48,7 +48,7 @@ class BodyRun(NamedTuple):
 
     @property
     def phase(self) -> Floats:
-        """Signed angle about the constant spatial momentum by which the computed body is ahead, in radians, shape (k,)."""
+        """Signed angle about the constant spatial momentum by which the computed body leads, in radians, shape (k,)."""
         attitude = self.solution.attitude
         assert attitude is not None
         return np.asarray(precession_error(attitude, self.exact, self.solution.x[0]))

@@ -51,7 +51,15 @@ def _systems() -> dict[str, tuple[LiePoissonSystem, npt.NDArray[np.float64]]]:
 
 def statements() -> list[Statement]:
     """Return the statements of section 4, measured now."""
-    return [_order(), _symmetric(), _poisson(), _example_flows(), _orthogonal_not_poisson(), _fourth_order(), _casimirs()]
+    return [
+        _order(),
+        _symmetric(),
+        _poisson(),
+        _example_flows(),
+        _orthogonal_not_poisson(),
+        _fourth_order(),
+        _casimirs(),
+    ]
 
 
 def _order() -> Statement:
@@ -131,7 +139,8 @@ def _example_flows() -> Statement:
         "example 4.1",
         "on so(3) the splitting is five rotations, hence I-orthogonal",
         paper="X1 X2 X3 X2 X1 with the printed fields; B_h in SO(3)",
-        criterion=f"step against the printed closed forms: 8 u (5 flows) |x| = {small:.0e}; |x|^2 over {STEPS} steps: {bound:.0e}",
+        criterion=f"step against the printed closed forms: 8 u (5 flows) |x| = {small:.0e}; |x|^2 over {STEPS} "
+        f"steps: {bound:.0e}",
         measured=f"|sum X_i - J M x| = {field:.0e}, |step - rotations| = {difference:.0e}, max |d|x|^2| = {drift:.0e}",
         holds=field <= small and difference <= small and drift <= bound,
     )
@@ -203,7 +212,7 @@ def _casimirs() -> Statement:
 
 
 def _size(casimir: object, x: npt.NDArray[np.float64]) -> float:
-    """Return the size of the terms of a Casimir along a run; 1 for a logarithm, which turns relative into absolute errors."""
+    """Return the size of the terms of a Casimir along a run; 1 for a logarithm, whose error is a relative one."""
     if not isinstance(casimir, Polynomial):
         return 1.0
     largest = np.max(np.abs(x), axis=0)

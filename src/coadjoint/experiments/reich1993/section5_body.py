@@ -130,7 +130,8 @@ def _runge() -> Statement:
         "figure 3",
         "the explicit Runge method of order 2",
         paper="unacceptable results",
-        criterion="A(1,1) wrong by more than 1, the size of a cosine, within the figure (t = 5), and A no rotation (off by more than 1)",
+        criterion="A(1,1) wrong by more than 1, the size of a cosine, within the figure (t = 5), and A no "
+        "rotation (off by more than 1)",
         measured="max error of A(1,1): "
         + ", ".join(f"{name}: {value:.2f}" for name, value in errors.items())
         + f"; Runge: |A^T A - I| = {orthogonality:.1f}",
@@ -149,7 +150,8 @@ def _small_phase_errors() -> Statement:
         "figures 4, 5",
         "modified midpoint rule and splitting",
         paper="both yield only small phase errors",
-        criterion=f"attitude error at most {SMALL} rad (11 degrees); to t = 2 it holds, to t = 5 (the figures) it is the limit",
+        criterion=f"attitude error at most {SMALL} rad (11 degrees); to t = 2 it holds, to t = 5 (the figures) "
+        "it is the limit",
         measured="rad at t = 1, 2, 5, 10, 20: "
         + "; ".join(f"{name} " + ", ".join(f"{v:.3f}" for v in values) for name, values in shown.items()),
         holds=early,
@@ -173,9 +175,7 @@ def _growing_phase(calm: dict[str, BodyRun]) -> Statement:
         "phase error of the modified and the implicit midpoint rule",
         paper="a constantly growing phase error",
         criterion="signed angle about A x grows at least linearly: slope in t at least 0.9; x0 = (1, 2, 1/2), h = 0.05",
-        measured=", ".join(
-            f"{name}: slope {slopes[name]:.2f}, {last[name]:.3g} rad at t = {end:g}" for name in slopes
-        ),
+        measured=", ".join(f"{name}: slope {slopes[name]:.2f}, {last[name]:.3g} rad at t = {end:g}" for name in slopes),
         holds=min(slopes.values()) >= 0.9,
     )
 
@@ -191,8 +191,10 @@ def _oscillating_phase(calm: dict[str, BodyRun]) -> Statement:
         "section 5.2",
         "phase drift of the Lie-Poisson integrator",
         paper='"oscillates" around the zero value',
-        criterion="signed angle about A x keeps changing sign and does not grow (slope in t below 0.5); x0 = (1, 2, 1/2), h = 0.05",
-        measured=f"{changes} changes of sign from t = {end / 30:.0f} on, slope {slope:.2f}, {float(run.phase[-1]):.2g} rad at "
+        criterion="signed angle about A x keeps changing sign and does not grow (slope in t below 0.5); x0 = "
+        "(1, 2, 1/2), h = 0.05",
+        measured=f"{changes} changes of sign from t = {end / 30:.0f} on, slope {slope:.2f}, "
+        f"{float(run.phase[-1]):.2g} rad at "
         f"t = {end:g}: linear growth; attitude error {ratio:.0f} times smaller than that of the implicit midpoint rule",
         holds=changes > 0 and slope < 0.5,
     )

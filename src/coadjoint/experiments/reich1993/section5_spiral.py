@@ -61,8 +61,11 @@ def _flows() -> Statement:
         "section 5.1",
         "the three printed flows on A3,7",
         paper="X_t^1, X_t^2 shears of x3; X_t^3 a spiral with gamma = a m33 x3, omega = m33 x3",
-        criterion=f"against 8 Gauss stages on T_i alone, t = 0.4, and composed against the splitting: 8 u (5 flows) |x| = {bound:.0e}",
-        measured="errors " + ", ".join(f"X{i + 1}: {error:.0e}" for i, error in enumerate(errors)) + f"; step: {composed:.0e}",
+        criterion="against 8 Gauss stages on T_i alone, t = 0.4, and composed against the splitting: 8 u (5 "
+        f"flows) |x| = {bound:.0e}",
+        measured="errors "
+        + ", ".join(f"X{i + 1}: {error:.0e}" for i, error in enumerate(errors))
+        + f"; step: {composed:.0e}",
         holds=max(*errors, composed) <= bound,
     )
 
@@ -75,7 +78,8 @@ def _parameter() -> Statement:
         "section 5.1",
         "the parameter a of A3,7",
         paper="a > 1",
-        criterion=f"Jacobi identity (checked when the algebra is made) and Casimir kept to 8 u (5 flows) steps = {bound:.0e}",
+        criterion="Jacobi identity (checked when the algebra is made) and Casimir kept to 8 u (5 flows) steps "
+        f"= {bound:.0e}",
         measured="max |d log C| "
         + ", ".join(f"a = {a:g}: {drift:.0e}" for a, drift in drifts.items())
         + "; the condition a > 1 is not needed",
@@ -99,7 +103,8 @@ def _printed_casimir() -> Statement:
         "the printed Casimir C = (x1^2 + x2^2) exp(-2 a arctan(x2/x1))",
         paper="C is the Casimir function",
         criterion=f"constant along the splitting to 8 u (5 flows) steps = {bound:.0e}, with the angle unwrapped",
-        measured=f"unwrapped: max |d log C| = {unwrapped:.0e}; with the principal arctan log C jumps by {size / math.pi:.3f} pi "
+        measured=f"unwrapped: max |d log C| = {unwrapped:.0e}; with the principal arctan log C jumps by "
+        f"{size / math.pi:.3f} pi "
         f"where x1 changes sign ({len(crossings)} times)",
         holds=unwrapped <= bound,
         limited=size > 1.0,
@@ -117,7 +122,8 @@ def _figure_1() -> Statement:
         "figure 1",
         "drift of the Lie-Poisson integrator on A3,7",
         paper="Casimir kept; the energy is not, but does not run away",
-        criterion=f"max |d log C| <= 8 u (5 flows) steps = {bound:.0e}; max |dH| of order h^2: falls 4 times at h/2, within 5 %",
+        criterion=f"max |d log C| <= 8 u (5 flows) steps = {bound:.0e}; max |dH| of order h^2: falls 4 times at "
+        "h/2, within 5 %",
         measured=f"max |d log C| = {casimir:.1e}, max |dH| = {energy:.1e}, {ratio:.2f} times that at h/2",
         holds=casimir <= bound and abs(ratio - 4.0) <= 0.2,
     )
@@ -134,7 +140,8 @@ def _figure_2() -> Statement:
         "figure 2",
         "drift of the M-orthogonal modified midpoint rule on A3,7",
         paper="energy kept; the Casimir is not",
-        criterion=f"max |dH| <= 8 u steps H = {bound:.0e}; max |d log C| of order h^2: falls 4 times at h/2, within 5 %",
+        criterion=f"max |dH| <= 8 u steps H = {bound:.0e}; max |d log C| of order h^2: falls 4 times at h/2, "
+        "within 5 %",
         measured=f"max |dH| = {energy:.1e}, max |d log C| = {casimir:.1e}, {ratio:.2f} times that at h/2",
         holds=energy <= bound and abs(ratio - 4.0) <= 0.2,
     )

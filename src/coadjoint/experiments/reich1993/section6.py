@@ -44,8 +44,8 @@ def lie_poisson_bracket(algebra: LieAlgebra, F: Polynomial, G: Polynomial) -> Po
 def second_hamiltonian(system: LiePoissonSystem) -> Polynomial:
     """Return H2: the splitting, one coordinate at a time, is the flow of H + h^2 H2 + O(h^4).
 
-    For a pair A, D in the order A(h/2) D(h) A(h/2), H2 = -{A, {A, D}}/24 + {D, {D, A}}/12 (Baker, Campbell, Hausdorff); for more parts
-    D is split in turn.
+    For a pair A, D in the order A(h/2) D(h) A(h/2), H2 = -{A, {A, D}}/24 + {D, {D, A}}/12 (Baker, Campbell, Hausdorff);
+    for more parts D is split in turn.
 
     Parameters
     ----------
@@ -87,8 +87,10 @@ def _perturbed_hamiltonian() -> Statement:
         "section 6",
         "the splitting is the flow of a perturbed Hamiltonian",
         paper="T~ = T + O(h^p), no longer quadratic",
-        criterion=f"H + h^2 H2, H2 from brackets, of degree 4, is kept to O(h^4) where H is to O(h^2): slopes within {SLOPE_TOLERANCE}",
-        measured=f"slope of max |dH|: {slopes[0]:.2f}, of max |d(H + h^2 H2)|: {slopes[1]:.2f}; degree of H2: {second.degree}",
+        criterion="H + h^2 H2, H2 from brackets, of degree 4, is kept to O(h^4) where H is to O(h^2): slopes "
+        f"within {SLOPE_TOLERANCE}",
+        measured=f"slope of max |dH|: {slopes[0]:.2f}, of max |d(H + h^2 H2)|: {slopes[1]:.2f}; degree of H2: "
+        f"{second.degree}",
         holds=within(slopes[0], 2) and within(slopes[1], 4) and second.degree == 4,
     )
 
@@ -116,7 +118,8 @@ def _lemma_6_1() -> Statement:
         "lemma 6.1",
         "the leading error Y of a scheme lies in the Lie algebra of its group of maps",
         paper="Y^[p+1] is in g",
-        criterion=f"grad I . (psi_h - phi_h)/h^3 falls at least like h for the invariant I kept (slope 1 - {SLOPE_TOLERANCE} or more), "
+        criterion="grad I . (psi_h - phi_h)/h^3 falls at least like h for the invariant I kept (slope 1 - "
+        f"{SLOPE_TOLERANCE} or more), "
         "and tends to a constant where it is not kept (slope 0)",
         measured=", ".join(f"{name}: slope {slope:.2f}" for name, slope in slopes.items()),
         holds=min(inside) >= 1 - SLOPE_TOLERANCE and within(slopes["Runge, T"], 0),
@@ -141,7 +144,8 @@ def _bracket() -> Statement:
         "M-orthogonal fields with constant J are closed under the bracket",
         paper="[X, Y]_i = sum_i (Y_i dX_j/dx_i - X_i dY_j/dx_i); J3 = J1 M J2 - J2 M J1 is skew",
         criterion="exact in whole numbers, n = 5",
-        measured=f"|[X, Y] - J3 M x| + |J3 + J3^T| = {excess:g}, with [X, Y]_j on the left (the printed index i is also summed over)",
+        measured=f"|[X, Y] - J3 M x| + |J3 + J3^T| = {excess:g}, with [X, Y]_j on the left (the printed index i "
+        "is also summed over)",
         holds=excess == 0.0,
     )
 
@@ -172,7 +176,8 @@ def _remark_6_1() -> Statement:
         "higher orders by composition of a first-order splitting",
         paper="from a first order integrator, any order by the method of [25]",
         criterion="order 4 from (c1, c2, c1): slopes within 0.2 of 4",
-        measured=f"first-order sweeps alone: slope {alone:.2f}; each with its adjoint, psi(h/2) psi*(h/2): slope {paired:.2f}; "
+        measured=f"first-order sweeps alone: slope {alone:.2f}; each with its adjoint, psi(h/2) psi*(h/2): "
+        f"slope {paired:.2f}; "
         "the adjoint is needed",
         holds=within(paired, 4),
         limited=not within(alone, 4),

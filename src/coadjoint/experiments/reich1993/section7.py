@@ -51,7 +51,8 @@ def _other_bracket() -> Statement:
         "(17)",
         "M-orthogonal schemes for a bracket that is not linear in x",
         paper="the results can be generalized to x' = J(x) grad T(x), T quadratic",
-        criterion=f"J = (1 + x1^2) J of so(3): slope 2 within {SLOPE_TOLERANCE}, |dH| over 1000 steps at most 8 u steps |x|^2 = {bound:.0e}",
+        criterion=f"J = (1 + x1^2) J of so(3): slope 2 within {SLOPE_TOLERANCE}, |dH| over 1000 steps at most 8 "
+        f"u steps |x|^2 = {bound:.0e}",
         measured=f"slope {slope:.2f}, max |dH| = {drift:.0e}; the Casimir |x|^2 is kept to O(h^{lost:.1f}) only",
         holds=within(slope, 2) and drift <= bound,
     )
@@ -73,7 +74,8 @@ def _separable() -> Statement:
         "section 7",
         "the splitting for a Hamiltonian that is a sum of functions of one coordinate",
         paper="the results can be generalized to H = sum H_i(x_i)",
-        criterion=f"H = cosh x1 + x2^2/4 + sin x3 on so(3): slope 2 within {SLOPE_TOLERANCE}; |x|^2 over 2000 steps kept to "
+        criterion=f"H = cosh x1 + x2^2/4 + sin x3 on so(3): slope 2 within {SLOPE_TOLERANCE}; |x|^2 over 2000 "
+        "steps kept to "
         f"8 u (5 flows) steps |x|^2 = {bound:.0e}; Poisson defect below {found.bound:.0e} = 64 u operations |P|^2 |J|",
         measured=f"slope {slope:.2f}, max |d|x|^2| = {drift:.0e}, Poisson defect {found.defect:.0e}",
         holds=within(slope, 2) and drift <= bound and found.poisson,

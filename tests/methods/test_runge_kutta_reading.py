@@ -48,7 +48,9 @@ def driven_hessian(x, t):
 def systems():
     e3, so4 = co.algebras.e(3), co.algebras.so(4)
     top = co.Quadratic([1.0, 0.5, 0.25, 0.0, 0.0, 0.0], linear=[0, 0, 0, 0.75, 0.5, 1.0])
-    cubic = co.Polynomial({(2, 0, 0, 0, 0, 0): 0.5, (0, 1, 0, 0, 1, 0): 0.25, (0, 0, 0, 1, 1, 1): 1.0, (0, 0, 4, 0, 0, 0): 0.5})
+    cubic = co.Polynomial(
+        {(2, 0, 0, 0, 0, 0): 0.5, (0, 1, 0, 0, 1, 0): 0.25, (0, 0, 0, 1, 1, 1): 1.0, (0, 0, 4, 0, 0, 0): 0.5}
+    )
     return {
         "top": (co.LiePoissonSystem(e3, top, sign=-1), [1.0, -0.5, 1.5, 0.625, 0.25, 0.75]),
         "cubic": (co.LiePoissonSystem(e3, cubic, sign=-1), [1.0, -0.5, 0.75, 0.625, 0.25, 0.75]),
@@ -75,7 +77,7 @@ def multiprecision(x):
 def local_order(system, x0, method, t=0.5):
     """Return the slope of the local error, less one, between h = 2^-11 and 2^-13, in 70 digits.
 
-    The next term of the error is h times the first; a ratio up to 100 moves the slope by at most log2(1 + 100 h)/2 = 0.02.
+    The next term of the error is h times the first; a ratio up to 100 moves the slope by log2(1 + 100 h)/2 = 0.02.
     """
     x = multiprecision(x0)
     with mpmath.workdps(70):
@@ -113,7 +115,9 @@ def test_orders(name, method):
     assert abs(local_order(system, x0, method) - method.order) < 0.02
 
 
-@pytest.mark.parametrize(("freeze", "name"), [("gradient", "cubic"), ("gradient", "driven"), ("structure", "quadratic J")])
+@pytest.mark.parametrize(
+    ("freeze", "name"), [("gradient", "cubic"), ("gradient", "driven"), ("structure", "quadratic J")]
+)
 def test_orders_of_the_modified_scheme_where_only_one_form_exists(freeze, name):
     system, x0 = systems()[name]
     method = MODIFIED(2, freeze=freeze)
@@ -142,6 +146,19 @@ def test_runge2_is_exact_in_fractions():
     h = Fraction(1, 10)
     middle = x + h / 2 * system.vector_field(x)
     assert list(EXPLICIT("runge2").step(system, x, 0, h)) == list(x + h * system.vector_field(middle))
+
+
+def test_exact_fractions_are_refused_where_no_step_is_rational():
+    system, _ = systems()["sl(2)"]
+    x = np.array([Fraction(1), Fraction(1, 2), Fraction(-1, 3)], dtype=object)
+    with pytest.raises(TypeError, match="irrational"):
+        ITERATED(2).step(system, x, 0, Fraction(1, 10))
+    with pytest.raises(TypeError, match="take floats"):
+        GAUSS(1).step(system, x, 0, Fraction(1, 10))
+    # one stage is rational, and so is its linear system: the energy is kept exactly
+    new = MODIFIED(1).step(system, x, 0, Fraction(1, 10))
+    assert all(isinstance(v, Fraction) for v in new)
+    assert system.energy(new) == system.energy(x)
 
 
 def everywhere():

@@ -1,0 +1,306 @@
+"""What structure constants define: J(x), brackets, the coadjoint action, ranks, and who commutes with whom."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.actions import actions, coadjoint_entries, neighbours, structure_operator
+from coadjoint.algebra.constants import Triples
+from coadjoint.algebra.exact import exact_numbers
+from coadjoint.algebra.joins import Integers
+from coadjoint.algebra.modular import structure_rank
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import LinearOperator
+
+
+class Structure:
+    """The functions of the structure constants of a `LieAlgebra`, which inherits them.
+
+    A class that inherits sets `_dim` and `_triples`, the constants with i < j, sorted, unique and not zero.
+    """
+
+    _dim: int
+    _triples: Triples
+
+    @cached_property
+    def _exact_constants(self) -> NDArray[Any]:
+        return exact_numbers(self._triples.c.tolist())
+
+    def _vector(self, values: Any, what: str) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return a vector of g or g*, and the constants in the kind of number that goes with it."""
+        vector = np.asarray(values)
+        if vector.shape != (self._dim,):
+            raise ValueError(f"{what} must have shape ({self._dim},), not {vector.shape}")
+        if vector.dtype == object:
+            return vector, self._exact_constants
+        if vector.dtype.kind not in "iufc":
+            raise TypeError(f"{what} must hold numbers, not {vector.dtype}")
+        return vector.astype(np.result_type(vector.dtype, np.float64), copy=False), self._triples.c
+
+    def structure_matrix(self, x: Any) -> NDArray[Any]:
+        """Return J(x), J_ij = sum_k c_ij^k x_k: the Poisson bracket {F, G} = grad F . J(x) grad G (equation (2)).
+
+        Parameters
+        ----------
+        x : (n,) array
+            Point of the dual. With dtype object (Fraction, mpmath) the result is exact or multiprecision too.
+
+        Returns
+        -------
+        (n, n) array, skew-symmetric
+
+        Raises
+        ------
+        TypeError, ValueError
+            x does not hold numbers, or has another shape.
+
+        See Also
+        --------
+        structure_operator : the same without an n x n array.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> co.LieAlgebra([(0, 1, 1, 1.0)], dim=2).structure_matrix([5.0, 7.0])
+        array([[ 0.,  7.],
+               [-7.,  0.]])
+        """
+        point, constants = self._vector(x, "x")
+        i, j, k, _ = self._triples
+        matrix = np.zeros((self._dim, self._dim), dtype=point.dtype)
+        entries = constants * point[k]
+        np.add.at(matrix, (i, j), entries)
+        np.subtract.at(matrix, (j, i), entries)
+        return matrix
+
+    def bracket(self, u: Any, v: Any) -> NDArray[Any]:
+        """Return the Lie bracket [u, v] = sum_ijk u_i v_j c_ij^k e_k.
+
+        Parameters
+        ----------
+        u, v : (n,) arrays
+            Elements of the algebra; dtype object is allowed.
+
+        Returns
+        -------
+        (n,) array
+
+        Raises
+        ------
+        TypeError, ValueError
+            u or v does not hold numbers, or has another shape.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> co.LieAlgebra([(0, 1, 1, 1.0)], dim=2).bracket([1, 2], [3, 4])
+        array([ 0., -2.])
+        """
+        left, constants = self._vector(u, "u")
+        right, others = self._vector(v, "v")
+        if right.dtype == object and left.dtype != object:
+            left, constants = exact_numbers(left.tolist()), others
+        elif left.dtype == object and right.dtype != object:
+            right = exact_numbers(right.tolist())
+        i, j, k, _ = self._triples
+        entries = constants * (left[i] * right[j] - left[j] * right[i])
+        result = np.zeros(self._dim, dtype=np.result_type(left.dtype, right.dtype))
+        np.add.at(result, k, entries)
+        return result
+
+    def coadjoint(self, u: Any) -> NDArray[Any]:
+        """Return the matrix D_u of the coadjoint action: D_u x = J(x) u, (D_u)_jk = sum_i u_i c_ji^k.
+
+        Parameters
+        ----------
+        u : (n,) array
+            Element of the algebra; dtype object is allowed.
+
+        Returns
+        -------
+        (n, n) array
+
+        Raises
+        ------
+        TypeError, ValueError
+            u does not hold numbers, or has another shape.
+
+        See Also
+        --------
+        coadjoint_entries : the same, sparse.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> co.LieAlgebra([(0, 1, 1, 1.0)], dim=2).coadjoint([1.0, 0.0])
+        array([[ 0.,  0.],
+               [ 0., -1.]])
+        """
+        vector, constants = self._vector(u, "u")
+        i, j, k, _ = self._triples
+        matrix = np.zeros((self._dim, self._dim), dtype=vector.dtype)
+        np.add.at(matrix, (i, k), constants * vector[j])
+        np.subtract.at(matrix, (j, k), constants * vector[i])
+        return matrix
+
+    @cached_property
+    def _actions(self) -> tuple[Integers, Triples]:
+        """The entries (i, row, column, value) of every D_{e_i}, sorted, and where each i begins."""
+        return actions(self._triples, self._dim)
+
+    def coadjoint_entries(self, u: Any) -> tuple[Integers, Integers, NDArray[Any]]:
+        """Return the nonzero entries of D_u.
+
+        Parameters
+        ----------
+        u : (n,) array, or mapping of index to number
+            Element of the algebra; dtype object is allowed. A mapping {i: u_i} costs only what its entries cost.
+
+        Returns
+        -------
+        rows, columns : (m,) integer arrays
+            Sorted by row, then column; each position once.
+        values : (m,) array
+            Entries; what cancels to exactly zero is left out.
+
+        Raises
+        ------
+        TypeError, ValueError
+            u does not hold numbers, has another shape, or an index out of range.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> g = co.LieAlgebra([(0, 1, 2, 1.0), (1, 2, 0, 1.0), (2, 0, 1, 1.0)], dim=3)
+        >>> [part.tolist() for part in g.coadjoint_entries({2: 2.0})]
+        [[0, 1], [1, 0], [-2.0, 2.0]]
+        """
+        if isinstance(u, Mapping):
+            wrong = [
+                i for i in u if isinstance(i, bool) or not isinstance(i, int | np.integer) or not 0 <= i < self._dim
+            ]
+            if wrong:
+                raise ValueError(f"index {wrong[0]!r} of u must be an integer from 0 to {self._dim - 1}")
+            indices = np.array(sorted(u), dtype=np.int64)
+            coefficients = np.array([u[i] for i in sorted(u)]) if u else np.zeros(0)
+            if coefficients.dtype != object and coefficients.dtype.kind not in "iufc":
+                raise TypeError(f"u must hold numbers, not {coefficients.dtype}")
+        else:
+            vector, _ = self._vector(u, "u")
+            indices = np.flatnonzero(vector != 0).astype(np.int64)
+            coefficients = vector[indices]
+        return coadjoint_entries(*self._actions, indices, coefficients)
+
+    def structure_operator(self, x: Any) -> LinearOperator:
+        """Return J(x) as a SciPy linear operator that holds no n x n array; for large n.
+
+        Parameters
+        ----------
+        x : (n,) real array
+            Point of the dual.
+
+        Returns
+        -------
+        scipy.sparse.linalg.LinearOperator of shape (n, n)
+
+        Raises
+        ------
+        TypeError, ValueError
+            x does not hold real numbers, or has another shape.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> g = co.LieAlgebra([(0, 1, 1, 1.0)], dim=2)
+        >>> g.structure_operator([5.0, 7.0]) @ np.array([0.0, 1.0])
+        array([7., 0.])
+        """
+        point, _ = self._vector(x, "x")
+        if point.dtype.kind != "f":
+            raise TypeError(f"x must hold real floats, not {point.dtype}: use structure_matrix for other numbers")
+        return structure_operator(self._triples, point)
+
+    def generic_rank(self) -> int:
+        """Return the rank of J(x) at a generic x; ``dim - rank`` is the number of independent Casimirs.
+
+        Exact in whole numbers: the constants, floats and so rational numbers over powers of two, are taken modulo the
+        prime p = 2^61 - 1, and the rank is the largest at three random points (seeded: the same answer every time).
+        A minor of degree at most n that is not the zero polynomial modulo p vanishes at a random point with probability
+        at most n/p (Schwartz and Zippel), so all three points fail with probability at most (n/p)^3, below 2^-60 for
+        every n < 2^41. The answer is never too large; it is too small for every point only if p divides all the largest
+        minors, as polynomials.
+
+        Returns
+        -------
+        int, even
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> co.LieAlgebra([(0, 1, 2, 1.0), (1, 2, 0, 1.0), (2, 0, 1, 1.0)], dim=3).generic_rank()
+        2
+        """
+        return self._rank
+
+    @cached_property
+    def _rank(self) -> int:
+        return structure_rank(*self._triples, dim=self._dim, points=3, seed=0)
+
+    @cached_property
+    def _neighbours(self) -> tuple[Integers, Integers]:
+        return neighbours(self._triples, self._dim)
+
+    def neighbours(self) -> tuple[Integers, Integers]:
+        """Return, for each basis element, those that do not commute with it, in compressed sparse rows.
+
+        Returns
+        -------
+        indptr : (n + 1,) integer array, read-only
+        indices : integer array, read-only
+            ``indices[indptr[i]:indptr[i + 1]]`` are the j with [e_i, e_j] != 0, sorted.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> [part.tolist() for part in co.LieAlgebra([(0, 2, 0, 1.0)], dim=3).neighbours()]
+        [[0, 1, 1, 2], [2, 0]]
+        """
+        return self._neighbours
+
+    def commuting(self, i: int, j: int) -> bool:
+        """Say whether [e_i, e_j] = 0.
+
+        Parameters
+        ----------
+        i, j : int
+            Indices of basis elements, from 0.
+
+        Returns
+        -------
+        bool
+
+        Raises
+        ------
+        ValueError
+            An index is out of range.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> g = co.LieAlgebra([(0, 2, 0, 1.0)], dim=3)
+        >>> g.commuting(0, 1), g.commuting(2, 0)
+        (True, False)
+        """
+        for index in (i, j):
+            if not 0 <= index < self._dim:
+                raise ValueError(f"index {index!r} of a basis element must be from 0 to {self._dim - 1}")
+        indptr, indices = self._neighbours
+        row = indices[indptr[i] : indptr[i + 1]]
+        at = int(np.searchsorted(row, j))
+        return not (at < row.size and row[at] == j)

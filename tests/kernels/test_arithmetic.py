@@ -1,0 +1,134 @@
+"""Elementary arithmetic of the kernels against 50 digits, over every magnitude and at the awkward places."""
+
+import math
+
+import mpmath
+import numba
+import numpy as np
+import pytest
+
+from coadjoint.kernels.arithmetic import entire_pair, fma, sine_and_cosine_minus_one
+
+U = 2.0**-53
+
+
+@numba.njit
+def rotations(angles, out):
+    for k in range(angles.size):
+        out[k, 0], out[k, 1] = sine_and_cosine_minus_one(angles[k])
+
+
+@numba.njit
+def hyperbolics(arguments, out):
+    for k in range(arguments.size):
+        out[k, 0], out[k, 1] = entire_pair(arguments[k])
+
+
+@numba.njit
+def fused(a, b, c):
+    return fma(a, b, c)
+
+
+def tabulated(function, values):
+    values = np.array(values, dtype=float)
+    out = np.empty((values.size, 2))
+    function(values, out)
+    return out
+
+
+def around_multiples_of_half_pi():
+    rng = np.random.default_rng(1)
+    numbers = np.concatenate([np.arange(1, 40), rng.integers(40, 636619, 400), 10 ** np.arange(1, 6)])
+    near = numbers * (math.pi / 2)
+    steps = [near]
+    for _ in range(3):
+        steps.append(np.nextafter(steps[-1], np.inf))
+    return np.concatenate([*steps, near * (1 + 1e-9), near * (1 - 1e-6)])
+
+
+def random_magnitudes(low, high, count, seed):
+    rng = np.random.default_rng(seed)
+    return rng.choice([-1.0, 1.0], count) * 10 ** rng.uniform(low, high, count)
+
+
+ANGLES = {
+    "every magnitude": random_magnitudes(-150, 6, 1500, 2),
+    "one turn": np.random.default_rng(3).uniform(-2 * math.pi, 2 * math.pi, 3000),
+    "around multiples of pi/2": around_multiples_of_half_pi(),
+    "at the octants": np.arange(-40, 41) * (math.pi / 4),
+    "beyond 10^6": random_magnitudes(6, 15, 300, 4),
+    "at the edge": np.array([1e6, np.nextafter(1e6, 0), np.nextafter(1e6, 2e6), -1e6]),
+}
+
+
+def ulps(value, exact):
+    return abs(mpmath.mpf(float(value)) - exact) / mpmath.mpf(float(np.spacing(abs(float(exact)))))
+
+
+@pytest.mark.parametrize("where", ANGLES)
+def test_sine_and_cosine_minus_one_within_3_ulp(where):
+    angles = ANGLES[where]
+    with mpmath.workdps(50):
+        for angle, (sine, lowered) in zip(angles, tabulated(rotations, angles), strict=True):
+            phi = mpmath.mpf(float(angle))
+            assert ulps(sine, mpmath.sin(phi)) <= 3, angle
+            assert ulps(lowered, -2 * mpmath.sin(phi / 2) ** 2) <= 3, angle
+
+
+def test_rotations_of_zero_and_of_no_number():
+    assert np.array_equal(tabulated(rotations, [0.0]), [[0.0, 0.0]])
+    assert np.all(np.isnan(tabulated(rotations, [np.nan, np.inf, -np.inf])))
+
+
+def test_rotations_are_odd_and_even():
+    angles = np.concatenate([ANGLES["one turn"], ANGLES["every magnitude"]])
+    there, back = tabulated(rotations, angles), tabulated(rotations, -angles)
+    assert np.array_equal(there[:, 0], -back[:, 0]) and np.array_equal(there[:, 1], back[:, 1])
+
+
+def test_rotations_have_no_bias_in_their_length():
+    """(1 + c)^2 + s^2 - 1 = 2c + c^2 + s^2 is rounding: at most 8 u, and its mean is that of unbiased errors."""
+    out = tabulated(rotations, np.random.default_rng(5).uniform(-0.2, 0.2, 20000))
+    with mpmath.workdps(40):
+        excess = np.array([float(2 * mpmath.mpf(c) + mpmath.mpf(c) ** 2 + mpmath.mpf(s) ** 2) for s, c in out.tolist()])
+    assert abs(excess).max() <= 8 * U
+    assert abs(excess.mean()) <= 5 * excess.std() / math.sqrt(excess.size)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        random_magnitudes(-300, 0, 400, 6),
+        np.random.default_rng(7).uniform(-1.0, 1.0, 1000),
+        random_magnitudes(0, 4, 400, 8),
+        np.array([0.0, 0.25, -0.25, np.nextafter(0.25, 0), np.nextafter(-0.25, 0), math.pi**2 * -4, -1e11]),
+    ],
+)
+def test_entire_pair(arguments):
+    """sinh(w)/w and cosh(w) - 1: 8 u relative to the largest terms, and what rounding of w = sqrt z moves, u w each."""
+    with mpmath.workdps(50):
+        for z, (s, c) in zip(arguments, tabulated(hyperbolics, arguments), strict=True):
+            w = mpmath.sqrt(mpmath.mpf(float(z)))
+            exact_s = mpmath.re(mpmath.sinh(w) / w) if z else mpmath.mpf(1)
+            exact_c = 2 * mpmath.re(mpmath.sinh(w / 2) ** 2)
+            moved = float(abs(w))
+            size_s = float(abs(exact_s)) if z >= 0 else min(1.0, 1 / moved)
+            size_c = float(abs(exact_c)) if z >= 0 else min(0.5 * abs(z), 2.0)
+            assert abs(mpmath.mpf(float(s)) - exact_s) <= (8 + moved) * U * size_s
+            assert abs(mpmath.mpf(float(c)) - exact_c) <= (8 + moved) * U * size_c
+
+
+@pytest.mark.parametrize("edge", [0.25, -0.25])
+def test_entire_pair_is_continuous_where_the_formula_changes(edge):
+    """Neighbours on both sides differ by rounding only: 4 u."""
+    inside, outside = tabulated(hyperbolics, [np.nextafter(edge, 0), edge])
+    assert np.all(abs(inside - outside) <= 4 * U * abs(outside))
+
+
+def test_fma_rounds_once():
+    rng = np.random.default_rng(9)
+    for a, b in rng.standard_normal((200, 2)):
+        error = fused(a, b, -(a * b))
+        with mpmath.workdps(50):
+            assert mpmath.mpf(error) == mpmath.mpf(a) * mpmath.mpf(b) - mpmath.mpf(a * b)
+    assert fused(1 + 2.0**-52, 1 - 2.0**-52, -1.0) == -(2.0**-104)

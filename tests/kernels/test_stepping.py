@@ -1,0 +1,163 @@
+"""The loop for step methods, and the one compiled step it is given here: Radau on the energy surface."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.kernels import stepping
+from coadjoint.kernels.step_tables import step_tables
+from coadjoint.kernels.tables import watch_tables
+from coadjoint.kernels.watching import Report, Saves, Schedule, record_start
+
+U = 2.0**-53
+
+
+def run(system, method, x0, h, steps, *, t0=0.0, cuts=(), fractions=(1.0,)):
+    """Return the final states, the largest deviations of energy and Casimirs, and the report, for all members."""
+    momenta = np.atleast_2d(np.array(x0, dtype=float))
+    members, n = momenta.shape
+    prepared, watch = step_tables(system, method, None, fractions), watch_tables(system, system.casimirs)
+    count = 1 + len(system.casimirs)
+    saves = Saves(
+        members,
+        np.zeros((2, members, n)),
+        np.zeros((2, members, 0)),
+        np.zeros((2, members, count)),
+        np.zeros((members, 10, count)),
+        np.zeros((members, count)),
+        np.zeros((members, count)),
+    )
+    schedule = Schedule(t0, h, steps, steps, True)
+    state = (momenta, np.zeros((members, n)), np.zeros((members, 0)), np.zeros((members, 0)))
+    whole = [np.zeros(members, dtype=np.int64) for _ in range(4)]
+    report = Report(whole[0], whole[1], np.zeros(members), whole[2], whole[3])
+    record_start(watch.tables, saves, schedule, momenta, state[2])
+    edges = [0, *cuts, steps]
+    for k0, k1 in pairwise(edges):
+        crew = np.array([0, members])
+        stepping.advance(prepared.tables, watch.tables, saves, schedule, state, crew, k0, k1, report)
+    return momenta, saves.worst.max(axis=1), report
+
+
+def allocating(x):
+    """cosh-like, and a burden for whoever does not own his memory: it allocates and frees arrays of all small sizes."""
+    total = 0.0
+    for size in range(1, 80):
+        total += np.full(size, 1e3)[size - 1] - 1e3
+    return 0.5 * x[0] * x[0] + x[1] * x[1] + 1.5 * x[2] * x[2] + 0.25 * x[0] ** 4 + total
+
+
+def allocating_gradient(x):
+    total = 0.0
+    for size in range(1, 80):
+        total += np.full(size, 1e3)[size - 1] - 1e3
+    return np.array([x[0] + x[0] ** 3 + total, 2.0 * x[1], 3.0 * x[2]])
+
+
+def systems():
+    e3, so4 = co.algebras.e(3), co.algebras.so(4)
+    top = co.Quadratic([1.0, 0.5, 0.25, 0.0, 0.0, 0.0], linear=[0, 0, 0, 0.75, 0.5, 1.0])
+    quartic = co.Polynomial(
+        {(2, 0, 0, 0, 0, 0): 0.5, (0, 1, 0, 0, 1, 0): 0.25, (0, 0, 0, 1, 1, 1): 1.0, (0, 0, 4, 0, 0, 0): 0.5}
+    )
+    six = np.array([1.0, 0.5, -0.25, 0.75, -1.0, 0.375])
+    return {
+        "top": (co.LiePoissonSystem(e3, top, sign=-1), np.array([1.0, -0.5, 1.5, 0.625, 0.25, 0.75])),
+        "so(4)": (co.LiePoissonSystem(so4, co.Quadratic(np.linspace(0.5, 1.5, 6))), six),
+        "quartic": (co.LiePoissonSystem(e3, quartic, sign=-1), six),
+        "functions": (
+            co.LiePoissonSystem(co.algebras.sl(2), co.Hamiltonian(allocating, allocating_gradient)),
+            np.array([1.0, 0.5, -0.25]),
+        ),
+        "nonlinear J": (
+            co.PoissonSystem(
+                lambda x: np.array([[0.0, -x[2] * x[2], x[0]], [x[2] * x[2], 0.0, -x[1]], [-x[0], x[1], 0.0]]),
+                co.Quadratic([1.0, 0.5, 0.25]),
+            ),
+            np.array([0.75, 0.5, -0.625]),
+        ),
+    }
+
+
+@pytest.mark.parametrize("stages", [1, 2, 3])
+@pytest.mark.parametrize("name", list(systems()))
+def test_compiled_step_is_the_plain_reading(name, stages):
+    """The multipliers carry u T / (x . grad H): some ten times the round-off of a state."""
+    system, x = systems()[name]
+    method = co.RadauEnergy(stages)
+    for h in (0.0625, -0.0625):
+        found, _, report = run(system, method, x, h, 1)
+        assert report.status[0] == 0
+        assert np.max(np.abs(found[0] - method.step(system, x, 0.0, h))) < 64 * len(x) * U * np.max(np.abs(x))
+        assert np.max(np.abs(found[0] - x)) > 1e-3
+
+
+def test_the_example_of_remark_3_1():
+    """Energy kept, |x|^2 = 5.25 lost: 5.24990 at t = 20 with h = 0.1 and two stages."""
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 1 / 2, 1 / 3]), sign=-1)
+    x, worst, _ = run(system, co.RadauEnergy(2), (1.0, 2.0, 0.5), 0.1, 200)
+    assert abs(np.sum(x**2) - 5.24990) < 1e-5
+    assert worst[0, 0] < 1e-14
+
+
+@pytest.mark.parametrize("name", ["top", "so(4)", "quartic", "functions", "nonlinear J"])
+def test_energy_is_kept_and_casimirs_are_not(name):
+    """A random walk of 500 steps, each of some 4 n roundings of products of the size of H; six times its width."""
+    system, x0 = systems()[name]
+    _, worst, report = run(system, co.RadauEnergy(2), x0, 0.05, 500)
+    assert report.status[0] == 0
+    assert worst[0, 0] < 6 * U * 4 * len(x0) * 5.0 * math.sqrt(500)
+    assert np.all(worst[0, 1:] > 1e-8)
+
+
+@pytest.mark.parametrize("name", ["top", "so(4)", "quartic", "nonlinear J"])
+@pytest.mark.parametrize("stages", [1, 2, 3])
+def test_order_is_2_s_minus_1(name, stages):
+    system, x0 = systems()[name]
+    exact = co.integrate(system, x0, (0.0, 1.0), 1 / 32, co.GaussLegendre(8)).x[-1]
+    counts = (64, 128, 256) if stages == 1 else (16, 32, 64) if stages == 2 else (8, 16, 32)
+    errors = [np.max(np.abs(run(system, co.RadauEnergy(stages), x0, 1 / n, n)[0][0] - exact)) for n in counts]
+    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
+    # The slope changes by O(h) from one halving to the next: twice the last change.
+    assert abs(slopes[1] - (2 * stages - 1)) < 0.1 + 2 * abs(slopes[1] - slopes[0])
+    assert abs(slopes[1] - (2 * stages - 1)) < 0.5
+
+
+def test_cut_runs_and_members_have_the_same_bits():
+    system, x0 = systems()["top"]
+    states = np.stack([x0, 1.1 * x0])
+    whole, _, _ = run(system, co.RadauEnergy(2), states, 0.05, 60)
+    cut, _, _ = run(system, co.RadauEnergy(2), states, 0.05, 60, cuts=(1, 7, 40))
+    alone, _, _ = run(system, co.RadauEnergy(2), states[1], 0.05, 60)
+    assert np.array_equal(whole, cut)
+    assert np.array_equal(whole[1], alone[0])
+
+
+def test_substeps():
+    system, x0 = systems()["top"]
+    method = co.RadauEnergy(2)
+    found, _, _ = run(system, method, x0, 0.125, 1, fractions=(0.5, -0.25, 0.75))
+    x = x0
+    for fraction in (0.5, -0.25, 0.75):
+        x = method.step(system, x, 0.0, 0.125 * fraction)
+    assert np.max(np.abs(found[0] - x)) < 3 * 64 * len(x) * U * 2.0
+
+
+def test_failures():
+    """No convergence, and no multiplier where x . grad H = 0; other members go on."""
+    system, x0 = systems()["so(4)"]
+    _, _, report = run(system, co.RadauEnergy(2), x0, 20.0, 3)
+    assert (report.status[0], report.step[0]) == (1, 1)
+    saddle = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, -1.0, 2.0]))
+    method = co.RadauEnergy(2)
+    states, _, report = run(saddle, method, [[1.0, 1.0, 0.0], [1.0, 0.5, 0.25]], 0.01, 5)
+    assert report.status.tolist() == [stepping.UNDEFINED, 0]
+    assert "x . grad H(x) vanishes" in method.failures[stepping.UNDEFINED]
+    with pytest.raises(co.IntegrationError, match="vanishes"):
+        method.step(saddle, [1.0, 1.0, 0.0], 0.0, 0.01)
+    assert np.max(np.abs(states[1] - [1.0, 0.5, 0.25])) > 1e-3

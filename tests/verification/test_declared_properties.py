@@ -1,0 +1,94 @@
+"""What a scheme declares to keep, it keeps to round-off over a thousand steps; what it does not, it loses on a named witness."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+from .measures import drift_bounds, group_bound
+from .schemes_under_test import pairs, schemes
+from .systems_under_test import all_cases, cases
+
+STEP, COUNT = 0.1, 1000
+
+
+def is_quadratic(casimir):
+    return isinstance(casimir, co.Polynomial) and casimir.degree <= 2
+
+
+def kept_names(method, system):
+    """Return the names of the invariants that a scheme declares to keep on a system."""
+    declared = method.properties(system)
+    names = ["energy"] if declared.energy else []
+    if declared.casimirs == "all":
+        names += list(system.casimirs)
+    elif declared.casimirs == "quadratic":
+        names += [name for name, casimir in system.casimirs.items() if is_quadratic(casimir)]
+    return names
+
+
+KEEPING = [p for p in pairs(all_cases()) if kept_names(schemes()[p[0]], all_cases()[p[1]].system)]
+
+
+@pytest.mark.parametrize(("scheme", "case"), KEEPING)
+def test_invariants_that_are_declared_are_kept(scheme, case):
+    method, (system, x0, _) = schemes()[scheme], all_cases()[case]
+    run = co.integrate(system, x0, (0.0, COUNT * STEP), STEP, method, save_every=50)
+    bounds, drift = drift_bounds(run), run.drift()
+    for name in kept_names(method, system):
+        assert drift[name] <= bounds[name], (name, float(drift[name]), bounds[name])
+
+
+# One witness for each scheme and each invariant that it does not keep: system, invariant, step.
+LOST = {
+    "energy": ("so(4), diagonal", "energy", 0.5, lambda p: not p.energy),
+    "quadratic Casimir": ("so(4), diagonal", "Pfaffian", 0.5, lambda p: p.casimirs == "none"),
+    "Casimir that is not quadratic": ("A3,7, full", "log C", 0.5, lambda p: p.casimirs != "all"),
+    "energy that is not quadratic": ("e(3), polynomial potential", "energy", 0.5, lambda p: not p.energy),
+}
+
+
+def losing():
+    for what, (case, _, _, loses) in LOST.items():
+        for scheme, method in schemes().items():
+            system = cases()[case].system
+            if (scheme, case) in pairs({case: cases()[case]}) and loses(method.properties(system)):
+                yield what, scheme
+
+
+@pytest.mark.parametrize(("what", "scheme"), list(losing()))
+def test_invariants_that_are_not_declared_are_lost(what, scheme):
+    case, name, step, _ = LOST[what]
+    system, x0, _ = cases()[case]
+    run = co.integrate(system, 1.5 * x0, (0.0, 40 * step), step, schemes()[scheme])
+    bound = drift_bounds(run)[name]
+    assert run.drift()[name] > 1000 * bound, (float(run.drift()[name]), bound)
+
+
+CARRYING = [
+    p for p in pairs(cases()) if schemes()[p[0]].properties(cases()[p[1]].system).attitude in ("every representation", "coadjoint")
+]
+
+
+@pytest.mark.parametrize(("scheme", "case"), CARRYING)
+def test_coadjoint_matrix_takes_the_state_back_to_its_start(scheme, case):
+    system, x0, _ = cases()[case]
+    run = co.integrate(system, x0, (0.0, COUNT * STEP / 5), STEP, schemes()[scheme], attitude="coadjoint", save_every=20)
+    back = np.einsum("tij,tj->ti", run.attitude, run.x)
+    size = max(np.linalg.norm(K) * np.linalg.norm(x) for K, x in zip(run.attitude, run.x, strict=True))
+    assert np.max(np.abs(back - x0)) <= group_bound(run, size)
+
+
+@pytest.mark.parametrize("scheme", [s for s, m in schemes().items() if m.properties(cases()["so(4), diagonal"].system).attitude == "integrated"])
+def test_integrated_attitude_leaves_the_group(scheme):
+    system, x0, _ = cases()["so(4), diagonal"]
+    run = co.integrate(system, x0, (0.0, 20.0), 0.1, schemes()[scheme], attitude=True)
+    g = run.attitude[-1]
+    assert np.max(np.abs(g @ g.T - np.eye(4))) > 1000 * group_bound(run, 1.0)
+
+
+@pytest.mark.parametrize("scheme", [s for s, m in schemes().items() if m.properties(cases()["so(4), diagonal"].system).attitude == "none"])
+def test_attitude_is_refused_by_name_where_it_is_not_declared(scheme):
+    system, x0, _ = cases()["so(4), diagonal"]
+    with pytest.raises(ValueError, match="carries no group element"):
+        co.integrate(system, x0, (0.0, 1.0), 0.1, schemes()[scheme], attitude="coadjoint")

@@ -1,0 +1,55 @@
+"""P J(x) P^T = J(step(x)), to round-off with the exact tangent P, for every scheme that declares it; not for the others."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+from .measures import poisson_defect
+from .schemes_under_test import pairs, schemes
+from .systems_under_test import all_cases, cases
+
+STEP = 0.2
+
+
+def step_on(scheme, case):
+    return co.stepper(all_cases()[case].system, schemes()[scheme], STEP)
+
+
+POISSON = [p for p in pairs(cases()) if schemes()[p[0]].properties(cases()[p[1]].system).poisson]
+NOT_POISSON = [s for s in schemes() if s not in {scheme for scheme, _ in POISSON}]
+
+
+def test_splitting_declares_it_on_every_algebra_and_kind_of_hamiltonian():
+    assert {case for _, case in POISSON} == set(cases())
+    assert {type(schemes()[s]).__name__ for s, _ in POISSON} == {"Splitting", "Composition"}
+
+
+@pytest.mark.parametrize(("scheme", "case"), POISSON)
+def test_poisson_where_declared(scheme, case):
+    x0 = cases()[case].x0
+    for x in (x0, -0.7 * x0[::-1]):
+        found = poisson_defect(step_on(scheme, case), x)
+        assert found.value <= found.bound, found
+
+
+# so(4) with full M in another basis: not unimodular in disguise, no axis special, dimension 6.
+@pytest.mark.parametrize("scheme", NOT_POISSON)
+def test_not_poisson_where_not_declared(scheme):
+    case = "so(4), full, another basis"
+    found = poisson_defect(co.stepper(cases()[case].system, schemes()[scheme], 0.5), 2 * cases()[case].x0)
+    assert found.value > 1000 * found.bound, found
+
+
+@pytest.mark.parametrize(("scheme", "case"), [p for p in pairs(all_cases()) if "separable" not in p[1]])
+def test_tangent_is_the_derivative_of_the_compiled_step(scheme, case):
+    """Central differences of the step that runs, with one Richardson extrapolation: error O(d^4) plus round-off u/d."""
+    step, x = step_on(scheme, case), all_cases()[case].x0
+    d = 2.0**-9
+    columns = []
+    for unit in np.eye(len(x)):
+        near, far = ((step(x + s * d * unit) - step(x - s * d * unit)) / (2 * s * d) for s in (1, 2))
+        columns.append((4 * near - far) / 3)
+    P = step.tangent(x)
+    # d^4 = 1.5e-11 times a fifth derivative over 30, here below 1e3; round-off is 2^-53 / d = 6e-14.
+    assert np.max(np.abs(np.array(columns).T - P)) < 1e3 * d**4 / 30 * max(1.0, np.max(np.abs(P)))

@@ -1,0 +1,54 @@
+"""A step back undoes a step where a scheme is declared symmetric, and by O(h^(p+1 or +2)) only where it is not."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+from .measures import U, order_of
+from .schemes_under_test import pairs, schemes
+from .systems_under_test import all_cases, cases
+
+H = 0.25
+
+
+def there_and_back(method, case, h):
+    system, x0 = case.system, case.x0
+    middle = co.stepper(system, method, h)(x0)
+    return np.max(np.abs(co.stepper(system, method, -h)(middle, h) - x0))
+
+
+SYMMETRIC = [p for p in pairs(all_cases()) if schemes()[p[0]].symmetric]
+LOPSIDED = [s for s, m in schemes().items() if not m.symmetric]
+
+
+@pytest.mark.parametrize(("scheme", "case"), SYMMETRIC)
+def test_symmetric_where_declared(scheme, case):
+    method, there = schemes()[scheme], all_cases()[case]
+    run = co.integrate(there.system, there.x0, (0.0, H), H, method)
+    # Two steps, each of `evaluations` times n roundings, amplified by at most the condition of the step back.
+    P = co.stepper(there.system, method, H).tangent(there.x0)
+    work = 4 * len(there.x0) * (run.stats.evaluations + 1)
+    size = np.linalg.norm(np.linalg.inv(P)) * np.linalg.norm(P) * np.linalg.norm(there.x0)
+    assert there_and_back(method, there, H) <= 2 * work * U * size
+
+
+@pytest.mark.parametrize("scheme", LOPSIDED)
+@pytest.mark.parametrize("case", ["so(3), diagonal", "e(3), full, axes permuted"])
+def test_what_is_missing_to_symmetry(scheme, case):
+    """psi_(-h) psi_h - 1 = O(h^k): k = p + 1, or one more where the leading error is odd in h and cancels (even order p)."""
+    method = schemes()[scheme]
+    steps = [0.5 / 2 ** (k / 2) for k in range(9)]
+    errors = [there_and_back(method, cases()[case], h) for h in steps]
+    kept = [(h, e) for h, e in zip(steps, errors, strict=True) if e > 2000 * U][-5:]
+    found = order_of([h for h, _ in kept], [e for _, e in kept], 1)
+    expected = method.order + (2 if method.order % 2 == 0 else 1)
+    assert found.agrees_with(expected), found
+
+
+def test_adjoint_of_first_order_splitting_is_its_other_direction():
+    for case in cases().values():
+        forward = co.stepper(case.system, co.Splitting(order=1), 0.2)
+        back = co.stepper(case.system, co.Splitting(order=1, adjoint=True), -0.2)
+        x = back(forward(case.x0), 0.2)
+        assert np.max(np.abs(x - case.x0)) < 200 * len(case.x0) * U * np.max(np.abs(case.x0)) * 4
