@@ -94,9 +94,15 @@ def test_names_and_get():
     assert catalogue.get("sl(2)") == catalogue.sl(2)
     assert catalogue.get("heisenberg") == catalogue.heisenberg(1)
     assert catalogue.get("heisenberg(2)") == catalogue.get("heisenberg", n=2) == catalogue.heisenberg(2)
-    parameters = {"A3_7": {"a": 1.0}, "so(n)": {"n": 5}}
-    for name in catalogue.names():
-        assert catalogue.get(name, **parameters.get(name, {})).dim >= 1
+    assert catalogue.get("so(3, 1)") == catalogue.get("so(p,q)", p=3, q=1) == catalogue.so(3, 1)
+    assert catalogue.get("sp(4)") == catalogue.get("sp(2n)", n=2) == catalogue.sp(4)
+    assert catalogue.get("heisenberg(n)", n=2) == catalogue.heisenberg(2)
+    families = {"e": 6, "gl": 9, "heisenberg": 7, "se": 6, "sl": 8, "so": 3, "su": 8, "u": 9}
+    for family, dim in families.items():
+        assert catalogue.get(f"{family}(3)") == catalogue.get(f"{family}(n)", n=3)
+        assert catalogue.get(f"{family}(3)").dim == dim
+        assert f"{family}(n)" in catalogue.names()
+    assert set(catalogue.names()) > {"so(p,q)", "sp(2n)", "A2_1", "A5_40", "A3_7"}
     assert list(catalogue.names()) == sorted(catalogue.names())
 
 
@@ -114,8 +120,18 @@ def test_names_and_get():
         ("so(1)", {}, ValueError, "from 2 up, not 1"),
         ("so(n)", {"n": 3.0}, ValueError, "from 2 up, not 3.0"),
         ("heisenberg(0)", {}, ValueError, "from 1 up, not 0"),
-        ("sl(3)", {}, ValueError, r"sl\(2\) only"),
-        ("e(2)", {}, ValueError, r"e\(3\) only"),
+        ("sl(1)", {}, ValueError, r"n of sl\(n\) must be an integer from 2 up, not 1"),
+        ("e(1)", {}, ValueError, r"n of e\(n\) must be an integer from 2 up, not 1"),
+        ("gl(0)", {}, ValueError, "from 1 up, not 0"),
+        ("su(1)", {}, ValueError, "from 2 up, not 1"),
+        ("sp(3)", {}, ValueError, "must be even, not 3"),
+        ("sp(2n)", {"n": 1.5}, ValueError, "from 2 up, not 1.5"),
+        ("so(1,0)", {}, ValueError, "from 2 up, not 1"),
+        ("so(0,1)", {}, ValueError, r"p of so\(p, q\) must be an integer from 1 up, not 0"),
+        ("so(p,q)", {"p": 3}, ValueError, "needs the parameter 'q'"),
+        ("su(2,1)", {}, ValueError, "unknown algebra 'su\\(2,1\\)'"),
+        ("A5,41", {}, ValueError, "unknown algebra 'A5,41'"),
+        ("A4,9", {"b": 2}, ValueError, "it needs -1 < b <= 1, not b = 2"),
         (3, {}, TypeError, "must be a string"),
     ],
 )

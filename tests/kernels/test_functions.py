@@ -89,7 +89,11 @@ def test_one_compiled_loop_serves_every_system():
     for s in systems_with_functions():
         x0 = np.linspace(0.1, 0.6, s.dim)
         co.integrate(s, x0, (0, 0.2), 0.1, co.Splitting(order=1))
-        options = {"watch": False, "attitude": "coadjoint", "observe": {"x1": co.Polynomial({(1, *[0] * (s.dim - 1)): 1})}}
+        options = {
+            "watch": False,
+            "attitude": "coadjoint",
+            "observe": {"x1": co.Polynomial({(1, *[0] * (s.dim - 1)): 1})},
+        }
         co.integrate(s, [x0, -x0], (0, -0.2), 0.1, co.Splitting(order=2, compensated=True), **options)
     assert len(flow.advance.signatures) == 1
     assert len(watching.record_start.signatures) == 1
@@ -106,7 +110,9 @@ def test_functions_of_the_standard_library_and_of_numpy_serve():
 
 def test_functions_are_the_ones_given():
     """Two systems that differ in a captured number move differently: no compiled function is mixed up with another."""
-    ends = [co.integrate(s, np.linspace(0.1, 0.6, s.dim), (0, 1), 0.1).x[-1] for s in list(systems_with_functions())[:2]]
+    ends = [
+        co.integrate(s, np.linspace(0.1, 0.6, s.dim), (0, 1), 0.1).x[-1] for s in list(systems_with_functions())[:2]
+    ]
     assert np.abs(ends[0] - ends[1]).max() > 1e-3
 
 

@@ -201,7 +201,9 @@ def test_exponential_of_basis_elements(name):
         D = algebra.coadjoint(np.eye(algebra.dim)[i])
         read = reading_of(algebra, i)
         for theta in (0.0, 1e-12, 0.9, -20.0):
-            assert error_of(read, D, x, theta) <= 4 * (algebra.dim + 2) * exponential_bound(D, theta) * np.linalg.norm(x)
+            assert error_of(read, D, x, theta) <= 4 * (algebra.dim + 2) * exponential_bound(D, theta) * np.linalg.norm(
+                x
+            )
 
 
 def cubic_bound(D, theta):

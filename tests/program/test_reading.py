@@ -45,7 +45,10 @@ SYSTEMS = {
     "A3,7": (co.algebras.get("A3,7", a=1.75), co.Quadratic([1.0, 2.0, 0.25])),
     "Heisenberg": (co.algebras.heisenberg(2), co.Quadratic(full(5, 3))),
     "so(3) other basis": (in_basis(co.algebras.so(3), SKEWED), co.Quadratic(full(3, 4))),
-    "quartic on so(3)": (co.algebras.so(3), co.Polynomial({(4, 0, 0): 0.25, (0, 3, 0): 0.5, (0, 0, 2): 1.0, (1, 0, 0): 1.0})),
+    "quartic on so(3)": (
+        co.algebras.so(3),
+        co.Polynomial({(4, 0, 0): 0.25, (0, 3, 0): 0.5, (0, 0, 2): 1.0, (1, 0, 0): 1.0}),
+    ),
     "driven sl(2)": (co.algebras.sl(2), driven()),
 }
 
@@ -99,10 +102,15 @@ def test_poisson_condition_with_the_exact_tangent(name, order):
         defect = P @ s.structure_matrix(x) @ P.T - s.structure_matrix(y)
         assert size(defect) <= mpmath.mpf(10) ** -35 * (1 + size(P)) ** 2
         direction = np.array([mpmath.mpf(v) for v in np.linspace(1, -0.5, s.dim)])
-        assert size(P @ direction - perturbed(read, x, direction, mpmath.mpf(10) ** -12, h)) <= 10 ** -18 * (1 + size(P)) ** 3
+        assert (
+            size(P @ direction - perturbed(read, x, direction, mpmath.mpf(10) ** -12, h))
+            <= 10**-18 * (1 + size(P)) ** 3
+        )
 
 
-@pytest.mark.parametrize("name", ["e(3) diagonal", "so(4) full", "sl(2) full", "quartic on so(3)", "driven sl(2)", "Heisenberg"])
+@pytest.mark.parametrize(
+    "name", ["e(3) diagonal", "so(4) full", "sl(2) full", "quartic on so(3)", "driven sl(2)", "Heisenberg"]
+)
 def test_polynomial_casimirs(name):
     with mpmath.workdps(DIGITS):
         s, read, x = setup(name, co.Splitting(order=4))

@@ -169,9 +169,7 @@ def test_the_pieces_add_up_to_the_hamiltonian(name, choice):
                         term = angle * (x[0] * 0 + exact.numerator) / exact.denominator
                         total[i], size[i] = total[i] + term, size[i] + abs(term)
             gradient = s.hamiltonian.gradient(x, 0.25)
-            assert all(
-                abs(a - b) <= tolerance * (c + abs(b)) for a, b, c in zip(total, gradient, size, strict=True)
-            )
+            assert all(abs(a - b) <= tolerance * (c + abs(b)) for a, b, c in zip(total, gradient, size, strict=True))
 
 
 @pytest.mark.parametrize(
@@ -231,10 +229,18 @@ def test_sets_may_hold_coordinates_that_hamiltonian_does_not_use():
     ("name", "choice", "message"),
     [
         ("so(4) diagonal", [[0, 1], [2, 3], [4, 5]], "parts put .* and .* together, which do not commute"),
-        ("e(3) diagonal", [[0], [1], [2], [3, 4]], r"parts leave out .* \(coordinate 5\), which the Hamiltonian depends"),
+        (
+            "e(3) diagonal",
+            [[0], [1], [2], [3, 4]],
+            r"parts leave out .* \(coordinate 5\), which the Hamiltonian depends",
+        ),
         ("e(3) diagonal", [[0], [1], [2], [3, 4, 6]], "parts name coordinate 6, but coordinates run from 0 to 5"),
         ("e(3) diagonal", [[0], [1], [2], [3, 4, -1]], "parts name coordinate -1"),
-        ("e(3) couplings inside commuting sets", [[0], [1], [2], [3, 4], [5]], "in one set, since the Hamiltonian couples"),
+        (
+            "e(3) couplings inside commuting sets",
+            [[0], [1], [2], [3, 4], [5]],
+            "in one set, since the Hamiltonian couples",
+        ),
     ],
 )
 def test_explicit_parts_that_do_not_serve_are_refused(name, choice, message):

@@ -61,7 +61,13 @@ def test_flows_at_different_times_are_not_merged():
     """Within one step the two halves of the first substep share its middle; the halves of consecutive steps do not."""
     start, step, finish = sections(build_program(driven(), co.Splitting(order=2, parts="coordinates")))
     assert finish == [] and start == step
-    assert [(p, c, m) for p, c, m in step] == [(0, 0.5, 0.5), (1, 0.5, 0.5), (2, 1.0, 0.5), (1, 0.5, 0.5), (0, 0.5, 0.5)]
+    assert [(p, c, m) for p, c, m in step] == [
+        (0, 0.5, 0.5),
+        (1, 0.5, 0.5),
+        (2, 1.0, 0.5),
+        (1, 0.5, 0.5),
+        (0, 0.5, 0.5),
+    ]
     start, step, _ = sections(build_program(driven(), co.Splitting(scheme="suzuki4", parts="coordinates")))
     assert start == step
     assert [p for p, _, _ in step].count(0) == 10  # timed: two in each of five substeps

@@ -162,15 +162,15 @@ def cases() -> dict[str, Case]:
             system(co.algebras.A3_7(1.5), co.Quadratic(full_matrix(2, 3)), sign=-1), np.array([0.7, -0.4, 0.5]), 0.8
         ),
         "sl(2), diagonal": Case(system(sl2, co.Quadratic([1.0, 2.0, 3.0])), np.array([1.0, 0.5, -0.25]), 1.0),
-        "sl(2), full": Case(system(sl2, co.Quadratic(full_matrix(3, 3)), sign=-1), np.array([0.8, 0.5, 0.6]), 1.0),
-        "so(4), diagonal": Case(system(so4, co.Quadratic([2.0, 0.4, 0.7, -0.5, 0.4, 1.0]), sign=-1), six, 1.0),
+        "sl(2), full": Case(system(sl2, co.Quadratic(full_matrix(3, 3)), sign=-1), np.array([0.8, 0.5, 0.6]), 2.0),
+        "so(4), diagonal": Case(system(so4, co.Quadratic([2.0, 0.4, 0.7, 0.3, 0.5, 1.0]), sign=-1), six, 1.0),
         "so(4), full, another basis": Case(system(so4_basis, co.Quadratic(0.4 * full_matrix(4, 6))), six, 0.5),
         "e(3), heavy top": Case(
-            system(e3, co.Quadratic([1.0, 0.5, 0.4, 0.0, 0.0, 0.0], linear=[0, 0, 0, 0.75, 0.5, 1.0]), sign=-1), top, 1.0
+            system(e3, co.Quadratic([1.0, 0.5, 0.4, 0.0, 0.0, 0.0], linear=[0, 0, 0, 0.75, 0.5, 1.0]), sign=-1), top, 3.0
         ),
         "e(3), full, axes permuted": Case(system(e3_permuted, co.Quadratic(full_matrix(5, 6))), six, 1.0),
-        "e(3), polynomial potential": Case(system(e3, co.Polynomial(body_and_spin | potential), sign=-1), top, 1.0),
-        "e(3), split": Case(system(e3, co.SplitHamiltonian(pieces), sign=-1), top, 1.0),
+        "e(3), polynomial potential": Case(system(e3, co.Polynomial(body_and_spin | potential), sign=-1), top, 3.0),
+        "e(3), split": Case(system(e3, co.SplitHamiltonian(pieces), sign=-1), top, 3.0),
         "sl(2), driven": Case(
             system(sl2, co.Separable({i: (_driven, _driven_slope, _driven_curvature) for i in range(3)}), sign=-1),
             np.array([0.8, 0.5, 0.6]),

@@ -13,34 +13,46 @@ from coadjoint.algebra.connected import connected, parts
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.joins import DEFECT_FACTOR, UNIT_ROUNDOFF, Integers, expand, groups
 
+Vector = dict[int, Any]  # unknown -> coefficient, in order; the first one is 1
+
 
 class Equations(NamedTuple):
-    """Sparse equations A v = 0 for coefficients v, A[rows, columns] = values.
+    """Sparse linear equations for the coefficients v of a polynomial C that every derivation must annihilate.
+
+    Entry m says: the coefficient of monomial ``target[m]`` in the derivative of C along ``e_i``, i = ``along[m]``, has
+    the term ``values[m] * v[columns[m]]``; all these coefficients must be zero.
 
     Parameters
     ----------
     unknowns : int
-        Number N of columns.
-    rows : (m,) integer array
-        Row i N + t says that the monomial t has coefficient zero in the derivative of C along e_i.
-    columns : (m,) integer array
+    along, target, columns : (m,) integer arrays
+        Sorted; each position once.
     values : (m,) array
-        Whole numbers (object or int64) or floats.
-    derivations : int
-        Number n of the e_i.
+        Whole numbers (object or int64), or floats; not zero.
 
     Examples
     --------
-    >>> one = np.array([0])
-    >>> Equations(1, one, one, one, 1).unknowns
+    >>> zero = np.array([0])
+    >>> Equations(1, zero, zero, zero, np.array([2.0])).unknowns
     1
     """
 
     unknowns: int
-    rows: Integers
+    along: Integers
+    target: Integers
     columns: Integers
     values: NDArray[Any]
-    derivations: int
+
+
+def monomial_count(dim: int, degree: int) -> int:
+    """Return the number of monomials of a degree.
+
+    Examples
+    --------
+    >>> monomial_count(8, 3)
+    120
+    """
+    return math.comb(dim + degree - 1, degree)
 
 
 def monomials(dim: int, degree: int) -> Integers:
@@ -59,6 +71,25 @@ def monomials(dim: int, degree: int) -> Integers:
     return rows
 
 
+def places(basis: Integers, dim: int) -> Integers:
+    """Return the places of sorted tuples in the list `monomials`.
+
+    Examples
+    --------
+    >>> places(np.array([[1, 1], [0, 1]]), 2).tolist()
+    [2, 1]
+    """
+    count, degree = basis.shape
+    result = np.zeros(count, dtype=np.int64)
+    before = np.zeros(count, dtype=np.int64)
+    for at in range(degree):
+        # tuples of the remaining length with all entries from a up
+        left = np.array([monomial_count(dim - a, degree - at) for a in range(dim)], dtype=np.int64)
+        result += left[before] - left[basis[:, at]]
+        before = basis[:, at]
+    return result
+
+
 def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int) -> Equations:
     """Return the equations sum_jk c_ij^k x_k dC/dx_j = 0, all i: J(x) grad C(x) = 0, monomial by monomial.
 
@@ -75,28 +106,23 @@ def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int)
     Returns
     -------
     Equations
-        Each position once, without zeros; a sum of floats below 64 u times its absolute terms is zero (u = 2^-53).
+        A sum of floats below 64 u times its absolute terms is zero (u = 2^-53).
 
     Examples
     --------
     >>> heisenberg = Triples(np.array([0]), np.array([1]), np.array([2]), np.array([1.0]))
     >>> found = equations(heisenberg, heisenberg.c, monomials(3, 1), 3)  # [e1, e2] = e3
-    >>> found.rows.tolist(), found.columns.tolist(), found.values.tolist()
-    ([2, 5], [1, 0], [1.0, -1.0])
+    >>> [part.tolist() for part in found[1:]]
+    [[0, 1], [2, 2], [1, 0], [1.0, -1.0]]
     """
     count, degree = basis.shape
-    acting = np.concatenate([triples.i, triples.j])
-    removed = np.concatenate([triples.j, triples.i])
-    added = np.concatenate([triples.k, triples.k])
-    constants = np.concatenate([values, -values])
-    if constants.dtype == object and constants.size:
-        if max(map(abs, constants.tolist())) * degree * dim < 2**62:
-            constants = constants.astype(np.int64)
+    acting, removed = np.concatenate([triples.i, triples.j]), np.concatenate([triples.j, triples.i])
+    added, constants = np.concatenate([triples.k, triples.k]), np.concatenate([values, -values])
+    if constants.dtype == object and max(map(abs, constants.tolist()), default=0) * degree * dim < 2**62:
+        constants = constants.astype(np.int64)
     order = np.argsort(removed, kind="stable")
     acting, added, constants = acting[order], added[order], constants[order]
     begin = np.searchsorted(removed[order], np.arange(dim + 1)).astype(np.int64)
-    weights = np.int64(dim) ** np.arange(degree - 1, -1, -1, dtype=np.int64)
-    keys = basis @ weights
     positions, terms = [], []
     for place in range(degree):
         variable = basis[:, place]
@@ -104,24 +130,22 @@ def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int)
         changed = basis[column]
         changed[:, place] = added[at]
         changed.sort(axis=1)
-        target = np.searchsorted(keys, changed @ weights)
-        positions.append((acting[at] * count + target) * count + column)
+        positions.append((acting[at] * count + places(changed, dim)) * count + column)
         terms.append(constants[at])
     position, term = np.concatenate(positions), np.concatenate(terms)
     order, starts = groups(position)
-    if not order.size:
-        return Equations(count, position, position, term, dim)
-    value = np.add.reduceat(term[order], starts)
-    least = 0.0
-    if term.dtype.kind == "f":
+    value = np.add.reduceat(term[order], starts) if order.size else term
+    least: Any = 0
+    if term.dtype.kind == "f" and order.size:
         least = DEFECT_FACTOR * UNIT_ROUNDOFF * np.add.reduceat(np.abs(term[order]), starts)
     kept = np.asarray(np.abs(value) > least, dtype=bool)
-    rows, columns = np.divmod(position[order[starts]][kept], count)
-    return Equations(count, rows, columns, value[kept], dim)
+    row, column = np.divmod(position[order[starts]][kept], count)
+    along, target = np.divmod(row, count)
+    return Equations(count, along, target, column, value[kept])
 
 
 def blocks(given: Equations) -> Iterator[tuple[Integers, Equations]]:
-    """Yield the independent blocks: their unknowns, and their equations with unknowns numbered from 0.
+    """Yield the independent blocks: their unknowns, and their equations, numbered from 0.
 
     An equation with one unknown says that it is zero: it is left out, which may leave others with one. What is left
     falls apart into blocks without common equations. This finds every grading that the basis shows: the weights of
@@ -143,41 +167,39 @@ def blocks(given: Equations) -> Iterator[tuple[Integers, Equations]]:
     >>> [unknowns.tolist() for unknowns, _ in found]  # x1 x3 and x2^2
     [[2, 3]]
     """
-    row_names, rows = np.unique(given.rows, return_inverse=True)
+    names, rows = np.unique(given.along * given.unknowns + given.target, return_inverse=True)
     rows = rows.astype(np.int64)
     columns, values = given.columns, given.values
     alive = np.ones(given.unknowns, dtype=bool)
-    while True:
-        single = np.bincount(rows, minlength=row_names.size)[rows] == 1
-        if not single.any():
-            break
+    single = np.bincount(rows, minlength=names.size)[rows] == 1
+    while single.any():
         alive[columns[single]] = False
         kept = alive[columns]
         rows, columns, values = rows[kept], columns[kept], values[kept]
-    label = connected(given.unknowns + row_names.size, columns, given.unknowns + rows)[: given.unknowns]
-    label[~alive] = -1
+        single = np.bincount(rows, minlength=names.size)[rows] == 1
+    label = connected(given.unknowns + names.size, columns, given.unknowns + rows)[: given.unknowns]
     order = np.argsort(label[columns], kind="stable")
     owner = label[columns][order]
     place = np.zeros(given.unknowns, dtype=np.int64)
     for members in parts(label):
-        if not alive[members[0]]:
-            continue
-        place[members] = np.arange(members.size)
-        at = order[slice(*np.searchsorted(owner, [members[0], members[0] + 1]))]
-        # rows keep their derivation: it is where they are cut for the successive kernels
-        derivation, target = np.divmod(row_names[rows[at]], given.unknowns)
-        _, target = np.unique(target, return_inverse=True)
-        width = int(target.max(initial=-1)) + 1
-        renamed = derivation * max(width, members.size) + target
-        yield members, Equations(max(width, members.size), renamed, place[columns[at]], values[at], given.derivations)
+        if alive[members[0]]:
+            place[members] = np.arange(members.size)
+            at = order[slice(*np.searchsorted(owner, [members[0], members[0] + 1]))]
+            along, target = np.divmod(names[rows[at]], given.unknowns)
+            target = np.unique(target, return_inverse=True)[1].astype(np.int64)
+            yield members, Equations(members.size, along, target, place[columns[at]], values[at])
 
 
-def monomial_count(dim: int, degree: int) -> int:
-    """Return the number of monomials of a degree.
+def check_block(part: Equations, largest: int) -> None:
+    """Refuse a block that is too large to be solved as a dense matrix.
 
     Examples
     --------
-    >>> monomial_count(8, 3)
-    120
+    >>> nothing = np.zeros(0, dtype=np.int64)
+    >>> check_block(Equations(5, nothing, nothing, nothing, nothing), 5)
     """
-    return math.comb(dim + degree - 1, degree)
+    if part.unknowns > largest:
+        raise ValueError(
+            f"{part.unknowns} coefficients of a Casimir are coupled, above the limit of {largest}; "
+            f"lower max_degree, or choose a basis with diagonal or sparse brackets"
+        )

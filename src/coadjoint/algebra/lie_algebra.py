@@ -11,6 +11,7 @@ import numpy as np
 from coadjoint.algebra.constants import Triples, read_basis, read_brackets, read_constants
 from coadjoint.algebra.identities import antisymmetric, check_jacobi
 from coadjoint.algebra.joins import Floats
+from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
 from coadjoint.algebra.structure import Structure
 
@@ -176,3 +177,53 @@ class LieAlgebra(Structure):
 
     def __hash__(self) -> int:
         return hash((self._dim, *(column.tobytes() for column in self._triples)))
+
+    def casimirs(self, max_degree: int = 4) -> dict[str, Polynomial]:
+        """Find the polynomial Casimirs C, J(x) grad C(x) = 0, up to a degree, from the structure constants alone.
+
+        The homogeneous solutions of each degree form a linear space; returned is a basis of it modulo the products of
+        Casimirs of lower degree. So every polynomial Casimir up to `max_degree` is a polynomial in the ones returned.
+        There can be more than ``dim - generic_rank()`` of them, with relations between them (A5,2 has C1 ... C4 for
+        three independent ones), or fewer, since Casimirs need not be polynomials (A3,7).
+
+        Constants that stand for simple fractions (`coadjoint.algebra.rational`) are solved exactly, and every solution
+        is proved in exact arithmetic. Otherwise singular values decide, where they leave a clear gap
+        (`coadjoint.algebra.numerical_kernel`), and the coefficients are floats. Summands of a direct sum that the basis
+        shows are solved one by one, equal ones once.
+
+        Parameters
+        ----------
+        max_degree : int, optional
+            Largest degree, from 1.
+
+        Returns
+        -------
+        dict of str to Polynomial
+            ``"C2"`` is the only one of degree 2, ``"C2_1", "C2_2"`` are two; by degree and leading monomial. Those of
+            one degree are rows of a reduced row echelon form over the monomials in the order of `Polynomial.monomials`,
+            scaled to whole numbers without common factor, the leading one positive; in floats the leading one is 1.
+
+        Raises
+        ------
+        ValueError
+            `max_degree` is not a whole number from 1 up; a degree has more than 40 000 monomials in a summand, or more
+            coupled ones than fit a dense matrix; or rounded constants leave no clear gap.
+
+        See Also
+        --------
+        casimirs_known : those given with the algebra, of any kind.
+        generic_rank : for the number of independent ones.
+
+        References
+        ----------
+        S. Reich, Numerical integration of the generalized Euler equations, section 2.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> co.algebras.so(4).casimirs()
+        {'C2_1': x1^2 + x2^2 + x3^2 + x4^2 + x5^2 + x6^2, 'C2_2': x1*x6 - x2*x5 + x3*x4}
+        """
+        from coadjoint.algebra.casimirs import casimirs
+
+        return casimirs(self._triples, self._dim, max_degree)

@@ -97,6 +97,6 @@ def numerical_structure_rank(triples: Triples, dim: int) -> int:
             # Frobenius norm of an error of 64 u max |c| in every constant
             size = float(np.abs(c[at]).max()) * math.sqrt(2.0) * float(np.linalg.norm(x[k[at]]))
             roundoff = DEFECT_FACTOR * UNIT_ROUNDOFF * size
-            ranks.append(clear_rank(np.linalg.svd(matrix, compute_uv=False), roundoff, "J(x)"))
+            ranks.append(clear_rank(np.linalg.svd(matrix, compute_uv=False).astype(np.float64), roundoff, "J(x)"))
         total += max(ranks)
     return total

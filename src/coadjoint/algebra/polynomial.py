@@ -268,6 +268,8 @@ class Polynomial:
 def _read_exponents(given: Any) -> Exponents:
     if not isinstance(given, tuple | list):
         raise TypeError(f"exponents must be a tuple of whole numbers, one for each coordinate, not {given!r}")
+    if set(map(type, given)) <= {int} and min(given, default=0) >= 0:  # the same checks, fast for many coordinates
+        return tuple(given)
     for exponent in given:
         if isinstance(exponent, bool) or not isinstance(exponent, int | np.integer):
             raise TypeError(f"exponents {given!r} must be whole numbers; {exponent!r} is not")

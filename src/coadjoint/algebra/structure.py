@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from coadjoint.algebra.actions import actions, coadjoint_entries, neighbours, structure_operator
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact import exact_numbers
+from coadjoint.algebra.generic_rank import generic_rank
 from coadjoint.algebra.joins import Integers
-from coadjoint.algebra.modular import structure_rank
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
@@ -229,16 +229,20 @@ class Structure:
     def generic_rank(self) -> int:
         """Return the rank of J(x) at a generic x; ``dim - rank`` is the number of independent Casimirs.
 
-        Exact in whole numbers: the constants, floats and so rational numbers over powers of two, are taken modulo the
-        prime p = 2^61 - 1, and the rank is the largest at three random points (seeded: the same answer every time).
-        A minor of degree at most n that is not the zero polynomial modulo p vanishes at a random point with probability
-        at most n/p (Schwartz and Zippel), so all three points fail with probability at most (n/p)^3, below 2^-60 for
-        every n < 2^41. The answer is never too large; it is too small for every point only if p divides all the largest
-        minors, as polynomials.
+        Constants that stand for simple fractions (q <= 10^6), or that are exact as floats, and then fulfil the Jacobi
+        identity exactly, give an exact rank: the larger of two, modulo random 62-bit primes at random points (seeded:
+        the same answer every time). It is never too large, and too small with probability below 2^-60 (Schwartz and
+        Zippel; `coadjoint.algebra.modular`). Constants that are known to round-off only give the rank of the singular
+        values.
 
         Returns
         -------
         int, even
+
+        Raises
+        ------
+        ValueError
+            The constants are rounded, and the singular values leave no clear gap.
 
         Examples
         --------
@@ -250,7 +254,7 @@ class Structure:
 
     @cached_property
     def _rank(self) -> int:
-        return structure_rank(*self._triples, dim=self._dim, points=3, seed=0)
+        return generic_rank(self._triples, self._dim)
 
     @cached_property
     def _neighbours(self) -> tuple[Integers, Integers]:

@@ -27,11 +27,28 @@ def add(vectors: Any, errors: Any, place: int, increment: float, compensated: bo
 
 
 @inlined
-def act(
-    action: Any, part: int, theta: Any, vectors: Any, errors: Any, lanes: int, compensated: bool, room: Any
-) -> None:
-    """Move `lanes` vectors by exp(sum theta_a D_a) of one part; component i of vector l stands at i*lanes + l.
+def _angle(single: bool, lone: float, theta: Any, place: int) -> float:
+    """Return the only angle, from its register, or one of several, from memory."""
+    return lone if single else theta[place]
 
+
+@inlined
+def act(
+    action: Any,
+    part: int,
+    tau: float,
+    single: bool,
+    lone: float,
+    theta: Any,
+    vectors: Any,
+    errors: Any,
+    lanes: int,
+    compensated: bool,
+    room: Any,
+) -> None:
+    """Move `lanes` vectors by exp(tau sum theta_a D_a) of one part; component i of vector l stands at i*lanes + l.
+
+    A part with a single angle has it in `lone`, not in theta[0]: an angle that passes through memory delays the step.
     Every kind of block is written once, as an increment, so that compensation and the accuracy of small angles are the same for all uses.
     """
     for run in range(action.run[part], action.run[part + 1]):
@@ -42,7 +59,8 @@ def act(
         constant = action.constant[run]
         if kind == ROTATE:
             for q in range(action.count[run]):
-                sine, lowered = sine_and_cosine_minus_one(theta[angle + q] * action.constants[constant + q])
+                phi = _angle(single, lone, theta, angle + q) * (tau * action.constants[constant + q])
+                sine, lowered = sine_and_cosine_minus_one(phi)
                 for _ in range(repeat):
                     i, j = action.indices[index] * lanes, action.indices[index + 1] * lanes
                     index += 2
@@ -52,16 +70,17 @@ def act(
                         add(vectors, errors, j + lane, fma(lowered, b, sine * a), compensated)
         elif kind == SHEAR:
             for q in range(action.count[run]):
+                turn = tau * _angle(single, lone, theta, angle + q)
                 for _ in range(repeat):
                     i, j = action.indices[index] * lanes, action.indices[index + 1] * lanes
-                    factor = theta[angle + q] * action.constants[constant]
+                    factor = turn * action.constants[constant]
                     index += 2
                     constant += 1
                     for lane in range(lanes):
                         add(vectors, errors, i + lane, factor * vectors[j + lane], compensated)
         elif kind == SCALE:
             for q in range(action.count[run]):
-                factor = math.expm1(theta[angle + q] * action.constants[constant + q])
+                factor = math.expm1(_angle(single, lone, theta, angle + q) * (tau * action.constants[constant + q]))
                 for _ in range(repeat):
                     i = action.indices[index] * lanes
                     index += 1
@@ -69,13 +88,16 @@ def act(
                         add(vectors, errors, i + lane, factor * vectors[i + lane], compensated)
         elif kind == PLANE:
             for q in range(action.count[run]):
-                _plane(action, index, constant, repeat, theta[angle + q], vectors, errors, lanes, compensated)
+                turn = tau * _angle(single, lone, theta, angle + q)
+                _plane(action, index, constant, repeat, turn, vectors, errors, lanes, compensated)
                 index += 2 * repeat
                 constant += 4
         elif kind == CUBIC:
-            _cubic(action, run, theta[angle], vectors, errors, lanes, compensated, room)
+            turn = tau * _angle(single, lone, theta, angle)
+            _cubic(action, run, turn, vectors, errors, lanes, compensated, room)
         else:
-            _series(action, run, theta[angle], vectors, errors, lanes, compensated, room)
+            turn = tau * _angle(single, lone, theta, angle)
+            _series(action, run, turn, vectors, errors, lanes, compensated, room)
 
 
 @inlined
@@ -104,16 +126,17 @@ def apply_block(
     action: Any, run: int, values: int, source: Any, start: int, factor: float, target: Any, stop: int, lanes: int
 ) -> None:
     """target = factor D source on one CUBIC or SERIES block, both in the block's own coordinates (the verb `apply`)."""
-    width, entries = action.width[run], action.entries[run]
-    rows = action.index[run] + width
-    columns = rows + entries
-    for place in range(width * lanes):
-        target[stop + place] = 0.0
-    for entry in range(entries):
-        i, j = action.indices[rows + entry] * lanes, action.indices[columns + entry] * lanes
-        weight = factor * action.constants[values + entry]
+    width = action.width[run]
+    starts = action.index[run] + width
+    columns = starts + width + 1
+    for k in range(width):
+        low, high = action.indices[starts + k], action.indices[starts + k + 1]
         for lane in range(lanes):
-            target[stop + i + lane] = fma(weight, source[start + j + lane], target[stop + i + lane])
+            total = 0.0
+            for entry in range(low, high):
+                j = action.indices[columns + entry] * lanes
+                total = fma(action.constants[values + entry], source[start + j + lane], total)
+            target[stop + k * lanes + lane] = factor * total
 
 
 @inlined
@@ -131,11 +154,12 @@ def _cubic(
     """D^3 = lam D: exp(theta D) = 1 + S D + C D^2, Rodrigues' formula where lam < 0 and its hyperbolic kin where lam > 0."""
     constant = action.constant[run]
     lam, root, inverse = action.constants[constant], action.constants[constant + 1], action.constants[constant + 2]
-    length = action.width[run] * lanes
     values = constant + 4
+    squares = values + action.entries[run]
+    starts = action.index[run] + action.width[run]
+    columns = starts + action.width[run] + 1
+    # Rows of D and D^2 are summed in registers, while the processor still works on the sine.
     _gather(action, run, vectors, lanes, room)
-    apply_block(action, run, values, room, 0, 1.0, room, length, lanes)
-    apply_block(action, run, values, room, length, 1.0, room, 2 * length, lanes)
     if lam < 0.0:
         s, c = sine_and_cosine_minus_one(root * theta)
     else:
@@ -146,8 +170,12 @@ def _cubic(
     for k in range(action.width[run]):
         i = action.indices[action.index[run] + k] * lanes
         for lane in range(lanes):
-            place = k * lanes + lane
-            add(vectors, errors, i + lane, fma(s, room[length + place], c * room[2 * length + place]), compensated)
+            first, second = 0.0, 0.0
+            for entry in range(action.indices[starts + k], action.indices[starts + k + 1]):
+                v = room[action.indices[columns + entry] * lanes + lane]
+                first = fma(action.constants[values + entry], v, first)
+                second = fma(action.constants[squares + entry], v, second)
+            add(vectors, errors, i + lane, fma(s, first, c * second), compensated)
 
 
 @inlined

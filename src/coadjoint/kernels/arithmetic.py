@@ -21,52 +21,60 @@ def fma(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), codegen
 
 
-# pi/2 in three pieces of at most 33 + 33 + 53 bits: q*P1 and q*P2 are exact for |q| < 2^20.
-P1 = 1.57079632673412561417e00
-P2 = 6.07710050630396597660e-11
-P3 = 2.02226624879595063154e-21
+# pi/2 in three doubles. For |q| < 2^20 the fused phi - q*P1 is exact; P2 and P3 correct it.
+P1 = 1.5707963267948966
+P2 = 6.123233995736766e-17
+P3 = -1.4973849048591698e-33
 TWO_OVER_PI = 0.63661977236758134308
 ROUND = 6755399441055744.0  # 1.5 * 2^52: adding and subtracting it rounds to the nearest integer
+UNREDUCED = 0.785  # just below pi/4: q is 0
 LARGEST_REDUCED = 1.0e6  # |q| < 2^20
 
 
 @inlined
-def sine_and_cosine_minus_one(phi: float) -> tuple[float, float]:
-    """Return sin(phi) and cos(phi) - 1, each within 3 units in the last place; branch-free up to |phi| = 10^6.
+def _series(r: float) -> tuple[float, float, float]:
+    """Return z = r^2, (sin(r)/r - 1)/z and (cos(r) - 1)/z for |r| <= pi/4.
 
-    Cody-Waite reduction and the minimax polynomials of fdlibm; cos - 1 in place of cos, so that a small
-    rotation moves a vector by a small increment that is accurate in itself.
+    The minimax polynomials of fdlibm in Estrin's order: every step of a splitting waits for this chain.
     """
+    z = r * r
+    zz = z * z
+    s = fma(z, 8.33333333332248946124e-03, -1.66666666666666324348e-01)
+    s = fma(zz, fma(z, 2.75573137070700676789e-06, -1.98412698298579493134e-04), s)
+    s = fma(zz * zz, fma(z, 1.58969099521155010221e-10, -2.50507602534068634195e-08), s)
+    c = fma(z, 4.16666666666666019037e-02, -0.5)
+    c = fma(zz, fma(z, 2.48015872894767294178e-05, -1.38888888888741095749e-03), c)
+    high = fma(z, 2.08757232129817482790e-09, -2.75573143513906633035e-07)
+    return z, s, fma(zz * zz, fma(zz, -1.13596475577881948265e-11, high), c)
+
+
+@inlined
+def sine_and_cosine_minus_one(phi: float) -> tuple[float, float]:
+    """Return sin(phi) and cos(phi) - 1, each within 3 units in the last place up to |phi| = 10^6.
+
+    Cody-Waite reduction; cos - 1 in place of cos, so that a small rotation moves a vector by a small increment that is
+    accurate in itself. The branch for small angles only skips what would change no bit of them.
+    """
+    if abs(phi) <= UNREDUCED:
+        z, s, c = _series(phi)
+        return fma(phi * z, s, phi), z * c
     if not abs(phi) <= LARGEST_REDUCED:
         half = math.sin(0.5 * phi)
         return math.sin(phi), -2.0 * half * half
     shifted = fma(phi, TWO_OVER_PI, ROUND)
     q = shifted - ROUND
+    large, small = fma(-q, P1, phi), -q * P2
+    r = large + small
+    kept = r - large
+    lost = (large - (r - kept)) + (small - kept) + fma(-q, P2, -small)  # by rounding the sum and the product
+    tail = fma(-q, P3, lost)
+    z, s, c = _series(r)
+    sine, lowered = fma(r * z, s, r + tail), fma(-r, tail, z * c)
     quadrant = int(q)
-    r = fma(-q, P1, phi)
-    r = fma(-q, P2, r)
-    r = fma(-q, P3, r)
-    z = r * r
-    s = fma(z, 1.58969099521155010221e-10, -2.50507602534068634195e-08)
-    s = fma(z, s, 2.75573137070700676789e-06)
-    s = fma(z, s, -1.98412698298579493134e-04)
-    s = fma(z, s, 8.33333333332248946124e-03)
-    s = fma(z, s, -1.66666666666666324348e-01)
-    sine = fma(r * z, s, r)
-    c = fma(z, -1.13596475577881948265e-11, 2.08757232129817482790e-09)
-    c = fma(z, c, -2.75573143513906633035e-07)
-    c = fma(z, c, 2.48015872894767294178e-05)
-    c = fma(z, c, -1.38888888888741095749e-03)
-    c = fma(z, c, 4.16666666666666019037e-02)
-    lowered = z * fma(z, c, -0.5)  # cos(r) - 1
-    odd = quadrant & 1
-    flip_sine = quadrant & 2
-    flip_cosine = (quadrant + 1) & 2
-    cosine = 1.0 + lowered
-    a = cosine if odd else sine
-    b = sine if odd else cosine
-    exact = lowered if quadrant & 3 == 0 else (-b if flip_cosine else b) - 1.0
-    return (-a if flip_sine else a), exact
+    odd, second, third = quadrant & 1 != 0, quadrant & 2 != 0, (quadrant + 1) & 2 != 0
+    sign, turned = -1.0 if second else 1.0, -1.0 if third else 1.0
+    below = -1.0 if odd else (-2.0 if second else 0.0)
+    return fma(sign, lowered if odd else sine, sign if odd else 0.0), fma(turned, sine if odd else lowered, below)
 
 
 @inlined

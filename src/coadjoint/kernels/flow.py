@@ -9,17 +9,21 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.actions import act
 from coadjoint.kernels.compiling import compiled, inlined
-from coadjoint.kernels.pointers import pointed, shifted
-from coadjoint.kernels.terms import gradient_rows
+from coadjoint.kernels.pointers import alive, pointed, shifted
+from coadjoint.kernels.terms import gradient_rows, linear_row
 from coadjoint.kernels.watching import DONE, OVERFLOW, Report, Saves, Schedule, Watch, finite, record, slot_of
 from coadjoint.program.actions import Action
 from coadjoint.program.terms import Terms
 
 
 class FlowTables(NamedTuple):
-    """The arrays of a program, the rows' coefficients already multiplied by the step; a part has at most `longest` angles."""
+    """The arrays of a program, the rows' coefficients already multiplied by the step.
+
+    A part has at most `longest` angles; only[p] is the row of a part with a single, linear one, and -1 for the others.
+    """
 
     longest: int
+    only: NDArray[np.int64]
     part: NDArray[np.uint32]
     tau: NDArray[np.float64]
     moment: NDArray[np.float64]
@@ -39,16 +43,21 @@ def sweep(
     """Apply the rows first to last - 1: angles from the shares, then the action on the momentum and on the group element."""
     for r in range(first, last):
         part = tables.part[r]
-        low, high = tables.share[part], tables.share[part + 1]
-        base = tables.terms.row[low]
-        moment = t + tables.moment[r] * h
-        for k in range(low, high):
-            gradient_rows(tables.terms, tables.addresses, k, x, moment, theta, base, room)
-        for a in range(tables.terms.row[high] - base):
-            theta[a] *= tables.tau[r]
-        act(tables.state, part, theta, x, dx, 1, tables.compensated, room)
+        row = tables.only[part]
+        single = row >= 0
+        angle = 0.0
+        if single:
+            angle = linear_row(tables.terms, row, x)
+        else:
+            low, high = tables.share[part], tables.share[part + 1]
+            base = tables.terms.row[low]
+            moment = t + tables.moment[r] * h
+            for k in range(low, high):
+                gradient_rows(tables.terms, tables.addresses, k, x, moment, theta, base, room)
+        tau = tables.tau[r]
+        act(tables.state, part, tau, single, angle, theta, x, dx, 1, tables.compensated, room)
         if carry:
-            act(tables.group, part, theta, group, dgroup, tables.group.size, True, room)
+            act(tables.group, part, tau, single, angle, theta, group, dgroup, tables.group.size, True, room)
 
 
 @compiled
@@ -98,3 +107,4 @@ def advance(
                 carried = carry and slot >= 0
                 sweep(at, first, last, copy, copy_error, group_copy, group_copy_error, t, h, carried, theta_at, room_at)
                 record(watch_at, saves_at, schedule, member, k, slot, size, copy, square, group_copy, room_at)
+    alive((room, theta, copies, group_copies))

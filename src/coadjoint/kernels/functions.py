@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numba
@@ -50,13 +52,19 @@ class CompiledFunction:
         timed: bool,
         what: str,
     ) -> None:
-        inner = function if hasattr(function, "py_func") else numba.njit(error_model="numpy")(function)
-        body = _BODIES[(scalar, flat and not scalar, timed)](inner, size, results)
         try:
-            self._callback = numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(body)
+            self._callback = _callback_of(function, size, results, scalar, flat, timed)
         except NumbaError as error:
             raise TypeError(f"{what} cannot be compiled by Numba: {_reason(error)}") from error
         self.address: int = self._callback.address
+
+
+# A step function or a scan makes many runs of one system: each of its functions is compiled once.
+@lru_cache(maxsize=256)
+def _callback_of(function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool) -> Any:
+    inner = function if hasattr(function, "py_func") else numba.njit(error_model="numpy")(function)
+    body = _BODIES[(scalar, flat and not scalar, timed)](inner, size, results)
+    return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(body)
 
 
 def _reason(error: Exception) -> str:
@@ -120,3 +128,7 @@ _BODIES: dict[tuple[bool, bool, bool], Callable[[Any, int, int], Callable[..., N
     (False, True, False): _array,
     (False, True, True): _timed_array,
 }
+
+
+# The same functions serve run after run: the machine code of the latest ones is kept.
+compiled_function = functools.lru_cache(maxsize=256)(CompiledFunction)

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.kernels.flow import FlowTables
-from coadjoint.kernels.functions import CompiledFunction
+from coadjoint.kernels.functions import CompiledFunction, compiled_function
 from coadjoint.kernels.watching import Watch
 from coadjoint.program.actions import Action
 from coadjoint.program.table import Program
-from coadjoint.program.terms import TermTable
+from coadjoint.program.terms import LINEAR, TermTable
 from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
 from coadjoint.systems.user_functions import takes_time
@@ -56,7 +56,7 @@ def addresses_of(
         size = len(term.coordinates)
         function = getattr(term, which)
         results = size if which == "gradient" else 1
-        compiled = CompiledFunction(
+        compiled = compiled_function(
             function, size, results, scalar=term.scalar, flat=which == "gradient", timed=term.timed, what=f"the {which} of {owner}"
         )
         keep.append(compiled)
@@ -86,8 +86,10 @@ def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
     group = program.group if program.group is not None else empty_action()
     rows = program.rows
     edges = program.terms.row[program.share]
+    lone = (np.diff(edges) == 1) & (np.diff(program.share) == 1) & (program.terms.kind[program.share[:-1]] == LINEAR)
     tables = FlowTables(
         int(np.max(np.diff(edges))),
+        np.where(lone, edges[:-1].astype(np.int64), -1),
         rows.part,
         rows.coefficient * h,
         rows.moment,

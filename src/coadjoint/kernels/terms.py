@@ -20,6 +20,15 @@ def power(x: float, exponent: int) -> float:
 
 
 @inlined
+def linear_row(terms: Any, row: int, x: Any) -> float:
+    """Return one row of a LINEAR term: offset + weight . x."""
+    total = terms.offset[row]
+    for entry in range(terms.entry[row], terms.entry[row + 1]):
+        total = fma(terms.weight[entry], x[terms.column[entry]], total)
+    return total
+
+
+@inlined
 def gradient_rows(terms: Any, addresses: Any, k: int, x: Any, t: float, out: Any, first: int, y: Any) -> None:
     """Fill out[row - first] with every row of term k: the angles of a share, or components of a gradient.
 
@@ -29,10 +38,7 @@ def gradient_rows(terms: Any, addresses: Any, k: int, x: Any, t: float, out: Any
     kind = terms.kind[k]
     if kind == LINEAR:
         for row in range(start, stop):
-            total = terms.offset[row]
-            for entry in range(terms.entry[row], terms.entry[row + 1]):
-                total = fma(terms.weight[entry], x[terms.column[entry]], total)
-            out[row - first] = total
+            out[row - first] = linear_row(terms, row, x)
     elif kind == POLYNOMIAL:
         for row in range(start, stop):
             out[row - first] = 0.0

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -40,6 +40,9 @@ class Properties:
 
 class Method(ABC):
     """A scheme."""
+
+    failures: ClassVar[Mapping[int, str]] = {}
+    """What statuses of a step other than the common ones (no convergence, overflow) mean, for messages."""
 
     @property
     @abstractmethod

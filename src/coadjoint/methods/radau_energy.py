@@ -27,7 +27,10 @@ from coadjoint.methods.stages import Coefficients, Step, begin, linear_solve
 from coadjoint.methods.step_method import StepMethod
 from coadjoint.program.numbers import Number
 
-NO_MULTIPLIER = "the multiplier of the energy constraint is undefined where x . grad H(x) vanishes; take another scheme"
+NO_MULTIPLIER = (
+    "x . grad H(x) vanishes or changes its sign, and there the multiplier of the energy constraint is undefined; "
+    "take another scheme"
+)
 
 
 @dataclass(frozen=True)
@@ -105,27 +108,12 @@ class RadauEnergy(StepMethod):
         return _compiled_step()
 
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
-        """Return s, and the weights b and mu one after the other.
-
-        Returns
-        -------
-        integers, numbers : lists
-        """
+        """Return s, and the weights b and mu one after the other."""
         _, weights, mu = radau(self.stages)
         return [self.stages], [*weights, *mu.ravel()]
 
     def room(self, system: System) -> int:
-        """Return how many numbers the compiled step needs room for.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-
-        Returns
-        -------
-        int
-        """
+        """Return how many numbers the compiled step needs room for: what `_radau_step` lays out, in its order."""
         s, n = self.stages, system.dim
         return 2 * s * n + 5 * n + 1 + s * (s + 3) + (n * n if system.algebra is None else 0)
 
@@ -204,6 +192,7 @@ class RadauEnergy(StepMethod):
         step = begin(self._tableau, system, x, t, h)
         mu = step.coefficients.mix
         wanted = system.energy(step.x, t)
+        undefined = IntegrationError(NO_MULTIPLIER, step=1, time=float(t), residual=float("nan"))
         multipliers = step.x[:1].repeat(self.stages) * 0
 
         def slopes_at(points: NDArray[Any]) -> NDArray[Any]:
@@ -212,12 +201,16 @@ class RadauEnergy(StepMethod):
             # One Newton iteration for the multipliers: dX_i/dnu_j = mu_ij X_j.
             matrix = mu * (step.gradients(points) @ points.T)
             if any(matrix[i, i] == 0 for i in range(self.stages)):
-                raise IntegrationError(NO_MULTIPLIER, step=1, time=float(t), residual=float("nan"))
+                raise undefined
             change = linear_solve(matrix, excess)[:, 0]
             multipliers[:] = multipliers + change
             return slopes + change[:, None] * points
 
         slopes = settle(step, slopes_at)
+        points = np.concatenate([step.x[None], step.points(slopes)])
+        projections = [X @ system.hamiltonian.gradient(X, t) for X in points]
+        if any(projection * projections[0] <= 0 for projection in projections):
+            raise undefined
         return step, slopes, multipliers
 
     def _tableau(self, number: Number = float) -> Coefficients:
@@ -251,8 +244,9 @@ def _radau_step(tables: Any, x: Any, dx: Any, group: Any, dgroup: Any, t: float,
         multipliers[j] = 0.0
     for c in range(n):
         work.least[c] = np.inf
-    passed, quiet, first = 0, 0, 0.0
+    passed, quiet, first, orientation = 0, 0, 0.0, 0.0
     while True:
+        crossed = False
         for i in range(s):
             X, L = shifted(points, i * n), shifted(slopes, i * n)
             slope(field, X, u, X, t, True, L, rows, arguments, structure)
@@ -263,6 +257,9 @@ def _radau_step(tables: Any, x: Any, dx: Any, group: Any, dgroup: Any, t: float,
                 for c in range(n):
                     total = fma(u[c], points[j * n + c], total)
                 matrix[i * s + j] = mu[i * s + j] * total
+                if i == j:
+                    orientation = total if passed == 0 else orientation
+                    crossed = crossed or not total * orientation > 0.0
         for i in range(s):
             for c in range(n):
                 total = dx[c]
@@ -287,6 +284,9 @@ def _radau_step(tables: Any, x: Any, dx: Any, group: Any, dgroup: Any, t: float,
         if result == FAILED:
             return OVERFLOW if passed == 1 and not largest - largest == 0.0 else NOT_CONVERGED
         if result != GO_ON:
+            if crossed:
+                room[RESIDUAL] = np.nan
+                return UNDEFINED
             break
     for c in range(n):
         total = 0.0

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Sequence
+from typing import Any
 
 from numpy.typing import NDArray
 
@@ -16,9 +16,6 @@ class StepMethod(Method):
 
     The compiled step is made by `coadjoint.kernels.stepping.step_function`, which says what it is given.
     """
-
-    failures: ClassVar[Mapping[int, str]] = {}
-    """What statuses other than the common ones (no convergence, overflow) mean, for messages."""
 
     @property
     @abstractmethod

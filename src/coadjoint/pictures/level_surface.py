@@ -64,7 +64,9 @@ def level_surface(
     for tetrahedron in _TETRAHEDRA:
         where = tuple(np.moveaxis(corner + tetrahedron, -1, 0))
         triangles += _cut(points[where], _one_branch(values[where], period))
-    return np.concatenate(triangles)
+    found = np.concatenate(triangles)
+    # Where a corner of the grid lies on the surface, triangles shrink to points.
+    return found[np.any(found != found[:, :1], axis=(1, 2))]
 
 
 def values_at(function: Callable[[Any], Any], points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

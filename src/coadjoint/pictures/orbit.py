@@ -97,8 +97,10 @@ def _draw_surface(axes: Any, triangles: npt.NDArray[np.float64]) -> None:
 
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     size = np.linalg.norm(normals, axis=1, keepdims=True)
-    flat = size[:, 0] > 0.0
-    triangles, normals = triangles[flat], normals[flat] / size[flat]
+    wide = size[:, 0] > 0.0
+    triangles, normals = triangles[wide], normals[wide] / size[wide]
+    if not len(triangles):
+        return
     # A surface has two sides and triangles no orientation, so that light falls on both alike.
     brightness = 0.72 + 0.28 * np.abs(normals @ LIGHT)
     faces = np.column_stack([brightness[:, None] * np.array(to_rgb(SURFACE)), np.full(len(triangles), 0.35)])

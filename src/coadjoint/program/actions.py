@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -19,7 +20,8 @@ class Action(NamedTuple):
 
     Part p has the runs run[p] to run[p + 1]. A run has `count` angles, theta[angle], theta[angle + 1], ..., and for each of them
     `repeat` blocks of one kind with the same constants (a shear has a constant for each block). `width` is the number of coordinates
-    of a CUBIC or SERIES block (its entries follow: rows, columns; values after the constants) and `degree` the length of its sum.
+    of a CUBIC or SERIES block and `degree` the length of its sum; its entries follow as compressed sparse rows, `width` + 1 starts and the
+    columns after the coordinates, the values of D (of a CUBIC block then those of D^2) after the constants.
     """
 
     size: int
@@ -185,9 +187,12 @@ class _Layout:
             alike = group.blocks if first.kind == Kind.SHEAR else group.blocks[:1]
             for block in alike:
                 self.constants.extend(block.constants)
-        for side in (0, 1):
-            self.indices.extend(entry[side] for entry in first.entries)
-        self.constants.extend(value for _, _, value in first.entries)
+        if first.entries:
+            rows = [entry[0] for entry in first.entries]
+            self.indices.extend(bisect_left(rows, row) for row in range(len(first.coordinates) + 1))
+            self.indices.extend(entry[1] for entry in first.entries)
+            for item in range(2, len(first.entries[0])):
+                self.constants.extend(entry[item] for entry in first.entries)
         self.rows.append(
             (first.kind, len(chain), len(chain[0].blocks), chain[0].angle, *start)
             + (len(first.coordinates), len(first.entries), first.degree)

@@ -36,14 +36,15 @@ Entries = dict[tuple[int, int], Any]
 class Block(NamedTuple):
     """One block: its kind, coordinates (in the order of its formula), constants, and entries for CUBIC and SERIES.
 
-    The constants of a CUBIC block are lam, sqrt(abs(lam)), 1/sqrt(abs(lam)), 1/lam; of a SERIES block its norm (zero where it is nilpotent).
-    `degree` is the last power that the series needs.
+    An entry is (row, column, value of D), of a CUBIC block with the value of D^2 as a fourth item. The constants of a CUBIC block are
+    lam, sqrt(abs(lam)), 1/sqrt(abs(lam)), 1/lam; of a SERIES block its norm (zero where it is nilpotent). `degree` is the last power that
+    the series needs.
     """
 
     kind: Kind
     coordinates: tuple[int, ...]
     constants: tuple[Any, ...]
-    entries: tuple[tuple[int, int, Any], ...] = ()
+    entries: tuple[tuple[Any, ...], ...] = ()
     degree: int = 0
 
 
@@ -142,7 +143,10 @@ def _larger(coordinates: list[int], local: tuple[tuple[int, int, Any], ...], u: 
     lam = _cubic_factor(matrix, power)
     if lam != 0 and _vanishes(power - lam * matrix, 8 * size * 3 * u * (bound + abs(lam) * abs(matrix))):
         root = abs(lam) ** (type(lam)(1) / 2)
-        return Block(Kind.CUBIC, tuple(coordinates), (lam, root, 1 / root, 1 / lam), local)
+        square = matrix @ matrix
+        places = np.argwhere((matrix != 0) | (square != 0)).tolist()
+        both = tuple((i, j, matrix[i, j], square[i, j]) for i, j in places)
+        return Block(Kind.CUBIC, tuple(coordinates), (lam, root, 1 / root, 1 / lam), both)
     norm = max(sum(abs(matrix[:, column])) for column in range(size))
     return Block(Kind.SERIES, tuple(coordinates), (norm,), local, TAYLOR_DEGREE)
 

@@ -285,9 +285,10 @@ def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDA
         else:
             count = int(action.entries[run])
             header = 4 if kind == Kind.CUBIC else 1
-            for e in range(count):
-                i, j = action.indices[index + width + e], action.indices[index + width + count + e]
-                matrix[i, j] = constants[constant + header + e]
+            starts = action.indices[index + width : index + 2 * width + 1].astype(np.int64)
+            rows = np.repeat(np.arange(width), np.diff(starts))
+            columns = action.indices[index + 2 * width + 1 :][:count]
+            matrix[rows, columns] = constants[constant + header :][:count]
         found.append((coordinates, matrix))
     return found
 

@@ -184,11 +184,16 @@ class Run:
         raise self._error(int(failed[0]), len(failed), self._solution(kept))
 
     def _error(self, member: int, count: int, partial: Solution) -> IntegrationError:
+        from coadjoint.kernels.watching import NOT_CONVERGED
+
         step = int(self.report.step[member])
         when = float(self.times.t0 + (step - 1) * self.times.h)
         residual = float(self.report.residual[member])
         who = "" if self.start.single else f" for {count} of {len(self.start.momenta)} members (first: member {member})"
-        if self.report.status[member] == 1:
+        status = int(self.report.status[member])
+        if status in self.method.failures:
+            what = self.method.failures[status]
+        elif status == NOT_CONVERGED:
             what = f"the iteration of {self.method!r} did not converge (last correction {residual:.3g})"
         else:
             what = "a number overflowed"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.methods.base import FlowMethod, Method, System
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
+from coadjoint.methods.step_method import StepMethod
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
@@ -64,4 +65,10 @@ def prepare(system: System, method: Method, h: float, representation: NDArray[An
 
         found = runge_kutta_tables(system, innermost, representation, method.fractions)
         return Prepared(runge_kutta.advance, found.tables, found.keep)
+    if isinstance(innermost, StepMethod):
+        from coadjoint.kernels import stepping
+        from coadjoint.kernels.step_tables import step_tables
+
+        found = step_tables(system, innermost, representation, method.fractions)
+        return Prepared(stepping.advance, found.tables, found.keep)
     raise TypeError(f"no loop is known for {innermost!r}")

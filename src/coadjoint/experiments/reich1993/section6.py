@@ -32,7 +32,7 @@ def lie_poisson_bracket(algebra: LieAlgebra, F: Polynomial, G: Polynomial) -> Po
     >>> from coadjoint.algebra import catalogue
     >>> x1, x2, _ = (Polynomial.variable(i, 3) for i in range(3))
     >>> lie_poisson_bracket(catalogue.so(3), x1, x2)
-    1.0*x3
+    x3
     """
     total = Polynomial({}, dim=algebra.dim)
     for i, j, k, c in zip(*algebra.triples, strict=True):

@@ -1,0 +1,124 @@
+"""Exact linear algebra over the rational numbers, sparse: spans, membership, inverses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from numbers import Rational
+from typing import Any
+
+import numpy as np
+
+from coadjoint.algebra.exact import exact_number
+
+Number = int | Fraction
+Vector = dict[int, Number]
+
+
+def read_vector(given: Any, dim: int, what: str) -> Vector:
+    """Return the nonzero components of a vector, exactly: a float is the rational number that it is.
+
+    Examples
+    --------
+    >>> read_vector([0, 0.5, Fraction(1, 3)], 3, "v")
+    {1: Fraction(1, 2), 2: Fraction(1, 3)}
+    """
+    values = given.tolist() if isinstance(given, np.ndarray) else list(given)
+    if len(values) != dim:
+        raise ValueError(f"{what} must have {dim} components, not {len(values)}")
+    vector: Vector = {}
+    for i, value in enumerate(values):
+        if isinstance(value, bool) or not isinstance(value, Rational | float | np.number):
+            raise TypeError(f"component {i} of {what} must be a real number, not {value!r}")
+        if isinstance(value, float | np.floating) and not np.isfinite(value):
+            raise ValueError(f"component {i} of {what} is {value}; it must be finite")
+        number = exact_number(value if isinstance(value, int | Fraction) else float(value))
+        if number:
+            vector[i] = number
+    return vector
+
+
+def added(left: Vector, factor: Number, right: Mapping[int, Number]) -> None:
+    """Add factor * right to left, in place; what cancels disappears.
+
+    Examples
+    --------
+    >>> v = {0: 1, 1: 2}
+    >>> added(v, -2, {1: 1, 2: 1})
+    >>> v
+    {0: 1, 2: -2}
+    """
+    for i, value in right.items():
+        total = left.get(i, 0) + factor * value
+        if total:
+            left[i] = total
+        else:
+            left.pop(i, None)
+
+
+class Span:
+    """The span of independent vectors, by elimination: says what is in it and by which combination.
+
+    Parameters
+    ----------
+    vectors : sequence of {index: number}
+
+    Raises
+    ------
+    ValueError
+        A vector is a combination of those before it.
+
+    Examples
+    --------
+    >>> span = Span([{0: 1, 1: 1}, {1: 2}])
+    >>> span.combination({0: 3})
+    {0: 3, 1: Fraction(-3, 2)}
+    >>> span.combination({2: 1}) is None
+    True
+    """
+
+    def __init__(self, vectors: Sequence[Mapping[int, Number]]) -> None:
+        self._rows: dict[int, tuple[Vector, Vector]] = {}  # pivot -> row with 1 there, and its combination
+        for number, vector in enumerate(vectors):
+            rest, used = self._reduced(vector)
+            if not rest:
+                raise ValueError(f"vector {number} is a combination of the vectors before it")
+            pivot = min(rest)
+            scale = Fraction(1) / rest[pivot]
+            combination: Vector = {number: scale}
+            added(combination, -scale, used)
+            row: Vector = {i: value * scale for i, value in rest.items()}
+            for other, coordinates in self._rows.values():
+                factor = other.get(pivot, 0)
+                if factor:
+                    added(other, -factor, row)
+                    added(coordinates, -factor, combination)
+            self._rows[pivot] = row, combination
+
+    def _reduced(self, vector: Mapping[int, Number]) -> tuple[Vector, Vector]:
+        """Return what is left of a vector outside the span, and the combination that was taken away."""
+        rest, used = dict(vector), dict[int, Number]()
+        for pivot in [i for i in vector if i in self._rows]:  # rows have zeros at the other pivots
+            row, combination = self._rows[pivot]
+            factor = rest[pivot]
+            added(rest, -factor, row)
+            added(used, factor, combination)
+        return rest, used
+
+    def combination(self, vector: Mapping[int, Number]) -> Vector | None:
+        """Return the coefficients of a vector in the given ones, by their number; None where it is outside the span."""
+        rest, used = self._reduced(vector)
+        return None if rest else {i: _simple(used[i]) for i in sorted(used)}
+
+    def remainder(self, vector: Mapping[int, Number]) -> Vector:
+        """Return the vector modulo the span: the one member of its class with zeros at the pivots."""
+        return self._reduced(vector)[0]
+
+    @property
+    def pivots(self) -> frozenset[int]:
+        """Indices that the span determines: one for each vector."""
+        return frozenset(self._rows)
+
+
+def _simple(value: Number) -> Number:
+    return int(value) if isinstance(value, Fraction) and value.denominator == 1 else value

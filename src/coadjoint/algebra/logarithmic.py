@@ -1,0 +1,276 @@
+"""Invariants that are not polynomials: rational functions, logarithms and angles, and where they are undefined."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact import exact_number
+from coadjoint.algebra.invariant import Invariant
+from coadjoint.algebra.polynomial import Polynomial
+
+HOLD, QUOTIENT, LOGARITHM, ANGLE = 0, 1, 2, 3
+DENOMINATOR = 1000  # two angles wind with a common period where their ratio is a fraction with at most this denominator
+
+Number = int | Fraction
+
+
+class Term(NamedTuple):
+    """One term: weight * first/second (QUOTIENT), weight * log|second|, or weight * atan2(first, second) (ANGLE)."""
+
+    kind: int
+    weight: Number
+    first: Polynomial
+    second: Polynomial
+
+
+@dataclass(frozen=True)
+class LogarithmicSum:
+    """A function sum of w p/q + sum of w log|p| + sum of w atan2(p, q) with polynomials p, q and numbers w.
+
+    Every invariant of the real Lie algebras of dimension 2 to 5 is a polynomial or of this form: a product of powers
+    |p|^w with the exponential of an angle or of a rational function becomes it by taking the logarithm. The gradient is
+    a rational function.
+
+    Parameters
+    ----------
+    dim : int
+        Number of coordinates.
+    terms : tuple of Term
+        Terms of weight zero are left out.
+
+    Examples
+    --------
+    >>> x, y = Polynomial.variable(0, 2), Polynomial.variable(1, 2)
+    >>> f = LogarithmicSum.logarithm(x) + LogarithmicSum.angle(y, x) * 2
+    >>> f.gradient(np.array([Fraction(1), Fraction(1)]))
+    array([Fraction(0, 1), Fraction(1, 1)], dtype=object)
+    """
+
+    dim: int
+    terms: tuple[Term, ...]
+
+    @classmethod
+    def quotient(cls, above: Polynomial, below: Polynomial) -> LogarithmicSum:
+        """Return above/below.
+
+        Examples
+        --------
+        >>> x = Polynomial.variable(0, 1)
+        >>> LogarithmicSum.quotient(x, x + 1).invariant().value([1.0])
+        0.5
+        """
+        return cls(above.dim, (Term(QUOTIENT, 1, above, below),) if above.monomials else ())
+
+    @classmethod
+    def logarithm(cls, p: Polynomial) -> LogarithmicSum:
+        """Return log|p|.
+
+        Examples
+        --------
+        >>> LogarithmicSum.logarithm(Polynomial.variable(0, 1)).invariant().value([-1.0])
+        0.0
+        """
+        return cls(p.dim, (Term(LOGARITHM, 1, p, p),))
+
+    @classmethod
+    def angle(cls, sine: Polynomial, cosine: Polynomial) -> LogarithmicSum:
+        """Return atan2(sine, cosine): an angle, known up to multiples of 2 pi.
+
+        Examples
+        --------
+        >>> x, y = Polynomial.variable(0, 2), Polynomial.variable(1, 2)
+        >>> LogarithmicSum.angle(y, x).invariant().period / math.pi
+        2.0
+        """
+        return cls(sine.dim, (Term(ANGLE, 1, sine, cosine),))
+
+    def __add__(self, other: LogarithmicSum | Polynomial) -> LogarithmicSum:
+        if isinstance(other, Polynomial):
+            other = LogarithmicSum.quotient(other, Polynomial({(0,) * self.dim: 1}))
+        return LogarithmicSum(self.dim, self.terms + other.terms)
+
+    __radd__ = __add__
+
+    def __mul__(self, factor: float | Number) -> LogarithmicSum:
+        weight = exact_number(factor)
+        scaled = (term._replace(weight=term.weight * weight) for term in self.terms)
+        return LogarithmicSum(self.dim, tuple(term for term in scaled if term.weight != 0))
+
+    def mapped(self, change: Callable[[Polynomial], Polynomial]) -> LogarithmicSum:
+        """Return the same function in other coordinates: `change` rewrites each polynomial.
+
+        Examples
+        --------
+        >>> double = LogarithmicSum.logarithm(Polynomial.variable(0, 1)).mapped(lambda p: 2 * p)
+        >>> double.invariant().value([0.5])
+        0.0
+        """
+        terms = tuple(term._replace(first=change(term.first), second=change(term.second)) for term in self.terms)
+        return LogarithmicSum(terms[0].first.dim if terms else self.dim, terms)
+
+    @property
+    def period(self) -> float | None:
+        """The value is known up to multiples of it; 0 for a single-valued function.
+
+        None where two angles have weights whose ratio is no fraction with denominator up to 1000: the values at one
+        point are dense, and no continuation along a run can be told from another.
+        """
+        weights = [abs(Fraction(term.weight)) for term in self.terms if term.kind == ANGLE]
+        if not weights:
+            return 0.0
+        multiples: list[Fraction] = []
+        for weight in weights:
+            ratio = weight / weights[0]
+            simple = ratio.limit_denominator(DENOMINATOR)
+            if float(simple) != float(ratio):
+                return None
+            multiples.append(simple)
+        common = math.lcm(*(multiple.denominator for multiple in multiples))
+        shared = math.gcd(*(int(multiple * common) for multiple in multiples))
+        return 2.0 * math.pi * float(weights[0]) * shared / common
+
+    def gradient(self, x: NDArray[Any]) -> NDArray[Any]:
+        """Return the gradient in the numbers of x, shape (n,): exact where x holds Fractions.
+
+        Raises
+        ------
+        ZeroDivisionError
+            The function is undefined at x, which holds Fractions.
+        """
+        slope = np.zeros(self.dim, dtype=x.dtype)
+        for kind, exact, first, second in self.terms:
+            weight = exact if x.dtype == object else float(exact)
+            q, dq = second(x), second.gradient(x)
+            if kind == LOGARITHM:
+                slope = slope + dq * weight / q
+            else:
+                p, dp = first(x), first.gradient(x)
+                size = q * q if kind == QUOTIENT else p * p + q * q
+                slope = slope + (dp * q - dq * p) * weight / size
+        return slope
+
+    def invariant(self) -> LogarithmicInvariant:
+        """Return it as an `Invariant` with functions that Numba compiles and that give NaN where it is undefined.
+
+        `value` and `gradient` take floats and compute with floats; the method `gradient` takes any kind of number.
+
+        Raises
+        ------
+        ValueError
+            `period` is None.
+        """
+        if self.period is None:
+            raise ValueError("the angles of this sum have no common period; give them weights in a simple ratio")
+        forms: list[tuple[int, float, Polynomial]] = []
+        for kind, weight, first, second in self.terms:
+            if kind != LOGARITHM:
+                forms.append((HOLD, 0.0, first))
+            forms.append((kind, float(weight), second))
+        value, gradient = _functions(forms, self.dim)
+        return LogarithmicInvariant(value, gradient, self.period, self)
+
+
+@dataclass(frozen=True)
+class LogarithmicInvariant(Invariant):
+    """An `Invariant` that knows its formula, so that it can be written in other coordinates.
+
+    Examples
+    --------
+    >>> f = LogarithmicSum.logarithm(Polynomial.variable(0, 1))
+    >>> f.invariant().formula == f
+    True
+    """
+
+    formula: LogarithmicSum = LogarithmicSum(0, ())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return LogarithmicSum.invariant, (self.formula,)  # closures cannot be pickled; the formula can
+
+    def changed(self, change: Callable[[Polynomial], Polynomial]) -> LogarithmicInvariant:
+        """Return the same invariant in other coordinates, see `LogarithmicSum.mapped`.
+
+        Examples
+        --------
+        >>> f = LogarithmicSum.logarithm(Polynomial.variable(0, 1)).invariant()
+        >>> f.changed(lambda p: 2 * p)([0.5])
+        0.0
+        """
+        return self.formula.mapped(change).invariant()
+
+
+def _functions(
+    forms: list[tuple[int, float, Polynomial]], dim: int
+) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+    """Return value and gradient as functions over plain arrays: each form a sum of coefficient * product of x[k].
+
+    A form of role HOLD is the first polynomial of the next one.
+    """
+    count = len(forms)
+    role = np.array([kind for kind, _, _ in forms], dtype=np.int64)
+    weight = np.array([w for _, w, _ in forms], dtype=np.float64)
+    monomials = [list(p.monomials.items()) for _, _, p in forms]
+    first = np.cumsum([0] + [len(part) for part in monomials])
+    coefficient = np.array([float(c) for part in monomials for _, c in part], dtype=np.float64)
+    products = [[k for k, power in enumerate(e) for _ in range(power)] for part in monomials for e, _ in part]
+    begin = np.cumsum([0] + [len(product) for product in products])
+    index = np.array([k for product in products for k in product], dtype=np.int64)
+
+    def value(x: Any) -> Any:
+        total, held = 0.0, 0.0
+        for f in range(count):
+            form = 0.0
+            for m in range(first[f], first[f + 1]):
+                product = coefficient[m]
+                for q in range(begin[m], begin[m + 1]):
+                    product *= x[index[q]]
+                form += product
+            if role[f] == HOLD:
+                held = form
+            elif form == 0.0 and (role[f] != ANGLE or held == 0.0):
+                return math.nan
+            elif role[f] == QUOTIENT:
+                total += weight[f] * (held / form)
+            elif role[f] == LOGARITHM:
+                total += weight[f] * math.log(abs(form))
+            else:
+                total += weight[f] * math.atan2(held, form)
+        return float(total)
+
+    def gradient(x: Any) -> Any:
+        slope, held_slope, form_slope = np.zeros(dim), np.zeros(dim), np.zeros(dim)
+        held = 0.0
+        for f in range(count):
+            form = 0.0
+            form_slope[:] = 0.0
+            for m in range(first[f], first[f + 1]):
+                product = coefficient[m]
+                for q in range(begin[m], begin[m + 1]):
+                    product *= x[index[q]]
+                    others = coefficient[m]
+                    for r in range(begin[m], begin[m + 1]):
+                        if r != q:
+                            others *= x[index[r]]
+                    form_slope[index[q]] += others
+                form += product
+            if role[f] == HOLD:
+                held = form
+                held_slope[:] = form_slope
+            elif form == 0.0 and (role[f] != ANGLE or held == 0.0):
+                return np.full(dim, math.nan)
+            elif role[f] == LOGARITHM:
+                slope += weight[f] * form_slope / form
+            else:
+                size = form * form
+                if role[f] == ANGLE:
+                    size += held * held
+                slope += weight[f] * (held_slope * form - form_slope * held) / size
+        return slope
+
+    return value, gradient

@@ -1,0 +1,213 @@
+"""Algebras of matrices: structure constants from a sparse basis and its coordinate functions, exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from coadjoint.algebra.constants import Triples
+from coadjoint.algebra.joins import Floats, Integers, expand, groups
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.quadratic_forms import linear, quadratic, within
+
+LARGEST = 2**24  # numbers in the representation of a catalogue algebra: 128 MB; so(60) has 1770 * 60^2
+
+Entry = tuple[int, int, int, float]
+Form = list[tuple[int, int, int | Fraction]]
+
+
+def whole(value: Any, least: int, what: str) -> int:
+    """Return a size, or say what is wrong with it.
+
+    Examples
+    --------
+    >>> whole(3, 2, "n of so(n)")
+    3
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"{what} must be an integer from {least} up, not {value!r}")
+    return int(value)
+
+
+class Sparse:
+    """Entries (number, row, column, value) of a list of sparse matrices, as arrays.
+
+    Parameters
+    ----------
+    entries : iterable of (int, int, int, float)
+
+    Examples
+    --------
+    >>> Sparse([(0, 0, 1, 1.0), (0, 1, 0, -1.0)]).value
+    array([ 1., -1.])
+    """
+
+    def __init__(self, entries: Iterable[Entry]) -> None:
+        table = np.array(list(entries), dtype=np.float64).reshape(-1, 4)
+        self.number, self.row, self.column = (column.astype(np.int64) for column in table.T[:3])
+        self.value: Floats = table[:, 3].copy()
+
+
+def commutator_constants(basis: Sparse, coordinates: Sparse, size: int) -> Triples:
+    """Return the constants of [X_a, X_b] = sum_k c_ab^k X_k for matrices X_a.
+
+    Only products of nonzero entries are formed. Exact where entries and weights are small multiples of a power of two.
+
+    Parameters
+    ----------
+    basis : Sparse
+        The matrices X_a.
+    coordinates : Sparse
+        Weights w_k: the coordinate k of a matrix M is the sum of w_k[r, c] M[r, c].
+    size : int
+        Number of rows.
+
+    Returns
+    -------
+    Triples
+        With a < b, each once, without zeros.
+
+    Examples
+    --------
+    >>> affine = Sparse([(0, 0, 0, 1.0), (1, 0, 1, 1.0)])
+    >>> commutator_constants(affine, affine, 2)
+    Triples(i=array([0]), j=array([1]), k=array([1]), c=array([1.]))
+    """
+    order, _ = groups(basis.row, basis.column)
+    rows = basis.row[order]
+    left, at = expand(np.searchsorted(rows, basis.column), np.searchsorted(rows, basis.column, side="right"))
+    right = order[at]
+    first, second = basis.number[left], basis.number[right]
+    place = basis.row[left] * size + basis.column[right]
+    value = basis.value[left] * basis.value[right]
+    apart = first != second
+    first, second, place, value = first[apart], second[apart], place[apart], value[apart]
+    value = np.where(first < second, value, -value)  # X_b X_a enters [X_a, X_b] with a minus
+    first, second = np.minimum(first, second), np.maximum(first, second)
+    position = coordinates.row * size + coordinates.column
+    order = np.argsort(position, kind="stable")
+    sorted_position = position[order]
+    entry, at = expand(np.searchsorted(sorted_position, place), np.searchsorted(sorted_position, place, side="right"))
+    weight = order[at]
+    return _summed(first[entry], second[entry], coordinates.number[weight], value[entry] * coordinates.value[weight])
+
+
+def _summed(i: Integers, j: Integers, k: Integers, c: Floats) -> Triples:
+    order, starts = groups(i, j, k)
+    if not order.size:
+        return Triples(i, j, k, c)
+    total = np.add.reduceat(c[order], starts)
+    kept = total != 0.0
+    at = order[starts][kept]
+    return Triples(i[at], j[at], k[at], total[kept])
+
+
+def matrices(basis: Sparse, count: int, size: int) -> Floats | None:
+    """Return the matrices as an array (count, size, size), or None where it would be larger than 128 MB.
+
+    Examples
+    --------
+    >>> matrices(Sparse([(0, 0, 1, 1.0)]), 1, 2)
+    array([[[0., 1.],
+            [0., 0.]]])
+    """
+    if count * size**2 > LARGEST:
+        return None
+    result = np.zeros((count, size, size))
+    np.add.at(result, (basis.number, basis.row, basis.column), basis.value)
+    return result
+
+
+def real_form(real: Sequence[Entry], imaginary: Sequence[Entry], size: int) -> list[Entry]:
+    """Return complex matrices A + i B as real ones (A, -B; B, A) of twice the size.
+
+    Examples
+    --------
+    >>> real_form([], [(0, 0, 0, 1.0)], 1)
+    [(0, 0, 1, -1.0), (0, 1, 0, 1.0)]
+    """
+    entries: list[Entry] = []
+    for number, row, column, value in real:
+        entries += [(number, row, column, value), (number, row + size, column + size, value)]
+    for number, row, column, value in imaginary:
+        entries += [(number, row, column + size, -value), (number, row + size, column, value)]
+    return entries
+
+
+def matrix_algebra(
+    name: str,
+    basis: Sequence[Entry],
+    coordinates: Sequence[Entry],
+    size: int,
+    forms: Mapping[str, Form],
+    sums: Mapping[str, Iterable[int]] | None = None,
+) -> LieAlgebra:
+    """Return the algebra with a given basis of matrices.
+
+    Parameters
+    ----------
+    name : str
+    basis : sequence of (number, row, column, value)
+        Entries of the matrices.
+    coordinates : sequence of (number, row, column, weight)
+        The coordinate functions, see `commutator_constants`.
+    size : int
+        Number of rows.
+    forms : mapping of str to list of (i, j, c)
+        Quadratic Casimirs, sums of c x_i x_j; left out with `sums` where all exponents together exceed 2^22.
+    sums : mapping of str to indices, optional
+        Linear Casimirs, sums of x_i.
+
+    Returns
+    -------
+    LieAlgebra
+        With the matrices as representation up to 128 MB.
+
+    Examples
+    --------
+    >>> affine = [(0, 0, 0, 1.0), (1, 0, 1, 1.0)]
+    >>> matrix_algebra("affine", affine, affine, 2, {})
+    LieAlgebra('affine', dim=2)
+    """
+    given = Sparse(basis)
+    dim = int(given.number.max()) + 1
+    casimirs = {}
+    if within(sum(map(len, forms.values())), dim):
+        casimirs = {key: linear(dict.fromkeys(indices, 1), dim) for key, indices in (sums or {}).items()}
+        casimirs |= {key: quadratic(form, dim) for key, form in forms.items()}
+    return LieAlgebra(
+        commutator_constants(given, Sparse(coordinates), size),
+        dim=dim,
+        name=name,
+        representation=matrices(given, dim, size),
+        casimirs=casimirs,
+    )
+
+
+def pairs(n: int) -> list[tuple[int, int]]:
+    """Return all (i, j) with i < j < n, in the order 01, 02, ..., 12, ...
+
+    Examples
+    --------
+    >>> pairs(3)
+    [(0, 1), (0, 2), (1, 2)]
+    """
+    return [(i, j) for i in range(n) for j in range(i + 1, n)]
+
+
+def traceless(n: int, begin: int, scale: int) -> Form:
+    """Return the inverse of the trace form on E_kk - E_(k+1)(k+1), the Cartan matrix of sl(n), times `scale`.
+
+    Examples
+    --------
+    >>> traceless(2, 5, 2)
+    [(5, 5, Fraction(1, 1))]
+    """
+    return [
+        (begin + a, begin + b, Fraction(scale * (min(a, b) + 1) * (n - 1 - max(a, b)), n))
+        for a in range(n - 1)
+        for b in range(n - 1)
+    ]

@@ -1,0 +1,244 @@
+"""New algebras from old ones: direct sums, many copies, semidirect products."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from coadjoint.algebra.constants import Triples
+from coadjoint.algebra.joins import Floats
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.logarithmic import LogarithmicInvariant
+from coadjoint.algebra.matrix_algebras import LARGEST, whole
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.quadratic_forms import embedded, within
+from coadjoint.algebra.representation import check_representation
+
+
+def shifted(triples: Triples, begin: int) -> Triples:
+    """Return the constants of coordinates that begin at index `begin`.
+
+    Examples
+    --------
+    >>> shifted(Triples(np.array([0]), np.array([1]), np.array([1]), np.array([2.0])), 3)
+    Triples(i=array([3]), j=array([4]), k=array([4]), c=array([2.]))
+    """
+    return Triples(triples.i + begin, triples.j + begin, triples.k + begin, triples.c)
+
+
+def joined(parts: Sequence[Triples]) -> Triples:
+    """Return the constants of all parts.
+
+    Examples
+    --------
+    >>> joined([Triples(*np.zeros((3, 1), dtype=int), np.ones(1))] * 2).c
+    array([1., 1.])
+    """
+    i, j, k = (np.concatenate([part[column] for part in parts]) for column in range(3))
+    return Triples(i, j, k, np.concatenate([part.c for part in parts]))
+
+
+def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
+    """Return the direct sum: coordinates of the first algebra, then of the second, and so on; they commute.
+
+    Parameters
+    ----------
+    *algebras : LieAlgebra
+        At least one.
+
+    Returns
+    -------
+    LieAlgebra
+        Basis names are kept where all are different, else ``e1[2]`` is e1 of the second summand. The representation is
+        block diagonal where all have one and it stays within 128 MB, else None. Known Casimirs are those of the
+        summands, named ``"|x|^2 [2]"``, while all their exponents together are at most 2^22 numbers (682 copies of
+        so(3)), else none; an `Invariant` given as a Python function by a user is not carried over.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument is not an algebra, or there is none.
+
+    See Also
+    --------
+    copies : many copies of one algebra, fast.
+
+    Examples
+    --------
+    >>> from coadjoint.algebra.orthogonal import so
+    >>> g = direct_sum(so(3), so(4))
+    >>> g
+    LieAlgebra('so(3) + so(4)', dim=9)
+    >>> list(g.casimirs_known)
+    ['|x|^2 [1]', '|x|^2 [2]', 'Pfaffian [2]']
+    """
+    for algebra in algebras:
+        if not isinstance(algebra, LieAlgebra):
+            raise TypeError(f"a direct sum is made of LieAlgebras, not of a {type(algebra).__name__}")
+    if not algebras:
+        raise ValueError("a direct sum needs at least one algebra")
+    begins = np.cumsum([0] + [algebra.dim for algebra in algebras]).tolist()
+    parts = [shifted(algebra.triples, begin) for algebra, begin in zip(algebras, begins, strict=False)]
+    names = [label for algebra in algebras for label in algebra.basis]
+    if len(set(names)) < len(names):
+        names = [f"{label}[{number}]" for number, algebra in enumerate(algebras, 1) for label in algebra.basis]
+    return LieAlgebra(
+        joined(parts),
+        dim=begins[-1],
+        basis=names,
+        name=" + ".join(algebra.name or f"g{number}" for number, algebra in enumerate(algebras, 1)),
+        representation=_block_diagonal([algebra.representation for algebra in algebras]),
+        casimirs=_of_summands(algebras, begins),
+    )
+
+
+def copies(g: LieAlgebra, count: int) -> LieAlgebra:
+    """Return the direct sum of many copies of one algebra: a lattice of spins with g = so(3).
+
+    Coordinate i of copy a (both from 0) has the index a * g.dim + i.
+
+    Parameters
+    ----------
+    g : LieAlgebra
+    count : int
+        Number of copies, from 1.
+
+    Returns
+    -------
+    LieAlgebra
+        As from `direct_sum`, with basis names ``e1[1]``, ...; in particular with the Casimirs of every copy up to 2^22
+        exponents (682 copies of so(3)), and without Casimirs above: those of copy a are functions of its coordinates.
+
+    Raises
+    ------
+    TypeError, ValueError
+        g is not an algebra, or count not an integer from 1 up.
+
+    Examples
+    --------
+    >>> from coadjoint.algebra.orthogonal import so
+    >>> lattice = copies(so(3), 1000)
+    >>> lattice, lattice.triples.c.size, lattice.basis[3]
+    (LieAlgebra('1000 so(3)', dim=3000), 3000, 'e1[2]')
+    """
+    if not isinstance(g, LieAlgebra):
+        raise TypeError(f"copies are made of a LieAlgebra, not of a {type(g).__name__}")
+    count = whole(count, 1, "count of copies(g, count)")
+    i, j, k, c = g.triples
+    shift = np.repeat(np.arange(count, dtype=np.int64) * g.dim, c.size)
+    i, j, k = (np.tile(column, count) + shift for column in (i, j, k))
+    size = 0 if g.representation is None else g.representation.shape[1]
+    fits = g.representation is not None and g.dim * count * (size * count) ** 2 <= LARGEST
+    summands = [g] * count if _written([g], count) else []
+    return LieAlgebra(
+        Triples(i, j, k, np.tile(c, count)),
+        dim=g.dim * count,
+        basis=[f"{label}[{number}]" for number in range(1, count + 1) for label in g.basis],
+        name=f"{count} {g.name or 'g'}",
+        representation=_block_diagonal([g.representation] * count) if fits else None,
+        casimirs=_of_summands(summands, [a * g.dim for a in range(count)] + [g.dim * count]),
+    )
+
+
+def _written(algebras: Sequence[LieAlgebra], count: int = 1) -> bool:
+    """Say whether the Casimirs of all summands, `count` times, are small enough to be written down."""
+    known = [casimir for algebra in algebras for casimir in algebra.casimirs_known.values()]
+    monomials = sum(len(casimir.monomials) if isinstance(casimir, Polynomial) else 1 for casimir in known)
+    return within(monomials * count, sum(algebra.dim for algebra in algebras) * count)
+
+
+def _of_summands(algebras: Sequence[LieAlgebra], begins: Sequence[int]) -> dict[str, Any]:
+    if not _written(algebras):
+        return {}
+    dim = begins[-1]
+    result: dict[str, Any] = {}
+    for number, (algebra, begin) in enumerate(zip(algebras, begins, strict=False), 1):
+        for name, casimir in algebra.casimirs_known.items():
+            if isinstance(casimir, Polynomial):
+                result[f"{name} [{number}]"] = embedded(casimir, begin, dim)
+            elif isinstance(casimir, LogarithmicInvariant):
+                result[f"{name} [{number}]"] = casimir.changed(functools.partial(embedded, begin=begin, dim=dim))
+    return result
+
+
+def _block_diagonal(parts: Sequence[Floats | None]) -> Floats | None:
+    blocks = [part for part in parts if part is not None]
+    dim, size = sum(part.shape[0] for part in blocks), sum(part.shape[1] for part in blocks)
+    if len(blocks) < len(parts) or dim * size**2 > LARGEST:
+        return None
+    rho = np.zeros((dim, size, size))
+    element = place = 0
+    for part in blocks:
+        n, d = part.shape[:2]
+        rho[element : element + n, place : place + d, place : place + d] = part
+        element, place = element + n, place + d
+    return rho
+
+
+def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | None = None) -> LieAlgebra:
+    """Return the semidirect product of g with the space it acts on: [e_i, p_a] = sum_b (rho_i)_ba p_b.
+
+    The coordinates are those of g, then those of the space. ``semidirect(so(3))`` is e(3).
+
+    Parameters
+    ----------
+    g : LieAlgebra
+    representation : (n, d, d) array, optional
+        The matrices rho_i by which g acts on R^d; those of g by default.
+    ideal : LieAlgebra, optional
+        Brackets of the space, of dimension d, where it is not abelian; every rho_i must be a derivation of it.
+
+    Returns
+    -------
+    LieAlgebra
+        The space has the basis p1 ... pd (v1 ... vd where g uses these names), or that of `ideal`. Where the space is
+        abelian and the result within 128 MB, its representation is by affine (d + 1) x (d + 1) matrices. No Casimirs
+        are known: those of g are none of the product; ``casimirs(max_degree)`` finds the polynomial ones.
+
+    Raises
+    ------
+    TypeError, ValueError
+        The matrices are missing, or no representation, or no derivations of the ideal; named.
+
+    Examples
+    --------
+    >>> from coadjoint.algebra.orthogonal import so
+    >>> semidirect(so(3)).basis
+    ('e1', 'e2', 'e3', 'p1', 'p2', 'p3')
+    """
+    if not isinstance(g, LieAlgebra) or not isinstance(ideal, LieAlgebra | None):
+        raise TypeError("a semidirect product is made of LieAlgebras")
+    given = g.representation if representation is None else representation
+    if given is None:
+        raise ValueError(f"{g!r} has no representation; give the matrices by which it acts, shape ({g.dim}, d, d)")
+    rho = check_representation(given, g.triples, g.dim, g.basis)
+    n, d = g.dim, rho.shape[1]
+    if ideal is not None and ideal.dim != d:
+        raise ValueError(f"the ideal has dimension {ideal.dim}; the matrices act on {d} dimensions")
+    element, row, column = (index.astype(np.int64) for index in np.nonzero(rho))
+    parts = [g.triples, Triples(element, column + n, row + n, rho[element, row, column])]
+    names = list(g.basis)
+    if ideal is not None:
+        parts.append(shifted(ideal.triples, n))
+        space = list(ideal.basis)
+    else:
+        letter = next(letter for letter in ("p", "v", "w", "p'") if f"{letter}1" not in g.basis)
+        space = [f"{letter}{a}" for a in range(1, d + 1)]
+    if set(names) & set(space):
+        names, space = [f"{label}[1]" for label in names], [f"{label}[2]" for label in space]
+    affine = None
+    if ideal is None and (n + d) * (d + 1) ** 2 <= LARGEST:
+        affine = np.zeros((n + d, d + 1, d + 1))
+        affine[:n, :d, :d] = rho
+        affine[range(n, n + d), range(d), d] = 1.0
+    acted = f"R^{d}" if ideal is None else ideal.name or "h"
+    return LieAlgebra(
+        joined(parts),
+        dim=n + d,
+        basis=names + space,
+        name=f"{g.name or 'g'} ⋉ {acted}",
+        representation=affine,
+    )

@@ -1,0 +1,97 @@
+"""Quadratic and linear polynomials of many coordinates, built fast, and polynomials in other coordinates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.product_sums import Coefficient
+
+ROOM = 2**22  # exponents in all the known Casimirs of an algebra: 32 MB; so(60) has 1770^2
+
+
+def within(monomials: int, dim: int) -> bool:
+    """Say whether polynomials with so many monomials in `dim` coordinates are small enough to be written down.
+
+    Examples
+    --------
+    >>> within(1770, 1770), within(300000, 300000)
+    (True, False)
+    """
+    return monomials * dim <= ROOM
+
+
+def quadratic(entries: Iterable[tuple[int, int, Coefficient]], dim: int) -> Polynomial:
+    """Return the sum of c x_i x_j over the entries (i, j, c).
+
+    Examples
+    --------
+    >>> quadratic([(0, 0, 1), (1, 2, 2), (2, 1, 1)], 3)
+    x1^2 + 3*x2*x3
+    """
+    zero = (0,) * dim
+    total: dict[tuple[int, ...], Coefficient] = {}
+    for i, j, value in entries:
+        low, high = min(i, j), max(i, j)
+        if low == high:
+            exponents = zero[:low] + (2,) + zero[low + 1 :]
+        else:
+            exponents = zero[:low] + (1,) + zero[low + 1 : high] + (1,) + zero[high + 1 :]
+        total[exponents] = total.get(exponents, 0) + value
+    return Polynomial(total, dim=dim)
+
+
+def linear(entries: Mapping[int, Coefficient], dim: int) -> Polynomial:
+    """Return the sum of c_i x_i.
+
+    Examples
+    --------
+    >>> linear({0: 1, 2: 5}, 3)
+    x1 + 5*x3
+    """
+    return Polynomial({tuple(int(j == i) for j in range(dim)): value for i, value in entries.items()}, dim=dim)
+
+
+def substituted(p: Polynomial, rows: Sequence[Mapping[int, Coefficient]], dim: int) -> Polynomial:
+    """Return a polynomial of x as one of y, x_i = sum_j rows[i][j] y_j.
+
+    Parameters
+    ----------
+    p : Polynomial
+    rows : sequence of mappings
+        For each x_i the nonzero coefficients, index of y -> number.
+    dim : int
+        Number of coordinates y.
+
+    Returns
+    -------
+    Polynomial
+
+    Examples
+    --------
+    >>> substituted(Polynomial({(2, 0): 1, (0, 1): 3}), [{0: 1, 1: -1}, {0: 2}], 2)
+    6*x1 + x1^2 - 2*x1*x2 + x2^2
+    """
+    forms: dict[int, Polynomial] = {}
+    total = Polynomial({}, dim=dim)
+    for exponents, value in p.monomials.items():
+        product = Polynomial({(0,) * dim: value})
+        for i, power in enumerate(exponents):
+            if power:
+                if i not in forms:
+                    forms[i] = linear(rows[i], dim)
+                product = product * forms[i] ** power
+        total = total + product
+    return total
+
+
+def embedded(p: Polynomial, begin: int, dim: int) -> Polynomial:
+    """Return a polynomial of x as one of more coordinates, where its own begin at index `begin`.
+
+    Examples
+    --------
+    >>> embedded(Polynomial({(2, 1): 1}), 1, 4)
+    x2^2*x3
+    """
+    before, after = (0,) * begin, (0,) * (dim - begin - p.dim)
+    return Polynomial({before + exponents + after: value for exponents, value in p.monomials.items()}, dim=dim)

@@ -1,0 +1,307 @@
+"""Casimirs found by machine against the known ones: they generate the same polynomials, in every degree."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from flint import fmpq, fmpq_mat
+
+from coadjoint.algebra import catalogue
+from coadjoint.algebra.independence import independent_count
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomial import Polynomial
+
+
+def generated(generators, degree):
+    """All products of a degree, with repetition, of homogeneous polynomials."""
+    if not generators:
+        return []
+    first, rest = generators[0], list(generators[1:])
+    result, power = [], Polynomial({(0,) * first.dim: 1})
+    for used in range(0, degree + 1, first.degree):
+        result += [power * other for other in generated(rest, degree - used)] if used < degree else [power]
+        power = power * first
+    return result
+
+
+def rank(polynomials):
+    places = {e: at for at, e in enumerate(sorted({e for p in polynomials for e in p.monomials}))}
+    if not places:
+        return 0
+    matrix = fmpq_mat(len(polynomials), len(places))
+    for row, polynomial in enumerate(polynomials):
+        for exponents, value in polynomial.monomials.items():
+            matrix[row, places[exponents]] = fmpq(Fraction(value).numerator, Fraction(value).denominator)
+    return matrix.rank()
+
+
+def assert_same_span(found, known, max_degree=4):
+    """In each degree both lists generate the same space; and no member of `found` is a combination of the others."""
+    for degree in range(1, max_degree + 1):
+        here, there = generated(list(found), degree), generated(list(known), degree)
+        assert rank(here) == rank(there) == rank(here + there), f"degree {degree}"
+        lower = generated([p for p in found if p.degree < degree], degree)
+        assert rank(here) == rank(lower) + sum(p.degree == degree for p in found)
+
+
+def assert_annihilated(g, polynomial):
+    """J(x) grad C(x) = 0 exactly, as polynomials, every derivation written out."""
+    exact = [Fraction(c).limit_denominator(10**6) for c in g.triples.c.tolist()]
+    total = [{} for _ in range(g.dim)]
+    slopes = [polynomial.derivative(i).monomials for i in range(g.dim)]
+    for i, j, k, c in zip(*(column.tolist() for column in g.triples[:3]), exact, strict=True):
+        for row, slope, sign in ((i, slopes[j], c), (j, slopes[i], -c)):
+            for e, value in slope.items():
+                shifted = e[:k] + (e[k] + 1,) + e[k + 1 :]
+                total[row][shifted] = total[row].get(shifted, 0) + sign * value
+    assert not any(value for derivative in total for value in derivative.values())
+
+
+def from_matrices(rho):
+    """The algebra spanned by matrices of whole numbers, and X(x) with x_i = tr(X rho_i), whose traces are Casimirs."""
+    n, d = len(rho), rho.shape[1]
+    form = np.einsum("iab,jba->ij", rho, rho)
+    inverse = fmpq_mat(n, n, [int(v) for v in form.ravel()]).inv()
+    dual = np.array([[Fraction(int(inverse[i, j].p), int(inverse[i, j].q)) for j in range(n)] for i in range(n)])
+    brackets = np.einsum("iab,jbc->ijac", rho, rho)
+    brackets = brackets - brackets.transpose(1, 0, 2, 3)
+    constants = np.einsum("ijac,lca->ijl", brackets, rho).astype(object) @ dual
+    x = [Polynomial.variable(i, n) for i in range(n)]
+    zero = Polynomial({}, dim=n)
+    weights = dual @ np.array(rho, dtype=object).reshape(n, d * d)
+    entries = [sum((x[i] * weights[i, e] for i in range(n) if weights[i, e]), start=zero) for e in range(d * d)]
+    return LieAlgebra(constants.astype(float)), np.array(entries, dtype=object).reshape(d, d)
+
+
+def units(n, *pairs):
+    matrix = np.zeros((n, n), dtype=np.int64)
+    for a, b, value in pairs:
+        matrix[a, b] += value
+    return matrix
+
+
+def sl(n):
+    off = [units(n, (a, b, 1)) for a in range(n) for b in range(n) if a != b]
+    return np.array(off + [units(n, (a, a, 1), (a + 1, a + 1, -1)) for a in range(n - 1)])
+
+
+def so(n):
+    return np.array([units(n, (a, b, 1), (b, a, -1)) for a in range(n) for b in range(a + 1, n)])
+
+
+def sp4():
+    symmetric = [units(2, (a, b, 1), *([(b, a, 1)] if a != b else [])) for a in range(2) for b in range(a, 2)]
+    zero = np.zeros((2, 2), dtype=np.int64)
+    blocks = [np.block([[zero, s], [zero, zero]]) for s in symmetric]
+    blocks += [np.block([[zero, zero], [s, zero]]) for s in symmetric]
+    diagonal = [units(2, (a, b, 1)) for a in range(2) for b in range(2)]
+    return np.array(blocks + [np.block([[m, zero], [zero, -m.T]]) for m in diagonal])
+
+
+def su(n):
+    """i as the matrix ((0, -1), (1, 0)); the last item is i times the identity."""
+    imaginary = np.array([[0, -1], [1, 0]])
+    pairs = [(a, b) for a in range(n) for b in range(a + 1, n)]
+    real = [np.kron(units(n, (a, b, 1), (b, a, -1)), np.eye(2, dtype=np.int64)) for a, b in pairs]
+    other = [np.kron(units(n, (a, b, 1), (b, a, 1)), imaginary) for a, b in pairs]
+    diagonal = [np.kron(units(n, (a, a, 1), (a + 1, a + 1, -1)), imaginary) for a in range(n - 1)]
+    return np.array(real + other + diagonal), np.kron(np.eye(n, dtype=np.int64), imaginary)
+
+
+def traces(powers, matrix, factor=None):
+    result, power = [], matrix
+    for exponent in range(2, max(powers) + 1):
+        power = power @ matrix
+        if exponent in powers:
+            odd = factor is not None and exponent % 2
+            result.append((power @ factor.astype(object)).trace() if odd else power.trace())
+    return result
+
+
+def classical(name):
+    rho, imaginary = su(int(name[3])) if name.startswith("su") else ({"sl": sl, "so": so}[name[:2]](int(name[3])), None)
+    g, matrix = from_matrices(rho)
+    return g, traces((2, 4) if name == "so(5)" else range(2, int(name[3]) + 1), matrix, imaginary)
+
+
+@pytest.mark.parametrize("name", ["so(3)", "so(5)", "sl(3)", "sl(4)", "su(3)", "su(4)"])
+def test_classical_algebras_have_the_traces(name):
+    g, known = classical(name) if name != "so(3)" else (catalogue.so(3), [catalogue.so(3).casimirs_known["|x|^2"]])
+    found = g.casimirs()
+    assert_same_span(found.values(), known)
+    assert len(found) == g.dim - g.generic_rank() == independent_count(list(found.values()))
+    for casimir in found.values():
+        assert_annihilated(g, casimir)
+
+
+def symplectic():
+    g, matrix = from_matrices(sp4())
+    return g, traces((2, 4), matrix)
+
+
+def test_symplectic_algebra():
+    g, known = symplectic()
+    found = g.casimirs()
+    assert list(found) == ["C2", "C4"]
+    assert_same_span(found.values(), known)
+    assert g.dim - g.generic_rank() == 2
+
+
+def test_orthogonal_algebra_in_six_dimensions_has_the_cubic_pfaffian():
+    found = catalogue.so(6).casimirs()
+    assert list(found) == ["C2", "C3", "C4"]
+    assert len(found["C3"].monomials) == 15  # the perfect matchings of six points
+    assert set(found["C3"].monomials.values()) == {1, -1}
+    for casimir in found.values():
+        assert_annihilated(catalogue.so(6), casimir)
+
+
+def poly(dim, text):
+    """'x2^2 - 2 x1 x3' written as [(1, '22'), (-2, '13')]."""
+    return Polynomial({tuple(term.count(str(i + 1)) for i in range(dim)): value for value, term in text})
+
+
+# Patera, Sharp, Winternitz, Zassenhaus, J. Math. Phys. 17 (1976) 986: brackets 'ijk' -> c_ij^k with indices from 1, and
+# every polynomial Casimir up to degree 4 that is no polynomial in the others. A5,2 has the seminvariants of the binary
+# cubic, the last one its discriminant, with the relation C3^2 = C2^3 + C1^2 C4: four for three independent ones.
+CONE = [(1, "22"), (-2, "13")]
+LOW = {
+    "A2,1": ({"122": 1}, []),
+    "A3,1": ({"231": 1}, [[(1, "1")]]),
+    "A3,2": ({"131": 1, "231": 1, "232": 1}, []),
+    "A3,3": ({"131": 1, "232": 1}, []),
+    "A3,4": ({"131": 1, "232": -1}, [[(1, "12")]]),
+    "A3,5 a=1/3": ({"131": 1, "232": 1 / 3}, []),
+    "A3,5 a=-1/3": ({"131": 1, "232": -1 / 3}, [[(1, "1222")]]),
+    "A3,6": ({"132": -1, "231": 1}, [[(1, "11"), (1, "22")]]),
+    "A3,7 a=2": ({"131": 2, "132": -1, "231": 1, "232": 2}, []),
+    "A3,8": ({"121": 1, "132": -2, "233": 1}, [[(1, "22"), (1, "13")]]),
+    "A3,9": ({"123": 1, "132": -1, "231": 1}, [[(1, "11"), (1, "22"), (1, "33")]]),
+    "A4,1": ({"241": 1, "342": 1}, [[(1, "1")], CONE]),
+    "A4,3": ({"141": 1, "342": 1}, [[(1, "2")]]),
+    "A4,5": ({"141": 1, "242": 1 / 2, "343": -1 / 3}, [[(1, "1333")]]),
+    "A4,7": ({"231": 1, "141": 2, "242": 1, "342": 1, "343": 1}, []),
+    "A4,8": ({"231": 1, "242": 1, "343": -1}, [[(1, "1")], [(1, "23"), (-1, "14")]]),
+    "A4,10": ({"231": 1, "243": -1, "342": 1}, [[(1, "1")], [(1, "22"), (1, "33"), (2, "14")]]),
+    "A4,12": ({"131": 1, "232": 1, "142": -1, "241": 1}, []),
+    "A5,1": ({"351": 1, "452": 1}, [[(1, "1")], [(1, "2")], [(1, "23"), (-1, "14")]]),
+    "A5,2": (
+        {"251": 1, "352": 1, "453": 1},
+        [
+            [(1, "1")],
+            CONE,
+            [(1, "222"), (3, "114"), (-3, "123")],
+            [(9, "1144"), (-18, "1234"), (8, "1333"), (6, "2224"), (-3, "2233")],
+        ],
+    ),
+    "A5,3": ({"342": 1, "351": 1, "453": 1}, [[(1, "1")], [(1, "2")], [(1, "33"), (2, "25"), (-2, "14")]]),
+    "A5,4": ({"241": 1, "351": 1}, [[(1, "1")]]),
+    "A5,5": ({"341": 1, "251": 1, "352": 1}, [[(1, "1")]]),
+    "A5,6": ({"341": 1, "251": 1, "352": 1, "453": 1}, [[(1, "1")]]),
+    "A5,8": ({"251": 1, "353": 1, "454": 1 / 2}, [[(1, "1")]]),
+    "A5,10": ({"251": 1, "352": 1, "454": 1}, [[(1, "1")], CONE]),
+    "A5,14": ({"251": 1, "353": 1 / 3, "354": -1, "453": 1, "454": 1 / 3}, [[(1, "1")]]),
+    "A5,22": ({"231": 1, "253": 1, "454": 1}, [[(1, "1")]]),
+    "A5,29": ({"231": 1, "151": 1, "252": 1, "354": 1}, [[(1, "4")]]),
+    "A5,38": ({"141": 1, "252": 1, "453": 1}, [[(1, "3")]]),
+    "A5,39": ({"141": 1, "242": 1, "152": -1, "251": 1, "453": 1}, [[(1, "3")]]),
+    "A5,40": (
+        {"121": 2, "132": -1, "233": 2, "145": 1, "244": 1, "255": -1, "354": 1},
+        [[(-1, "144"), (1, "245"), (1, "355")]],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LOW)
+def test_low_dimensional_algebras(name):
+    brackets, known = LOW[name]
+    dim = int(name[1])
+    g = LieAlgebra([(*(int(q) - 1 for q in places), c) for places, c in brackets.items()], dim=dim)
+    found = g.casimirs()
+    assert_same_span(found.values(), [poly(dim, text) for text in known])
+    for casimir in found.values():
+        assert_annihilated(g, casimir)
+        assert all(type(value) is int for value in casimir.monomials.values())
+    assert independent_count(list(found.values())) <= dim - g.generic_rank()
+
+
+def test_more_generators_than_independent_ones():
+    brackets, known = LOW["A5,2"]
+    g = LieAlgebra([(*(int(q) - 1 for q in places), c) for places, c in brackets.items()], dim=5)
+    first, cone, cubic, discriminant = (poly(5, text) for text in known)
+    assert cubic**2 == cone**3 + first**2 * discriminant
+    assert g.dim - g.generic_rank() == 3 == independent_count(list(g.casimirs().values()))
+    assert list(g.casimirs()) == ["C1", "C2", "C3", "C4"]
+
+
+def catalogue_algebras():
+    return [catalogue.so(4), catalogue.e(3), catalogue.sl(2), catalogue.heisenberg(2), catalogue.A3_7(0.0)]
+
+
+@pytest.mark.parametrize("g", catalogue_algebras(), ids=str)
+def test_catalogue(g):
+    known = [c for c in g.casimirs_known.values() if isinstance(c, Polynomial)]
+    assert_same_span(g.casimirs().values(), known or [Polynomial({(2, 0, 0): 1, (0, 2, 0): 1})])
+
+
+def changed(g, p):
+    """The algebra in the basis f_a = sum_i p_ai e_i, constants as fractions and as floats; coordinates x' = p x."""
+    n = g.dim
+    inverse = fmpq_mat(n, n, [fmpq(v.numerator, v.denominator) for v in p.ravel()]).inv()
+    q = np.array([[Fraction(int(inverse[i, j].p), int(inverse[i, j].q)) for j in range(n)] for i in range(n)])
+    c = np.zeros((n, n, n), dtype=object)
+    for i, j, k, value in zip(*(column.tolist() for column in g.triples), strict=True):
+        c[i, j, k], c[j, i, k] = Fraction(value), -Fraction(value)
+    new = np.tensordot(p, np.tensordot(p, np.tensordot(c, q, 1), (1, 1)), (1, 1))
+    return LieAlgebra(new.astype(float)), q
+
+
+def substituted(polynomial, q):
+    """C(q x')."""
+    n = polynomial.dim
+    x, zero = [Polynomial.variable(j, n) for j in range(n)], Polynomial({}, dim=n)
+    lines = [sum((x[j] * q[i, j] for j in range(n) if q[i, j]), start=zero) for i in range(n)]
+    total = Polynomial({}, dim=n)
+    for exponents, value in polynomial.monomials.items():
+        term = Polynomial({(0,) * n: value})
+        for line, power in zip(lines, exponents, strict=True):
+            term = term * line**power
+        total = total + term
+    return total
+
+
+def rational_change(n, rng):
+    """A random matrix of determinant 1/4, with halves in it."""
+    entries = np.array([Fraction(-1), Fraction(0), Fraction(1, 2), Fraction(1)], dtype=object)
+    chosen = rng.integers(0, 4, size=(n, n))
+    full = 3.0 / n  # few enough entries that the constants keep denominators below 10^6
+    lower = np.where(np.tri(n, k=-1, dtype=bool) & (rng.random((n, n)) < full), entries[chosen], Fraction(0))
+    upper = np.where(np.tri(n, k=-1, dtype=bool).T & (rng.random((n, n)) < full), entries[chosen], Fraction(0))
+    one = np.array([[Fraction(int(i == j)) for j in range(n)] for i in range(n)], dtype=object)
+    one[0, 0] = Fraction(1, 2)
+    return (lower + one) @ (upper + one)
+
+
+CHANGED = {
+    "so(4)": lambda: (catalogue.so(4), list(catalogue.so(4).casimirs_known.values())),
+    "e(3)": lambda: (catalogue.e(3), list(catalogue.e(3).casimirs_known.values())),
+    "sl(3)": lambda: classical("sl(3)"),
+    "su(3)": lambda: classical("su(3)"),
+    "so(5)": lambda: classical("so(5)"),
+    "sp(4)": symplectic,
+}
+
+
+@pytest.mark.parametrize("name", CHANGED)
+def test_random_rational_changes_of_basis(name):
+    g, known = CHANGED[name]()
+    rng = np.random.default_rng(sum(map(ord, name)))
+    for _ in range(3 if g.dim == 6 else 1):
+        other, q = changed(g, rational_change(g.dim, rng))
+        degree = max(c.degree for c in known)
+        found = other.casimirs(degree)
+        assert_same_span(found.values(), [substituted(c, q) for c in known], degree)
+        assert all(type(value) is int for c in found.values() for value in c.monomials.values())
+        assert other.generic_rank() == g.generic_rank()
+        for casimir in found.values():
+            assert_annihilated(other, casimir)

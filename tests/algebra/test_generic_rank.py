@@ -1,0 +1,92 @@
+"""The generic rank: large and many blocks, rounded constants, and the elimination behind it."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from coadjoint.algebra import catalogue
+from coadjoint.algebra.constants import Triples
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.modular import random_prime, skew_rank, sparse_rank
+from coadjoint.algebra.numerical_rank import clear_rank
+from coadjoint.algebra.rational import as_fraction, jacobi_exact, rational_constants
+
+
+def test_many_and_large_blocks():
+    count = 20_000
+    i, j, k, c = catalogue.so(3).triples
+    shift = np.repeat(3 * np.arange(count), 3)
+    many = LieAlgebra(Triples(*(np.tile(a, count) + shift for a in (i, j, k)), np.tile(c, count)), dim=3 * count)
+    assert many.generic_rank() == 2 * count
+    assert catalogue.so(25).generic_rank() == 300 - 12
+
+
+def test_a_block_too_large_to_be_dense():
+    n = 2500  # e1 acts on all others: one connected block of 5001 rows, of rank 2
+    g = LieAlgebra([(0, i, i, float(i)) for i in range(1, 2 * n + 1)], dim=2 * n + 1)
+    assert g.generic_rank() == 2
+
+
+def test_rounded_constants_are_not_taken_for_exact():
+    """In floats, thirds break the Jacobi identity, and the rank of the rounded constants is that of no Lie algebra."""
+    g = catalogue.so(5)
+    c = np.zeros((10, 10, 10))
+    i, j, k, value = g.triples
+    c[i, j, k], c[j, i, k] = value, -value
+    rng = np.random.default_rng(0)
+    p = np.eye(10) + np.triu(rng.integers(-1, 2, (10, 10)), 1) / 3
+    q = np.linalg.inv(p)
+    new = np.einsum("ai,bj,ijk,kc->abc", p, p, c, q)
+    assert LieAlgebra(new).generic_rank() == 8
+    rotation, _ = np.linalg.qr(rng.standard_normal((10, 10)))
+    assert LieAlgebra(np.einsum("ai,bj,ijk,ck->abc", rotation, rotation, c, rotation)).generic_rank() == 8
+
+
+def test_elimination_agrees_with_itself():
+    rng = np.random.default_rng(0)
+    prime = random_prime(rng)
+    for size in (2, 5, 9, 12):
+        matrix = rng.integers(0, prime, (size, size)).astype(object)
+        matrix[:, size // 2 :] = 0
+        matrix = np.triu(matrix, 1)
+        first, second = np.nonzero(matrix)
+        rows = [{b: int(v) for b, v in enumerate(row) if v} for row in (matrix - matrix.T) % prime]
+        entries = [int(v) for v in matrix[first, second]]
+        assert skew_rank(first, second, entries, size, prime) == sparse_rank(rows, prime) <= size
+
+
+def test_primes_are_primes_of_62_bits():
+    rng = np.random.default_rng(1)
+    drawn = [random_prime(rng) for _ in range(20)]
+    assert len(set(drawn)) == 20
+    assert all(2**61 < p < 2**62 and all(pow(a, p - 1, p) == 1 for a in (2, 3, 5, 7, 11)) for p in drawn)
+
+
+def test_simple_fractions():
+    assert [as_fraction(v) for v in (0.1, -2 / 7, 1e300, 999_983 / 999_979)] == [
+        Fraction(1, 10),
+        Fraction(-2, 7),
+        int(1e300),
+        Fraction(999_983, 999_979),
+    ]
+    assert as_fraction(np.sqrt(2.0)) is as_fraction(np.pi * 1e5) is as_fraction(2.0**-30) is None
+
+
+def test_fractions_must_fulfil_the_jacobi_identity():
+    i, j, k, c = catalogue.so(4).triples
+    assert rational_constants(Triples(i, j, k, c / 3), 6) is not None
+    wrong = c.copy()
+    wrong[0] = np.nextafter(1.0, 2.0) * c[0]
+    assert rational_constants(Triples(i, j, k, wrong), 6) is None
+    whole = np.array([int(v) * 10**9 for v in c], dtype=object)
+    assert jacobi_exact(Triples(i, j, k, c), whole, 6)
+    whole[0] += 1
+    assert not jacobi_exact(Triples(i, j, k, c), whole, 6)
+
+
+def test_a_rank_needs_a_gap():
+    assert clear_rank(np.array([1.0, 1e-3, 1e-17]), 1e-15, "A") == 2
+    assert clear_rank(np.zeros(3), 1e-15, "A") == 0
+    with pytest.raises(ValueError, match="the rank of A is not clear: its singular value 1e-13"):
+        clear_rank(np.array([1.0, 1e-13]), 1e-15, "A")

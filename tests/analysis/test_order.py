@@ -1,0 +1,73 @@
+"""Slope fits: known sequences, plateaus, refusals."""
+
+import numpy as np
+import pytest
+
+from coadjoint.analysis.order import fit_order
+
+STEPS = 0.4 / 2.0 ** np.arange(8)
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 6])
+def test_exact_power_has_its_exponent(order: int) -> None:
+    fit = fit_order(STEPS, 3.0 * STEPS**order)
+    # Logarithms are rounded to u times their size, at most 40; the least squares of 8 points lose a few bits.
+    assert fit.order == pytest.approx(order, abs=64 * 2.0**-53 * 40)
+    assert fit.dropped == 0
+
+
+def test_next_term_moves_the_slope_by_its_share() -> None:
+    fit = fit_order(STEPS[3:], STEPS[3:] ** 2 * (1.0 + STEPS[3:]))
+    # The local slope is 2 + h / (1 + h), between 2 and 2 + the largest step.
+    assert 2.0 < fit.order < 2.0 + STEPS[3]
+
+
+def test_points_on_the_stated_floor_are_dropped() -> None:
+    errors = np.maximum(STEPS**4, 1e-6)
+    fit = fit_order(STEPS, errors, floor=1e-6)
+    assert fit.dropped == int(np.sum(STEPS**4 <= 1e-6)) == 4
+    assert fit.order == pytest.approx(4.0, abs=1e-12)
+
+
+def test_floor_may_grow_with_the_number_of_steps() -> None:
+    fit = fit_order(STEPS, STEPS**2, floor=1e-4 / STEPS)
+    assert len(fit.steps) == int(np.sum(STEPS**2 > 1e-4 / STEPS))
+
+
+def test_plateau_is_dropped_without_a_stated_floor() -> None:
+    noise = np.array([1.0, 1.3, 0.8, 1.1])
+    errors = np.concatenate([STEPS[:4] ** 4, 1e-4 * noise])
+    fit = fit_order(STEPS, errors)
+    assert fit.order == pytest.approx(4.0, abs=0.4)
+    assert 3 <= len(fit.steps) <= 5
+    without = float(np.polyfit(np.log(STEPS), np.log(errors), 1)[0])
+    assert abs(without - 4.0) > 1.0
+
+
+def test_order_of_the_points_does_not_matter() -> None:
+    shuffled = np.random.default_rng(0).permutation(len(STEPS))
+    assert fit_order(STEPS[shuffled], STEPS[shuffled] ** 3)[0] == fit_order(STEPS, STEPS**3)[0]
+
+
+def test_fewer_than_three_points_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"only 2 of 8 errors are above the round-off floor"):
+        fit_order(STEPS, np.maximum(STEPS**6, 1e-5), floor=1e-5)
+    with pytest.raises(ValueError, match="an order needs 3"):
+        fit_order(STEPS[:2], STEPS[:2])
+    with pytest.raises(ValueError, match="only 0 of 3"):
+        fit_order(STEPS[:3], np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("steps", "errors", "what"),
+    [
+        ([0.1, 0.2], [1.0], "shapes"),
+        ([0.1, 0.1, 0.2], [1.0, 1.0, 1.0], "different"),
+        ([0.1, -0.1, 0.2], [1.0, 1.0, 1.0], "positive"),
+        ([0.1, 0.2, 0.4], [1.0, np.nan, 1.0], "finite"),
+        ([0.1, 0.2, 0.4], [1.0, -1.0, 1.0], "not negative"),
+    ],
+)
+def test_wrong_input_is_refused(steps: list[float], errors: list[float], what: str) -> None:
+    with pytest.raises(ValueError, match=what):
+        fit_order(steps, errors)

@@ -1,0 +1,61 @@
+"""Poisson maps are recognised, and others are not."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import coadjoint as co
+from coadjoint.analysis.order import fit_order
+from coadjoint.analysis.poisson_defect import defect_of_tangent, poisson_defect
+
+
+def _coadjoint_map(algebra: co.LieAlgebra, u: np.ndarray) -> np.ndarray:
+    """exp(D_u): linear, and Poisson on every dual of a Lie algebra."""
+    return expm(algebra.coadjoint(u))
+
+
+@pytest.mark.parametrize("name", ["so(3)", "sl(2)", "e(3)", "so(4)"])
+def test_coadjoint_action_is_poisson(name: str) -> None:
+    algebra = co.algebras.get(name)
+    random = np.random.default_rng(3)
+    u, x = random.normal(size=(2, algebra.dim))
+    P = _coadjoint_map(algebra, 0.5 * u)
+    found = defect_of_tangent(
+        P, algebra.structure_matrix(x), algebra.structure_matrix(P @ x), operations=20 * algebra.dim
+    )
+    assert found.poisson
+    assert found.bound < 1e-10
+
+
+def test_scaling_is_not_poisson() -> None:
+    algebra = co.algebras.so(3)
+    x = np.array([1.0, 2.0, 0.5])
+    found = defect_of_tangent(
+        2.0 * np.eye(3), algebra.structure_matrix(x), algebra.structure_matrix(2.0 * x), operations=1
+    )
+    # P J P^T = 4 J(x), J(2 x) = 2 J(x).
+    assert found.defect == pytest.approx(2.0 * np.linalg.norm(algebra.structure_matrix(x)), rel=1e-15)
+    assert not found.poisson
+
+
+def test_transpose_on_the_other_side_is_another_condition() -> None:
+    algebra = co.algebras.get("A3,7", a=2.0)
+    x, u = np.array([1.0, 1.0, 1.0]), np.array([0.1, 0.2, 0.3])
+    P = _coadjoint_map(algebra, u)
+    before, after = algebra.structure_matrix(x), algebra.structure_matrix(P @ x)
+    assert defect_of_tangent(P, before, after, operations=60).poisson
+    assert not defect_of_tangent(P.T, before, after, operations=60).poisson
+
+
+def test_defect_of_steps() -> None:
+    spiral, x = co.systems.paper_a37(), (1.0, 1.0, 1.0)
+    assert poisson_defect(co.stepper(spiral, co.Splitting(order=4), 0.1), x).poisson
+    assert not poisson_defect(co.stepper(spiral, co.GaussLegendre(1), 0.1), x).poisson
+
+
+def test_defect_of_the_midpoint_rule_is_of_third_order_in_the_step() -> None:
+    body, x = co.systems.paper_rigid_body(), (1.0, 2.0, 0.5)
+    steps = [0.1 / 2**k for k in range(5)]
+    defects = [poisson_defect(co.stepper(body, co.GaussLegendre(1), h), x).defect for h in steps]
+    # A method of order 2 differs from the flow, which is Poisson, by h^3; the next terms are of relative size h.
+    assert fit_order(steps, defects).order == pytest.approx(3.0, abs=0.1)

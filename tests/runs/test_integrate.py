@@ -1,0 +1,346 @@
+"""Runs: the same bits however one looks, what is saved, what is watched, what fails, and what is refused."""
+
+import math
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.runs import integrate as integrate_module
+
+U = 2.0**-53
+C1 = 1 / (2 - 2 ** (1 / 3))
+
+
+def full(n, seed):
+    A = np.random.default_rng(seed).uniform(-1, 1, (n, n))
+    return np.diag(np.linspace(0.5, 1.5, n)) + 0.25 * (A + A.T)
+
+
+def driven():
+    a = (lambda y, t: 0.5 * y * y * (2 + math.sin(t)), lambda y, t: y * (2 + math.sin(t)))
+    return co.SplitHamiltonian(
+        [((0,), co.Separable({0: a})), ((1, 4), co.Quadratic([1.0, 0.5])), ((2,), co.Quadratic(0.7))]
+    )
+
+
+SYSTEMS = {
+    "e(3)": co.LiePoissonSystem(co.algebras.e(3), co.Quadratic(full(6, 1), linear=np.arange(6) / 5), sign=-1),
+    "sl(2)": co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic(full(3, 2))),
+    "A3,7": co.LiePoissonSystem(co.algebras.get("A3,7", a=0.25), co.Quadratic([1.0, 2.0, 0.25])),
+    "driven so(4)": co.LiePoissonSystem(co.algebras.so(4), driven()),
+}
+SCHEMES = {
+    "Splitting 2": co.Splitting(order=2),
+    "Splitting 4 compensated": co.Splitting(order=4, compensated=True),
+    "GaussLegendre 2": co.GaussLegendre(2),
+    "Composition of midpoints": co.Composition(co.GaussLegendre(1), (C1, 1 - 2 * C1, C1)),
+}
+
+
+def start_of(system):
+    return np.linspace(-0.5, 0.75, system.dim)
+
+
+def e3_and_start():
+    return SYSTEMS["e(3)"], start_of(SYSTEMS["e(3)"])
+
+
+# Same inputs, same bits
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_looking_changes_nothing(name, scheme):
+    """Whatever save_every and watch: the states at common times have the same bits, and so have the group elements."""
+    s, method = SYSTEMS[name], SCHEMES[scheme]
+    every = co.integrate(s, start_of(s), (0, 1.25), 0.0625, method, attitude="coadjoint")
+    for k, watch in ((7, True), (1000, False)):
+        sol = co.integrate(s, start_of(s), (0, 1.25), 0.0625, method, attitude="coadjoint", save_every=k, watch=watch)
+        at = [round(t / 0.0625) for t in sol.t]
+        assert np.array_equal(sol.x, every.x[at])
+        assert np.array_equal(sol.attitude, every.attitude[at])
+        assert np.array_equal(sol.energy, every.energy[at])
+    assert np.array_equal(co.integrate(s, start_of(s), (0, 1.25), 0.0625, method).x, every.x)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_company_changes_nothing(name, scheme):
+    """A member alone, in a crowd of seven, with one thread and with two."""
+    s, method = SYSTEMS[name], SCHEMES[scheme]
+    crowd = np.random.default_rng(3).uniform(-1, 1, (7, s.dim))
+    one, two = (co.integrate(s, crowd, (0, 1), 0.125, method, threads=n, attitude="coadjoint") for n in (1, 2))
+    assert np.array_equal(one.x, two.x) and np.array_equal(one.attitude, two.attitude)
+    assert np.array_equal(one.energy, two.energy)
+    for member in (0, 3, 6):
+        alone = co.integrate(s, crowd[member], (0, 1), 0.125, method, attitude="coadjoint")
+        assert np.array_equal(alone.x, one.x[:, member]) and np.array_equal(alone.attitude, one.attitude[:, member])
+        for key, drift in alone.drift().items():
+            assert drift == one.drift()[key].members[member]
+
+
+@pytest.mark.parametrize("name", ["e(3)", "driven so(4)"])
+def test_pauses_change_nothing(name, monkeypatch, capfd):
+    s = SYSTEMS[name]
+    whole = co.integrate(s, start_of(s), (0, 5), 0.0625, save_every=3, attitude="coadjoint")
+    monkeypatch.setattr(integrate_module, "SECONDS_BETWEEN_LOOKS", 0.0)
+    pieces = co.integrate(s, start_of(s), (0, 5), 0.0625, save_every=3, attitude="coadjoint", progress=True)
+    assert np.array_equal(whole.x, pieces.x) and np.array_equal(whole.attitude, pieces.attitude)
+    assert whole.drift() == pieces.drift()
+    assert "80/80" in capfd.readouterr().err.replace(".0", "")
+
+
+def test_the_clock_moves_nothing_that_does_not_depend_on_it():
+    s, x0 = e3_and_start()
+    assert np.array_equal(co.integrate(s, x0, (0, 1), 0.125).x, co.integrate(s, x0, (1024, 1025), 0.125).x)
+
+
+# Times and what is saved
+
+
+def test_saved_times_and_shapes():
+    s, x0 = e3_and_start()
+    sol = co.integrate(s, x0, (0.5, 3.0), 0.1, save_every=10)
+    assert sol.t.tolist() == [0.5, 0.5 + 10 * 0.1, 0.5 + 20 * 0.1, 0.5 + 25 * 0.1]
+    assert sol.x.shape == (4, 6) and sol.energy.shape == (4,) and sol.attitude is None and sol.failed is None
+    assert set(sol.casimirs) == set(s.casimirs) and all(v.shape == (4,) for v in sol.casimirs.values())
+    many = co.integrate(s, np.stack([x0] * 3), (0.5, 3.0), 0.1, save_every=10, attitude=True)
+    assert many.x.shape == (4, 3, 6) and many.energy.shape == (4, 3) and many.attitude.shape == (4, 3, 4, 4)
+    assert many.failed.tolist() == [False] * 3
+    assert sol.stats.steps == 25 and (sol.step, sol.save_every) == (0.1, 10)
+
+
+def test_energy_and_casimirs_are_those_of_the_saved_states():
+    """The compiled values against the system's own: 16 roundings of n^2 products."""
+    for s in SYSTEMS.values():
+        sol = co.integrate(s, start_of(s), (0.5, 1.5), 0.125)
+        for t, x, energy in zip(sol.t, sol.x, sol.energy, strict=True):
+            assert abs(energy - s.energy(x, t)) <= 16 * U * (1 + 4 * (x @ x))
+        for name, casimir in s.casimirs.items():
+            assert abs(sol.casimirs[name][0] - casimir(sol.x[0])) <= 16 * U * (1 + sol.x[0] @ sol.x[0])
+
+
+def test_a_span_of_no_length_is_the_start():
+    s, x0 = e3_and_start()
+    sol = co.integrate(s, x0, (2.0, 2.0), 0.1, attitude=True)
+    assert sol.t.tolist() == [2.0] and np.array_equal(sol.x, [x0]) and np.array_equal(sol.attitude, [np.eye(4)])
+    assert sol.drift()["energy"] == 0.0 and sol.stats.steps == 0
+
+
+def test_inputs_are_not_changed():
+    s, x0 = e3_and_start()
+    given, element = x0.copy(), np.eye(6)
+    sol = co.integrate(s, given, (0, 1), 0.1, attitude="coadjoint")
+    assert np.array_equal(given, x0) and not np.shares_memory(sol.x, given)
+    co.integrate(s, given, (0, 1), 0.1, attitude=np.eye(4))
+    assert np.array_equal(element, np.eye(6))
+
+
+@pytest.mark.parametrize("scheme", ["Splitting 2", "Splitting 4 compensated", "GaussLegendre 2"])
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_run_back_ends_where_the_run_began(name, scheme):
+    """Symmetric schemes: rounding of 2 x 40 steps with their flows or iterations; sizes and growth stay of order ten."""
+    s, method = SYSTEMS[name], SCHEMES[scheme]
+    there = co.integrate(s, start_of(s), (0.25, 2.75), 0.0625, method, save_every=40)
+    back = co.integrate(s, there.x[-1], (2.75, 0.25), 0.0625, method, save_every=40)
+    assert np.diff(back.t)[0] == -2.5
+    work = there.stats.evaluations + back.stats.evaluations
+    assert np.abs(back.x[-1] - start_of(s)).max() <= 10 * U * work * s.dim
+    assert np.abs(there.x[-1] - start_of(s)).max() > 0.01
+
+
+def test_backward_in_time_is_the_equation_of_the_other_sign():
+    """For a splitting the step enters in sign h alone: the same bits."""
+    for name in ("e(3)", "sl(2)", "A3,7"):
+        s = SYSTEMS[name]
+        other = co.LiePoissonSystem(s.algebra, s.hamiltonian, sign=-s.sign)
+        back = co.integrate(s, start_of(s), (0, -1.5), 0.0625, co.Splitting(order=4), attitude="coadjoint")
+        forward = co.integrate(other, start_of(s), (0, 1.5), 0.0625, co.Splitting(order=4), attitude="coadjoint")
+        assert np.array_equal(back.x, forward.x) and np.array_equal(back.attitude, forward.attitude)
+        assert np.array_equal(back.t, -forward.t)
+
+
+# Attitude
+
+
+def test_attitude_starts_where_it_is_told():
+    """g(t) = g0 g_1(t), g_1 from the unit: rounding of 10 steps."""
+    s, x0 = e3_and_start()
+    unit = co.integrate(s, x0, (0, 1), 0.1, attitude=True)
+    g0 = np.linalg.qr(np.random.default_rng(4).standard_normal((4, 4)))[0]
+    told = co.integrate(s, x0, (0, 1), 0.1, attitude=g0)
+    assert np.array_equal(told.attitude[0], g0) and np.array_equal(told.x, unit.x)
+    assert np.abs(told.attitude - g0 @ unit.attitude).max() <= 64 * told.stats.evaluations * U
+    each = co.integrate(s, np.stack([x0, x0]), (0, 1), 0.1, attitude=np.stack([np.eye(4), g0]))
+    assert np.array_equal(each.attitude[:, 0], unit.attitude) and np.array_equal(each.attitude[:, 1], told.attitude)
+
+
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2)], ids=["Splitting", "GaussLegendre"])
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_coadjoint_matrix_serves_every_algebra(name, method):
+    s, x0 = SYSTEMS[name], start_of(SYSTEMS[name])
+    sol = co.integrate(s, x0, (0, 2), 0.05, method, attitude="coadjoint", save_every=20)
+    sizes = np.linalg.norm(sol.attitude[-1]) * np.linalg.norm(sol.x[-1])
+    # GaussLegendre iterates to stagnation: each of 40 steps leaves a few roundings; splitting the rounding of its flows.
+    assert np.abs(sol.attitude[-1] @ sol.x[-1] - x0).max() <= 16 * 40 * s.dim * 8 * U * sizes
+
+
+# Watching
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_drift_is_the_largest_deviation_over_every_step(name):
+    s = SYSTEMS[name]
+    every = co.integrate(s, start_of(s), (0, 8.125), 0.0625, co.Splitting(order=2))
+    steps = every.stats.steps
+    assert steps == 130
+    tenths = (np.arange(1, steps + 1) - 1) * 10 // steps
+    for k in (1, 37, 1000):
+        sol = co.integrate(s, start_of(s), (0, 8.125), 0.0625, co.Splitting(order=2), save_every=k)
+        for key, values in {"energy": every.energy, **every.casimirs}.items():
+            deviation = np.abs(values - values[0])[1:]
+            drift = sol.drift()[key]
+            assert drift == deviation.max() and drift.initial == values[0] and drift.members is None
+            assert drift.tenths.tolist() == [deviation[tenths == tenth].max() for tenth in range(10)]
+
+
+def test_without_watching_the_drift_is_over_saved_points():
+    s, x0 = e3_and_start()
+    sol = co.integrate(s, x0, (0, 8), 0.0625, save_every=10, watch=False)
+    for key, values in {"energy": sol.energy, **sol.casimirs}.items():
+        assert sol.drift()[key] == np.abs(values - values[0]).max()
+    assert sol.drift()["energy"] < co.integrate(s, x0, (0, 8), 0.0625, save_every=10).drift()["energy"]
+
+
+def test_drift_of_an_ensemble_is_that_of_each_member():
+    s, x0 = e3_and_start()
+    crowd = np.stack([x0, 2 * x0, -x0])
+    drift = co.integrate(s, crowd, (0, 2), 0.125, save_every=5).drift()["energy"]
+    alone = [co.integrate(s, x, (0, 2), 0.125).drift()["energy"] for x in crowd]
+    assert drift.members.tolist() == alone and drift == max(alone)
+    assert drift.tenths.shape == (3, 10) and drift.initial.shape == (3,)
+
+
+@pytest.mark.parametrize("a", [0.05, -0.05])
+def test_a_multivalued_casimir_is_unwrapped(a):
+    """(x1, x2) winds around the origin several times; the logarithm with the angle stays put."""
+    s = co.LiePoissonSystem(co.algebras.get("A3,7", a=a), co.Quadratic([0.01, 0.02, 1.0]))
+    sol = co.integrate(s, (1.0, 0.0, 3.0), (0, 10), 0.05, co.Splitting(order=2))
+    turns = np.unwrap(np.arctan2(sol.x[:, 1], sol.x[:, 0])) / (2 * np.pi)
+    assert abs(turns[-1]) > 3
+    size = np.abs(np.log(np.hypot(sol.x[:, 0], sol.x[:, 1]))).max() + 2 * abs(a) * np.pi
+    # Each flow rounds x by 4 u relative, which moves log C by (2 + 2 a) times that.
+    assert sol.drift()["log C"] <= 16 * U * (sol.stats.evaluations + size)
+    assert sol.drift()["log C"] == np.abs(sol.casimirs["log C"] - sol.casimirs["log C"][0]).max()
+    coarse = co.integrate(s, (1.0, 0.0, 3.0), (0, 10), 0.05, co.Splitting(order=2), watch=False, save_every=50)
+    assert np.array_equal(coarse.casimirs["log C"], sol.casimirs["log C"][::50])
+
+
+def test_observables():
+    s, x0 = e3_and_start()
+    height = co.Polynomial({(1, 0, 0, 0, 0, 1): 2.0, (0, 1, 0, 0, 0, 0): 1})
+    asked = {"height": height, "angle": lambda x: math.atan2(x[1], x[0]), "late": lambda x, t: t * x[2]}
+    for start in (x0, np.stack([x0, -x0])):
+        sol = co.integrate(s, start, (0.5, 1.5), 0.125, save_every=3, observe=asked)
+        x1, x2, x3, x6 = (sol.x[..., i] for i in (0, 1, 2, 5))
+        assert np.abs(sol.observed["height"] - (2 * x1 * x6 + x2)).max() <= 8 * U
+        assert np.abs(sol.observed["angle"] - np.arctan2(x2, x1)).max() <= 8 * U
+        t = sol.t if start.ndim == 1 else sol.t[:, None]
+        assert np.array_equal(sol.observed["late"], t * x3)
+
+
+# Failure
+
+UNSTABLE = co.LiePoissonSystem(
+    co.algebras.sl(2), co.Quadratic([[1.0, 0.3, 0.0], [0.3, -2.0, 0.1], [0.0, 0.1, 0.5]]), name="runaway"
+)
+RUNAWAY = np.array([0.1, 0.2, 0.3])  # overflows after some thirty steps
+
+
+@pytest.mark.parametrize("every", [1, 7])
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_an_overflow_stops_the_run_with_what_there_is(order, every):
+    with pytest.raises(co.IntegrationError, match="a number overflowed; take a smaller step than 0.1") as failure:
+        co.integrate(UNSTABLE, RUNAWAY, (1, 11), 0.1, co.Splitting(order=order), save_every=every, attitude="coadjoint")
+    error = failure.value
+    assert 5 < error.step < 100 and error.time == 1 + (error.step - 1) * 0.1 and math.isnan(error.residual)
+    partial = error.partial
+    assert np.all(np.isfinite(partial.x)) and np.all(np.isfinite(partial.attitude))
+    assert len(partial.t) == len(partial.x) == len(partial.energy) == 1 + (error.step - 1) // every
+    assert partial.t[-1] <= error.time + 1e-12
+    assert "\n" not in str(error) and f"in step {error.step}" in str(error)
+
+
+def test_the_other_members_finish():
+    crowd = np.stack([RUNAWAY * 0.01, RUNAWAY, RUNAWAY * 0.02])
+    for threads in (1, 2):
+        with pytest.raises(co.IntegrationError, match=r"for 1 of 3 members \(first: member 1\)") as failure:
+            co.integrate(UNSTABLE, crowd, (0, 5), 0.1, save_every=5, threads=threads)
+        partial = failure.value.partial
+        assert partial.failed.tolist() == [False, True, False]
+        for member in (0, 2):
+            assert np.array_equal(
+                partial.x[:, member], co.integrate(UNSTABLE, crowd[member], (0, 5), 0.1, save_every=5).x
+            )
+        finished = (failure.value.step - 1) // 5 + 1
+        assert np.all(np.isfinite(partial.x[:finished, 1])) and np.all(np.isnan(partial.x[finished:, 1]))
+        assert np.all(np.isnan(partial.energy[finished:, 1]))
+
+
+def test_an_iteration_that_does_not_converge_says_so():
+    with pytest.raises(co.IntegrationError, match=r"did not converge \(last correction") as failure:
+        co.integrate(SYSTEMS["e(3)"], 100 * start_of(SYSTEMS["e(3)"]), (0, 10), 1.0, co.GaussLegendre(2))
+    assert failure.value.residual > 0 and failure.value.step >= 1
+
+
+# Refusals
+
+BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
+BARE = co.LiePoissonSystem(
+    co.LieAlgebra.from_brackets(3, {(0, 2): {0: 2.0, 1: -1.0}, (1, 2): {0: 1.0, 1: 2.0}}),
+    co.Quadratic(1.0),
+    name="bare spiral",
+)
+PLANE = co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]), name="plane")
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"step": 0.0}, ValueError, "step is 0.0"),
+        ({"step": math.nan}, ValueError, "step contains nan"),
+        ({"step": 0.3}, ValueError, "does not divide the time 1.0; the nearest steps that do are 0.25 and 0.333"),
+        ({"t_span": (0.0, math.nan)}, ValueError, "t_span contains nan"),
+        ({"x0": (1.0, math.nan, 0.0)}, ValueError, "x0 contains NaN or infinity"),
+        ({"x0": (1.0, math.inf, 0.0)}, ValueError, "x0 contains NaN or infinity"),
+        ({"x0": (1.0, 2.0)}, ValueError, r"x0 has the shape \(2,\); it must be \(3,\) or \(members, 3\)"),
+        ({"x0": 1.0}, ValueError, r"x0 has the shape \(\)"),
+        ({"x0": np.zeros((2, 2, 3))}, ValueError, r"x0 has the shape \(2, 2, 3\)"),
+        ({"x0": np.zeros((0, 3))}, ValueError, "at least one member"),
+        ({"save_every": 0}, ValueError, "save_every is 0"),
+        ({"save_every": 1.5}, ValueError, "save_every is 1.5"),
+        ({"threads": 0}, ValueError, "threads is 0; it must be a positive whole number, or None"),
+        ({"threads": 1.5}, ValueError, "threads is 1.5"),
+        ({"threads": math.nan}, ValueError, "threads is nan"),
+        ({"threads": "all"}, ValueError, "threads is 'all'"),
+        ({"method": "strang"}, TypeError, r"method is 'strang'; it must be a scheme such as Splitting\(order=2\)"),
+        ({"method": co.Splitting}, TypeError, "it must be a scheme"),
+        ({"attitude": "quaternion"}, ValueError, "attitude is 'quaternion'; it must be True, False, 'coadjoint'"),
+        ({"attitude": np.eye(2)}, ValueError, r"attitude has the shape \(2, 2\); .* needs \(3, 3\)"),
+        ({"attitude": np.full((3, 3), math.nan)}, ValueError, "attitude contains NaN"),
+        ({"attitude": True, "system": BARE}, ValueError, "bare spiral has no representation .* attitude='coadjoint'"),
+        (
+            {"attitude": True, "system": PLANE, "x0": (1.0, 0.0), "method": co.GaussLegendre(1)},
+            ValueError,
+            "plane has no Lie algebra",
+        ),
+        ({"system": PLANE, "x0": (1.0, 0.0)}, ValueError, "Splitting needs a Lie algebra, which plane does not have"),
+        ({"observe": {"e": 3.0}}, TypeError, r"observe\['e'\] is 3.0; it must be a Polynomial or a function"),
+    ],
+)
+def test_refusals(change, error, message):
+    given = {"system": BODY, "x0": (1.0, 0.0, 0.5), "t_span": (0.0, 1.0), "step": 0.25, **change}
+    with pytest.raises(error, match=message) as refusal:
+        co.integrate(**given)
+    assert "\n" not in str(refusal.value)

@@ -1,0 +1,142 @@
+"""One step as a function: the same bits as a run, its exact tangent, its group element."""
+
+import math
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.program.reading import Reading
+from coadjoint.program.table import build_program
+
+U = 2.0**-53
+C1 = 1 / (2 - 2 ** (1 / 3))
+
+
+def full(n, seed):
+    A = np.random.default_rng(seed).uniform(-1, 1, (n, n))
+    return np.diag(np.linspace(0.5, 1.5, n)) + 0.25 * (A + A.T)
+
+
+def driven():
+    a = (lambda y, t: 0.5 * y * y * (2 + math.sin(t)), lambda y, t: y * (2 + math.sin(t)), lambda y, t: 2 + math.sin(t))
+    return co.SplitHamiltonian(
+        [((0,), co.Separable({0: a})), ((1, 4), co.Quadratic([1.0, 0.5])), ((2,), co.Quadratic(0.7))]
+    )
+
+
+SYSTEMS = {
+    "e(3)": (co.algebras.e(3), co.Quadratic(full(6, 1), linear=np.arange(6) / 5)),
+    "so(4)": (co.algebras.so(4), co.Quadratic(np.linspace(0.5, 1.5, 6))),
+    "sl(2)": (co.algebras.sl(2), co.Quadratic(full(3, 2))),
+    "A3,7": (co.algebras.get("A3,7", a=1.75), co.Quadratic([1.0, 2.0, 0.25])),
+    "Heisenberg": (co.algebras.heisenberg(2), co.Quadratic(full(5, 3))),
+    "driven so(4)": (co.algebras.so(4), driven()),
+}
+METHODS = [
+    co.Splitting(order=1),
+    co.Splitting(order=2),
+    co.Splitting(order=4),
+    co.Composition(co.Splitting(order=2), (C1, 1 - 2 * C1, C1)),
+    co.GaussLegendre(2),
+    co.Composition(co.GaussLegendre(1), (C1, 1 - 2 * C1, C1)),
+]
+
+
+def setup(name, sign=-1):
+    s = co.LiePoissonSystem(*SYSTEMS[name], sign=sign, casimirs={})
+    return s, np.linspace(-0.5, 0.75, s.dim)
+
+
+@pytest.mark.parametrize("method", METHODS, ids=str)
+@pytest.mark.parametrize("name", ["e(3)", "A3,7", "driven so(4)"])
+def test_a_step_has_the_bits_of_the_first_step_of_a_run(name, method):
+    s, x = setup(name)
+    for h in (0.125, -0.125):
+        sol = co.integrate(s, x, (0.5, 0.5 + h), abs(h), method)
+        step = co.stepper(s, method, h)
+        assert np.array_equal(step(x, t=0.5), sol.x[-1])
+        assert np.array_equal(step(x, t=0.5), sol.x[-1])  # nothing is left over from the call before
+        many = np.stack([x, -x, 2 * x])
+        assert np.array_equal(step(many, t=0.5)[0], sol.x[-1])
+
+
+@pytest.mark.parametrize("method", METHODS, ids=str)
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_tangent_is_the_derivative_of_the_step(name, method):
+    """Richardson's difference of order 4: truncation of size e^4 and rounding u/e balance at e = 1e-3, 1e-12; 1e-9 has room."""
+    s, x = setup(name)
+    step = co.stepper(s, method, 0.125)
+    P, e = step.tangent(x, t=0.5), 1e-3
+    for j, unit in enumerate(np.eye(s.dim)):
+        wide, narrow = ((step(x + d * unit, t=0.5) - step(x - d * unit, t=0.5)) / (2 * d) for d in (2 * e, e))
+        assert np.abs(P[:, j] - (4 * narrow - wide) / 3).max() <= 1e-9
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("method", METHODS[:4], ids=str)
+def test_splitting_steps_are_poisson_maps(name, method):
+    """P J(x) P^T = J(step(x)): 64 u times the flows times |P|^2 |J|."""
+    s, x = setup(name)
+    step = co.stepper(s, method, 0.25)
+    P = step.tangent(x, t=0.5)
+    defect = P @ s.structure_matrix(x) @ P.T - s.structure_matrix(step(x, t=0.5))
+    flows = len(Reading(build_program(s, method)).program.rows.part)
+    assert np.abs(defect).max() <= 64 * U * flows * np.linalg.norm(P) ** 2 * np.linalg.norm(s.structure_matrix(x))
+
+
+@pytest.mark.parametrize("name", ["e(3)", "so(4)", "sl(2)", "A3,7", "driven so(4)"])
+def test_group_element(name):
+    s, x = setup(name)
+    step = co.stepper(s, co.Splitting(order=2), 0.25)
+    K, y = step.group(x, attitude="coadjoint"), step(x)
+    assert np.abs(K @ y - x).max() <= 64 * s.dim * U * np.linalg.norm(K) * np.linalg.norm(y)
+    g = step.group(x)
+    assert g.shape == s.representation.shape[1:]
+    assert np.array_equal(g, step.group(x, attitude=True))
+    for i, rho in enumerate(s.representation):  # the representation of K: g rho(Ad) = rho g
+        moved = np.einsum("k,kab->ab", K[i], s.representation)
+        assert np.abs(g @ moved - rho @ g).max() <= 256 * U * np.linalg.norm(K) * np.linalg.norm(g)
+
+
+def test_group_element_without_a_representation_is_the_coadjoint_matrix():
+    bare = co.LieAlgebra.from_brackets(3, {(0, 2): {0: 2.0, 1: -1.0}, (1, 2): {0: 1.0, 1: 2.0}})
+    step = co.stepper(co.LiePoissonSystem(bare, co.Quadratic([1.0, 2.0, 0.5])), co.Splitting(), 0.1)
+    x = np.array([1.0, 0.5, 0.25])
+    assert np.abs(step.group(x) @ step(x) - x).max() <= 64 * U
+
+
+def test_a_blow_up_is_an_error():
+    s = co.LiePoissonSystem(
+        co.algebras.get("A3,7", a=2.0), co.Quadratic([[1.0, 0.3, 0], [0.3, -2.0, 0.1], [0, 0.1, 0.5]])
+    )
+    with pytest.raises(co.IntegrationError) as failure:
+        co.stepper(s, co.Splitting(), 1e3)(np.array([1.0, 2.0, 3.0]))
+    assert failure.value.step == 1
+
+
+@pytest.mark.parametrize("h", [0.0, math.nan, math.inf])
+def test_steps_that_are_none_are_refused(h):
+    with pytest.raises(ValueError, match="it must be finite and not zero"):
+        co.stepper(setup("e(3)")[0], co.Splitting(), h)
+
+
+def test_other_refusals():
+    s, x = setup("e(3)")
+    with pytest.raises(TypeError, match=r"it must be a scheme such as Splitting\(order=2\)"):
+        co.stepper(s, "strang", 0.1)
+    step = co.stepper(s, co.Splitting(), 0.1)
+    with pytest.raises(ValueError, match=r"x0 has the shape \(5,\)"):
+        step(x[:5])
+    with pytest.raises(ValueError, match="at one state"):
+        step.tangent(np.stack([x, x]))
+    H = co.Separable({0: (lambda y: 0.5 * y * y, lambda y: y)})
+    blunt = co.stepper(co.LiePoissonSystem(co.algebras.sl(2), H), co.Splitting(), 0.1)
+    with pytest.raises(TypeError, match="hessian"):
+        blunt.tangent(np.ones(3))
+    with pytest.raises(ValueError, match="Splitting needs a Lie algebra"):
+        co.stepper(
+            co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0])),
+            co.Splitting(),
+            0.1,
+        )

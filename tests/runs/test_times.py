@@ -1,0 +1,89 @@
+"""The times of a run: whole numbers of steps, in the direction of the span; anything else refused in a sentence."""
+
+import math
+import re
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from coadjoint.runs.times import times_of
+
+
+@pytest.mark.parametrize(
+    ("span", "step", "every", "saved"),
+    [
+        ((0.0, 1.0), 0.25, 1, [0, 1, 2, 3, 4]),
+        ((0.0, 1.0), 0.25, 3, [0, 3, 4]),
+        ((0.0, 1.0), 0.25, 4, [0, 4]),
+        ((0.0, 1.0), 0.25, 100, [0, 4]),
+        ((2.0, -1.0), 0.5, 2, [0, 2, 4, 6]),
+        ((3.0, 3.0), 0.5, 2, [0]),
+        ((0, 1), 1, 1, [0, 1]),
+        (np.array([0.0, 0.3]), np.float64(0.1), np.int64(1), [0, 1, 2, 3]),
+        ((0.0, 1.0), 0.25, 2.0, [0, 2, 4]),
+    ],
+)
+def test_saved_steps(span, step, every, saved):
+    times = times_of(span, step, every)
+    assert times.saved.tolist() == saved
+    assert times.steps == saved[-1]
+    h = math.copysign(step, span[1] - span[0])
+    assert times.at(times.saved).tolist() == [span[0] + j * h for j in saved]
+
+
+@pytest.mark.parametrize("step", [0.1, 0.01, 1 / 3, 0.7, 1e-3, math.pi / 100])
+@pytest.mark.parametrize("count", [1, 3, 7, 1000, 123457])
+@pytest.mark.parametrize("start", [0.0, -17.3, 1e3])
+def test_spans_that_are_multiples_up_to_rounding_are_taken(step, count, start):
+    for end in (start + count * step, start - count * step):
+        assert times_of((start, end), step, 1).steps == count
+
+
+def test_the_two_nearest_steps_are_named_and_serve():
+    for span, step in (((0.0, 1.0), 0.3), ((5.0, 1.0), 0.7), ((0.0, 100.0), 0.0301), ((0.0, 1.0), 3.0)):
+        with pytest.raises(ValueError, match="does not divide the time") as refusal:
+            times_of(span, step, 1)
+        names = [float(text) for text in re.findall(r"\d+\.\d+(?:e-?\d+)?", str(refusal.value).split("nearest")[1])]
+        assert len(names) == 2
+        exact = Fraction(abs(span[1] - span[0])) / Fraction(step)
+        counts = [times_of(span, name, 1).steps for name in names]
+        below = max(1, math.floor(exact))
+        assert counts == [below + 1, below]
+        assert "\n" not in str(refusal.value)
+
+
+def test_a_span_far_below_the_step_is_not_nothing():
+    with pytest.raises(ValueError, match="does not divide"):
+        times_of((0.0, 1e-17), 1.0, 1)
+
+
+@pytest.mark.parametrize(
+    ("span", "step", "every", "error", "message"),
+    [
+        ((0, 1), 0.0, 1, ValueError, "step is 0.0; it must be positive"),
+        ((0, 1), -0.1, 1, ValueError, r"step is -0.1; it must be positive \(the direction comes from t_span\)"),
+        ((0, 1), math.nan, 1, ValueError, "step contains nan"),
+        ((0, 1), math.inf, 1, ValueError, "step contains inf"),
+        ((0, 1), "0.1", 1, TypeError, "step contains '0.1'; it must be a number"),
+        ((0, 1), None, 1, TypeError, "step contains None"),
+        ((0, math.inf), 0.1, 1, ValueError, "t_span contains inf"),
+        ((math.nan, 1), 0.1, 1, ValueError, "t_span contains nan"),
+        (1.0, 0.1, 1, ValueError, "t_span is 1.0; it must be two numbers"),
+        ((0, 1, 2), 0.1, 1, ValueError, "two numbers"),
+        ((0, "1"), 0.1, 1, TypeError, "t_span contains '1'"),
+        ((0, 1e300), 1e-300, 1, ValueError, "too small"),
+        ((0, 1), 0.1, 0, ValueError, "save_every is 0; it must be a positive whole number"),
+        ((0, 1), 0.1, -1, ValueError, "save_every is -1"),
+        ((0, 1), 0.1, 2.5, ValueError, "save_every is 2.5"),
+        ((0, 1), 0.1, math.nan, ValueError, "save_every is nan"),
+        ((0, 1), 0.1, math.inf, ValueError, "save_every is inf"),
+        ((0, 1), 0.1, True, ValueError, "save_every is True"),
+        ((0, 1), 0.1, None, ValueError, "save_every is None"),
+        ((0, 1), 0.1, "2", ValueError, "save_every is '2'"),
+    ],
+)
+def test_refusals(span, step, every, error, message):
+    with pytest.raises(error, match=message) as refusal:
+        times_of(span, step, every)
+    assert "\n" not in str(refusal.value)

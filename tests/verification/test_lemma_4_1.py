@@ -1,0 +1,101 @@
+"""Lemma 4.1: X1(h/2) ... Xn(h/2) Xn(h/2) ... X1(h/2), each X_i the flow of x_i m_ii J_i(x), is of order 2, symmetric and Lie-Poisson."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import coadjoint as co
+
+from .measures import U, measured_order, order_of, poisson_defect
+from .systems_under_test import cases, full_matrix
+
+DIAGONAL = ("so(3), diagonal", "A3,7, diagonal", "sl(2), diagonal", "so(4), diagonal")
+
+
+def flow(system, i, t, x):
+    """The flow of (12): x_i is constant, the vector field linear, x(t) = exp(t m_ii x_i D_i) x."""
+    unit = np.eye(system.dim)[i]
+    rate = system.hamiltonian.gradient(x)[i]
+    return expm(t * system.sign * rate * system.algebra.coadjoint(unit)) @ x
+
+
+def printed_product(system, h, x):
+    for i in [*range(system.dim), *reversed(range(system.dim))]:
+        x = flow(system, i, h / 2, x)
+    return x
+
+
+def roundoff(x):
+    """Two dozen matrix products of at most 6 dimensions, the scaling and squaring of expm among them."""
+    return 24 * 64 * U * np.max(np.abs(x))
+
+
+@pytest.mark.parametrize("case", DIAGONAL)
+def test_printed_product(case):
+    system, x, _ = cases()[case]
+    step = co.stepper(system, co.Splitting(order=2, parts="coordinates"), 0.1)
+    for _ in range(5):
+        new = step(x)
+        assert np.max(np.abs(new - printed_product(system, 0.1, x))) <= roundoff(x)
+        x = new
+
+
+@pytest.mark.parametrize("case", DIAGONAL)
+def test_first_order_sweep_and_its_adjoint(case):
+    system, x, _ = cases()[case]
+    sweep = adjoint = x
+    for i in range(system.dim):
+        sweep, adjoint = flow(system, i, 0.1, sweep), flow(system, system.dim - 1 - i, 0.1, adjoint)
+    for given, by_hand in ((False, sweep), (True, adjoint)):
+        step = co.stepper(system, co.Splitting(order=1, adjoint=given, parts="coordinates"), 0.1)
+        assert np.max(np.abs(step(x) - by_hand)) <= roundoff(x)
+
+
+@pytest.mark.parametrize("case", list(cases()))
+def test_second_order_is_the_first_and_its_adjoint_at_half_the_step(case):
+    system, x, _ = cases()[case]
+    if system.hamiltonian.timed:
+        return  # there the half steps take functions of time at other moments
+    half = [co.stepper(system, co.Splitting(order=1, adjoint=back), 0.05) for back in (False, True)]
+    whole = co.stepper(system, co.Splitting(order=2), 0.1)
+    assert np.max(np.abs(half[1](half[0](x)) - whole(x))) <= roundoff(x)
+
+
+@pytest.mark.parametrize("parts", ["auto", "coordinates"])
+@pytest.mark.parametrize("case", list(cases()))
+def test_second_order_symmetric_and_lie_poisson(case, parts):
+    system, x, _ = cases()[case]
+    method = co.Splitting(order=2, parts=parts)
+    found = measured_order(method, case)
+    assert found.agrees_with(2), found
+    step, back = co.stepper(system, method, 0.1), co.stepper(system, method, -0.1)
+    assert np.max(np.abs(back(step(x), 0.1) - x)) <= roundoff(x)
+    defect = poisson_defect(step, x)
+    assert defect.value <= defect.bound
+
+
+def test_error_of_one_step_is_of_order_three():
+    """The local error, against exp of a fine composition: not an accident of the final time."""
+    for case in ("A3,7, full", "e(3), full, axes permuted"):
+        system, x, _ = cases()[case]
+        steps = [0.2 / 2 ** (k / 2) for k in range(5)]
+        errors = []
+        for h in steps:
+            exact = co.integrate(system, x, (0.0, h), h / 4, co.GaussLegendre(6)).x[-1]
+            errors.append(float(np.max(np.abs(co.stepper(system, co.Splitting(order=2), h)(x) - exact))))
+        found = order_of(steps, errors, 1)
+        assert found.agrees_with(3), (case, found)
+
+
+def test_fourth_order_composition_of_the_paper():
+    """2 c1 + c2 = 1, 2 c1^3 + c2^3 = 0, applied step by step."""
+    c1 = 1 / (2 - 2 ** (1 / 3))
+    c2 = 1 - 2 * c1
+    assert abs(2 * c1**3 + c2**3) < 16 * U
+    for algebra, n in ((co.algebras.e(3), 6), (co.algebras.A3_7(1.5), 3)):
+        system = co.LiePoissonSystem(algebra, co.Quadratic(full_matrix(8, n)))
+        x = start = np.linspace(-0.8, 0.9, n)
+        for c in (c1, c2, c1):
+            x = co.stepper(system, co.Splitting(order=2), 0.1 * c)(x)
+        whole = co.stepper(system, co.Splitting(scheme="yoshida4"), 0.1)(start)
+        assert np.max(np.abs(whole - x)) <= 3 * roundoff(x)
