@@ -71,9 +71,8 @@ def everything(name, chosen):
 
 
 def rational_point(rng, n):
-    return np.array([Fraction(int(a), int(b)) for a, b in zip(rng.integers(1, 60, n), rng.integers(1, 9, n))]) * (
-        rng.integers(0, 2, n) * 2 - 1
-    )
+    pairs = zip(rng.integers(1, 60, n).tolist(), rng.integers(1, 9, n).tolist(), strict=True)
+    return np.array([Fraction(a, b) for a, b in pairs], dtype=object) * (rng.integers(0, 2, n) * 2 - 1)
 
 
 def rank(rows):
@@ -147,7 +146,7 @@ def test_values_stay_along_the_group_and_agree_with_the_gradients(name, chosen):
                 change -= period * np.round(change / period)
             slopes = [np.abs(casimir.gradient(y)).max() for y in moved]
             sizes = [np.abs(expm(s * g.coadjoint(u))).sum() * np.abs(x).max() for s in np.linspace(0.0, 4.0, 9)]
-            bound = 2**6 * U * max(a * b for a, b in zip(slopes, sizes)) + 2**6 * U * np.abs(values).max()
+            bound = 2**6 * U * max(a * b for a, b in zip(slopes, sizes, strict=True)) + 2**6 * U * np.abs(values).max()
             assert np.abs(np.cumsum(change)).max() <= g.dim * bound
             if not isinstance(casimir, Polynomial):
                 exact = casimir.formula.gradient(np.array([Fraction(v) for v in x])).astype(float)
@@ -187,8 +186,8 @@ def test_invariants_compile_and_are_nan_where_undefined():
             if shape in seen:
                 continue
             seen.add(shape)
-            CompiledFunction(casimir.value, g.dim, 1, scalar=False, flat=False, timed=False, what=key)
             value, gradient = njit(casimir.value), njit(casimir.gradient)
+            CompiledFunction(value, g.dim, 1, scalar=False, flat=False, timed=False, what=key)
             size = 1 + sum(abs(float(term.weight)) for term in casimir.formula.terms)
             assert abs(value(x) - casimir(x)) <= 2**8 * U * size
             assert np.abs(gradient(x) - casimir.gradient(x)).max() <= 2**10 * U * size
@@ -210,7 +209,7 @@ def test_runs_unwrap_angles_and_report_what_is_undefined():
     undefined = co.LiePoissonSystem(co.algebras.get("A3,5", a=0.5), co.Quadratic([1.0, 0.5, 0.25]))
     sol = co.integrate(undefined, [1.0, 0.0, 1.0], t_span=(0.0, 1.0), step=0.125, method=co.Splitting(order=2))
     assert np.isnan(sol.casimirs["log|x2| - a*log|x1|"]).all()
-    assert math.isnan(sol.drift()["log|x2| - a*log|x1|"].largest) and np.isfinite(sol.energy).all()
+    assert math.isnan(sol.drift()["log|x2| - a*log|x1|"]) and np.isfinite(sol.energy).all()
 
 
 @pytest.mark.parametrize(

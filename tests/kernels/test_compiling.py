@@ -25,7 +25,7 @@ def run_in(folder):
 
 
 def test_an_edited_kernel_is_compiled_again(tmp_path):
-    """The sine's leading coefficient 1 + z*(-1/6 + ...) becomes 1 - z/3: an inlined function, in another file than the loop."""
+    """The sine's second coefficient -1/6 becomes -1/3: an inlined function, in another file than the loop."""
     package = Path(co.__file__).parent
     shutil.copytree(package, tmp_path / "coadjoint", ignore=shutil.ignore_patterns("*.nbc", "*.nbi", "*.pyc"))
     first, hits, misses = run_in(tmp_path)

@@ -76,7 +76,7 @@ SYSTEMS = {
 
 
 def operations(program):
-    """Roundings in one step: for each row its angles, its blocks on n components, twelve for each elementary function."""
+    """Roundings in one step: for each row its angles, its blocks on n components, twelve for an elementary function."""
     n, rows = program.state.size, program.rows.section[2]
     longest = int(np.max(np.diff(program.terms.row[program.share])))
     return int(rows) * (longest * (n + 12) + n * n)
@@ -94,7 +94,7 @@ def compare(s, method, h, steps):
 
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_compiled_and_plain_reading_agree(name):
-    """Ten steps; the factor norm(K) bounds what the flow makes of an error on the way (K is the tangent within the orbit)."""
+    """Ten steps; norm(K) bounds what the flow makes of an error on the way (K is the tangent within the orbit)."""
     forward, reversed_ = (co.LiePoissonSystem(*SYSTEMS[name], sign=sign) for sign in (1, -1))
     compare(forward, co.Splitting(order=2), 0.0625, 10)
     compare(forward, co.Splitting(order=1, adjoint=True), 0.0625, 10)
@@ -142,9 +142,9 @@ def cubic_bound(D, theta):
 @pytest.mark.parametrize("theta", [0.0, 1e-12, -1e-12, 0.37, -3.1, 20.0, -20.0, 50.0, -50.0])
 @pytest.mark.parametrize("name", MATRICES)
 def test_every_kind_of_block_at_any_angle(name, theta):
-    """The plain reading is held to exp(theta D) in its own tests; both may differ from it by what rounding theta and D moves.
+    """The plain reading is held to exp(theta D) in its own tests; both may miss it by what rounding theta and D moves.
 
-    That is |theta D| u max_s |exp((1 - s) A)| |exp(s A)|, A = theta D; sampled at 9 values of s; 8 (n + 2) for their roundings.
+    That is |theta D| u max_s |exp((1 - s) A)| |exp(s A)|, A = theta D, sampled at 9 values of s; 8 (n + 2) roundings.
     """
     D = MATRICES[name]
     n = len(D)

@@ -186,7 +186,7 @@ def error_of(read, D, x, theta):
 @pytest.mark.parametrize("theta", ANGLES)
 @pytest.mark.parametrize("name", MATRICES)
 def test_exponential_of_a_matrix(name, theta):
-    """16 roundings in a closed form; 4 (n + 2) in each of at most 1 + |theta| |D| substeps of a series (Horner-like sums)."""
+    """16 roundings in a closed form; 4 (n + 2) in each of at most 1 + |theta| |D| substeps of a series."""
     D, _ = MATRICES[name]
     x = np.random.default_rng(1).uniform(-1, 1, len(D))
     read = reading_of(acting(D), len(D))

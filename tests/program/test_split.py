@@ -192,7 +192,7 @@ def test_number_of_parts(name, count):
 
 @pytest.mark.parametrize("count", [1, 40, 2000])
 def test_any_lattice_of_spins_has_three_parts(count):
-    """And they are found in time nearly linear in the spins: 2000 take about a second; 20 leaves room for a slow machine."""
+    """Found in time nearly linear in the spins: 2000 take about a second; 20 leaves room for a slow machine."""
     s = co.LiePoissonSystem(copies(SO3, count), lattice(count))
     began = time.perf_counter()
     parts = split(s)

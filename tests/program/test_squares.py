@@ -1,4 +1,4 @@
-"""Completed squares reproduce the quadratic form: exactly in rationals, to round-off above the size where rationals stop."""
+"""Completed squares reproduce the quadratic form: exactly in rationals, to round-off where those stop."""
 
 from fractions import Fraction
 
@@ -73,7 +73,7 @@ def test_weights_have_the_signature_of_the_matrix(name):
 
 
 def test_forms_have_no_large_coefficients():
-    """The pivot rule bounds them: a single pivot by 64/41, a pair by 2 and 15 (growth of one reduction, largest entry 1)."""
+    """The pivot rule bounds them: a single pivot by 64/41, a pair by 2 and by 15 (a largest entry 1)."""
     rng = np.random.default_rng(10)
     for trial in range(200):
         n = int(rng.integers(2, 7))
@@ -84,7 +84,7 @@ def test_forms_have_no_large_coefficients():
 
 @pytest.mark.parametrize("kind", ["definite", "indefinite", "zero diagonal", "singular"])
 def test_reconstruction_in_floats(kind):
-    """Above the rational size: each of r updates rounds three times, so 4 r u times the sum of all that was added up."""
+    """Above the rational size: each of r updates rounds three times, so 4 r u times all that was added up."""
     n = LARGEST_RATIONAL + 5
     made = {
         "definite": lambda: symmetric(11, n) @ symmetric(11, n),

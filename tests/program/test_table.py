@@ -75,7 +75,7 @@ def test_flows_at_different_times_are_not_merged():
 
 
 def test_only_timed_parts_are_kept_apart():
-    start, step, finish = sections(build_program(driven(), co.Splitting(order=2, parts=[[2], [1], [0]])))
+    _, step, finish = sections(build_program(driven(), co.Splitting(order=2, parts=[[2], [1], [0]])))
     assert len(finish) == 1 and [row[0] for row in step] == [0, 1, 2, 1]
 
 

@@ -140,7 +140,7 @@ def test_inputs_are_not_changed():
 @pytest.mark.parametrize("scheme", ["Splitting 2", "Splitting 4 compensated", "GaussLegendre 2"])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_a_run_back_ends_where_the_run_began(name, scheme):
-    """Symmetric schemes: rounding of 2 x 40 steps with their flows or iterations; sizes and growth stay of order ten."""
+    """Symmetric schemes: rounding of 2 x 40 steps with their flows or iterations; sizes and growth below ten."""
     s, method = SYSTEMS[name], SCHEMES[scheme]
     there = co.integrate(s, start_of(s), (0.25, 2.75), 0.0625, method, save_every=40)
     back = co.integrate(s, there.x[-1], (2.75, 0.25), 0.0625, method, save_every=40)
@@ -182,7 +182,7 @@ def test_the_coadjoint_matrix_serves_every_algebra(name, method):
     s, x0 = SYSTEMS[name], start_of(SYSTEMS[name])
     sol = co.integrate(s, x0, (0, 2), 0.05, method, attitude="coadjoint", save_every=20)
     sizes = np.linalg.norm(sol.attitude[-1]) * np.linalg.norm(sol.x[-1])
-    # GaussLegendre iterates to stagnation: each of 40 steps leaves a few roundings; splitting the rounding of its flows.
+    # GaussLegendre iterates to stagnation: each of 40 steps leaves a few roundings; splitting those of its flows.
     assert np.abs(sol.attitude[-1] @ sol.x[-1] - x0).max() <= 16 * 40 * s.dim * 8 * U * sizes
 
 
@@ -261,7 +261,7 @@ RUNAWAY = np.array([0.1, 0.2, 0.3])  # overflows after some thirty steps
 @pytest.mark.parametrize("every", [1, 7])
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_an_overflow_stops_the_run_with_what_there_is(order, every):
-    with pytest.raises(co.IntegrationError, match="a number overflowed; take a smaller step than 0.1") as failure:
+    with pytest.raises(co.IntegrationError, match=r"a number overflowed; take a smaller step than 0\.1") as failure:
         co.integrate(UNSTABLE, RUNAWAY, (1, 11), 0.1, co.Splitting(order=order), save_every=every, attitude="coadjoint")
     error = failure.value
     assert 5 < error.step < 100 and error.time == 1 + (error.step - 1) * 0.1 and math.isnan(error.residual)

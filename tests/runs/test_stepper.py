@@ -64,7 +64,7 @@ def test_a_step_has_the_bits_of_the_first_step_of_a_run(name, method):
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_tangent_is_the_derivative_of_the_step(name, method):
-    """Richardson's difference of order 4: truncation of size e^4 and rounding u/e balance at e = 1e-3, 1e-12; 1e-9 has room."""
+    """Richardson's difference of order 4: truncation e^4 and rounding u/e balance at e = 1e-3; 1e-9 has room."""
     s, x = setup(name)
     step = co.stepper(s, method, 0.125)
     P, e = step.tangent(x, t=0.5), 1e-3

@@ -79,7 +79,7 @@ def check_representation(representation: Any, triples: Triples, dim: int, names:
         joins.append((start, np.maximum(np.searchsorted(key, (middle + 1) * dim), start)))
     structure = np.searchsorted(i, triples.k), np.searchsorted(i, triples.k, side="right")
     cost = sum(stop - start for start, stop in joins)
-    per_element = np.bincount(i, weights=cost, minlength=dim)
+    per_element = np.bincount(i, weights=cost, minlength=dim).astype(np.float64)
     per_element += np.bincount(triples.i, weights=structure[1] - structure[0], minlength=dim)
     for part in chunks(np.arange(dim), per_element.astype(np.int64)):
         entries = slice(*np.searchsorted(i, [part.start, part.stop]))

@@ -55,10 +55,10 @@ def act(
         kind = action.kind[run]
         repeat = action.repeat[run]
         angle = action.angle[run]
-        index = action.index[run]
+        index = action.place[run]
         constant = action.constant[run]
         if kind == ROTATE:
-            for q in range(action.count[run]):
+            for q in range(action.angles[run]):
                 phi = _angle(single, lone, theta, angle + q) * (tau * action.constants[constant + q])
                 sine, lowered = sine_and_cosine_minus_one(phi)
                 for _ in range(repeat):
@@ -69,7 +69,7 @@ def act(
                         add(vectors, errors, i + lane, fma(lowered, a, -(sine * b)), compensated)
                         add(vectors, errors, j + lane, fma(lowered, b, sine * a), compensated)
         elif kind == SHEAR:
-            for q in range(action.count[run]):
+            for q in range(action.angles[run]):
                 turn = tau * _angle(single, lone, theta, angle + q)
                 for _ in range(repeat):
                     i, j = action.indices[index] * lanes, action.indices[index + 1] * lanes
@@ -79,7 +79,7 @@ def act(
                     for lane in range(lanes):
                         add(vectors, errors, i + lane, factor * vectors[j + lane], compensated)
         elif kind == SCALE:
-            for q in range(action.count[run]):
+            for q in range(action.angles[run]):
                 factor = math.expm1(_angle(single, lone, theta, angle + q) * (tau * action.constants[constant + q]))
                 for _ in range(repeat):
                     i = action.indices[index] * lanes
@@ -87,7 +87,7 @@ def act(
                     for lane in range(lanes):
                         add(vectors, errors, i + lane, factor * vectors[i + lane], compensated)
         elif kind == PLANE:
-            for q in range(action.count[run]):
+            for q in range(action.angles[run]):
                 turn = tau * _angle(single, lone, theta, angle + q)
                 _plane(action, index, constant, repeat, turn, vectors, errors, lanes, compensated)
                 index += 2 * repeat
@@ -127,7 +127,7 @@ def apply_block(
 ) -> None:
     """target = factor D source on one CUBIC or SERIES block, both in the block's own coordinates (the verb `apply`)."""
     width = action.width[run]
-    starts = action.index[run] + width
+    starts = action.place[run] + width
     columns = starts + width + 1
     for k in range(width):
         low, high = action.indices[starts + k], action.indices[starts + k + 1]
@@ -142,7 +142,7 @@ def apply_block(
 @inlined
 def _gather(action: Any, run: int, vectors: Any, lanes: int, room: Any) -> None:
     for k in range(action.width[run]):
-        i = action.indices[action.index[run] + k] * lanes
+        i = action.indices[action.place[run] + k] * lanes
         for lane in range(lanes):
             room[k * lanes + lane] = vectors[i + lane]
 
@@ -156,7 +156,7 @@ def _cubic(
     lam, root, inverse = action.constants[constant], action.constants[constant + 1], action.constants[constant + 2]
     values = constant + 4
     squares = values + action.entries[run]
-    starts = action.index[run] + action.width[run]
+    starts = action.place[run] + action.width[run]
     columns = starts + action.width[run] + 1
     # Rows of D and D^2 are summed in registers, while the processor still works on the sine.
     _gather(action, run, vectors, lanes, room)
@@ -168,7 +168,7 @@ def _cubic(
     s *= inverse
     c *= action.constants[constant + 3]
     for k in range(action.width[run]):
-        i = action.indices[action.index[run] + k] * lanes
+        i = action.indices[action.place[run] + k] * lanes
         for lane in range(lanes):
             first, second = 0.0, 0.0
             for entry in range(action.indices[starts + k], action.indices[starts + k + 1]):
@@ -198,6 +198,6 @@ def _series(
                 room[2 * length + place] += room[there + place]
             here, there = there, here
         for k in range(action.width[run]):
-            i = action.indices[action.index[run] + k] * lanes
+            i = action.indices[action.place[run] + k] * lanes
             for lane in range(lanes):
                 add(vectors, errors, i + lane, room[2 * length + k * lanes + lane], compensated)

@@ -148,6 +148,6 @@ def energy(field: Any, values: Any, x: Any, t: float, y: Any) -> float:
     `values` holds the compiled values of FUNCTION terms, `y` is room for longest + 1 numbers.
     """
     total = 0.0
-    for k in range(field.terms.count):
+    for k in range(field.terms.size):
         total += value(field.terms, values, k, x, t, y)
     return total

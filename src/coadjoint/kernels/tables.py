@@ -13,7 +13,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.kernels.flow import FlowTables
 from coadjoint.kernels.functions import CompiledFunction, compiled_function
 from coadjoint.kernels.watching import Watch
-from coadjoint.program.actions import Action
+from coadjoint.program.actions import empty_action
 from coadjoint.program.table import Program
 from coadjoint.program.terms import LINEAR, TermTable
 from coadjoint.systems.hamiltonian import as_hamiltonian
@@ -102,12 +102,6 @@ def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
         compensated,
     )
     return Compiled(tables, keep)
-
-
-def empty_action() -> Action:
-    """Return the action on nothing: no group element is carried."""
-    none = np.zeros(0, dtype=np.uint32)
-    return Action(0, none, none.astype(np.uint8), *[none] * 9, np.zeros(0))
 
 
 def watch_tables(system: Any, invariants: Mapping[str, Any]) -> Compiled:

@@ -92,7 +92,7 @@ def gradient(terms: Any, addresses: Any, size: int, x: Any, t: float, u: Any, ro
     """Fill u (`size` components) with the gradient of the sum of all terms; `rows` and `y` are room."""
     for i in range(size):
         u[i] = 0.0
-    for k in range(terms.count):
+    for k in range(terms.size):
         first = terms.row[k]
         gradient_rows(terms, addresses, k, x, t, rows, first, y)
         for row in range(first, terms.row[k + 1]):

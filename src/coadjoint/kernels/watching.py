@@ -24,7 +24,7 @@ class Watch(NamedTuple):
     unwrapped by whole periods along the run. `longest` is the most arguments that a function takes.
     """
 
-    count: int
+    size: int
     terms: Terms
     addresses: NDArray[np.int64]
     first: NDArray[np.uint32]
@@ -120,20 +120,20 @@ def record(
     """
     t = schedule.t0 + k * schedule.h
     tenth = (k - 1) * TENTHS // schedule.steps if k > 0 else 0
-    for i in range(watch.count):
+    for i in range(watch.size):
         now = value_of(watch, i, x, t, room)
-        place = member * watch.count + i
+        place = member * watch.size + i
         if k == 0:
             saves.first[place] = now
         elif watch.period[i] > 0.0:
             now += watch.period[i] * math.floor((saves.last[place] - now) / watch.period[i] + 0.5)
         saves.last[place] = now
         deviation = abs(now - saves.first[place])
-        bin = (member * TENTHS + tenth) * watch.count + i
+        bin = (member * TENTHS + tenth) * watch.size + i
         if not deviation <= saves.worst[bin]:
             saves.worst[bin] = deviation
         if slot >= 0:
-            saves.values[(slot * saves.members + member) * watch.count + i] = now
+            saves.values[(slot * saves.members + member) * watch.size + i] = now
     if slot >= 0:
         here = slot * saves.members + member
         for i in range(size):
@@ -173,7 +173,7 @@ def values_along(watch: Watch, points: Any, times: Any, out: Any) -> None:
     for slot in range(count):
         for member in range(members):
             here = slot * members + member
-            for i in range(watch.count):
-                values[here * watch.count + i] = value_of(
+            for i in range(watch.size):
+                values[here * watch.size + i] = value_of(
                     watch_at, i, shifted(x, here * size), times[slot], pointed(room)
                 )

@@ -18,7 +18,7 @@ from coadjoint.program.parts import Part
 class Action(NamedTuple):
     """exp(theta D) of every part on vectors of `size` components.
 
-    Part p has the runs run[p] to run[p + 1]. A run has `count` angles, theta[angle], theta[angle + 1], ..., and for each of them
+    Part p has the runs run[p] to run[p + 1]. A run has `angles` of them, theta[angle], theta[angle + 1], ..., and for each of them
     `repeat` blocks of one kind with the same constants (a shear has a constant for each block). `width` is the number of coordinates
     of a CUBIC or SERIES block and `degree` the length of its sum; its entries follow as compressed sparse rows, `width` + 1 starts and the
     columns after the coordinates, the values of D (of a CUBIC block then those of D^2) after the constants.
@@ -27,10 +27,10 @@ class Action(NamedTuple):
     size: int
     run: NDArray[np.uint32]
     kind: NDArray[np.uint8]
-    count: NDArray[np.uint32]
+    angles: NDArray[np.uint32]
     repeat: NDArray[np.uint32]
     angle: NDArray[np.uint32]
-    index: NDArray[np.uint32]
+    place: NDArray[np.uint32]
     constant: NDArray[np.uint32]
     width: NDArray[np.uint32]
     entries: NDArray[np.uint32]
@@ -203,12 +203,24 @@ class _Layout:
 
     def action(self, size: int, number: Number) -> Action:
         columns = np.array(self.rows, dtype=np.uint32).reshape(-1, 9).T.copy()
-        kind, *others = columns
+        kind, angles, repeat, angle, place, constant, width, entries, degree = columns
         return Action(
-            size,
-            np.array(self.run, dtype=np.uint32),
-            kind.astype(np.uint8),
-            *others,
-            np.array(self.indices, dtype=np.uint32),
-            array_of(number, self.constants),
+            size=size,
+            run=np.array(self.run, dtype=np.uint32),
+            kind=kind.astype(np.uint8),
+            angles=angles,
+            repeat=repeat,
+            angle=angle,
+            place=place,
+            constant=constant,
+            width=width,
+            entries=entries,
+            degree=degree,
+            indices=np.array(self.indices, dtype=np.uint32),
+            constants=array_of(number, self.constants),
         )
+
+
+def empty_action() -> Action:
+    """Return the action on nothing: no group element is carried."""
+    return _Layout().action(0, float)

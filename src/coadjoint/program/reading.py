@@ -195,14 +195,14 @@ class Reading:
         found: dict[tuple[int, int], Any] = {}
         for run in range(action.run[part], action.run[part + 1]):
             q = angle - int(action.angle[run])
-            if 0 <= q < action.count[run]:
+            if 0 <= q < action.angles[run]:
                 found.update(run_entries(action, run, q))
         return found
 
     def act(self, action: Action, part: int, theta: list[Any], vectors: NDArray[Any]) -> None:
         """Move vectors (n,) or (n, lanes) by exp(sum theta_a D_a) of one part, in place (the verb `act`)."""
         for run in range(action.run[part], action.run[part + 1]):
-            for q in range(action.count[run]):
+            for q in range(action.angles[run]):
                 angle = theta[int(action.angle[run]) + q]
                 for coordinates, block in run_blocks(action, run, q):
                     own = vectors[coordinates]
@@ -264,7 +264,7 @@ class Reading:
 def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
     """Return the blocks of a run at its angle number q, as (coordinates, matrix)."""
     kind, repeat = action.kind[run], int(action.repeat[run])
-    width, index, constant = int(action.width[run]), int(action.index[run]), int(action.constant[run])
+    width, index, constant = int(action.width[run]), int(action.place[run]), int(action.constant[run])
     constants = action.constants
     zero = 0 * constants[constant]
     found = []

@@ -65,15 +65,15 @@ def _atoms(system: LiePoissonSystem, commutation: Commutation, apart: bool) -> I
     pieces: dict[int, list[Part]] = {}
     size = system.dim
     for term in system.hamiltonian.terms():
-        keep = term.piece is not None
+        keep = term.piece
         if isinstance(term, QuadraticTerm):
-            parts = list(_quadratic_atoms(term, size, commutation, apart and not keep))
+            parts = list(_quadratic_atoms(term, size, commutation, apart and keep is None))
         elif isinstance(term, PolynomialTerm):
-            parts = list(_polynomial_atoms(system, term.polynomial, commutation, apart and not keep))
+            parts = list(_polynomial_atoms(system, term.polynomial, commutation, apart and keep is None))
         else:
             parts = [_function_atom(system, term, commutation)]
-        if keep:
-            pieces.setdefault(term.piece, []).extend(parts)
+        if keep is not None:
+            pieces.setdefault(keep, []).extend(parts)
         else:
             yield from parts
     for parts in pieces.values():
@@ -151,7 +151,7 @@ def _polynomial_atoms(
     size = polynomial.dim
     monomials = {e: c for e, c in polynomial.monomials.items() if sum(e)}
     used = np.zeros(size, dtype=bool)
-    links = []
+    links: list[tuple[int, int]] = []
     for exponents in monomials:
         variables = _variables(exponents)
         used[variables] = True
@@ -163,8 +163,9 @@ def _polynomial_atoms(
             continue
         low = {e: c for e, c in own.items() if sum(e) <= 2}
         if low:
-            quadratic = Quadratic.from_polynomial(Polynomial(low)).terms()[0]
-            yield from _quadratic_atoms(quadratic, size, commutation, apart)
+            for quadratic in Quadratic.from_polynomial(Polynomial(low)).terms():
+                assert isinstance(quadratic, QuadraticTerm)
+                yield from _quadratic_atoms(quadratic, size, commutation, apart)
         for exponents in (e for e in own if sum(e) > 2):
             variables = _variables(exponents)
             clash = commutation.first_clash(variables)

@@ -16,14 +16,14 @@ LINEAR, POLYNOMIAL, FUNCTION = 0, 1, 2
 
 
 class Terms(NamedTuple):
-    """The table. Term k has the rows row[k] to row[k + 1]; each row is one component of a gradient.
+    """The table of `size` terms. Term k has the rows row[k] to row[k + 1]; each row is one component of a gradient.
 
     A row of a LINEAR term is ``offset + weight . x``; its target is the coordinate that it belongs to, and the value of the
     term is the sum of x[target] (offset + weight . x / 2). A POLYNOMIAL term is a list of monomials over its rows; a
     FUNCTION term calls compiled (or, in the plain reading, Python) functions of y = x[target].
     """
 
-    count: int
+    size: int
     kind: NDArray[np.uint8]
     row: NDArray[np.uint32]
     target: NDArray[np.uint32]
@@ -110,7 +110,7 @@ class TermTable:
         """Return the table with its constants in the given number type."""
         lengths = _joined(self._length, np.int64)
         return Terms(
-            count=len(self),
+            size=len(self),
             kind=np.array(self._kind, dtype=np.uint8),
             row=np.array(self._rows, dtype=np.uint32),
             target=_joined(self._target, np.uint32),

@@ -9,9 +9,12 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.base import FlowMethod, Method, System
 from coadjoint.methods.composition import Composition
+from coadjoint.methods.runge_kutta import RungeKuttaMethod
+from coadjoint.methods.step_method import StepMethod
 from coadjoint.runs.integrate import Run
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import Times
+from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
 class Stepper:
@@ -117,28 +120,26 @@ class Stepper:
                 f"x has the shape {np.shape(x)}; a tangent is taken at one state, of shape ({self.system.dim},)"
             )
         x = start.momenta[0]
-        if isinstance(self.method, Composition) and not isinstance(self.method.innermost, FlowMethod):
-            return self._composed_tangent(self.method, x, t)
-        if isinstance(self.method, FlowMethod):
+        innermost = self.method.innermost if isinstance(self.method, Composition) else self.method
+        if isinstance(innermost, FlowMethod):
             return np.asarray(self._reading.steps(x, self.h, 1, t0=t, tangent=np.eye(len(x)))[1])
-        return np.asarray(self.method.tangent(self.system, x, t, self.h)[1])
+        assert isinstance(innermost, RungeKuttaMethod | StepMethod)
+        product = np.eye(len(x))
+        for fraction in self.method.fractions:
+            x, own = innermost.tangent(self.system, x, t, self.h * fraction)
+            product, t = own @ product, t + self.h * fraction
+        return product
 
     @property
     def _reading(self) -> Any:
         from coadjoint.program.reading import Reading
         from coadjoint.program.table import build_program
 
+        assert isinstance(self.system, LiePoissonSystem) and isinstance(self.method, FlowMethod)
         found = self._runs.get("reading")
         if found is None:
             found = self._runs["reading"] = Reading(build_program(self.system, self.method))
         return found
-
-    def _composed_tangent(self, method: Composition, x: NDArray[np.float64], t: float) -> NDArray[np.float64]:
-        product = np.eye(len(x))
-        for fraction in method.fractions:
-            x, own = method.innermost.tangent(self.system, x, t, self.h * fraction)
-            product, t = own @ product, t + self.h * fraction
-        return product
 
 
 def stepper(system: System, method: Method, h: float) -> Stepper:

@@ -31,7 +31,7 @@ class Times(NamedTuple):
 
     def at(self, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return t0 + j h."""
-        return self.t0 + numbers * self.h
+        return np.asarray(self.t0 + numbers * self.h, dtype=np.float64)
 
 
 def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
@@ -84,7 +84,10 @@ def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
 
 def is_positive_whole(value: Any) -> bool:
     """Return whether a value is one of 1, 2, 3, ...; True is not a number here."""
-    return isinstance(value, numbers.Real) and not isinstance(value, bool) and value >= 1 and float(value).is_integer()
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        return False
+    number = float(value)
+    return number >= 1 and number.is_integer()
 
 
 def _pair(t_span: Any) -> Any:

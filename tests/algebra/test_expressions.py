@@ -1,0 +1,122 @@
+"""The reader of formulas, sums with logarithms, and exact elimination."""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from coadjoint.algebra.elimination import Span
+from coadjoint.algebra.expressions import read_formula, satisfied
+from coadjoint.algebra.logarithmic import LogarithmicSum
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.quadratic_forms import embedded, linear, quadratic, substituted
+
+X = {f"x{i + 1}": Polynomial.variable(i, 3) for i in range(3)}
+NAMES = {**X, "a": Fraction(1, 2)}
+
+
+def test_formulas():
+    assert read_formula("-(2 + a)*3/5", NAMES) == Fraction(-3, 2)
+    assert read_formula("x1**2 - 2*x1*x3/4", NAMES) == Polynomial({(2, 0, 0): 1, (1, 0, 1): Fraction(-1, 2)})
+    summed = read_formula("1 - log(x1)/2 + a*atan2(x2, x1 + 1) - x3/x1 + 2", NAMES)
+    x = np.array([2.0, 3.0, 5.0])
+    assert summed.invariant()(x) == pytest.approx(3 - math.log(2) / 2 + math.atan2(3, 3) / 2 - 2.5, rel=2.0**-50)
+    assert summed.period == math.pi
+    assert read_formula("0*log(x1)", NAMES).terms == ()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x4",
+        "x1**-1",
+        "x1**a",
+        "log(2)",
+        "log(x1, x2)",
+        "sin(x1)",
+        "log(x1)*x2",
+        "log(x1)*log(x2)",
+        "2/x1",
+        "log(x1)/x1",
+        "1.5*x1",
+        "'a'",
+        "True",
+        "x1 if a else x2",
+        "__import__('os')",
+        "x1.dim",
+        "x1[0]",
+        "x1 +",
+        "log(p=x1)",
+        "1 < 2",
+        "2**log(x1)",
+    ],
+)
+def test_anything_else_is_refused(text):
+    with pytest.raises(ValueError):
+        read_formula(text, NAMES)
+
+
+def test_conditions():
+    assert satisfied("a != 0 and -1 < a <= 1/2", NAMES) and not satisfied("a == 0 or a > 1/2", NAMES)
+    for text in ("a", "not a", "a in (1, 2)", "a is 1"):
+        with pytest.raises(ValueError, match="comparisons"):
+            satisfied(text, NAMES)
+
+
+def test_periods():
+    one, two = LogarithmicSum.angle(X["x1"], X["x2"]), LogarithmicSum.angle(X["x2"], X["x3"])
+    assert (one * 3).period == 6 * math.pi
+    assert (one + two * Fraction(2, 3)).period == 2 * math.pi * (1 / 3)
+    assert (one * 4 + two * 6).period == 4 * math.pi
+    assert (one * -1.5 + two * 0.0).period == 3 * math.pi
+    irrational = one + two * math.sqrt(2)
+    assert irrational.period is None
+    with pytest.raises(ValueError, match="no common period"):
+        irrational.invariant()
+
+
+def test_gradients_take_any_number():
+    formula = read_formula("log(x1*x2) - a*atan2(x1, x3) + x2/x3", NAMES)
+    x = np.array([Fraction(1), Fraction(2), Fraction(3)])
+    slope = formula.gradient(x)
+    assert slope.tolist() == [1 - Fraction(3, 20), Fraction(1, 2) + Fraction(1, 3), Fraction(1, 20) - Fraction(2, 9)]
+    assert formula.gradient(x.astype(float)).dtype == np.float64
+    assert np.abs(formula.gradient(x.astype(float)) - slope.astype(float)).max() < 2.0**-48
+    with pytest.raises(ZeroDivisionError):
+        formula.gradient(x * 0)
+
+
+SMALL = st.fractions(-3, 3, max_denominator=3)
+
+
+@given(
+    st.lists(st.lists(SMALL, min_size=4, max_size=4), min_size=1, max_size=4), st.lists(SMALL, min_size=4, max_size=4)
+)
+def test_combinations_add_up(rows, weights):
+    vectors = [{i: v for i, v in enumerate(row) if v} for row in rows]
+    try:
+        span = Span(vectors)
+    except ValueError as error:
+        number = int(str(error).split()[1])
+        assert Span(vectors[:number]).combination(vectors[number]) is not None
+        return
+    target = {i: v for i in range(4) if (v := sum(w * row[i] for w, row in zip(weights, rows, strict=False)))}
+    found = span.combination(target)
+    assert found == {i: w for i, w in enumerate(weights[: len(rows)]) if w}
+    assert len(span.pivots) == len(rows) and not span.remainder(target)
+    loose = {i: Fraction(i + 1) for i in range(4)}
+    rest = span.remainder(loose)
+    assert not set(rest) & span.pivots
+    assert (span.combination(loose) is None) == bool(rest)
+
+
+def test_polynomials_in_other_coordinates():
+    p = quadratic([(0, 1, 1), (1, 0, 2), (2, 2, Fraction(1, 2))], 3) + 5 * linear({1: 1}, 3) + 7
+    rows = [{0: 1, 1: 2}, {1: Fraction(1, 3)}, {}]
+    x = np.array([Fraction(2), Fraction(5)])
+    assert substituted(p, rows, 2)(x) == p(np.array([x[0] + 2 * x[1], x[1] / 3, Fraction(0)]))
+    y = np.array([Fraction(k) for k in range(5)])
+    assert embedded(p, 1, 5)(y) == p(y[1:4])

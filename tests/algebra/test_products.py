@@ -1,0 +1,224 @@
+"""Direct sums, copies, semidirect products, other bases, subalgebras, quotients: exact, and refused by name."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import coadjoint as co
+from coadjoint.algebra.catalogue import (
+    change_of_basis,
+    copies,
+    direct_sum,
+    e,
+    get,
+    gl,
+    heisenberg,
+    quotient,
+    semidirect,
+    sl,
+    so,
+    subalgebra,
+)
+from coadjoint.algebra.invariant import Invariant
+
+U = 2.0**-53
+
+
+def rational(rng, n):
+    return np.array([Fraction(int(v), 7) for v in rng.integers(-40, 41, n)], dtype=object)
+
+
+def assert_casimirs(g):
+    x = rational(np.random.default_rng(6), g.dim)
+    for casimir in g.casimirs_known.values():
+        assert all(g.structure_matrix(x) @ getattr(casimir, "formula", casimir).gradient(x) == 0)
+
+
+def test_direct_sum():
+    parts = [so(3), get("A4,6", a=2, b=0.5), heisenberg(1)]
+    g = direct_sum(*parts)
+    assert (g.dim, g.name) == (10, "so(3) + A4_6(a=2, b=0.5) + heisenberg(1)")
+    assert g.basis[:4] == ("e1[1]", "e2[1]", "e3[1]", "e1[2]") and g.basis[-1] == "z[3]"
+    assert direct_sum(so(3), heisenberg(1)).basis == ("e1", "e2", "e3", "q1", "p1", "z")
+    x = rational(np.random.default_rng(7), 10)
+    structure = np.zeros((10, 10), dtype=object)
+    representation = np.zeros((10, 10, 10))
+    begin = place = 0
+    for part in parts:
+        end, stop = begin + part.dim, place + part.representation.shape[1]
+        structure[begin:end, begin:end] = part.structure_matrix(x[begin:end])
+        representation[begin:end, place:stop, place:stop] = part.representation
+        begin, place = end, stop
+    assert np.array_equal(g.structure_matrix(x), structure)
+    assert np.array_equal(g.representation, representation)
+    assert list(g.casimirs_known) == [
+        "|x|^2 [1]",
+        "log|x2^2 + x3^2| - 2*b*atan2(x3, x2) [2]",
+        "log|x1| - a*atan2(x3, x2) [2]",
+        "z [3]",
+    ]
+    assert_casimirs(g)
+    angle, alone = (
+        a.casimirs_known[key] for a, key in ((g, list(g.casimirs_known)[2]), (parts[1], "log|x1| - a*atan2(x3, x2)"))
+    )
+    point = np.linspace(0.5, 1.5, 10)
+    assert angle(point) == alone(point[3:7]) and angle.period == alone.period
+    assert direct_sum(so(3)) == so(3)
+    assert direct_sum(so(3), so(3).from_brackets(2, {(0, 1): {0: 1.0}})).representation is None
+
+
+def test_user_functions_are_not_carried_over():
+    own = co.LieAlgebra([(0, 1, 0, 1.0)], dim=3, casimirs={"x3": Invariant(lambda x: x[2])})
+    assert not direct_sum(own, so(3)).casimirs_known.keys() - {"|x|^2 [2]"}
+    assert not change_of_basis(own, np.eye(3)).casimirs_known
+
+
+def test_copies_are_a_direct_sum():
+    for g in (so(3), get("A3,7", a=0.5), e(2)):
+        many, summed = copies(g, 4), direct_sum(g, g, g, g)
+        assert many == summed and many.basis == summed.basis
+        assert list(many.casimirs_known) == list(summed.casimirs_known)
+        assert np.array_equal(many.representation, summed.representation)
+        assert_casimirs(many)
+    assert copies(so(3), 1).basis == ("e1[1]", "e2[1]", "e3[1]")
+
+
+def test_a_lattice_of_spins_is_sparse():
+    lattice = copies(so(3), 10**5)
+    assert lattice.dim == lattice.triples.c.size == 3 * 10**5
+    assert lattice.representation is None and not lattice.casimirs_known
+    assert lattice.basis[-1] == "e3[100000]"
+    assert lattice.neighbours()[1].size == 6 * 10**5
+    x, v = np.random.default_rng(8).standard_normal((2, 10**5, 3))
+    product = lattice.structure_operator(x.ravel()) @ v.ravel()
+    assert np.abs(product.reshape(-1, 3) - np.cross(v, x)).max() <= 4 * U * np.abs(x).max() * np.abs(v).max()
+
+
+def test_the_casimirs_of_copies_end_where_they_grow_large():
+    assert len(copies(so(3), 682).casimirs_known) == 682 and not copies(so(3), 683).casimirs_known
+
+
+def test_semidirect():
+    assert semidirect(so(3)) == e(3) and semidirect(so(4)) == e(4)
+    assert np.array_equal(semidirect(so(3)).representation, e(3).representation)
+    plane = semidirect(sl(2))  # the one of dimension 5 that is not solvable, in another basis
+    assert (plane.dim, plane.dim - plane.generic_rank()) == (5, 1)
+    assert change_of_basis(plane, np.diag([1, 2, 1, 1, 1])) == get("A5,40")
+    assert semidirect(heisenberg(1)).basis == ("q1", "p1", "z", "v1", "v2", "v3")
+    turning = [[[0, -1, 0], [1, 0, 0], [0, 0, 0]]]  # the oscillator: a rotation of (q, p), a derivation of Heisenberg
+    oscillator = semidirect(co.LieAlgebra([], dim=1), turning, ideal=heisenberg(1))
+    assert oscillator.basis == ("e1", "q1", "p1", "z") and oscillator.representation is None
+    renamed = change_of_basis(oscillator, [[0, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0]])
+    assert renamed == get("A4,10")
+    nested = semidirect(so(3), np.zeros((3, 3, 3)), ideal=so(3))
+    assert nested.basis[0] == "e1[1]" and nested == direct_sum(so(3), so(3))
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.lists(st.fractions(-3, 3, max_denominator=4), min_size=36, max_size=36), st.data())
+def test_change_of_basis(entries, data):
+    T = np.array(entries, dtype=object).reshape(6, 6) + 7 * np.eye(6, dtype=int)
+    g = data.draw(st.sampled_from([e(3), so(4), direct_sum(get("A3,5", a=0.5), so(3)), co.algebras.so(3, 1)]))
+    if any(float(abs(row).sum() - abs(row[i])) >= abs(row[i]) for i, row in enumerate(T)):
+        T = np.triu(T)  # invertible
+    new = change_of_basis(g, T)
+    u, v = rational(np.random.default_rng(9), 6), rational(np.random.default_rng(10), 6)
+    # (T^T u) are the old components of the element u
+    there, here = T.T @ new.bracket(u, v), g.bracket(T.T @ u, T.T @ v)
+    size = (np.abs(T).T @ (np.abs(u)[:, None] * np.abs(v) @ np.ones(6))).max() * max(1, np.abs(new.triples.c).max())
+    assert np.abs(there - here).max() <= 64 * U * float(size)  # each constant is rounded once
+    x = rational(np.random.default_rng(11), 6)
+    for name, casimir in g.casimirs_known.items():
+        old = getattr(casimir, "formula", casimir).gradient(x)
+        moved = getattr(new.casimirs_known[name], "formula", new.casimirs_known[name]).gradient(T @ x)
+        assert np.abs((T.T @ moved - old).astype(float)).max() <= 2**12 * U * (1 + float(np.abs(old).max()))
+    mixed = np.tensordot(T.astype(float), g.representation, axes=1)
+    bound = 8 * U * np.tensordot(np.abs(T.astype(float)), np.abs(g.representation), axes=1)
+    assert (np.abs(new.representation - mixed) <= bound).all()
+
+
+def test_change_of_basis_is_exact_where_it_can_be():
+    T = [[1, 1, 0], [0, 1, Fraction(1, 2)], [0, 0, -2.0]]
+    g = change_of_basis(so(3), T, basis=("a", "b", "c"))
+    assert g.basis == ("a", "b", "c") and g.name == "so(3) in another basis"
+    assert_casimirs(g)
+    inverse = [[1, -1, Fraction(-1, 4)], [0, 1, Fraction(1, 4)], [0, 0, Fraction(-1, 2)]]
+    back = change_of_basis(g, inverse)
+    assert back == so(3) and back.casimirs_known == so(3).casimirs_known
+    assert np.array_equal(back.representation, so(3).representation)
+    rounded = change_of_basis(so(3), [[3, 0, 0], [0, 1, 0], [0, 0, 1]])
+    assert rounded.casimirs_known["|x|^2"].monomials[2, 0, 0] == 1 / 9
+
+
+def test_subalgebras():
+    inside = subalgebra(so(4), ["e1", "e2", "e4"], basis=("a", "b", "c"))
+    assert inside.basis == ("a", "b", "c") and inside.representation.shape == (3, 4, 4)
+    assert subalgebra(e(3), ["e1", "e2", "e3"]) == so(3)
+    diagonal = subalgebra(direct_sum(so(3), so(3)), np.hstack([np.eye(3), np.eye(3)]))
+    assert diagonal == so(3)
+    borel = subalgebra(gl(2), [[1, 0, 0, 0], [0, 1, 0, 0]])
+    assert borel == get("A2,1")
+
+
+def test_quotients():
+    rotations = quotient(e(3), ["e4", "e5", "e6"])
+    assert rotations == so(3) and rotations.basis == ("e1", "e2", "e3") and rotations.representation is None
+    assert not rotations.casimirs_known  # m.p and |p|^2 vanish where p = 0
+    assert quotient(heisenberg(2), ["z"]) == co.LieAlgebra([], dim=4)
+    trace = [[1, 0, 0, 0, 1, 0, 0, 0, 1]]
+    simple = quotient(gl(3), trace)  # sl(3), on matrices modulo the identity
+    assert simple.dim == 8 and simple.generic_rank() == 6 and simple.representation is None
+    assert_casimirs(simple)
+    assert "quadratic" in simple.casimirs_known and "trace" not in simple.casimirs_known
+    first = quotient(direct_sum(so(3), so(4)), [np.eye(9)[k] for k in range(3, 9)])
+    assert first == so(3) and first.casimirs_known["|x|^2 [1]"] == so(3).casimirs_known["|x|^2"]
+    acting = co.LieAlgebra(
+        [(0, 1, 1, 1.0)], dim=3, representation=[[[1, 0], [0, 0]], [[0, 1], [0, 0]], [[0, 0], [0, 0]]]
+    )
+    assert quotient(acting, ["e3"]).representation.shape == (2, 2, 2)
+    lattice = quotient(copies(so(3), 1000), ["e1[1]", "e2[1]", "e3[1]"])
+    assert lattice == copies(so(3), 999)
+
+
+@pytest.mark.parametrize(
+    ("build", "error", "message"),
+    [
+        (lambda: direct_sum(), ValueError, "a direct sum needs at least one algebra"),
+        (lambda: direct_sum(so(3), 3), TypeError, "not of a int"),
+        (lambda: copies(so(3), 0), ValueError, r"count of copies\(g, count\) must be an integer from 1 up, not 0"),
+        (lambda: copies("so(3)", 2), TypeError, "not of a str"),
+        (lambda: semidirect(get("A4,8")), ValueError, "has no representation; give the matrices by which it acts"),
+        (lambda: semidirect(so(3), np.ones((3, 2, 2))), ValueError, "representation violates the commutator"),
+        (
+            lambda: semidirect(so(3), None, heisenberg(2)),
+            ValueError,
+            "the ideal has dimension 5; the matrices act on 3",
+        ),
+        (lambda: semidirect(so(3), None, heisenberg(1)), ValueError, "Jacobi identity violated"),
+        (
+            lambda: change_of_basis(so(3), np.ones((3, 3))),
+            ValueError,
+            "vector 1 is a combination of the vectors before",
+        ),
+        (
+            lambda: change_of_basis(so(3), np.eye(2)),
+            ValueError,
+            "vector 0 of the new basis must have 3 components, not 2",
+        ),
+        (lambda: change_of_basis(so(3), np.eye(3)[:2]), ValueError, "must consist of 3 vectors, not 2"),
+        (lambda: change_of_basis(so(3), np.nan * np.eye(3)), ValueError, "is nan; it must be finite"),
+        (lambda: change_of_basis(so(3), 2.0), TypeError, "must be a sequence of vectors or of names"),
+        (lambda: subalgebra(so(3), ["e1", "e2"]), ValueError, "the bracket of vectors 0 and 1 leaves their span"),
+        (lambda: subalgebra(so(3), ["e1", "e9"]), ValueError, "'e9' in the subalgebra is no basis element"),
+        (lambda: subalgebra(so(3), [[1, 0, "a"]]), TypeError, "component 2 of vector 0 of the subalgebra"),
+        (lambda: quotient(e(3), ["e1"]), ValueError, "span no ideal: the bracket of e2 with vector 0 leaves it"),
+        (lambda: quotient(so(3), np.eye(3)), ValueError, "the ideal is all of g"),
+        (lambda: quotient(3, np.eye(3)), TypeError, "belongs to a LieAlgebra, not to a int"),
+    ],
+)
+def test_refusals(build, error, message):
+    with pytest.raises(error, match=message):
+        build()

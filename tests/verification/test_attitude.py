@@ -1,0 +1,114 @@
+"""The group element: spatial momentum constant, the group kept, in every representation that a scheme declares."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+from .measures import U, group_bound
+from .schemes_under_test import schemes
+from .systems_under_test import cases, full_matrix
+
+SPLITTINGS = [n for n, m in schemes().items() if m.properties(cases()["so(3), diagonal"].system).attitude == "every representation"]
+GAUSS = [n for n, m in schemes().items() if m.properties(cases()["so(3), diagonal"].system).attitude == "coadjoint"]
+REPRESENTED = [c for c, case in cases().items() if case.system.representation is not None]
+ORTHOGONAL = ["so(3), diagonal", "so(3), full, axes turned", "so(4), diagonal", "so(4), separable"]
+
+
+def run_of(scheme, case, attitude, count=400, step=0.05):
+    system, x0, _ = cases()[case]
+    return co.integrate(system, x0, (0.0, count * step), step, schemes()[scheme], attitude=attitude, save_every=count // 4)
+
+
+@pytest.mark.parametrize("scheme", SPLITTINGS + GAUSS)
+@pytest.mark.parametrize("case", ["so(3), diagonal", "so(3), full, axes turned"])
+def test_rotations_keep_the_spatial_momentum_and_stay_rotations(case, scheme):
+    run = run_of(scheme, case, True)
+    bound = group_bound(run, 3.0)
+    assert np.max(np.abs(np.einsum("tij,tij->t", run.attitude, run.attitude) - 3.0)) <= 3 * bound
+    for A, x in zip(run.attitude, run.x, strict=True):
+        assert np.max(np.abs(A.T @ A - np.eye(3))) <= bound
+        assert np.linalg.det(A) > 0
+        assert np.max(np.abs(A @ x - run.x[0])) <= bound * np.linalg.norm(run.x[0])
+
+
+@pytest.mark.parametrize("scheme", SPLITTINGS)
+@pytest.mark.parametrize("case", ORTHOGONAL)
+def test_orthogonal_representations_stay_orthogonal(case, scheme):
+    run = run_of(scheme, case, True)
+    d = run.attitude.shape[-1]
+    for g in run.attitude:
+        assert np.max(np.abs(g.T @ g - np.eye(d))) <= group_bound(run, d)
+
+
+@pytest.mark.parametrize("scheme", SPLITTINGS)
+@pytest.mark.parametrize("case", REPRESENTED)
+def test_representation_and_coadjoint_matrix_are_one_group_element(case, scheme):
+    """g^(-1) rho(e_i) g = sum_j K_ij rho(e_j), K the coadjoint matrix with K x constant: in any representation."""
+    system = cases()[case].system
+    step = 0.01 if case in ("sl(2), driven", "A3,7, diagonal", "A3,7, full") else 0.05
+    in_rho, in_K = (run_of(scheme, case, how, count=100, step=step) for how in (True, "coadjoint"))
+    rho = system.representation
+    for g, K in zip(in_rho.attitude, in_K.attitude, strict=True):
+        turned = np.linalg.solve(g, rho @ g)
+        size = np.linalg.cond(g) ** 2 * np.linalg.norm(K) * np.linalg.norm(rho)
+        assert np.max(np.abs(turned - np.einsum("ij,jab->iab", K, rho))) <= group_bound(in_K, size)
+
+
+@pytest.mark.parametrize("scheme", SPLITTINGS)
+def test_spatial_momentum_of_so4_is_quadratic_in_the_group_element(scheme):
+    """X = sum x_ij (E_ij - E_ji); g X g^T is constant."""
+    run = run_of(scheme, "so(4), diagonal", True)
+    rho = cases()["so(4), diagonal"].system.representation
+    X = np.einsum("ti,iab->tab", run.x, rho)
+    spatial = run.attitude @ X @ np.swapaxes(run.attitude, 1, 2)
+    assert np.max(np.abs(spatial - spatial[0])) <= group_bound(run, 4 * np.linalg.norm(X[0]))
+
+
+@pytest.mark.parametrize("scheme", GAUSS)
+@pytest.mark.parametrize("case", ["e(3), heavy top", "A3,7, full", "so(4), diagonal"])
+def test_gauss_methods_refuse_what_they_cannot_keep(case, scheme):
+    system, x0, _ = cases()[case]
+    with pytest.raises(ValueError, match="coadjoint"):
+        co.integrate(system, x0, (0.0, 1.0), 0.1, schemes()[scheme], attitude=True)
+
+
+@pytest.mark.parametrize("scheme", SPLITTINGS + GAUSS)
+def test_initial_attitude_multiplies_from_the_left(scheme):
+    system, x0, _ = cases()["so(3), full, axes turned"]
+    c, s = np.cos(0.7), np.sin(0.7)
+    A0 = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    from_one = co.integrate(system, x0, (0.0, 5.0), 0.1, schemes()[scheme], attitude=True)
+    from_A0 = co.integrate(system, x0, (0.0, 5.0), 0.1, schemes()[scheme], attitude=A0)
+    assert np.array_equal(from_A0.x, from_one.x)
+    assert np.max(np.abs(from_A0.attitude - A0 @ from_one.attitude)) <= group_bound(from_one, 3.0)
+
+
+@pytest.mark.parametrize("scheme", SPLITTINGS)
+def test_group_element_of_one_step(scheme):
+    for case in ("e(3), full, axes permuted", "A3,7, full", "so(4), full, another basis"):
+        system, x0, _ = cases()[case]
+        step = co.stepper(system, schemes()[scheme], 0.1)
+        K = step.group(x0, attitude="coadjoint")
+        # Some hundred roundings of products of entries of K and x.
+        assert np.max(np.abs(K @ step(x0) - x0)) <= 400 * len(x0) * U * np.linalg.norm(K) * np.linalg.norm(x0)
+
+
+@pytest.mark.parametrize("scheme", ["Splitting 2", "Splitting 4", "GaussLegendre 1", "GaussLegendre 2", "Modified 1 gradient", "Modified 2 gradient", "runge2", "rk4"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_attitude_has_the_order_of_the_scheme(scheme, sign):
+    """Against the closed form, full inertia tensor, both signs."""
+    M = full_matrix(1, 3)
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M), sign=sign)
+    body, x0, method = co.systems.rigid_body(inertia=np.linalg.inv(M)), np.array([1.0, -1.5, 1.2]), schemes()[scheme]
+    # x' = J M x run forward is the body motion run backward.
+    exact = body.exact(x0, -2.0 * sign, attitude=True)[1]
+    errors = []
+    counts = (32, 45, 64, 91, 128)
+    for count in counts:
+        run = co.integrate(system, x0, (0.0, 2.0), 2.0 / count, method, attitude=True, save_every=count)
+        errors.append(float(np.linalg.norm(run.attitude[-1] - exact)))
+    from .measures import order_of
+
+    found = order_of([2.0 / c for c in counts], errors, 2 if method.symmetric else 1)
+    assert found.agrees_with(method.order), found

@@ -1,0 +1,99 @@
+"""Equation (17): x' = J(x) M x with any skew J. Section 3 applies unchanged, the Jacobi identity is not needed; section 4 does not."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+from .measures import U, drift_bounds, measured_order
+from .schemes_under_test import schemes, serves
+from .systems_under_test import (
+    full_matrix,
+    rotation_unlike_jacobi,
+    rotation_unlike_jacobi_derivative,
+    without_jacobi,
+)
+
+NAME = "skew J, no Jacobi identity"
+SERVING = [s for s, m in schemes().items() if serves(m, without_jacobi().system)]
+
+
+def jacobi_defect(J, dJ, x):
+    """sum over cyclic (i, j, k) of J_il d J_jk / dx_l."""
+    T = np.einsum("il,jkl->ijk", J(x), dJ(x))
+    return np.max(np.abs(T + T.transpose(1, 2, 0) + T.transpose(2, 0, 1)))
+
+
+def test_the_witness_violates_the_jacobi_identity():
+    x = without_jacobi().x0
+    assert jacobi_defect(rotation_unlike_jacobi, rotation_unlike_jacobi_derivative, x) > 0.1
+    # The measure itself: zero on a Lie algebra.
+    e3 = co.algebras.e(3)
+    c = np.array([[e3.bracket(u, v) for v in np.eye(6)] for u in np.eye(6)])
+    y = np.linspace(-1, 1, 6)
+    assert jacobi_defect(e3.structure_matrix, lambda x: c, y) <= 64 * U
+
+
+def test_which_schemes_serve():
+    assert not any(name.startswith("Splitting") or name.endswith("gradient") for name in SERVING)
+    assert {"GaussLegendre 1", "Modified 1 structure", "Iterated 2", "rk4", "runge2", "RadauEnergy 2"} <= set(SERVING)
+
+
+@pytest.mark.parametrize("scheme", ["Splitting 2", "Composition of Splitting"])
+def test_splitting_is_refused_with_the_reason(scheme):
+    with pytest.raises(ValueError, match="Lie algebra"):
+        co.integrate(without_jacobi().system, without_jacobi().x0, (0, 1), 0.1, schemes()[scheme])
+
+
+@pytest.mark.parametrize("scheme", SERVING)
+def test_energy_and_order(scheme):
+    case, method = without_jacobi(), schemes()[scheme]
+    assert measured_order(method, NAME).agrees_with(method.order)
+    run = co.integrate(case.system, case.x0, (0.0, 50.0), 0.1, method, save_every=10)
+    kept = run.drift()["energy"] <= drift_bounds(run)["energy"]
+    assert kept or not method.properties(case.system).energy
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_lie_poisson_as_a_function_gives_the_same_motion(sign):
+    """e(3) given as a function J(x), and as structure constants."""
+    e3, M, x0 = co.algebras.e(3), full_matrix(9, 6), np.array([1.0, 0.5, -0.4, 0.7, -1.0, 0.3])
+
+    def J(x):
+        a = np.zeros((6, 6))
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            a[i, j], a[j, i] = x[k], -x[k]
+            a[i, 3 + j], a[3 + j, i] = x[3 + k], -x[3 + k]
+            a[j, 3 + i], a[3 + i, j] = -x[3 + k], x[3 + k]
+        return a
+
+    function = co.PoissonSystem(J, co.Quadratic(M), sign=sign)
+    constants = co.LiePoissonSystem(e3, co.Quadratic(M), sign=sign)
+    for method in (co.GaussLegendre(3), co.ModifiedGaussLegendre(2), co.IteratedGaussLegendre(2), co.ExplicitRungeKutta("rk4")):
+        one, other = (co.integrate(s, x0, (0.0, 10.0), 0.1, method, save_every=100) for s in (function, constants))
+        # Two roundings of the same run: the bound of one, twice, amplified by at most 16 in this time.
+        bound = 32 * 4 * 6 * U * one.stats.evaluations * np.max(np.abs(one.x))
+        assert np.max(np.abs(one.x - other.x)) <= bound
+
+
+def quadratic_bracket(x):
+    """Lotka-Volterra: J_ij = a_ij x_i x_j, a Poisson bracket that is not linear in x."""
+    a = np.array([[0.0, 1.0, -1.0], [-1.0, 0.0, 1.0], [1.0, -1.0, 0.0]])
+    J = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            J[i, j] = a[i, j] * x[i] * x[j]
+    return J
+
+
+def test_nonlinear_bracket_with_linear_hamiltonian_keeps_its_invariants():
+    """H = x1 + x2 + x3 (linear) and log(x1 x2 x3) (Casimir): Gauss methods keep the first, nothing keeps both."""
+    casimir = co.Polynomial({(1, 1, 1): 1})
+    system = co.PoissonSystem(
+        quadratic_bracket, co.Polynomial({(1, 0, 0): 1, (0, 1, 0): 1, (0, 0, 1): 1}), casimirs={"x1 x2 x3": casimir}
+    )
+    run = co.integrate(system, (1.0, 0.5, 0.7), (0.0, 50.0), 0.1, co.GaussLegendre(2), save_every=10)
+    bounds = drift_bounds(run)
+    assert run.drift()["energy"] <= bounds["energy"]
+    assert run.drift()["x1 x2 x3"] > 1000 * bounds["x1 x2 x3"]
+    assert run.drift()["x1 x2 x3"] < 1e-3
