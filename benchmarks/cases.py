@@ -1,4 +1,6 @@
-"""The systems that are timed: each with its initial state, step, and the arguments of the C program that takes the same steps."""
+"""The systems that are timed: each with its initial state, step, and the arguments of the C program that takes the same
+steps.
+"""
 
 from __future__ import annotations
 
@@ -91,7 +93,9 @@ def random_change(seed: int) -> list[list[Fraction]]:
 
 
 def rigid_body_in_random_basis(seed: int = 7) -> tuple[Any, tuple[float, ...]]:
-    """Return the paper's rigid body in the basis e'_i = sum_a A_ia e_a, its M full, and the initial state (1, 10, 1) there."""
+    """Return the paper's rigid body in the basis e'_i = sum_a A_ia e_a, its M full, and the initial state (1, 10, 1)
+    there.
+    """
     A = random_change(seed)
     B = inverse(A)
     original = co.systems.paper_rigid_body()
@@ -106,7 +110,9 @@ def rigid_body_in_random_basis(seed: int = 7) -> tuple[Any, tuple[float, ...]]:
     masses = (Fraction(1), Fraction(1, 2), Fraction(1, 3))
     M = [[sum(B[a][i] * masses[a] * B[a][j] for a in range(3)) for j in range(3)] for i in range(3)]
     system = co.LiePoissonSystem(
-        co.LieAlgebra(constants, name="so(3), random basis"), co.Quadratic(np.array(M, dtype=object)), name="random basis"
+        co.LieAlgebra(constants, name="so(3), random basis"),
+        co.Quadratic(np.array(M, dtype=object)),
+        name="random basis",
     )
     x0 = tuple(float(A[i][0] + 10 * A[i][1] + A[i][2]) for i in range(3))
     return system, x0

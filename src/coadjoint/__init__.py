@@ -1,4 +1,5 @@
-"""Generalized Euler equations x' = J(x) grad H(x) on the dual of any finite-dimensional Lie algebra, integrated with their structure.
+"""Generalized Euler equations x' = J(x) grad H(x) on the dual of any finite-dimensional Lie algebra, integrated with
+their structure.
 
 Algebra, Hamiltonian and system say what moves; a scheme says how; `integrate` runs it:
 
@@ -46,7 +47,7 @@ _MODULES = {
     "methods": "coadjoint.methods",
 }
 
-__all__ = ["__version__", *sorted(_HOME), *sorted(_MODULES)]
+__all__ = ["__version__", "algebras", *sorted(_HOME), *sorted(_MODULES.keys() - {"algebras"})]
 
 if TYPE_CHECKING:
     from coadjoint import methods as methods

@@ -25,7 +25,9 @@ def final_states(method: Any, case: Case, steps: int) -> np.ndarray:
     """Return the final states of several motions of a case, shape (members, n)."""
     span = (0.0, case.time)
     crowd = states_around(case.x0)
-    return co.integrate(case.system, crowd, span, case.time / steps, method, save_every=steps, watch=False, threads=1).x[-1]
+    return co.integrate(
+        case.system, crowd, span, case.time / steps, method, save_every=steps, watch=False, threads=1
+    ).x[-1]
 
 
 @cache
@@ -35,9 +37,15 @@ def reference_states(name: str) -> np.ndarray:
     found = final_states(co.GaussLegendre(8), case, 48)
     for state, start in zip(found, states_around(case.x0), strict=True):
         other = solve_ivp(
-            lambda t, x: case.system.vector_field(x, t), (0.0, case.time), start, method="DOP853", rtol=1e-13, atol=1e-14
+            lambda t, x: case.system.vector_field(x, t),
+            (0.0, case.time),
+            start,
+            method="DOP853",
+            rtol=1e-13,
+            atol=1e-14,
         )
-        # DOP853 keeps its error per step below 1e-13, in some ten steps; a wrong speed, sign or index would show at once.
+        # DOP853 keeps its error per step below 1e-13, in some ten steps; a wrong speed, sign or index would show at
+        # once.
         assert np.max(np.abs(state - other.y[:, -1])) < 1e-11 * np.max(np.abs(found))
     return found
 
@@ -57,9 +65,12 @@ class MeasuredOrder(NamedTuple):
 def order_of(steps: list[float], errors: list[float], next_power: int) -> MeasuredOrder:
     """Return the slope at the three smallest of five steps.
 
-    With error = C h^p (1 + a h^q + ...), q = `next_power` (2 for a symmetric scheme, else 1), the slope is p + O(h^q). From the three
-    largest steps to the three smallest h falls by a ratio r, so what is left of the deviation is the change over (r^q - 1).
-    Added are 0.05 for round-off (at most 1/32 of each error: log2(1 + 1/32) over a factor of 2 in h) and half of that again for the terms after h^q.
+    With error = C h^p (1 + a h^q + ...), q = `next_power` (2 for a symmetric scheme, else 1), the slope is p + O(h^q).
+    From the three largest steps to the three smallest h falls by a ratio r, so what is left of the deviation is the
+    change over (r^q -
+    1). Added are 0.05 for round-off (at most 1/32 of each error: log2(1 + 1/32) over a factor of 2 in h) and half of
+    that
+    again for the terms after h^q.
     """
     h, e = np.log(np.array(steps)), np.log(np.array(errors))
     large, small = np.polyfit(h[:3], e[:3], 1)[0], np.polyfit(h[-3:], e[-3:], 1)[0]
@@ -99,14 +110,17 @@ class Defect(NamedTuple):
 def poisson_defect(step: Any, x: np.ndarray) -> Defect:
     """Return |P J(x) P^T - J(step(x))| with the exact tangent P, and 64 u times the operations times |P|^2 |J|.
 
-    An entry of P goes through n operations for each elementary flow or evaluation of the field, and 4 n for the products of the defect.
+    An entry of P goes through n operations for each elementary flow or evaluation of the field, and 4 n for the
+    products of the defect.
     """
     system = step.system
     P, J = step.tangent(x), system.structure_matrix(x)
     defect = P @ J @ P.T - system.structure_matrix(step(x))
     flows = co.integrate(system, x, (0.0, step.h), abs(step.h), step.method, watch=False).stats.evaluations
     operations = (flows + 4) * len(x)
-    return Defect(float(np.linalg.norm(defect)), 64 * U * operations * float(np.linalg.norm(P) ** 2 * np.linalg.norm(J)))
+    return Defect(
+        float(np.linalg.norm(defect)), 64 * U * operations * float(np.linalg.norm(P) ** 2 * np.linalg.norm(J))
+    )
 
 
 def gradient_of(invariant: Any, x: np.ndarray) -> np.ndarray:
@@ -116,8 +130,10 @@ def gradient_of(invariant: Any, x: np.ndarray) -> np.ndarray:
 def drift_bounds(run: co.Solution) -> dict[str, float]:
     """Return, for each invariant, the most that rounding could move it if every rounding went the same way.
 
-    Each of the `evaluations` of the run moves a state by at most 4 n roundings of relative size u, and a move of size d changes an
-    invariant by at most |gradient| d; the largest |gradient| |x| along the run is taken. Evaluating the invariant itself is one more.
+    Each of the `evaluations` of the run moves a state by at most 4 n roundings of relative size u, and a move of size d
+    changes an invariant by at most |gradient| d; the largest |gradient| |x| along the run is taken. Evaluating the
+    invariant
+    itself is one more.
     """
     system = run.system
     n, work = system.dim, run.stats.evaluations + run.stats.steps + 1

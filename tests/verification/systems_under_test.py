@@ -1,7 +1,7 @@
 """The systems that the claims are tried on: never so(3) alone.
 
-Unimodular and non-unimodular algebras, diagonal and full M, permuted axes, a dense change of basis, every kind of Hamiltonian,
-dimensions 3 to 7, both signs; each with a state from which the motion is nonlinear and of size one.
+Unimodular and non-unimodular algebras, diagonal and full M, permuted axes, a dense change of basis, every kind of
+Hamiltonian, dimensions 3 to 7, both signs; each with a state from which the motion is nonlinear and of size one.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ def permuted(algebra: co.LieAlgebra, order: tuple[int, ...], casimirs: dict | No
 
 
 def in_another_basis(algebra: co.LieAlgebra, T: np.ndarray, casimirs: dict) -> co.LieAlgebra:
-    """Return the algebra in the basis f_i = sum_a T_ia e_a, T whole and of determinant one, so that all constants are exact."""
+    """Return the algebra in the basis f_i = sum_a T_ia e_a, T whole and of determinant one, so that all constants are
+    exact.
+    """
     n = algebra.dim
     dense = np.array([[algebra.bracket(np.eye(n)[i], np.eye(n)[j]) for j in range(n)] for i in range(n)])
     inverse = np.round(np.linalg.inv(T))
@@ -56,7 +58,9 @@ def permuted_polynomial(p: co.Polynomial, order: tuple[int, ...]) -> co.Polynomi
 def substituted_polynomial(p: co.Polynomial, rows: np.ndarray) -> co.Polynomial:
     """Return p with x_a replaced by sum_i rows[a, i] y_i, rows whole."""
     n = p.dim
-    forms = [co.Polynomial({tuple(np.eye(n, dtype=int)[i].tolist()): int(v) for i, v in enumerate(row) if v}) for row in rows]
+    forms = [
+        co.Polynomial({tuple(np.eye(n, dtype=int)[i].tolist()): int(v) for i, v in enumerate(row) if v}) for row in rows
+    ]
     total = co.Polynomial({}, dim=n)
     for exponents, c in p.monomials.items():
         term = co.Polynomial({(0,) * n: c})
@@ -166,7 +170,9 @@ def cases() -> dict[str, Case]:
         "so(4), diagonal": Case(system(so4, co.Quadratic([2.0, 0.4, 0.7, 0.3, 0.5, 1.0]), sign=-1), six, 1.0),
         "so(4), full, another basis": Case(system(so4_basis, co.Quadratic(0.4 * full_matrix(4, 6))), six, 0.5),
         "e(3), heavy top": Case(
-            system(e3, co.Quadratic([1.0, 0.5, 0.4, 0.0, 0.0, 0.0], linear=[0, 0, 0, 0.75, 0.5, 1.0]), sign=-1), top, 3.0
+            system(e3, co.Quadratic([1.0, 0.5, 0.4, 0.0, 0.0, 0.0], linear=[0, 0, 0, 0.75, 0.5, 1.0]), sign=-1),
+            top,
+            3.0,
         ),
         "e(3), full, axes permuted": Case(system(e3_permuted, co.Quadratic(full_matrix(5, 6))), six, 1.0),
         "e(3), polynomial potential": Case(system(e3, co.Polynomial(body_and_spin | potential), sign=-1), top, 3.0),

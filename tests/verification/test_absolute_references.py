@@ -40,7 +40,9 @@ def gauss(stages):
 
 def splitting_extrapolated(system, x0, times, direction, steps):
     """Order 4 at h, h/2, h/4 and h/8; symmetric, so that the error is in h^4, h^6, h^8: three extrapolations."""
-    rows = [states_at(system, x0, times, direction, steps * 2**k, co.Splitting(order=4, compensated=True)) for k in range(4)]
+    rows = [
+        states_at(system, x0, times, direction, steps * 2**k, co.Splitting(order=4, compensated=True)) for k in range(4)
+    ]
     for power in (4, 6, 8):
         rows = [fine + (fine - coarse) / (2.0**power - 1) for coarse, fine in zip(rows, rows[1:], strict=False)]
     return rows[-1]
@@ -69,7 +71,9 @@ def body(case, sign):
 
 
 def amplification(name, t):
-    """How much a rounding of size u grows up to time t: linearly, except near the unstable equilibrium on the separatrix."""
+    """How much a rounding of size u grows up to time t: linearly, except near the unstable equilibrium on the
+    separatrix.
+    """
     return np.exp(min(t, 10) * 2.0 * 0.29) if name.startswith("separatrix") else 1.0
 
 
@@ -91,7 +95,9 @@ def test_rigid_bodies(name, flipped, family):
 WITH_ATTITUDE = [name for name, case in BODIES.items() if "A" in case["states"][0]]
 
 
-@pytest.mark.parametrize(("method", "steps"), [(co.GaussLegendre(6), 32), (co.GaussLegendre(8), 16), (co.Splitting(order=4), 8192)])
+@pytest.mark.parametrize(
+    ("method", "steps"), [(co.GaussLegendre(6), 32), (co.GaussLegendre(8), 16), (co.Splitting(order=4), 8192)]
+)
 @pytest.mark.parametrize("backward", [False, True])
 @pytest.mark.parametrize("name", WITH_ATTITUDE)
 def test_attitudes(name, backward, method, steps):

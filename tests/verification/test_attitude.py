@@ -9,7 +9,11 @@ from .measures import U, group_bound
 from .schemes_under_test import schemes
 from .systems_under_test import cases, full_matrix
 
-SPLITTINGS = [n for n, m in schemes().items() if m.properties(cases()["so(3), diagonal"].system).attitude == "every representation"]
+SPLITTINGS = [
+    n
+    for n, m in schemes().items()
+    if m.properties(cases()["so(3), diagonal"].system).attitude == "every representation"
+]
 GAUSS = [n for n, m in schemes().items() if m.properties(cases()["so(3), diagonal"].system).attitude == "coadjoint"]
 REPRESENTED = [c for c, case in cases().items() if case.system.representation is not None]
 ORTHOGONAL = ["so(3), diagonal", "so(3), full, axes turned", "so(4), diagonal", "so(4), separable"]
@@ -17,7 +21,9 @@ ORTHOGONAL = ["so(3), diagonal", "so(3), full, axes turned", "so(4), diagonal", 
 
 def run_of(scheme, case, attitude, count=400, step=0.05):
     system, x0, _ = cases()[case]
-    return co.integrate(system, x0, (0.0, count * step), step, schemes()[scheme], attitude=attitude, save_every=count // 4)
+    return co.integrate(
+        system, x0, (0.0, count * step), step, schemes()[scheme], attitude=attitude, save_every=count // 4
+    )
 
 
 @pytest.mark.parametrize("scheme", SPLITTINGS + GAUSS)
@@ -94,7 +100,19 @@ def test_group_element_of_one_step(scheme):
         assert np.max(np.abs(K @ step(x0) - x0)) <= 400 * len(x0) * U * np.linalg.norm(K) * np.linalg.norm(x0)
 
 
-@pytest.mark.parametrize("scheme", ["Splitting 2", "Splitting 4", "GaussLegendre 1", "GaussLegendre 2", "Modified 1 gradient", "Modified 2 gradient", "runge2", "rk4"])
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        "Splitting 2",
+        "Splitting 4",
+        "GaussLegendre 1",
+        "GaussLegendre 2",
+        "Modified 1 gradient",
+        "Modified 2 gradient",
+        "runge2",
+        "rk4",
+    ],
+)
 @pytest.mark.parametrize("sign", [1, -1])
 def test_attitude_has_the_order_of_the_scheme(scheme, sign):
     """Against the closed form, full inertia tensor, both signs."""

@@ -1,4 +1,6 @@
-"""What a scheme declares to keep, it keeps to round-off over a thousand steps; what it does not, it loses on a named witness."""
+"""What a scheme declares to keep, it keeps to round-off over a thousand steps; what it does not, it loses on a named
+witness.
+"""
 
 import numpy as np
 import pytest
@@ -66,20 +68,27 @@ def test_invariants_that_are_not_declared_are_lost(what, scheme):
 
 
 CARRYING = [
-    p for p in pairs(cases()) if schemes()[p[0]].properties(cases()[p[1]].system).attitude in ("every representation", "coadjoint")
+    p
+    for p in pairs(cases())
+    if schemes()[p[0]].properties(cases()[p[1]].system).attitude in ("every representation", "coadjoint")
 ]
 
 
 @pytest.mark.parametrize(("scheme", "case"), CARRYING)
 def test_coadjoint_matrix_takes_the_state_back_to_its_start(scheme, case):
     system, x0, _ = cases()[case]
-    run = co.integrate(system, x0, (0.0, COUNT * STEP / 5), STEP, schemes()[scheme], attitude="coadjoint", save_every=20)
+    run = co.integrate(
+        system, x0, (0.0, COUNT * STEP / 5), STEP, schemes()[scheme], attitude="coadjoint", save_every=20
+    )
     back = np.einsum("tij,tj->ti", run.attitude, run.x)
     size = max(np.linalg.norm(K) * np.linalg.norm(x) for K, x in zip(run.attitude, run.x, strict=True))
     assert np.max(np.abs(back - x0)) <= group_bound(run, size)
 
 
-@pytest.mark.parametrize("scheme", [s for s, m in schemes().items() if m.properties(cases()["so(4), diagonal"].system).attitude == "integrated"])
+@pytest.mark.parametrize(
+    "scheme",
+    [s for s, m in schemes().items() if m.properties(cases()["so(4), diagonal"].system).attitude == "integrated"],
+)
 def test_integrated_attitude_leaves_the_group(scheme):
     system, x0, _ = cases()["so(4), diagonal"]
     run = co.integrate(system, x0, (0.0, 20.0), 0.1, schemes()[scheme], attitude=True)
@@ -87,7 +96,9 @@ def test_integrated_attitude_leaves_the_group(scheme):
     assert np.max(np.abs(g @ g.T - np.eye(4))) > 1000 * group_bound(run, 1.0)
 
 
-@pytest.mark.parametrize("scheme", [s for s, m in schemes().items() if m.properties(cases()["so(4), diagonal"].system).attitude == "none"])
+@pytest.mark.parametrize(
+    "scheme", [s for s, m in schemes().items() if m.properties(cases()["so(4), diagonal"].system).attitude == "none"]
+)
 def test_attitude_is_refused_by_name_where_it_is_not_declared(scheme):
     system, x0, _ = cases()["so(4), diagonal"]
     with pytest.raises(ValueError, match="carries no group element"):

@@ -1,4 +1,6 @@
-"""Equation (17): x' = J(x) M x with any skew J. Section 3 applies unchanged, the Jacobi identity is not needed; section 4 does not."""
+"""Equation (17): x' = J(x) M x with any skew J. Section 3 applies unchanged, the Jacobi identity is not needed; section
+4 does not.
+"""
 
 import numpy as np
 import pytest
@@ -69,7 +71,12 @@ def test_lie_poisson_as_a_function_gives_the_same_motion(sign):
 
     function = co.PoissonSystem(J, co.Quadratic(M), sign=sign)
     constants = co.LiePoissonSystem(e3, co.Quadratic(M), sign=sign)
-    for method in (co.GaussLegendre(3), co.ModifiedGaussLegendre(2), co.IteratedGaussLegendre(2), co.ExplicitRungeKutta("rk4")):
+    for method in (
+        co.GaussLegendre(3),
+        co.ModifiedGaussLegendre(2),
+        co.IteratedGaussLegendre(2),
+        co.ExplicitRungeKutta("rk4"),
+    ):
         one, other = (co.integrate(s, x0, (0.0, 10.0), 0.1, method, save_every=100) for s in (function, constants))
         # Two roundings of the same run: the bound of one, twice, amplified by at most 16 in this time.
         bound = 32 * 4 * 6 * U * one.stats.evaluations * np.max(np.abs(one.x))

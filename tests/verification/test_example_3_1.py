@@ -16,7 +16,16 @@ def test_printed_structure_matrix():
     assert np.array_equal(co.algebras.so(3).structure_matrix(x), [[0, 3, -2], [-3, 0, 1], [2, -1, 0]])
 
 
-@pytest.mark.parametrize(("algebra", "holds"), [(co.algebras.so(3), True), (co.algebras.so(4), True), (co.algebras.e(3), False), (co.algebras.A3_7(2.0), False), (co.algebras.sl(2), False)])
+@pytest.mark.parametrize(
+    ("algebra", "holds"),
+    [
+        (co.algebras.so(3), True),
+        (co.algebras.so(4), True),
+        (co.algebras.e(3), False),
+        (co.algebras.A3_7(2.0), False),
+        (co.algebras.sl(2), False),
+    ],
+)
 def test_antisymmetry_in_both_factors_is_special(algebra, holds):
     rng = np.random.default_rng(3)
     x, y = rng.uniform(-1, 1, (2, algebra.dim))

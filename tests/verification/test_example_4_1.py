@@ -1,4 +1,6 @@
-"""Example 4.1: the three vector fields and rotations on so(3), the printed composition, I-orthogonality, and the Poisson condition."""
+"""Example 4.1: the three vector fields and rotations on so(3), the printed composition, I-orthogonality, and the
+Poisson condition.
+"""
 
 import numpy as np
 import pytest
@@ -57,7 +59,9 @@ def test_printed_composition_is_orthogonal():
     assert np.max(np.abs(step.group(X) - B.T)) <= 64 * U
 
 
-@pytest.mark.parametrize("case", ["so(3), full, axes turned", "A3,7, full", "so(4), full, another basis", "e(3), heavy top"])
+@pytest.mark.parametrize(
+    "case", ["so(3), full, axes turned", "A3,7, full", "so(4), full, another basis", "e(3), heavy top"]
+)
 def test_misprinted_poisson_condition_does_not_hold_and_the_corrected_one_does(case):
     """Section 2 prints P^T J P = J(phi); the condition is P J P^T = J(phi)."""
     system, x, _ = cases()[case]

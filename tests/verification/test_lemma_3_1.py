@@ -1,4 +1,6 @@
-"""Lemma 3.1: m - 1 function iterations and one linear system give order min(m, 2 s), and the energy exactly for every m."""
+"""Lemma 3.1: m - 1 function iterations and one linear system give order min(m, 2 s), and the energy exactly for every
+m.
+"""
 
 import numpy as np
 import pytest

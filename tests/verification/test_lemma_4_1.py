@@ -1,4 +1,6 @@
-"""Lemma 4.1: X1(h/2) ... Xn(h/2) Xn(h/2) ... X1(h/2), each X_i the flow of x_i m_ii J_i(x), is of order 2, symmetric and Lie-Poisson."""
+"""Lemma 4.1: X1(h/2) ... Xn(h/2) Xn(h/2) ... X1(h/2), each X_i the flow of x_i m_ii J_i(x), is of order 2, symmetric
+and Lie-Poisson.
+"""
 
 import numpy as np
 import pytest

@@ -1,4 +1,6 @@
-"""A million steps: invariants wander like sqrt(t) where rounding is compensated (Brouwer's law), linearly at most elsewhere."""
+"""A million steps: invariants wander like sqrt(t) where rounding is compensated (Brouwer's law), linearly at most
+elsewhere.
+"""
 
 import numpy as np
 import pytest
@@ -61,9 +63,13 @@ def test_gauss_follows_brouwer_in_energy_and_quadratic_casimirs(case, stages):
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.Splitting(order=2, compensated=True)])
 @pytest.mark.parametrize("case", ["so(3), diagonal", "so(3), full, axes turned"])
 def test_rotations_after_a_million_steps(case, method):
-    """The group element is always compensated: orthogonality and A x wander like sqrt(t), with the momentum's own rounding on top."""
+    """The group element is always compensated: orthogonality and A x wander like sqrt(t), with the momentum's own
+    rounding on top.
+    """
     system, x0, _ = cases()[case]
-    run = co.integrate(system, x0, (0.0, STEPS * 0.05), 0.05, method, attitude=True, save_every=STEPS // 10, watch=False)
+    run = co.integrate(
+        system, x0, (0.0, STEPS * 0.05), 0.05, method, attitude=True, save_every=STEPS // 10, watch=False
+    )
     flows = run.stats.evaluations / run.stats.steps
     per_step = 4 * 3 * flows
     orthogonality = max(np.max(np.abs(A.T @ A - np.eye(3))) for A in run.attitude)
@@ -77,7 +83,9 @@ def test_rotations_after_a_million_steps(case, method):
 def test_coadjoint_matrix_after_a_million_steps(case):
     system, x0, _ = cases()[case]
     method = co.Splitting(order=2, compensated=True)
-    run = co.integrate(system, x0, (0.0, STEPS * 0.02), 0.02, method, attitude="coadjoint", save_every=STEPS // 10, watch=False)
+    run = co.integrate(
+        system, x0, (0.0, STEPS * 0.02), 0.02, method, attitude="coadjoint", save_every=STEPS // 10, watch=False
+    )
     back = np.einsum("tij,tj->ti", run.attitude, run.x)
     size = max(np.linalg.norm(K) * np.linalg.norm(x) for K, x in zip(run.attitude, run.x, strict=True))
     flows = run.stats.evaluations / run.stats.steps

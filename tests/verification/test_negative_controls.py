@@ -61,7 +61,11 @@ def test_a_quarter_of_the_speed_passes_every_invariant_and_is_caught_by_order_an
 @pytest.mark.parametrize("what", ["sign", "index"])
 def test_wrong_sign_and_wrong_index_miss_the_reference(what):
     for name, given in SYSTEMS.items():
-        wrong = {**given, "hamiltonian": [[e[1:] + e[:1], c] for e, c in given["hamiltonian"]]} if what == "index" else given
+        wrong = (
+            {**given, "hamiltonian": [[e[1:] + e[:1], c] for e, c in given["hamiltonian"]]}
+            if what == "index"
+            else given
+        )
         if what == "index" and name.startswith("heisenberg"):
             continue  # that turn of the indices is a symmetry of the ring, or nearly
         system = system_of(wrong, given["sign"] if what == "index" else -given["sign"])
@@ -89,7 +93,10 @@ def test_wrong_composition_is_not_of_order_four(case, base, what):
 
 
 def test_asymmetric_composition_is_not_symmetric():
-    wrong, case = co.Composition(co.Splitting(order=2), WRONG_COEFFICIENTS["not a palindrome"]), cases()["so(4), diagonal"]
+    wrong, case = (
+        co.Composition(co.Splitting(order=2), WRONG_COEFFICIENTS["not a palindrome"]),
+        cases()["so(4), diagonal"],
+    )
     assert not wrong.symmetric
     back = co.stepper(case.system, wrong, -0.25)(co.stepper(case.system, wrong, 0.25)(case.x0))
     assert np.max(np.abs(back - case.x0)) > 1e6 * measures.U
@@ -147,7 +154,9 @@ def test_order_measurement_sees_a_wrong_constant_of_structure(monkeypatch):
     right = cases()["e(3), full, axes permuted"]
     other = co.LiePoissonSystem(right.system.algebra, co.Quadratic(full_matrix(5, 6) * 1.01))
     everything = all_cases() | {"planted": Case(other, right.x0)}
-    monkeypatch.setattr(measures, "reference_states", lambda name: measures.final_states(co.GaussLegendre(8), right, 48))
+    monkeypatch.setattr(
+        measures, "reference_states", lambda name: measures.final_states(co.GaussLegendre(8), right, 48)
+    )
     monkeypatch.setattr(measures, "all_cases", lambda: everything)
     with pytest.raises(AssertionError):
         assert measured_order(co.GaussLegendre(2), "planted").agrees_with(4)

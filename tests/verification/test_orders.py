@@ -1,12 +1,9 @@
 """Every scheme has the order that it declares, on every kind of system: slopes against an independent reference."""
 
-import numpy as np
 import pytest
 
-import coadjoint as co
-
-from .measures import measured_order, order_of
-from .schemes_under_test import TRIPLE_JUMP, concrete_schemes, pairs, schemes
+from .measures import measured_order
+from .schemes_under_test import concrete_schemes, pairs, schemes
 from .systems_under_test import all_cases
 
 DECLARED = {

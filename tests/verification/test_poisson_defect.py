@@ -1,4 +1,6 @@
-"""P J(x) P^T = J(step(x)), to round-off with the exact tangent P, for every scheme that declares it; not for the others."""
+"""P J(x) P^T = J(step(x)), to round-off with the exact tangent P, for every scheme that declares it; not for the
+others.
+"""
 
 import numpy as np
 import pytest

@@ -1,4 +1,6 @@
-"""Remark 3.2: what the modified scheme does not keep exactly it keeps to O(h^m), and plain iteration to O(h^(m+1)) or better."""
+"""Remark 3.2: what the modified scheme does not keep exactly it keeps to O(h^m), and plain iteration to O(h^(m+1)) or
+better.
+"""
 
 import numpy as np
 import pytest

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.composition import Composition
 from coadjoint.methods.base import FlowMethod
+from coadjoint.methods.composition import Composition
 from coadjoint.program.reading import Reading
 from coadjoint.program.table import build_program
 
@@ -14,7 +14,13 @@ from .measures import U
 from .schemes_under_test import pairs, schemes
 from .systems_under_test import all_cases, cases
 
-CHOSEN = ("A3,7, full", "e(3), heavy top", "so(4), full, another basis", "so(4), separable", "skew J, no Jacobi identity")
+CHOSEN = (
+    "A3,7, full",
+    "e(3), heavy top",
+    "so(4), full, another basis",
+    "so(4), separable",
+    "skew J, no Jacobi identity",
+)
 SOME = [p for p in pairs({name: all_cases()[name] for name in CHOSEN})]
 SPAN, STEP, EVERY = (0.0, 3.0), 0.125, 6
 
@@ -71,7 +77,9 @@ def read_plainly(method, system, x, h, count, number=float):
     """Take steps by the plain reading of a scheme, in any number type."""
     point = np.array([number(v) for v in x], dtype=object if number is not float else float)
     h = number(h)
-    if isinstance(method, FlowMethod) and not (isinstance(method, Composition) and not isinstance(method.innermost, FlowMethod)):
+    if isinstance(method, FlowMethod) and not (
+        isinstance(method, Composition) and not isinstance(method.innermost, FlowMethod)
+    ):
         return Reading(build_program(system, method, number=number)).steps(point, h, count)
     innermost = method.innermost if isinstance(method, Composition) else method
     t = number(0)
@@ -103,5 +111,3 @@ def test_compiled_loop_agrees_with_forty_digits(scheme):
         run = co.integrate(system, x0, (0.0, 0.25), 0.125, method)
         error = max(abs(float(a - mpmath.mpf(float(b)))) for a, b in zip(exact, run.x[-1], strict=True))
         assert error <= 4 * len(x0) * U * (run.stats.evaluations + 2) * np.max(np.abs(run.x)), (case, error)
-
-

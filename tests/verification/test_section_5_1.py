@@ -1,4 +1,6 @@
-"""Section 5.1: A3,7 with a = 2, H = x1^2/2 + x2^2 + x3^2/200, h = 0.01; from (1, 1, 1) over [0, 20], which the paper does not print."""
+"""Section 5.1: A3,7 with a = 2, H = x1^2/2 + x2^2 + x3^2/200, h = 0.01; from (1, 1, 1) over [0, 20], which the paper
+does not print.
+"""
 
 import numpy as np
 import pytest

@@ -1,4 +1,6 @@
-"""Section 5.2: the rigid body and its attitude, M = diag(1, 1/2, 1/3), x(0) = (1, 10, 1), A(0) = 1, h = 0.1, in the paper's convention."""
+"""Section 5.2: the rigid body and its attitude, M = diag(1, 1/2, 1/3), x(0) = (1, 10, 1), A(0) = 1, h = 0.1, in the
+paper's convention.
+"""
 
 import numpy as np
 import pytest
@@ -86,7 +88,9 @@ def test_energy_error_of_the_modified_midpoint_exceeds_the_gap_to_the_separatrix
 
 
 def test_runge_is_unacceptable():
-    """By t = 1 its energy error exceeds the gap to the separatrix fourfold, by t = 5 its attitude is off by more than a whole unit."""
+    """By t = 1 its energy error exceeds the gap to the separatrix fourfold, by t = 5 its attitude is off by more than a
+    whole unit.
+    """
     run = carried(co.ExplicitRungeKutta("runge2"), 20.0)
     gap = abs(0.5 * MASSES[1] * X0 @ X0 - BODY.energy(X0))
     assert abs(run.energy[10] - run.energy[0]) > 4 * gap
@@ -103,7 +107,8 @@ GENTLE, FINE = np.array([1.0, 2.0, 0.5]), 0.05
 
 
 @pytest.mark.parametrize(
-    ("method", "errors"), [(co.GaussLegendre(1), (0.0038, 0.038, 0.38)), (co.Splitting(order=2), (0.00023, 0.0019, 0.019))]
+    ("method", "errors"),
+    [(co.GaussLegendre(1), (0.0038, 0.038, 0.38)), (co.Splitting(order=2), (0.00023, 0.0019, 0.019))],
 )
 def test_phase_error_of_the_attitude_grows_linearly(method, errors):
     """For ever, for both schemes; that of splitting about twenty times more slowly."""

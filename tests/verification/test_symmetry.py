@@ -36,7 +36,9 @@ def test_symmetric_where_declared(scheme, case):
 @pytest.mark.parametrize("scheme", LOPSIDED)
 @pytest.mark.parametrize("case", ["so(3), diagonal", "e(3), full, axes permuted"])
 def test_what_is_missing_to_symmetry(scheme, case):
-    """psi_(-h) psi_h - 1 = O(h^k): k = p + 1, or one more where the leading error is odd in h and cancels (even order p)."""
+    """psi_(-h) psi_h - 1 = O(h^k): k = p + 1, or one more where the leading error is odd in h and cancels (even order
+    p).
+    """
     method = schemes()[scheme]
     steps = [0.5 / 2 ** (k / 2) for k in range(9)]
     errors = [there_and_back(method, cases()[case], h) for h in steps]

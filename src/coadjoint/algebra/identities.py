@@ -105,8 +105,10 @@ def both_orders(triples: Triples) -> Triples:
 def check_jacobi(triples: Triples, dim: int, names: Sequence[str]) -> None:
     """Check the Jacobi identity sum_m (c_ab^m c_md^l + c_bd^m c_ma^l + c_da^m c_mb^l) = 0 for all a < b < d and l.
 
-    Each identity is held against 64 u times the sum of the absolute values of its products, each constant with the size of
-    the largest one in its bracket [e_i, e_j], with which it was rounded. Only products of nonzero constants are formed: first with a in the inner bracket, then with a in the outer one, in runs of bounded memory.
+    Each identity is held against 64 u times the sum of the absolute values of its products, each constant with the size
+    of the largest one in its bracket [e_i, e_j], with which it was rounded. Only products of nonzero constants are
+    formed:
+    first with a in the inner bracket, then with a in the outer one, in runs of bounded memory.
 
     Parameters
     ----------

@@ -9,7 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples, read_numbers, triple_name
-from coadjoint.algebra.joins import DEFECT_FACTOR, UNIT_ROUNDOFF, Floats, Integers, chunks, expand, groups, largest_alike, violated
+from coadjoint.algebra.joins import (
+    DEFECT_FACTOR,
+    UNIT_ROUNDOFF,
+    Floats,
+    Integers,
+    chunks,
+    expand,
+    groups,
+    largest_alike,
+    violated,
+)
 
 FOLDED_ROWS = 1 << 12  # equations of the linear systems that are folded into a triangle at a time
 

@@ -1,4 +1,4 @@
-"""The verb `act`: exp(theta D) of one part on vectors that lie side by side (a state, or the rows of a group element)."""
+"""The verb `act`: exp(theta D) of one part on vectors side by side (a state, or the rows of a group element)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from coadjoint.kernels.arithmetic import entire_pair, fma, sine_and_cosine_minus
 from coadjoint.kernels.compiling import inlined
 from coadjoint.program.blocks import Kind
 
-SCALE, ROTATE, PLANE, SHEAR, CUBIC = (int(kind) for kind in (Kind.SCALE, Kind.ROTATE, Kind.PLANE, Kind.SHEAR, Kind.CUBIC))
+SCALE, ROTATE, PLANE, SHEAR, CUBIC = (
+    int(kind) for kind in (Kind.SCALE, Kind.ROTATE, Kind.PLANE, Kind.SHEAR, Kind.CUBIC)
+)
 
 
 @inlined
@@ -49,7 +51,8 @@ def act(
     """Move `lanes` vectors by exp(tau sum theta_a D_a) of one part; component i of vector l stands at i*lanes + l.
 
     A part with a single angle has it in `lone`, not in theta[0]: an angle that passes through memory delays the step.
-    Every kind of block is written once, as an increment, so that compensation and the accuracy of small angles are the same for all uses.
+    Every kind of block is written once, as an increment, so that compensation and the accuracy of small angles are the
+    same for all uses.
     """
     for run in range(action.run[part], action.run[part + 1]):
         kind = action.kind[run]
@@ -102,7 +105,15 @@ def act(
 
 @inlined
 def _plane(
-    action: Any, index: int, constant: int, repeat: int, theta: float, vectors: Any, errors: Any, lanes: int, compensated: bool
+    action: Any,
+    index: int,
+    constant: int,
+    repeat: int,
+    theta: float,
+    vectors: Any,
+    errors: Any,
+    lanes: int,
+    compensated: bool,
 ) -> None:
     """exp(theta B) = e^(theta mean) (C + S N), N = B - mean, N^2 = delta: entire in delta theta^2, of either sign."""
     mean, half = action.constants[constant], action.constants[constant + 1]
@@ -125,7 +136,7 @@ def _plane(
 def apply_block(
     action: Any, run: int, values: int, source: Any, start: int, factor: float, target: Any, stop: int, lanes: int
 ) -> None:
-    """target = factor D source on one CUBIC or SERIES block, both in the block's own coordinates (the verb `apply`)."""
+    """Target = factor D source on one CUBIC or SERIES block, both in the block's own coordinates (the verb `apply`)."""
     width = action.width[run]
     starts = action.place[run] + width
     columns = starts + width + 1
@@ -151,7 +162,9 @@ def _gather(action: Any, run: int, vectors: Any, lanes: int, room: Any) -> None:
 def _cubic(
     action: Any, run: int, theta: float, vectors: Any, errors: Any, lanes: int, compensated: bool, room: Any
 ) -> None:
-    """D^3 = lam D: exp(theta D) = 1 + S D + C D^2, Rodrigues' formula where lam < 0 and its hyperbolic kin where lam > 0."""
+    """D^3 = lam D: exp(theta D) = 1 + S D + C D^2, Rodrigues' formula where lam < 0 and its hyperbolic kin where lam >
+    0.
+    """
     constant = action.constant[run]
     lam, root, inverse = action.constants[constant], action.constants[constant + 1], action.constants[constant + 2]
     values = constant + 4

@@ -38,9 +38,22 @@ class FlowTables(NamedTuple):
 
 @inlined
 def sweep(
-    tables: Any, first: int, last: int, x: Any, dx: Any, group: Any, dgroup: Any, t: float, h: float, carry: bool, theta: Any, room: Any
+    tables: Any,
+    first: int,
+    last: int,
+    x: Any,
+    dx: Any,
+    group: Any,
+    dgroup: Any,
+    t: float,
+    h: float,
+    carry: bool,
+    theta: Any,
+    room: Any,
 ) -> None:
-    """Apply the rows first to last - 1: angles from the shares, then the action on the momentum and on the group element."""
+    """Apply the rows first to last - 1: angles from the shares, then the action on the momentum and on the group
+    element.
+    """
     for r in range(first, last):
         part = tables.part[r]
         row = tables.only[part]
@@ -62,12 +75,20 @@ def sweep(
 
 @compiled
 def advance(
-    tables: FlowTables, watch: Watch, saves: Saves, schedule: Schedule, state: Any, crew: Any, k0: int, k1: int, report: Report
+    tables: FlowTables,
+    watch: Watch,
+    saves: Saves,
+    schedule: Schedule,
+    state: Any,
+    crew: Any,
+    k0: int,
+    k1: int,
+    report: Report,
 ) -> None:
     """Take the steps k0 + 1 to k1 for the members crew[0] to crew[1] - 1.
 
-    `state` is (momentum, its compensation, group, its compensation), each (members, ...), unfinished between calls: the outer flow of a step
-    is merged with the next one, and *finish* acts on a copy.
+    `state` is (momentum, its compensation, group, its compensation), each (members, ...), unfinished between calls: the
+    outer flow of a step is merged with the next one, and *finish* acts on a copy.
     """
     size, square = state[0].shape[1], state[2].shape[1]
     lanes = max(1, tables.group.size)

@@ -70,7 +70,9 @@ def _callback_of(function: Callable[..., Any], size: int, results: int, scalar: 
 def _reason(error: Exception) -> str:
     """Return the lines of a Numba error that say what is wrong, on one line."""
     lines = [line.strip(" -\x1b[0123456789;m") for line in str(error).splitlines()]
-    telling = [line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "For more", "<"))]
+    telling = [
+        line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "For more", "<"))
+    ]
     return " ".join(telling[:3])[:400]
 
 

@@ -57,7 +57,13 @@ def addresses_of(
         function = getattr(term, which)
         results = size if which == "gradient" else 1
         compiled = compiled_function(
-            function, size, results, scalar=term.scalar, flat=which == "gradient", timed=term.timed, what=f"the {which} of {owner}"
+            function,
+            size,
+            results,
+            scalar=term.scalar,
+            flat=which == "gradient",
+            timed=term.timed,
+            what=f"the {which} of {owner}",
         )
         keep.append(compiled)
         addresses[k] = compiled.address
@@ -141,9 +147,7 @@ def watch_tables(system: Any, invariants: Mapping[str, Any]) -> Compiled:
         else:
             table.add_function(function_of_all(invariant, system.dim))
             end(name, 0.0, float(invariant.period))
-    pairs = [
-        addresses_of({k: term}, len(table), "value", owners[k]) for k, term in table.functions.items()
-    ]
+    pairs = [addresses_of({k: term}, len(table), "value", owners[k]) for k, term in table.functions.items()]
     addresses = sum((found for found, _ in pairs), np.zeros(len(table), dtype=np.int64))
     terms = table.table()
     longest = int(np.max(np.diff(terms.row), initial=0))

@@ -1,4 +1,4 @@
-"""The verb `angle`: components of a gradient, and values, of the terms of a table. Tables and vectors come as pointers."""
+"""The verb `angle`: gradients and values of the terms of a table. Tables and vectors come as pointers."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def gradient_rows(terms: Any, addresses: Any, k: int, x: Any, t: float, out: Any
 
 @inlined
 def value(terms: Any, addresses: Any, k: int, x: Any, t: float, y: Any) -> float:
-    """Return the value of term k; `addresses` holds the compiled values of FUNCTION terms, `y` is room for arguments."""
+    """Return the value of term k; `addresses` holds the values of FUNCTION terms, `y` is room for arguments."""
     start, stop = terms.row[k], terms.row[k + 1]
     kind = terms.kind[k]
     total = 0.0

@@ -20,8 +20,8 @@ DONE, NOT_CONVERGED, OVERFLOW = 0, 1, 2
 class Watch(NamedTuple):
     """The invariants that are followed: I of them, each a constant plus a sum of terms.
 
-    Invariant i has the terms first[i] to first[i + 1]. A positive period[i] marks a multivalued one (a logarithm with an angle), which is
-    unwrapped by whole periods along the run. `longest` is the most arguments that a function takes.
+    Invariant i has the terms first[i] to first[i + 1]. A positive period[i] marks a multivalued one (a logarithm with
+    an angle), which is unwrapped by whole periods along the run. `longest` is the most arguments that a function takes.
     """
 
     size: int
@@ -36,8 +36,9 @@ class Watch(NamedTuple):
 class Saves(NamedTuple):
     """What a run leaves behind, for all `members`: K saved points, I invariants.
 
-    `x` (K, members, n); `group` (K, members, d*d), transposed matrices; `values` (K, members, I); `worst` (members, 10, I), the largest
-    deviation in each tenth of the run; `first` and `last` (members, I), the values at the start and at the step before.
+    `x` (K, members, n); `group` (K, members, d*d), transposed matrices; `values` (K, members, I); `worst` (members, 10,
+    I), the largest deviation in each tenth of the run; `first` and `last` (members, I), the values at the start and at
+    the step before.
     """
 
     members: int
@@ -116,7 +117,8 @@ def record(
 ) -> None:
     """Note the deviations of the invariants at the finished state of step k, and save it where it has a slot.
 
-    `watch` and `saves` come as pointers, `x` and `group` have `size` and `square` components, `room` watch.longest + 1 places.
+    `watch` and `saves` come as pointers, `x` and `group` have `size` and `square` components, `room` watch.longest + 1
+    places.
     """
     t = schedule.t0 + k * schedule.h
     tenth = (k - 1) * TENTHS // schedule.steps if k > 0 else 0

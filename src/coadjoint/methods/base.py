@@ -28,8 +28,8 @@ class Properties:
     casimirs : str
         ``"all"``, ``"quadratic"`` (of degree at most two) or ``"none"``.
     attitude : str
-        ``"every representation"``, ``"coadjoint"`` (and representations that are orthogonal for a fixed form and contain the coadjoint one),
-        ``"integrated"`` (as a differential equation, nothing kept) or ``"none"``.
+        ``"every representation"``, ``"coadjoint"`` (and representations that are orthogonal for a fixed form and
+        contain the coadjoint one), ``"integrated"`` (as a differential equation, nothing kept) or ``"none"``.
     """
 
     poisson: bool
@@ -86,7 +86,9 @@ class Method(ABC):
 
 
 class Sweep(NamedTuple):
-    """One pass through the parts: forward or backward, over a fraction of the step, functions of time taken at a moment of it."""
+    """One pass through the parts: forward or backward, over a fraction of the step, functions of time taken at a moment
+    of it.
+    """
 
     forward: bool
     coefficient: Any

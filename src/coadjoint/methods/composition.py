@@ -15,7 +15,8 @@ HIGHEST_ORDER = 12
 class Composition(FlowMethod):
     """One step of the base at each fraction c_1 h, c_2 h, ... of the step: a higher order from a symmetric base.
 
-    For your own coefficients, or for a base other than `Splitting` (Gauss-Legendre, say). What the base keeps, its composition keeps.
+    For your own coefficients, or for a base other than `Splitting` (Gauss-Legendre, say). What the base keeps, its
+    composition keeps.
 
     Parameters
     ----------
@@ -142,8 +143,8 @@ class Composition(FlowMethod):
 def composition_order(coefficients: Sequence[float], base_order: int) -> int:
     """Return the order of a composition of a symmetric map of even order.
 
-    The base is exp(h Y_1 + h^(p+1) Y_(p+1) + h^(p+3) Y_(p+3) + ...) with free Y's; the product is compared with exp(h Y_1)
-    word by word.
+    The base is exp(h Y_1 + h^(p+1) Y_(p+1) + h^(p+3) Y_(p+3) + ...) with free Y's; the product is compared with exp(h
+    Y_1) word by word.
 
     Parameters
     ----------

@@ -17,8 +17,10 @@ from coadjoint.systems.poisson import PoissonSystem
 class Splitting(FlowMethod):
     """Composition of the exact flows of commuting parts of the Hamiltonian: explicit, Poisson, all Casimirs kept.
 
-    The first choice for long runs: each step costs a few rotations or shears, is a Poisson map to round-off, and keeps every Casimir and
-    the spatial momentum of every representation. The energy is not kept but stays within O(step^order) for exponentially long times.
+    The first choice for long runs: each step costs a few rotations or shears, is a Poisson map to round-off, and keeps
+    every Casimir and the spatial momentum of every representation. The energy is not kept but stays within
+    O(step^order) for
+    exponentially long times.
 
     Parameters
     ----------
@@ -26,15 +28,17 @@ class Splitting(FlowMethod):
         1: one sweep X_1(h), ..., X_n(h) through the parts. 2: ``X1(h/2) ... Xn(h) ... X1(h/2)`` (Lemma 4.1).
         4: a symmetric composition of five steps of order 2 (Suzuki's).
     parts : "auto", "coordinates", or sequence of sequences of int
-        ``"auto"``: commuting coordinates share a part, couplings inside a part are exact. ``"coordinates"``: the paper's, one
-        coordinate each. Sets of coordinates are used as given, in that order. Where M is not diagonal and couples
+        ``"auto"``: commuting coordinates share a part, couplings inside a part are exact. ``"coordinates"``: the
+        paper's, one coordinate each. Sets of coordinates are used as given, in that order. Where M is not diagonal and
+        couples
         coordinates that do not commute, the parts are completed squares.
     compensated : bool, optional
         Compensated summation of the momentum; None is no. (The group element is always compensated.)
     rotation : {"exact"}
         Rotations by sine and cosine.
     scheme : str, optional
-        A named scheme in place of `order`: ``"strang"``, ``"yoshida4"`` (the paper's fourth-order scheme), ``"suzuki4"``.
+        A named scheme in place of `order`: ``"strang"``, ``"yoshida4"`` (the paper's fourth-order scheme),
+        ``"suzuki4"``.
     adjoint : bool
         For order 1: the adjoint sweep X_n(h), ..., X_1(h).
 
@@ -99,7 +103,8 @@ class Splitting(FlowMethod):
         return self.order != 1
 
     def properties(self, system: System) -> Properties:
-        """Return what splitting keeps: the Poisson bracket, every Casimir, the spatial momentum in every representation.
+        """Return what splitting keeps: the Poisson bracket, every Casimir, the spatial momentum in every
+        representation.
 
         Parameters
         ----------

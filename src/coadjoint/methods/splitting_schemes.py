@@ -1,4 +1,6 @@
-"""Coefficients of the splitting schemes: fractions of the step for a second-order symmetric map, first half of a palindrome."""
+"""Coefficients of the splitting schemes: fractions of the step for a second-order symmetric map, first half of a
+palindrome.
+"""
 
 from __future__ import annotations
 

@@ -18,10 +18,13 @@ from coadjoint.program.parts import Part
 class Action(NamedTuple):
     """exp(theta D) of every part on vectors of `size` components.
 
-    Part p has the runs run[p] to run[p + 1]. A run has `angles` of them, theta[angle], theta[angle + 1], ..., and for each of them
-    `repeat` blocks of one kind with the same constants (a shear has a constant for each block). `width` is the number of coordinates
-    of a CUBIC or SERIES block and `degree` the length of its sum; its entries follow as compressed sparse rows, `width` + 1 starts and the
-    columns after the coordinates, the values of D (of a CUBIC block then those of D^2) after the constants.
+    Part p has the runs run[p] to run[p + 1]. A run has `angles` of them, theta[angle], theta[angle + 1], ..., and for
+    each of them `repeat` blocks of one kind with the same constants (a shear has a constant for each block). `width` is
+    the number
+    of coordinates of a CUBIC or SERIES block and `degree` the length of its sum; its entries follow as compressed
+    sparse rows, `width`
+    + 1 starts and the columns after the coordinates, the values of D (of a CUBIC block then those of D^2) after the
+    constants.
     """
 
     size: int
@@ -123,9 +126,11 @@ class _Group(NamedTuple):
 
 
 def _levels(blocks: Sequence[Sequence[Block]]) -> list[int]:
-    """Return a level for each angle: generators of one level have no coordinate in common, and one level follows the other.
+    """Return a level for each angle: generators of one level have no coordinate in common, and one level follows the
+    other.
 
-    The generators of a part commute, but a single block of one need not commute with a single block of another that it overlaps.
+    The generators of a part commute, but a single block of one need not commute with a single block of another that it
+    overlaps.
     """
     reached: dict[int, int] = {}
     levels = []
@@ -154,7 +159,7 @@ def _groups(angle: int, level: int, blocks: Iterable[Block]) -> Iterable[_Group]
 
 
 def _chains(groups: Iterable[_Group]) -> Iterable[list[_Group]]:
-    """Join groups of one shape whose angles follow each other; within a level all blocks have coordinates of their own."""
+    """Join groups of one shape whose angles follow each other; within a level no blocks share coordinates."""
     chain: list[_Group] = []
     for group in sorted(groups, key=lambda g: (g.level, g.shape, g.rank, g.angle)):
         last = chain[-1] if chain else None

@@ -14,9 +14,9 @@ class Kind(IntEnum):
     """How exp(theta D) - 1 acts on a block.
 
     SCALE: one coordinate, expm1(theta d). ROTATE: (0, -w; w, 0). PLANE: any other 2 x 2, by the entire functions
-    sinh(sqrt z)/sqrt z and cosh(sqrt z) - 1, without a discriminant to decide. SHEAR: D^2 = 0 with no coordinate both source
-    and target. CUBIC: D^3 = lam D, two terms (Rodrigues' formula in any basis). SERIES: a finite sum where D is nilpotent, else
-    the truncated Taylor series in substeps with abs(theta) norm1(D) <= 1.
+    sinh(sqrt z)/sqrt z and cosh(sqrt z) - 1, without a discriminant to decide. SHEAR: D^2 = 0 with no coordinate both
+    source and target. CUBIC: D^3 = lam D, two terms (Rodrigues' formula in any basis). SERIES: a finite sum where D is
+    nilpotent, else the truncated Taylor series in substeps with abs(theta) norm1(D) <= 1.
     """
 
     SCALE = 0
@@ -36,9 +36,10 @@ Entries = dict[tuple[int, int], Any]
 class Block(NamedTuple):
     """One block: its kind, coordinates (in the order of its formula), constants, and entries for CUBIC and SERIES.
 
-    An entry is (row, column, value of D), of a CUBIC block with the value of D^2 as a fourth item. The constants of a CUBIC block are
-    lam, sqrt(abs(lam)), 1/sqrt(abs(lam)), 1/lam; of a SERIES block its norm (zero where it is nilpotent). `degree` is the last power that
-    the series needs.
+    An entry is (row, column, value of D), of a CUBIC block with the value of D^2 as a fourth item. The constants of a
+    CUBIC block are lam, sqrt(abs(lam)), 1/sqrt(abs(lam)), 1/lam; of a SERIES block its norm (zero where it is
+    nilpotent). `degree` is
+    the last power that the series needs.
     """
 
     kind: Kind

@@ -35,8 +35,8 @@ def split(system: LiePoissonSystem, choice: Choice = "auto") -> tuple[Part, ...]
     system : LiePoissonSystem
         The system.
     choice : "auto", "coordinates", or sequence of sequences of int
-        ``"auto"`` joins commuting coordinates; ``"coordinates"`` gives each coordinate (or completed square) a part of its
-        own, as in the paper; sets of coordinates are taken as they stand, in that order.
+        ``"auto"`` joins commuting coordinates; ``"coordinates"`` gives each coordinate (or completed square) a part of
+        its own, as in the paper; sets of coordinates are taken as they stand, in that order.
 
     Returns
     -------

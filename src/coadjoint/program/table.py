@@ -22,9 +22,9 @@ from coadjoint.systems.terms import FunctionTerm
 class Rows(NamedTuple):
     """The rows, section after section.
 
-    Row r moves by part[r] over the time coefficient[r] * h, with functions of time taken at t + moment[r] * h. Section s
-    (0 start, 1 step, 2 finish) has the rows section[s] to section[s + 1]. The first step is *start*, every other one *step*; *finish*
-    completes a state for output.
+    Row r moves by part[r] over the time coefficient[r] * h, with functions of time taken at t + moment[r] * h. Section
+    s (0 start, 1 step, 2 finish) has the rows section[s] to section[s + 1]. The first step is *start*, every other one
+    *step*; *finish* completes a state for output.
     """
 
     part: NDArray[np.uint32]

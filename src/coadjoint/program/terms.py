@@ -18,8 +18,9 @@ LINEAR, POLYNOMIAL, FUNCTION = 0, 1, 2
 class Terms(NamedTuple):
     """The table of `size` terms. Term k has the rows row[k] to row[k + 1]; each row is one component of a gradient.
 
-    A row of a LINEAR term is ``offset + weight . x``; its target is the coordinate that it belongs to, and the value of the
-    term is the sum of x[target] (offset + weight . x / 2). A POLYNOMIAL term is a list of monomials over its rows; a
+    A row of a LINEAR term is ``offset + weight . x``; its target is the coordinate that it belongs to, and the value of
+    the term is the sum of x[target] (offset + weight . x / 2). A POLYNOMIAL term is a list of monomials over its rows;
+    a
     FUNCTION term calls compiled (or, in the plain reading, Python) functions of y = x[target].
     """
 

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -39,8 +40,8 @@ def integrate(
 ) -> Solution:
     """Integrate a system at a constant step.
 
-    No Python runs between saved points. The same inputs give the same bits, whatever `save_every`, `watch`, `threads`, and whether a
-    member runs alone or with others.
+    No Python runs between saved points. The same inputs give the same bits, whatever `save_every`, `watch`, `threads`,
+    and whether a member runs alone or with others.
 
     Parameters
     ----------
@@ -57,8 +58,8 @@ def integrate(
     save_every : int
         Keep every k-th step (the start and the end always); nothing else is held in memory.
     attitude : bool, "coadjoint", or array_like
-        The group element carried beside the momentum: in the system's own representation (True, or an initial element of shape
-        (d, d)), or the coadjoint matrix K with K x constant.
+        The group element carried beside the momentum: in the system's own representation (True, or an initial element
+        of shape (d, d)), or the coadjoint matrix K with K x constant.
     watch : bool
         Follow the energy and every Casimir over every step; otherwise over the saved points.
     observe : mapping, optional
@@ -84,7 +85,8 @@ def integrate(
     --------
     >>> import coadjoint as co
     >>> top = co.systems.rigid_body(inertia=(1, 2, 3))
-    >>> sol = co.integrate(top, (0.0, 1.0, 0.01), t_span=(0, 50), step=0.05, method=co.GaussLegendre(stages=3), save_every=100)
+    >>> method = co.GaussLegendre(stages=3)
+    >>> sol = co.integrate(top, (0.0, 1.0, 0.01), t_span=(0, 50), step=0.05, method=method, save_every=100)
     >>> sol.t
     array([ 0.,  5., 10., 15., 20., 25., 30., 35., 40., 45., 50.])
     >>> sol.drift()["energy"] < 1e-14
@@ -148,9 +150,10 @@ class Run:
         record_start(self.watch.tables, self.saves, self.schedule, self.state[0], self.state[2])
 
     def advance(self, workers: int, progress: bool) -> None:
+        """Take all steps, in chunks between which an interrupt is heard."""
         members = len(self.start.momenta)
         edges = [members * w // workers for w in range(workers + 1)]
-        crews = [np.array(pair, dtype=np.int64) for pair in zip(edges[:-1], edges[1:], strict=True)]
+        crews = [np.array(pair, dtype=np.int64) for pair in pairwise(edges)]
         began = time.perf_counter()
         with ThreadPoolExecutor(workers) as pool, _bar(self.times.steps, progress) as bar:
             done, chunk = 0, 1
@@ -166,7 +169,15 @@ class Run:
     def _call(self, pool: ThreadPoolExecutor, crews: list[NDArray[np.int64]], k0: int, k1: int) -> None:
         def one(crew: NDArray[np.int64]) -> None:
             self.prepared.advance(
-                self.prepared.tables, self.watch.tables, self.saves, self.schedule, self.state, crew, k0, k1, self.report
+                self.prepared.tables,
+                self.watch.tables,
+                self.saves,
+                self.schedule,
+                self.state,
+                crew,
+                k0,
+                k1,
+                self.report,
             )
 
         if len(crews) == 1:
@@ -175,6 +186,7 @@ class Run:
             list(pool.map(one, crews))
 
     def solution(self) -> Solution:
+        """Return what was saved, or raise the failure with it."""
         failed = np.flatnonzero(self.report.status)
         if not len(failed):
             return self._solution(len(self.times.saved))
@@ -244,7 +256,8 @@ def _observables(system: System, observe: Mapping[str, Any]) -> Callable[..., di
         if not isinstance(given, Polynomial | Invariant) and not callable(given):
             raise TypeError(f"observe[{name!r}] is {given!r}; it must be a Polynomial or a function of x")
     wrapped = {
-        name: given if isinstance(given, Polynomial | Invariant) else Invariant(given) for name, given in observe.items()
+        name: given if isinstance(given, Polynomial | Invariant) else Invariant(given)
+        for name, given in observe.items()
     }
     compiled = watch_tables(system, wrapped)
 

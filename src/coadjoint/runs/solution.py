@@ -65,7 +65,7 @@ class Drift(float):
 
     @property
     def growth(self) -> Any:
-        """The last tenth over the first: 1 for a bounded error, 10 for linear growth; infinite where the first is zero."""
+        """The last tenth over the first: 1 for a bounded error, 10 for linear growth, infinite where the first is 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.divide(self.tenths[..., -1], self.tenths[..., 0])
 
@@ -128,8 +128,8 @@ class Solution:
         Returns
         -------
         dict
-            ``"energy"`` and the name of each Casimir -> `Drift`: a float, the largest absolute deviation over every step (with
-            ``watch=False`` over the saved points), with `tenths`, the same for each tenth of the run.
+            ``"energy"`` and the name of each Casimir -> `Drift`: a float, the largest absolute deviation over every
+            step (with ``watch=False`` over the saved points), with `tenths`, the same for each tenth of the run.
         """
         series = {"energy": self.energy, **self.casimirs}
         return {name: Drift(self._worst[..., i], values[0]) for i, (name, values) in enumerate(series.items())}

@@ -89,6 +89,6 @@ def _representation(system: System, attitude: Any) -> NDArray[np.float64] | str 
         return attitude
     if system.representation is None:
         raise ValueError(
-            f"{system.name} has no representation for an attitude; give it one (representation=), or use attitude='coadjoint'"
+            f"{system.name} has no representation for an attitude; give representation=, or use attitude='coadjoint'"
         )
     return np.asarray(system.representation)

@@ -10,7 +10,6 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.ready_made import ready_made_systems
 
-
 # The functions take the place of the files of the same name: co.systems.rigid_body is the system.
 globals().update(ready_made_systems())
 
