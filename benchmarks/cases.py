@@ -21,7 +21,7 @@ METHOD = co.Splitting(order=2, parts="coordinates")
 
 @dataclass(frozen=True)
 class Case:
-    """One system and the C program of the same steps; `parameters` are its arguments after the step, up to the state."""
+    """One system and the C program of the same steps; `arguments` are its arguments after the step."""
 
     title: str
     program: str

@@ -36,6 +36,14 @@ def schemes() -> dict[str, co.methods.base.Method]:
     return found
 
 
+def large_step(method: co.methods.base.Method) -> float:
+    """Return a large step, at which high orders lose visibly what they do not keep.
+
+    It is about as large as stability and the convergence of the stages allow on systems of size one.
+    """
+    return 0.1 if method.order <= 2 or isinstance(method, co.Composition) else 0.5
+
+
 def serves(method: co.methods.base.Method, system: object) -> bool:
     """Return whether the scheme takes the system; what it refuses, it must refuse in a sentence."""
     try:

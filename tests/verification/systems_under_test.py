@@ -14,6 +14,8 @@ import numpy as np
 
 import coadjoint as co
 
+AXES = (2, 0, 1)
+
 
 class Case(NamedTuple):
     """A system, a state, and the time over which orders are measured."""
@@ -137,7 +139,7 @@ def _driven_curvature(y, t):
 def cases() -> dict[str, Case]:
     """Return the systems with a Lie algebra, by name."""
     so3, so4, e3, sl2 = co.algebras.so(3), co.algebras.so(4), co.algebras.e(3), co.algebras.sl(2)
-    so31 = permuted(so3, (2, 0, 1), dict(so3.casimirs_known))
+    turned = permuted(so3, AXES, dict(so3.casimirs_known))
     axes = (4, 1, 3, 0, 5, 2)
     e3_permuted = permuted(e3, axes, {k: permuted_polynomial(p, axes) for k, p in e3.casimirs_known.items()})
     T = np.eye(6)
@@ -159,7 +161,7 @@ def cases() -> dict[str, Case]:
     return {
         "so(3), diagonal": Case(co.systems.paper_rigid_body(), np.array([1.0, 2.0, 0.5]), 2.0),
         "so(3), full, axes turned": Case(
-            system(so31, co.Quadratic(full_matrix(1, 3)), sign=-1), np.array([1.0, -1.5, 1.2]), 2.0
+            system(turned, co.Quadratic(full_matrix(1, 3)), sign=-1), np.array([1.0, -1.5, 1.2]), 2.0
         ),
         "A3,7, diagonal": Case(co.systems.paper_a37(2.0, (1.0, 1.5, 0.3)), np.array([0.7, 0.5, 0.6]), 1.0),
         "A3,7, full": Case(
@@ -197,6 +199,34 @@ def without_jacobi() -> Case:
         ),
         np.array([0.5, 0.7, -0.4]),
     )
+
+
+@cache
+def with_cubic_casimir() -> Case:
+    """Return a body in six dimensions.
+
+    Besides |x|^2 it has the Pfaffian of so(6), of degree 3: a sum over the fifteen pairings of six indices.
+    """
+    algebra = co.algebras.so(6)
+    place = {pair: k for k, pair in enumerate((i, j) for i in range(6) for j in range(i + 1, 6))}
+
+    def pairings(left: list[int]):
+        if not left:
+            yield []
+        for k in range(1, len(left)):
+            for rest in pairings(left[1:k] + left[k + 1 :]):
+                yield [(left[0], left[k]), *rest]
+
+    monomials = {}
+    for pairing in pairings(list(range(6))):
+        order = [i for pair in pairing for i in pair]
+        crossings = sum(order[a] > order[b] for a in range(6) for b in range(a + 1, 6))
+        exponents = tuple(int(k in {place[pair] for pair in pairing}) for k in range(15))
+        monomials[exponents] = (-1) ** crossings
+    casimirs = {"|x|^2": algebra.casimirs_known["|x|^2"], "Pfaffian": co.Polynomial(monomials)}
+    M = np.random.default_rng(5).uniform(0.2, 1.0, 15)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(M), sign=-1, casimirs=casimirs)
+    return Case(system, np.random.default_rng(6).uniform(-2.0, 2.0, 15))
 
 
 def all_cases() -> dict[str, Case]:

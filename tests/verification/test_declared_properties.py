@@ -8,8 +8,8 @@ import pytest
 import coadjoint as co
 
 from .measures import drift_bounds, group_bound
-from .schemes_under_test import pairs, schemes
-from .systems_under_test import all_cases, cases
+from .schemes_under_test import large_step, pairs, schemes, serves
+from .systems_under_test import all_cases, cases, with_cubic_casimir
 
 STEP, COUNT = 0.1, 1000
 
@@ -35,34 +35,34 @@ KEEPING = [p for p in pairs(all_cases()) if kept_names(schemes()[p[0]], all_case
 @pytest.mark.parametrize(("scheme", "case"), KEEPING)
 def test_invariants_that_are_declared_are_kept(scheme, case):
     method, (system, x0, _) = schemes()[scheme], all_cases()[case]
-    run = co.integrate(system, x0, (0.0, COUNT * STEP), STEP, method, save_every=50)
+    step = 0.02 if scheme == "RadauEnergy 1" else STEP  # implicit Euler: its stage does not converge at larger steps
+    run = co.integrate(system, x0, (0.0, COUNT * step), step, method, save_every=50)
     bounds, drift = drift_bounds(run), run.drift()
     for name in kept_names(method, system):
         assert drift[name] <= bounds[name], (name, float(drift[name]), bounds[name])
 
 
-# One witness for each scheme and each invariant that it does not keep: system, invariant, step.
+# For each kind of invariant that a scheme may not keep, a witness on which every such scheme loses it.
 LOST = {
-    "energy": ("so(4), diagonal", "energy", 0.5, lambda p: not p.energy),
-    "quadratic Casimir": ("so(4), diagonal", "Pfaffian", 0.5, lambda p: p.casimirs == "none"),
-    "Casimir that is not quadratic": ("A3,7, full", "log C", 0.5, lambda p: p.casimirs != "all"),
-    "energy that is not quadratic": ("e(3), polynomial potential", "energy", 0.5, lambda p: not p.energy),
+    "energy": (cases()["so(4), diagonal"], "energy", lambda p: not p.energy),
+    "quadratic Casimir": (cases()["so(4), diagonal"], "Pfaffian", lambda p: p.casimirs == "none"),
+    "Casimir that is not quadratic": (with_cubic_casimir(), "Pfaffian", lambda p: p.casimirs != "all"),
+    "energy that is not quadratic": (cases()["e(3), polynomial potential"], "energy", lambda p: not p.energy),
 }
 
 
 def losing():
-    for what, (case, _, _, loses) in LOST.items():
+    for what, (case, _, loses) in LOST.items():
         for scheme, method in schemes().items():
-            system = cases()[case].system
-            if (scheme, case) in pairs({case: cases()[case]}) and loses(method.properties(system)):
+            if serves(method, case.system) and loses(method.properties(case.system)):
                 yield what, scheme
 
 
 @pytest.mark.parametrize(("what", "scheme"), list(losing()))
 def test_invariants_that_are_not_declared_are_lost(what, scheme):
-    case, name, step, _ = LOST[what]
-    system, x0, _ = cases()[case]
-    run = co.integrate(system, 1.5 * x0, (0.0, 40 * step), step, schemes()[scheme])
+    (system, x0, _), name, _ = LOST[what]
+    step = large_step(schemes()[scheme])
+    run = co.integrate(system, x0, (0.0, 40 * step), step, schemes()[scheme])
     bound = drift_bounds(run)[name]
     assert run.drift()[name] > 1000 * bound, (float(run.drift()[name]), bound)
 

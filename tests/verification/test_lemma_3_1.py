@@ -51,7 +51,7 @@ def test_step_is_m_orthogonal(case, s):
     system, x, _ = all_cases()[case]
     n, m, h = len(x), 2 * s, 0.1
     M = np.array([system.hamiltonian.gradient(unit) - system.hamiltonian.gradient(0 * unit) for unit in np.eye(n)])
-    nodes, b, mu = gauss_legendre(s)
+    _, b, mu = gauss_legendre(s)
     a = mu * b
     X = [x] * s
     for _ in range(m - 1):

@@ -53,11 +53,10 @@ def test_first_order_sweep_and_its_adjoint(case):
         assert np.max(np.abs(step(x) - by_hand)) <= roundoff(x)
 
 
-@pytest.mark.parametrize("case", list(cases()))
+# Where H depends on time the half steps would take it at other moments.
+@pytest.mark.parametrize("case", [name for name, case in cases().items() if not case.system.hamiltonian.timed])
 def test_second_order_is_the_first_and_its_adjoint_at_half_the_step(case):
     system, x, _ = cases()[case]
-    if system.hamiltonian.timed:
-        return  # there the half steps take functions of time at other moments
     half = [co.stepper(system, co.Splitting(order=1, adjoint=back), 0.05) for back in (False, True)]
     whole = co.stepper(system, co.Splitting(order=2), 0.1)
     assert np.max(np.abs(half[1](half[0](x)) - whole(x))) <= roundoff(x)

@@ -9,7 +9,7 @@ import coadjoint as co
 
 from .measures import U, drift_bounds
 from .schemes_under_test import schemes
-from .systems_under_test import cases
+from .systems_under_test import cases, with_cubic_casimir
 
 SPLITTINGS = [name for name in schemes() if name.startswith("Splitting")]
 
@@ -27,39 +27,11 @@ def test_every_casimir_over_a_long_run(case, scheme):
         assert run.drift()[name] <= bounds[name], name
 
 
-def cubic_casimir():
-    """The Pfaffian of so(6), of degree 3: sum over the 15 pairings of six indices with the sign of the permutation."""
-    algebra = co.algebras.so(6)
-    place = {pair: k for k, pair in enumerate((i, j) for i in range(6) for j in range(i + 1, 6))}
-    monomials = {}
-
-    def pairings(left):
-        if not left:
-            yield []
-            return
-        for k in range(1, len(left)):
-            for rest in pairings(left[1:k] + left[k + 1 :]):
-                yield [(left[0], left[k]), *rest]
-
-    for pairing in pairings(list(range(6))):
-        order = [i for pair in pairing for i in pair]
-        sign = (-1) ** sum(order[a] > order[b] for a in range(6) for b in range(a + 1, 6))
-        exponents = [0] * 15
-        for pair in pairing:
-            exponents[place[pair]] += 1
-        monomials[tuple(exponents)] = sign
-    return algebra, co.Polynomial(monomials)
-
-
 def test_a_cubic_casimir_in_dimension_fifteen():
-    algebra, pfaffian = cubic_casimir()
-    M = np.random.default_rng(5).uniform(0.2, 1.0, 15)
-    casimirs = {**algebra.casimirs_known, "Pfaffian": pfaffian}
-    system = co.LiePoissonSystem(algebra, co.Quadratic(M), sign=-1, casimirs=casimirs)
-    x0 = np.random.default_rng(6).uniform(-0.5, 0.5, 15)
+    system, x0, _ = with_cubic_casimir()
     run = co.integrate(system, x0, (0.0, 200.0), 0.1, co.Splitting(order=4), save_every=100)
     bounds = drift_bounds(run)
-    assert all(run.drift()[name] <= bounds[name] for name in casimirs)
+    assert all(run.drift()[name] <= bounds[name] for name in system.casimirs)
     # Gauss methods keep the quadratic one only.
     run = co.integrate(system, x0, (0.0, 200.0), 0.5, co.GaussLegendre(2), save_every=100)
     bounds = drift_bounds(run)

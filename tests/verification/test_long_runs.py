@@ -9,33 +9,64 @@ import coadjoint as co
 
 from .measures import U, drift_bounds, group_bound
 from .systems_under_test import cases
+from .test_attitude import in_space_axes
 
 STEPS = 1_000_000
-LONG = {"so(3), full, axes turned": 0.1, "so(4), diagonal": 0.1, "e(3), heavy top": 0.1, "sl(2), diagonal": 0.05}
+LONG = {
+    "so(3), diagonal": 0.1,
+    "so(3), full, axes turned": 0.1,
+    "so(4), diagonal": 0.1,
+    "e(3), heavy top": 0.1,
+    "sl(2), diagonal": 0.05,
+}
 
 
 def walk(run, size, per_step):
-    """Six standard deviations of an unbiased walk with `per_step` roundings of u times size in each step."""
+    """Return six standard deviations of an unbiased walk with `per_step` roundings of u times size in each step."""
     return 6 * U * size * np.sqrt(per_step * run.stats.steps)
 
 
 def sizes_of(run):
+    """Return |gradient| |x| for each invariant: what a relative change of x by 1 could do to it."""
     found = {}
     for name, what in {"energy": run.system.hamiltonian, **run.system.casimirs}.items():
         found[name] = max(float(np.linalg.norm(what.gradient(x)) * np.linalg.norm(x)) for x in run.x)
     return found
 
 
-@pytest.mark.parametrize("case", LONG)
-def test_compensated_splitting_follows_brouwer_in_every_casimir(case):
+def turn_of_a_step(run):
+    """Return |h D_u|, u = grad H: a compensated update rounds only its increments, smaller than x by this factor."""
+    system = run.system
+    return max(run.step * np.linalg.norm(system.algebra.coadjoint(system.hamiltonian.gradient(x)), 2) for x in run.x)
+
+
+def compensated_run(case, steps=STEPS):
     system, x0, _ = cases()[case]
-    h = LONG[case]
-    run = co.integrate(system, x0, (0.0, STEPS * h), h, co.Splitting(order=2, compensated=True), save_every=STEPS // 50)
+    h, method = LONG[case], co.Splitting(order=2, compensated=True)
+    run = co.integrate(system, x0, (0.0, steps * h), h, method, save_every=steps // 50)
     flows = run.stats.evaluations / run.stats.steps
-    for name, size in sizes_of(run).items():
-        if name != "energy":
-            # In each flow the sine, the cosine and the angle are rounded, each for n components.
-            assert run.drift()[name] <= walk(run, size, 4 * system.dim * flows), name
+    # In each flow the sine and the cosine are rounded, and their products with the components.
+    allowed = {name: turn_of_a_step(run) * walk(run, size, 4 * flows) for name, size in sizes_of(run).items()}
+    return run, allowed
+
+
+AXIS_PARALLEL = [case for case in LONG if case != "so(3), full, axes turned"]
+
+
+@pytest.mark.parametrize("case", AXIS_PARALLEL)
+def test_compensated_splitting_follows_brouwer_in_every_casimir(case):
+    run, allowed = compensated_run(case)
+    for name in run.system.casimirs:
+        assert run.drift()[name] <= allowed[name], (name, float(run.drift()[name]), allowed[name])
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="the constants of a rotation about a general axis are rounded once: |x|^2 drifts linearly, by 0.04 u a step",
+)
+def test_compensated_splitting_with_full_M_follows_brouwer():
+    run, allowed = compensated_run("so(3), full, axes turned")
+    assert run.drift()["|x|^2"] <= allowed["|x|^2"]
 
 
 @pytest.mark.parametrize("case", LONG)
@@ -74,7 +105,8 @@ def test_rotations_after_a_million_steps(case, method):
     per_step = 4 * 3 * flows
     orthogonality = max(np.max(np.abs(A.T @ A - np.eye(3))) for A in run.attitude)
     assert orthogonality <= walk(run, 3.0, per_step)
-    spatial = np.max(np.abs(np.einsum("tij,tj->ti", run.attitude, run.x) - x0))
+    moved = np.einsum("tij,tj->ti", run.attitude, in_space_axes(case, run.x))
+    spatial = np.max(np.abs(moved - moved[0]))
     size = np.linalg.norm(x0)
     assert spatial <= (walk(run, 3.0 * size, per_step) if method.compensated else group_bound(run, size))
 

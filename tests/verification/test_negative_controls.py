@@ -149,8 +149,8 @@ def test_slope_fit_tells_neighbouring_orders_apart():
     assert not any(order_of(h, [1e-12 * (1 + 0.3 * (-1) ** k) for k in range(5)], 1).agrees_with(p) for p in (1, 2, 4))
 
 
-def test_order_measurement_sees_a_wrong_constant_of_structure(monkeypatch):
-    """The reference comes from other code: a system whose motion is not that of its vector field has no order at all."""
+def test_order_measurement_sees_an_energy_off_by_a_hundredth(monkeypatch):
+    """The reference comes from elsewhere: a system with another M than that of the reference has no order at all."""
     right = cases()["e(3), full, axes permuted"]
     other = co.LiePoissonSystem(right.system.algebra, co.Quadratic(full_matrix(5, 6) * 1.01))
     everything = all_cases() | {"planted": Case(other, right.x0)}

@@ -13,6 +13,8 @@ SCALE, ROTATE, PLANE, SHEAR, CUBIC = (
     int(kind) for kind in (Kind.SCALE, Kind.ROTATE, Kind.PLANE, Kind.SHEAR, Kind.CUBIC)
 )
 
+MOST_SUBSTEPS = 1.0e6
+
 
 @inlined
 def add(vectors: Any, errors: Any, place: int, increment: float, compensated: bool) -> None:
@@ -120,9 +122,10 @@ def _plane(
     upper, lower = action.constants[constant + 2], action.constants[constant + 3]
     delta = fma(half, half, upper * lower)
     s, c = entire_pair(theta * theta * delta)
-    grown = math.expm1(theta * mean)
-    diagonal = fma(grown, 1.0 + c, c)
-    s = (1.0 + grown) * (theta * s)
+    # Not from expm1 alone: where the mean decays and cosh grows, what 1 + expm1 lost would be amplified.
+    scale = math.exp(theta * mean)
+    diagonal = fma(scale, c, math.expm1(theta * mean))
+    s = scale * (theta * s)
     for _ in range(repeat):
         i, j = action.indices[index] * lanes, action.indices[index + 1] * lanes
         index += 2
@@ -198,9 +201,11 @@ def _series(
     """Sum theta^k D^k / k!: finite where D is nilpotent, else in substeps of norm at most 1."""
     constant = action.constant[run]
     length = action.width[run] * lanes
-    substeps = max(1.0, math.ceil(abs(theta) * action.constants[constant]))
-    h = theta / substeps
-    for _ in range(int(substeps)):
+    needed = abs(theta) * action.constants[constant]
+    # No step of an integration needs more; near a blow-up it would run for ever: no number, so that the run stops.
+    h = theta / max(1.0, math.ceil(needed)) if needed <= MOST_SUBSTEPS else math.nan
+    substeps = max(1, math.ceil(needed)) if needed <= MOST_SUBSTEPS else 1
+    for _ in range(substeps):
         _gather(action, run, vectors, lanes, room)
         for place in range(length):
             room[2 * length + place] = 0.0

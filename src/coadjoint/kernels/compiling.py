@@ -16,9 +16,10 @@ OPTIONS = {"nogil": True, "error_model": "numpy", "boundscheck": False}
 
 @functools.cache
 def _kernel_stamp() -> str:
-    """Return a digest of every kernel source: a cached loop is stale when a function that it inlines has changed."""
+    """Return a digest of every source that a loop is made of: what it inlines, and the tables that it reads."""
     digest = hashlib.sha256()
-    for source in sorted(Path(__file__).parent.glob("*.py")):
+    package = Path(__file__).parents[1]
+    for source in sorted([*package.glob("kernels/*.py"), *package.glob("program/*.py")]):
         digest.update(source.read_bytes())
     return digest.hexdigest()
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.field import Field, GroupField
-from coadjoint.kernels.functions import CompiledFunction, compiled_function
+from coadjoint.kernels.functions import CompiledFunction
 from coadjoint.kernels.tables import addresses_of
 from coadjoint.methods.base import System
 from coadjoint.program.terms import TermTable
@@ -48,7 +48,7 @@ def field_of(system: System) -> tuple[Field, Kept]:
     structure = none
     if system.algebra is None:
         n = system.dim
-        compiled = compiled_function(
+        compiled = CompiledFunction(
             system.structure_function, n, n * n, scalar=False, flat=True, timed=False, what="the structure matrix"
         )
         structure, keep = np.array([compiled.address], dtype=np.int64), (*keep, compiled)

@@ -127,5 +127,9 @@ def advance(
                 first, last = at.section[2], at.section[3]
                 carried = carry and slot >= 0
                 sweep(at, first, last, copy, copy_error, group_copy, group_copy_error, t, h, carried, theta_at, room_at)
+                if not finite(size, copy) or (carried and not finite(square, group_copy)):
+                    report_at.status[member] = OVERFLOW
+                    report_at.step[member] = k
+                    break
                 record(watch_at, saves_at, schedule, member, k, slot, size, copy, square, group_copy, room_at)
     alive((room, theta, copies, group_copies))

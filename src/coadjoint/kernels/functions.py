@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+import inspect
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
@@ -62,7 +62,7 @@ class CompiledFunction:
 # A step function or a scan makes many runs of one system: each of its functions is compiled once.
 @lru_cache(maxsize=256)
 def _callback_of(function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool) -> Any:
-    inner = function if hasattr(function, "py_func") else numba.njit(error_model="numpy")(function)
+    inner = numba.njit(error_model="numpy")(function) if inspect.isfunction(function) else function
     body = _BODIES[(scalar, flat and not scalar, timed)](inner, size, results)
     return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(body)
 
@@ -78,6 +78,7 @@ def _reason(error: Exception) -> str:
 
 def _numbers(inner: Any, size: int, results: int) -> Callable[..., None]:
     def call(y: Any, t: float, out: Any) -> None:
+        out[0] = np.nan
         out[0] = inner(y[0])
 
     return call
@@ -85,6 +86,7 @@ def _numbers(inner: Any, size: int, results: int) -> Callable[..., None]:
 
 def _timed_numbers(inner: Any, size: int, results: int) -> Callable[..., None]:
     def call(y: Any, t: float, out: Any) -> None:
+        out[0] = np.nan
         out[0] = inner(y[0], t)
 
     return call
@@ -92,6 +94,7 @@ def _timed_numbers(inner: Any, size: int, results: int) -> Callable[..., None]:
 
 def _value(inner: Any, size: int, results: int) -> Callable[..., None]:
     def call(y: Any, t: float, out: Any) -> None:
+        out[0] = np.nan
         out[0] = inner(carray(y, (size,)))
 
     return call
@@ -99,6 +102,7 @@ def _value(inner: Any, size: int, results: int) -> Callable[..., None]:
 
 def _timed_value(inner: Any, size: int, results: int) -> Callable[..., None]:
     def call(y: Any, t: float, out: Any) -> None:
+        out[0] = np.nan
         out[0] = inner(carray(y, (size,)), t)
 
     return call
@@ -106,6 +110,8 @@ def _timed_value(inner: Any, size: int, results: int) -> Callable[..., None]:
 
 def _array(inner: Any, size: int, results: int) -> Callable[..., None]:
     def call(y: Any, t: float, out: Any) -> None:
+        for k in range(results):
+            out[k] = np.nan
         got = np.asarray(inner(carray(y, (size,)))).ravel()
         for k in range(results):
             out[k] = got[k]
@@ -115,6 +121,8 @@ def _array(inner: Any, size: int, results: int) -> Callable[..., None]:
 
 def _timed_array(inner: Any, size: int, results: int) -> Callable[..., None]:
     def call(y: Any, t: float, out: Any) -> None:
+        for k in range(results):
+            out[k] = np.nan
         got = np.asarray(inner(carray(y, (size,)), t)).ravel()
         for k in range(results):
             out[k] = got[k]
@@ -122,6 +130,7 @@ def _timed_array(inner: Any, size: int, results: int) -> Callable[..., None]:
     return call
 
 
+# A function that raises leaves the NaN that stands in its place, and the run stops there.
 _BODIES: dict[tuple[bool, bool, bool], Callable[[Any, int, int], Callable[..., None]]] = {
     (True, False, False): _numbers,
     (True, False, True): _timed_numbers,
@@ -130,7 +139,3 @@ _BODIES: dict[tuple[bool, bool, bool], Callable[[Any, int, int], Callable[..., N
     (False, True, False): _array,
     (False, True, True): _timed_array,
 }
-
-
-# The same functions serve run after run: the machine code of the latest ones is kept.
-compiled_function = functools.lru_cache(maxsize=256)(CompiledFunction)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.kernels.flow import FlowTables
-from coadjoint.kernels.functions import CompiledFunction, compiled_function
+from coadjoint.kernels.functions import CompiledFunction
 from coadjoint.kernels.watching import Watch
 from coadjoint.program.actions import empty_action
 from coadjoint.program.table import Program
@@ -56,7 +56,7 @@ def addresses_of(
         size = len(term.coordinates)
         function = getattr(term, which)
         results = size if which == "gradient" else 1
-        compiled = compiled_function(
+        compiled = CompiledFunction(
             function,
             size,
             results,

@@ -1,0 +1,60 @@
+"""Every benchmark and the machine as Markdown: printed, and written to benchmarks/report.md.
+
+python benchmarks/run_all.py [--steps N] [--rounds R]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import subprocess
+
+import first_result
+import numba
+import numpy
+import one_trajectory
+from c_programs import FLAGS, HERE, build
+
+
+def first_line(*command: str) -> str:
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[0]
+
+
+def processor() -> str:
+    """Return the model name, family and model that lscpu prints."""
+    plain = {**os.environ, "LC_ALL": "C"}
+    printed = subprocess.run(["lscpu"], check=True, capture_output=True, text=True, env=plain).stdout
+    lines = dict(line.split(":", 1) for line in printed.splitlines() if ":" in line)
+    name, family, model = (lines[key].strip() for key in ("Model name", "CPU family", "Model"))
+    return f"{name} (family {family}, model {model})"
+
+
+def machine() -> str:
+    rows = [
+        ("processor", processor()),
+        ("cores", str(os.cpu_count())),
+        ("compiler", f"{first_line('gcc', '--version')}, {' '.join(FLAGS)}"),
+        ("Python, Numba, NumPy", f"{platform.python_version()}, {numba.__version__}, {numpy.__version__}"),
+    ]
+    return "\n".join(["| machine | |", "|---|---|", *(f"| {what} | {value} |" for what, value in rows)])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="all benchmarks, as Markdown")
+    parser.add_argument("--steps", type=int, default=10_000_000)
+    parser.add_argument("--rounds", type=int, default=7)
+    given = parser.parse_args()
+    build("rigid_body")  # no compiler: say so before anything is measured
+    tables = [
+        machine(),
+        one_trajectory.table(one_trajectory.measure(given.steps, given.rounds, list("abcde"))),
+        first_result.table(first_result.measure(given.rounds, cold=True)),
+    ]
+    report = "# Benchmarks\n\n" + "\n\n".join(tables) + "\n"
+    (HERE / "report.md").write_text(report)
+    print(report)
+
+
+if __name__ == "__main__":
+    main()
