@@ -1,7 +1,7 @@
 """The systems that the claims are tried on: never so(3) alone.
 
 Unimodular and non-unimodular algebras, diagonal and full M, permuted axes, a dense change of basis, every kind of
-Hamiltonian, dimensions 3 to 7, both signs; each with a state from which the motion is nonlinear and of size one.
+Hamiltonian, dimensions 3, 6 and 15, both signs; each with a state from which the motion is nonlinear and of size one.
 """
 
 from __future__ import annotations
