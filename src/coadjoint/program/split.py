@@ -49,7 +49,10 @@ def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Ter
         If the Hamiltonian is not a sum of functions of commuting forms, or the sets given do not serve it.
     """
     commutation = Commutation(system.algebra)
-    atoms = sorted(_atoms(system, terms or system.hamiltonian.terms(), commutation, apart=choice == "coordinates"), key=_first_coordinate)
+    atoms = sorted(
+        _atoms(system, terms or system.hamiltonian.terms(), commutation, apart=choice == "coordinates"),
+        key=_first_coordinate,
+    )
     if choice == "coordinates":
         return tuple(atoms)
     if isinstance(choice, str):
@@ -61,9 +64,7 @@ def _first_coordinate(part: Part) -> int:
     return min(i for form, _ in part.forms for i in form)
 
 
-def _atoms(
-    system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation, apart: bool
-) -> Iterable[Part]:
+def _atoms(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation, apart: bool) -> Iterable[Part]:
     pieces: dict[int, list[Part]] = {}
     size = system.dim
     for term in terms:
