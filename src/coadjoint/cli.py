@@ -102,7 +102,7 @@ def _failed(configuration: Configuration, error: IntegrationError, target: Path 
 def _summarize(solution: Solution, written: Sequence[Path]) -> None:
     stats = solution.stats
     click.echo(
-        f"{solution.system.name}, {solution.method!r}: {stats.steps} steps of {solution.step:g}, {stats.seconds:.3g} s"
+        f"{solution.system.name}, {solution.method}: {stats.steps} steps of {solution.step:g}, {stats.seconds:.3g} s"
     )
     over = "every step" if solution.watched else "the saved points"
     click.echo(f"largest deviation from the start, over {over}:")

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 import coadjoint as co
 from coadjoint.pictures.orbit import surface_casimir
 from coadjoint.pictures.solution import draw_solution
-from coadjoint.pictures.style import scheme_name, symbol
+from coadjoint.pictures.style import symbol
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +147,7 @@ def test_nothing_global_changes(body_run: co.Solution, tmp_path) -> None:
 
 
 def test_names() -> None:
-    assert scheme_name(co.GaussLegendre(stages=3)) == "GaussLegendre(stages=3)"
-    assert "Splitting(order=2)" in scheme_name(co.Composition(co.Splitting(order=2), (0.5, 0.5)))
+    assert str(co.GaussLegendre(stages=3)) == "GaussLegendre(stages=3)"
+    assert "Splitting(order=2)" in str(co.Composition(co.Splitting(order=2), (0.5, 0.5)))
     assert symbol("100$") == r"100\$"
     assert surface_casimir({}) is None

@@ -147,7 +147,7 @@ def test_catalogue_attitude_ensemble_and_observed(written):
         ([("[system]", "sign = -1\n[system]")], "sign: belongs to [algebra]; the system 'rigid_body' has its own"),
         ([('"Splitting"', '"Spliting"')], "method: unknown method 'Spliting'; did you mean 'Splitting'?"),
         ([("order", "oder")], "method.oder: unknown key; did you mean 'order'?"),
-        ([("order = 4", "order = 3")], "method: Splitting has the orders 1, 2 and 4, not 3"),
+        ([("order = 4", "order = 3")], "method: Splitting has the orders 1, 2, 4, 6, 8 and 10, not 3"),
         ([("order = 4", "parts = [[0, 1], [2]]")], "method: "),
         ([('name = "Splitting"', "")], "method: {'order': 4} is no scheme; "),
         ([("step = 0.1", "step =")], "line 13, column 7: invalid value"),

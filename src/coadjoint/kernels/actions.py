@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from coadjoint.kernels.arithmetic import entire_pair, fma, sine_and_cosine_minus_one
+from coadjoint.kernels.arithmetic import entire_pair, fma, rational_rotation, shortfall, sine_and_cosine_minus_one
 from coadjoint.kernels.compiling import inlined
-from coadjoint.program.blocks import Kind
+from coadjoint.program.blocks import CUBIC_HEADER, Kind
 
 SCALE, ROTATE, PLANE, SHEAR, CUBIC = (
     int(kind) for kind in (Kind.SCALE, Kind.ROTATE, Kind.PLANE, Kind.SHEAR, Kind.CUBIC)
 )
+
+# Rotations by tan(phi/2) := half the angle: the same blocks, with another sine and cosine.
+RATIONAL = 8
+RATIONAL_ROTATE, RATIONAL_CUBIC = ROTATE + RATIONAL, CUBIC + RATIONAL
 
 MOST_SUBSTEPS = 1.0e6
 
@@ -28,6 +32,21 @@ def add(vectors: Any, errors: Any, place: int, increment: float, compensated: bo
         vectors[place] = new
     else:
         vectors[place] = old + increment
+
+
+@inlined
+def add_owing(vectors: Any, errors: Any, place: int, increment: float, owed: float) -> None:
+    """Add an increment with compensation; keep besides what the increment owes and what adding the error to it lost.
+
+    The next rotation does not wait for any of that.
+    """
+    old, error = vectors[place], errors[place]
+    whole = increment + error
+    new = old + whole
+    kept = new - old
+    # Where the error is the larger of the two, the increment is so small that what their sum loses does not matter.
+    errors[place] = (old - (new - kept)) + (whole - kept) + ((increment - whole) + error) + owed
+    vectors[place] = new
 
 
 @inlined
@@ -48,11 +67,14 @@ def act(
     errors: Any,
     lanes: int,
     compensated: bool,
+    corrected: bool,
     room: Any,
 ) -> None:
     """Move `lanes` vectors by exp(tau sum theta_a D_a) of one part; component i of vector l stands at i*lanes + l.
 
     A part with a single angle has it in `lone`, not in theta[0]: an angle that passes through memory delays the step.
+    `compensated` keeps what adding an increment loses; `corrected` also what the increment itself owes, so that no
+    rounding keeps its sign.
     Every kind of block is written once, as an increment, so that compensation and the accuracy of small angles are the
     same for all uses.
     """
@@ -62,17 +84,27 @@ def act(
         angle = action.angle[run]
         index = action.place[run]
         constant = action.constant[run]
-        if kind == ROTATE:
+        if kind == ROTATE or kind == RATIONAL_ROTATE:
             for q in range(action.angles[run]):
                 phi = _angle(single, lone, theta, angle + q) * (tau * action.constants[constant + q])
-                sine, lowered = sine_and_cosine_minus_one(phi)
+                sine, lowered = sine_and_cosine_minus_one(phi) if kind == ROTATE else rational_rotation(phi)
+                short = shortfall(sine, -lowered, 1.0) if corrected else 0.0
                 for _ in range(repeat):
                     i, j = action.indices[index] * lanes, action.indices[index + 1] * lanes
                     index += 2
                     for lane in range(lanes):
                         a, b = vectors[i + lane], vectors[j + lane]
-                        add(vectors, errors, i + lane, fma(lowered, a, -(sine * b)), compensated)
-                        add(vectors, errors, j + lane, fma(lowered, b, sine * a), compensated)
+                        forth, back = sine * a, sine * b
+                        if corrected:
+                            # The rotation of the errors, the rounding of a product, and the shortfall.
+                            e, f = errors[i + lane], errors[j + lane]
+                            first = fma(lowered, e, -fma(sine, f, fma(sine, b, -back))) - short * a
+                            second = fma(lowered, f, fma(sine, e, fma(sine, a, -forth))) - short * b
+                            add_owing(vectors, errors, i + lane, fma(lowered, a, -back), first)
+                            add_owing(vectors, errors, j + lane, fma(lowered, b, forth), second)
+                        else:
+                            add(vectors, errors, i + lane, fma(lowered, a, -back), compensated)
+                            add(vectors, errors, j + lane, fma(lowered, b, forth), compensated)
         elif kind == SHEAR:
             for q in range(action.angles[run]):
                 turn = tau * _angle(single, lone, theta, angle + q)
@@ -82,7 +114,12 @@ def act(
                     index += 2
                     constant += 1
                     for lane in range(lanes):
-                        add(vectors, errors, i + lane, factor * vectors[j + lane], compensated)
+                        moved = factor * vectors[j + lane]
+                        if corrected:
+                            owed = fma(factor, errors[j + lane], fma(factor, vectors[j + lane], -moved))
+                            add_owing(vectors, errors, i + lane, moved, owed)
+                        else:
+                            add(vectors, errors, i + lane, moved, compensated)
         elif kind == SCALE:
             for q in range(action.angles[run]):
                 factor = math.expm1(_angle(single, lone, theta, angle + q) * (tau * action.constants[constant + q]))
@@ -97,9 +134,9 @@ def act(
                 _plane(action, index, constant, repeat, turn, vectors, errors, lanes, compensated)
                 index += 2 * repeat
                 constant += 4
-        elif kind == CUBIC:
+        elif kind == CUBIC or kind == RATIONAL_CUBIC:
             turn = tau * _angle(single, lone, theta, angle)
-            _cubic(action, run, turn, vectors, errors, lanes, compensated, room)
+            _cubic(action, run, turn, vectors, errors, lanes, compensated, corrected, room)
         else:
             turn = tau * _angle(single, lone, theta, angle)
             _series(action, run, turn, vectors, errors, lanes, compensated, room)
@@ -163,34 +200,60 @@ def _gather(action: Any, run: int, vectors: Any, lanes: int, room: Any) -> None:
 
 @inlined
 def _cubic(
-    action: Any, run: int, theta: float, vectors: Any, errors: Any, lanes: int, compensated: bool, room: Any
+    action: Any,
+    run: int,
+    theta: float,
+    vectors: Any,
+    errors: Any,
+    lanes: int,
+    compensated: bool,
+    corrected: bool,
+    room: Any,
 ) -> None:
     """D^3 = lam D: exp(theta D) = 1 + S D + C D^2, Rodrigues' formula where lam < 0 and its hyperbolic kin where lam >
     0.
     """
     constant = action.constant[run]
-    lam, root, inverse = action.constants[constant], action.constants[constant + 1], action.constants[constant + 2]
-    values = constant + 4
+    lam, root = action.constants[constant], action.constants[constant + 1]
+    values = constant + CUBIC_HEADER
     squares = values + action.entries[run]
+    rests = squares + action.entries[run]
     starts = action.place[run] + action.width[run]
     columns = starts + action.width[run] + 1
+    length = action.width[run] * lanes
     # Rows of D and D^2 are summed in registers, while the processor still works on the sine.
     _gather(action, run, vectors, lanes, room)
-    if lam < 0.0:
+    if action.kind[run] == RATIONAL_CUBIC:
+        s, c = rational_rotation(root * theta)
+    elif lam < 0.0:
         s, c = sine_and_cosine_minus_one(root * theta)
     else:
         half = math.sinh(0.5 * root * theta)
         s, c = math.sinh(root * theta), 2.0 * half * half
-    s *= inverse
-    c *= action.constants[constant + 3]
+    # What the constants lost by rounding is paid back: it would stretch every step alike.
+    s = fma(s, action.constants[constant + 2], s * action.constants[constant + 3])
+    c = fma(c, action.constants[constant + 4], c * action.constants[constant + 5])
+    if corrected:
+        # D (D x) and not D^2 x: the rounding of the entries of D^2 always pulls the same way.
+        apply_block(action, run, values, room, 0, 1.0, room, length, lanes)
+        apply_block(action, run, values, room, length, 1.0, room, 2 * length, lanes)
+        short = shortfall(s, c, -lam)
+        for k in range(action.width[run]):
+            i = action.indices[action.place[run] + k] * lanes
+            for lane in range(lanes):
+                first, second = room[length + k * lanes + lane], room[2 * length + k * lanes + lane]
+                add_owing(vectors, errors, i + lane, fma(s, first, c * second), short * second)
+        return
     for k in range(action.width[run]):
         i = action.indices[action.place[run] + k] * lanes
         for lane in range(lanes):
-            first, second = 0.0, 0.0
+            first, second, rest = 0.0, 0.0, 0.0
             for entry in range(action.indices[starts + k], action.indices[starts + k + 1]):
                 v = room[action.indices[columns + entry] * lanes + lane]
                 first = fma(action.constants[values + entry], v, first)
                 second = fma(action.constants[squares + entry], v, second)
+                rest = fma(action.constants[rests + entry], v, rest)
+            second += rest
             add(vectors, errors, i + lane, fma(s, first, c * second), compensated)
 
 

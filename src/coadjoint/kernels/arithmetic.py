@@ -78,6 +78,32 @@ def sine_and_cosine_minus_one(phi: float) -> tuple[float, float]:
 
 
 @inlined
+def rational_rotation(phi: float) -> tuple[float, float]:
+    """Return sine and cosine minus one of the angle 2 atan(phi/2): a rotation, and rational in phi."""
+    half = 0.5 * phi
+    sine = phi / fma(half, half, 1.0)
+    return sine, -(half * sine)
+
+
+@inlined
+def rational_angle(phi: float, frequency: float) -> float:
+    """Return the angle of the generator that a rational rotation of this frequency stands for; phi itself for 0."""
+    return 2.0 * math.atan(0.5 * frequency * phi) / frequency if frequency > 0.0 else phi
+
+
+@inlined
+def shortfall(s: float, c: float, square: float) -> float:
+    """Return d such that 1 + s D + (c + d) D^2 keeps lengths, for a rounded rotation with D^3 = -square D.
+
+    It is (s^2 - 2 c + c^2 square)/2: rounding, but of one sign where an angle keeps its size, and lengths would then
+    drift linearly in time.
+    """
+    curved = c * square
+    power = c * curved
+    return 0.5 * (fma(s, s, -2.0 * c) + power + fma(c, curved, -power))
+
+
+@inlined
 def entire_pair(z: float) -> tuple[float, float]:
     """Return sinh(w)/w and cosh(w) - 1 for w*w = z of either sign: one smooth function, no discriminant to decide.
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.actions import act
+from coadjoint.kernels.arithmetic import rational_angle
 from coadjoint.kernels.compiling import compiled, inlined
 from coadjoint.kernels.pointers import alive, pointed, shifted
 from coadjoint.kernels.terms import gradient_rows, linear_row
@@ -20,10 +21,14 @@ class FlowTables(NamedTuple):
     """The arrays of a program, the rows' coefficients already multiplied by the step.
 
     A part has at most `longest` angles; only[p] is the row of a part with a single, linear one, and -1 for the others.
+    Rational rotations are marked in the kinds of the actions; bent[p] is 1 where the blocks of a part on the group have
+    other frequencies than on the momentum, frequency[row], so that they need the angle itself.
     """
 
     longest: int
     only: NDArray[np.int64]
+    bent: NDArray[np.uint8]
+    frequency: NDArray[np.float64]
     part: NDArray[np.uint32]
     tau: NDArray[np.float64]
     moment: NDArray[np.float64]
@@ -68,9 +73,17 @@ def sweep(
             for k in range(low, high):
                 gradient_rows(tables.terms, tables.addresses, k, x, moment, theta, base, room)
         tau = tables.tau[r]
-        act(tables.state, part, tau, single, angle, theta, x, dx, 1, tables.compensated, room)
+        act(tables.state, part, tau, single, angle, theta, x, dx, 1, tables.compensated, tables.compensated, room)
         if carry:
-            act(tables.group, part, tau, single, angle, theta, group, dgroup, tables.group.size, True, room)
+            if tables.bent[part]:
+                if single:
+                    angle = rational_angle(tau * angle, tables.frequency[row])
+                else:
+                    base = tables.terms.row[tables.share[part]]
+                    for place in range(base, tables.terms.row[tables.share[part + 1]]):
+                        theta[place - base] = rational_angle(tau * theta[place - base], tables.frequency[place])
+                tau = 1.0
+            act(tables.group, part, tau, single, angle, theta, group, dgroup, tables.group.size, True, False, room)
 
 
 @compiled

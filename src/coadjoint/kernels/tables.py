@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,10 +11,13 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.kernels.actions import RATIONAL
 from coadjoint.kernels.flow import FlowTables
 from coadjoint.kernels.functions import CompiledFunction
 from coadjoint.kernels.watching import Watch
-from coadjoint.program.actions import empty_action
+from coadjoint.program.actions import Action, empty_action
+from coadjoint.program.blocks import Kind
+from coadjoint.program.rational import acts_rationally
 from coadjoint.program.table import Program
 from coadjoint.program.terms import LINEAR, TermTable
 from coadjoint.systems.hamiltonian import as_hamiltonian
@@ -93,9 +97,15 @@ def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
     rows = program.rows
     edges = program.terms.row[program.share]
     lone = (np.diff(edges) == 1) & (np.diff(program.share) == 1) & (program.terms.kind[program.share[:-1]] == LINEAR)
+    rational = np.array([np.any(program.frequency[a:b] != 0) for a, b in pairwise(edges)])
+    agree = np.zeros_like(rational)
+    if program.group is not None:
+        agree = rational & acts_rationally(group, program.parts, program.frequency)
     tables = FlowTables(
-        int(np.max(np.diff(edges))),
+        int(np.max(np.diff(edges), initial=1)),
         np.where(lone, edges[:-1].astype(np.int64), -1),
+        (rational & ~agree).astype(np.uint8),
+        program.frequency,
         rows.part,
         rows.coefficient * h,
         rows.moment,
@@ -103,11 +113,20 @@ def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
         program.share,
         program.terms,
         addresses,
-        program.state,
-        group,
+        _marked(program.state, rational),
+        _marked(group, agree),
         compensated,
     )
     return Compiled(tables, keep)
+
+
+def _marked(action: Action, rational: NDArray[np.bool_]) -> Action:
+    """Mark the rotations of some parts as rational."""
+    kind = action.kind.copy()
+    for part in np.flatnonzero(rational):
+        own = kind[action.run[part] : action.run[part + 1]]
+        own[(own == Kind.ROTATE) | (own == Kind.CUBIC)] += RATIONAL
+    return action._replace(kind=kind)
 
 
 def watch_tables(system: Any, invariants: Mapping[str, Any]) -> Compiled:

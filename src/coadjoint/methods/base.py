@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -43,6 +43,17 @@ class Method(ABC):
 
     failures: ClassVar[Mapping[int, str]] = {}
     """What statuses of a step other than the common ones (no convergence, overflow) mean, for messages."""
+
+    def __str__(self) -> str:
+        """Return the scheme with the parameters that are not its defaults, and its order or stages."""
+        if not is_dataclass(self):
+            return repr(self)
+        shown = []
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in ("order", "stages") or value != field.default:
+                shown.append(f"{field.name}={value if isinstance(value, Method) else repr(value)}")
+        return f"{type(self).__name__}({', '.join(shown)})"
 
     @property
     @abstractmethod
@@ -87,12 +98,13 @@ class Method(ABC):
 
 class Sweep(NamedTuple):
     """One pass through the parts: forward or backward, over a fraction of the step, functions of time taken at a moment
-    of it.
+    of it. A `turn` makes a second-order step with the sweep before: the part at which they meet flows once over both.
     """
 
     forward: bool
     coefficient: Any
     moment: Any
+    turn: bool = False
 
 
 class FlowMethod(Method):
@@ -108,9 +120,18 @@ class FlowMethod(Method):
     def compensated(self) -> bool | None:
         """Whether the momentum is summed with compensation; None is no."""
 
+    @property
+    @abstractmethod
+    def rotation(self) -> str:
+        """Rotations by the angle itself ("exact"), or by tan(angle/2) := half the angle ("rational")."""
+
     @abstractmethod
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
         """Return the sweeps of one step, first to last, with coefficients in the given number type."""
+
+    def processor(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
+        """Return the sweeps of the processor P of a step P K P^-1, whose `sweeps` are the kernel K; none by default."""
+        return ()
 
 
 def has_quadratic_energy(system: System) -> bool:

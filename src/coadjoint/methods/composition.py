@@ -51,9 +51,14 @@ class Composition(FlowMethod):
             raise TypeError(f"the base of a Composition is a scheme such as Splitting(order=2), not {self.base!r}")
         object.__setattr__(self, "coefficients", no_nan(self.coefficients, "coefficients"))
         if not self.base.symmetric:
+            processed = isinstance(self.base, FlowMethod) and len(self.base.processor()) > 0
             raise ValueError(
                 f"Composition needs a symmetric base, which {self.base!r} is not; "
-                "of a first-order splitting take Splitting(order=2), its composition with its adjoint"
+                + (
+                    "of a processed scheme P K P^-1 only the kernel K is; take a scheme without a processor"
+                    if processed
+                    else "of a first-order splitting take Splitting(order=2), its composition with its adjoint"
+                )
             )
         total = sum(self.coefficients)
         if abs(total - 1.0) > 4 * len(self.coefficients) * 2.0**-53 * sum(map(abs, self.coefficients)):
@@ -83,6 +88,11 @@ class Composition(FlowMethod):
     def compensated(self) -> bool | None:
         """Whether a splitting base is compensated."""
         return getattr(self.base, "compensated", None)
+
+    @property
+    def rotation(self) -> str:
+        """The rotations of a splitting base."""
+        return self.base.rotation if isinstance(self.base, FlowMethod) else "exact"
 
     @property
     def fractions(self) -> tuple[float, ...]:
@@ -133,8 +143,8 @@ class Composition(FlowMethod):
         result, passed = [], number(0)
         for coefficient in map(number, self.coefficients):
             result += [
-                Sweep(forward, coefficient * fraction, passed + coefficient * moment)
-                for forward, fraction, moment in inner
+                Sweep(forward, coefficient * fraction, passed + coefficient * moment, turn)
+                for forward, fraction, moment, turn in inner
             ]
             passed = passed + coefficient
         return result

@@ -12,6 +12,7 @@ from typing import Any
 
 from coadjoint.errors import unknown_name
 from coadjoint.methods.base import Method
+from coadjoint.methods.chosen_parts import ChosenParts
 
 
 @cache
@@ -197,6 +198,8 @@ def description_of(method: Method) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
+    if isinstance(value, ChosenParts):
+        return value.to_mapping()
     if isinstance(value, Method):
         return description_of(value)
     return [_plain(entry) for entry in value] if isinstance(value, tuple | list) else value

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
 
 from coadjoint.errors import unknown_name
 from coadjoint.methods.base import FlowMethod, Properties, Sweep, System
-from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
+from coadjoint.methods.chosen_parts import ChosenParts
+from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES, SplittingScheme
+from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
+
+if TYPE_CHECKING:
+    from coadjoint.program.describe import Description
 
 
 @dataclass(frozen=True)
@@ -19,26 +27,40 @@ class Splitting(FlowMethod):
 
     The first choice for long runs: each step costs a few rotations or shears, is a Poisson map to round-off, and keeps
     every Casimir and the spatial momentum of every representation. The energy is not kept but stays within
-    O(step^order) for
-    exponentially long times.
+    O(step^order) for exponentially long times.
 
     Parameters
     ----------
-    order : {1, 2, 4}
+    order : {1, 2, 4, 6, 8, 10}
         1: one sweep X_1(h), ..., X_n(h) through the parts. 2: ``X1(h/2) ... Xn(h) ... X1(h/2)`` (Lemma 4.1).
-        4: a symmetric composition of five steps of order 2 (Suzuki's).
-    parts : "auto", "coordinates", or sequence of sequences of int
-        ``"auto"``: commuting coordinates share a part, couplings inside a part are exact. ``"coordinates"``: the
-        paper's, one coordinate each. Sets of coordinates are used as given, in that order. Where M is not diagonal and
-        couples
-        coordinates that do not commute, the parts are completed squares.
+        4, 6, 8, 10: a symmetric composition of 5, 11, 21, 35 steps of order 2, of smallest error at equal cost on a
+        rigid body.
+    parts : "auto", "coordinates", sequence of sequences of int, or ChosenParts
+        ``"auto"``: commuting coordinates share a part, couplings inside a part are exact; multiples of quadratic
+        Casimirs are taken off H where that removes a part or lowers the error, and the parts are ordered, by the
+        algebra and H alone: the same system always gets the same (`describe` shows them). ``"coordinates"``: the
+        paper's, one coordinate each. Sets of coordinates are used as given, in that order. What `tuned` chose for a
+        state is explicit as well. Where M is not diagonal and couples coordinates that do not commute, the parts are
+        completed squares.
     compensated : bool, optional
-        Compensated summation of the momentum; None is no. (The group element is always compensated.)
-    rotation : {"exact"}
-        Rotations by sine and cosine.
+        Compensated summation of the momentum; None is no. (The group element is always compensated.) Without it the
+        Casimirs of a rigid body, a heavy top and a body on so(4) are off by 5e-13, 3e-13 and 8e-13 of abs(x)^2 after
+        10^7 steps of 0.1 (root mean square of 16 states), growing like the root of time or a little faster, with a full
+        M on so(3) by 6e-12 and linearly; that is far below the energy error of any order, and the fastest. With it they
+        are off by 8e-15, 8e-15 and 3e-14, growing like the root of time (full M: 4e-13), for 1.1 to 1.4 times the time.
+    rotation : {"exact", "rational"}
+        ``"exact"``: by sine and cosine. ``"rational"``: tan(angle/2) := half the angle, without trigonometry. The error
+        of order 2 is another one, everything else is kept, Poisson too: a rational rotation is the exact flow of
+        another function of the same form. Refused where it would not be: where a generator is no rotation of a single
+        frequency, or the angle depends on more than its own form. Two half rational rotations are not a whole one, so
+        consecutive steps share no flow, and a step takes about 1.1 times as long as an exact one: choose it for maps
+        without transcendental functions, not for speed.
     scheme : str, optional
-        A named scheme in place of `order`: ``"strang"``, ``"yoshida4"`` (the paper's fourth-order scheme),
-        ``"suzuki4"``.
+        A named scheme in place of `order`, one of `coadjoint.methods.splitting_schemes.SCHEMES`: ``"strang"``,
+        ``"yoshida4"`` (the paper's fourth-order scheme), ``"suzuki4"``, ``"kahan_li8a"``, ... Processed schemes
+        P K P^-1 (``"blanes_casas_murua6"``, 8, 10) cost one short kernel K a step and the processor P at each point
+        that is looked at: use them with ``watch=False`` and a large `save_every`. A Hamiltonian that depends on time is
+        then also evaluated somewhat before the start and after the end.
     adjoint : bool
         For order 1: the adjoint sweep X_n(h), ..., X_1(h).
 
@@ -81,16 +103,80 @@ class Splitting(FlowMethod):
                 raise ValueError(f"scheme {self.scheme!r} has order {SCHEMES[self.scheme].order}, not {self.order!r}")
             object.__setattr__(self, "order", SCHEMES[self.scheme].order)
         elif self.order != 1 and self.order not in DEFAULT_SCHEMES:
-            raise ValueError(f"Splitting has the orders 1, 2 and 4, not {self.order!r}")
+            raise ValueError(f"Splitting has the orders 1, 2, 4, 6, 8 and 10, not {self.order!r}")
         if self.adjoint and self.order != 1:
-            raise ValueError(f"adjoint=True is for order 1; order {self.order} is symmetric, its own adjoint")
-        if self.rotation != "exact":
-            raise unknown_name("rotation", str(self.rotation), ["exact"])
+            raise ValueError(f"adjoint=True is for order 1, a single sweep, not for order {self.order}")
+        if self.rotation not in ("exact", "rational"):
+            raise unknown_name("rotation", str(self.rotation), ["exact", "rational"])
         if isinstance(self.parts, str):
             if self.parts not in ("auto", "coordinates"):
                 raise unknown_name("choice of parts", self.parts, ["auto", "coordinates"])
-        else:
+        elif isinstance(self.parts, Mapping):
+            object.__setattr__(self, "parts", ChosenParts.from_mapping(self.parts))
+        elif not isinstance(self.parts, ChosenParts):
             object.__setattr__(self, "parts", _sets_of_coordinates(self.parts))
+
+    @classmethod
+    def tuned(cls, system: LiePoissonSystem, x0: npt.ArrayLike, order: int = 2, **options: Any) -> Splitting:
+        """Return a splitting whose parts are chosen for a state: shift and order with the smallest h^2 term there.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem
+            The system.
+        x0 : array_like, shape (n,) or (k, n)
+            A state, or a sample of those that matter.
+        order : int
+            Order of the scheme.
+        **options
+            Further parameters of `Splitting`.
+
+        Returns
+        -------
+        Splitting
+            With explicit parts: it can be printed, stored and used again.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+        >>> co.Splitting.tuned(body, (0.1, 1.0, 0.1)).parts
+        ChosenParts(order=(0, 1), shift=(('|x|^2', 0.25),))
+        """
+        from coadjoint.program.decompose import best_decomposition
+
+        points = np.atleast_2d(np.array(x0, dtype=np.float64))
+        if points.ndim != 2 or points.shape[1] != system.dim or not np.all(np.isfinite(points)):
+            raise ValueError(
+                f"x0 has the shape {points.shape}; it must be finite, ({system.dim},) or (k, {system.dim})"
+            )
+        return cls(order=order, parts=best_decomposition(system, points).choice, **options)
+
+    def describe(self, system: LiePoissonSystem) -> Description:
+        """Return what this splitting does on a system: parts, generators, kinds of blocks, operations a step.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem
+            The system.
+
+        Returns
+        -------
+        Description
+            Print it, or read its fields.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> print(co.Splitting().describe(co.systems.rigid_body(inertia=(1, 2, 3))))
+        Splitting(order=2) on rigid_body: H - 0.25 |x|^2 in 2 parts
+          part 1: e1: 1 ROTATE
+          part 2: e3: 1 ROTATE
+          a step: 2 flows, 10 multiplications, 2 sines and the like
+        """
+        from coadjoint.program.describe import describe
+
+        return describe(system, self)
 
     @property
     def explicit(self) -> bool:
@@ -99,8 +185,12 @@ class Splitting(FlowMethod):
 
     @property
     def symmetric(self) -> bool:
-        """Whether a step back undoes a step: every order but 1."""
-        return self.order != 1
+        """Whether a step back undoes a step: every order but 1, unless processed.
+
+        A processed scheme P K P^-1 has a symmetric kernel K and is conjugate to it, but the processor over -h is not
+        that over h: a step back undoes a step up to O(h^(order + 2)).
+        """
+        return self.order != 1 and not self._named.processed
 
     def properties(self, system: System) -> Properties:
         """Return what splitting keeps: the Poisson bracket, every Casimir, the spatial momentum in every
@@ -129,7 +219,7 @@ class Splitting(FlowMethod):
         return Properties(poisson=True, energy=False, casimirs="all", attitude="every representation")
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
-        """Return the sweeps of one step.
+        """Return the sweeps of one step; of a processed scheme those of its kernel.
 
         Parameters
         ----------
@@ -144,8 +234,26 @@ class Splitting(FlowMethod):
         if self.order == 1:
             moment = 1 if self.adjoint else 0
             return [Sweep(not self.adjoint, number(1), number(moment))]
-        half = [number(c) for c in SCHEMES[self.scheme or DEFAULT_SCHEMES[self.order]].half]
-        return symmetric_sweeps([*half, *half[-2::-1]], number)
+        return self._named.sweeps(number)
+
+    def processor(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
+        """Return the sweeps of the processor P of a processed scheme.
+
+        Parameters
+        ----------
+        number : callable
+            Number type of the coefficients.
+
+        Returns
+        -------
+        list of Sweep
+            First to last; empty for a scheme without one.
+        """
+        return [] if self.order == 1 else self._named.processor(number)
+
+    @property
+    def _named(self) -> SplittingScheme:
+        return SCHEMES[self.scheme or DEFAULT_SCHEMES[self.order]]
 
 
 def _sets_of_coordinates(parts: Any) -> tuple[tuple[int, ...], ...]:
@@ -155,13 +263,3 @@ def _sets_of_coordinates(parts: Any) -> tuple[tuple[int, ...], ...]:
         raise TypeError(
             f"parts is {parts!r}; it must be 'auto', 'coordinates', or sets of coordinates such as [[0, 1], [2]]"
         ) from None
-
-
-def symmetric_sweeps(coefficients: Sequence[Any], number: Callable[[Any], Any]) -> list[Sweep]:
-    """Return the sweeps of a composition of second-order steps, each with functions of time taken at its middle."""
-    sweeps, passed = [], number(0)
-    for coefficient in coefficients:
-        half = coefficient / 2
-        sweeps += [Sweep(True, half, passed + half), Sweep(False, half, passed + half)]
-        passed = passed + coefficient
-    return sweeps

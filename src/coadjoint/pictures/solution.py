@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.orbit import draw_orbit
-from coadjoint.pictures.style import colour, key, plain_axes, scheme_name, symbol
+from coadjoint.pictures.style import colour, key, plain_axes, symbol
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -121,7 +121,7 @@ def _draw_components(axes: Any, drawn: _thinned) -> None:
 
 
 def _headline(solution: Solution, drawn: _thinned) -> str:
-    parts = [solution.system.name, scheme_name(solution.method), f"step {solution.step:g}"]
+    parts = [solution.system.name, str(solution.method), f"step {solution.step:g}"]
     if len(drawn.x) < drawn.of_members:
         parts.append(f"{len(drawn.x)} of {drawn.of_members} members")
     elif drawn.of_members > 1:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from typing import TYPE_CHECKING, Any
-
-from coadjoint.methods.base import Method
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,31 +82,3 @@ def symbol(name: str) -> str:
     if re.fullmatch(r"[\w|^*+. -]*[|^*][\w|^*+. -]*", name):
         return "$" + re.sub(r"([a-z])(\d+)", r"\1_{\2}", name).replace("*", r"\,") + "$"
     return name.replace("$", r"\$")
-
-
-def scheme_name(method: Method) -> str:
-    """Return a scheme as it would be written: its order or stages, and what differs from the defaults.
-
-    Parameters
-    ----------
-    method : Method
-        The scheme.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> scheme_name(co.Splitting()), scheme_name(co.Splitting(parts="coordinates"))
-    ('Splitting(order=2)', "Splitting(order=2, parts='coordinates')")
-    """
-    if not dataclasses.is_dataclass(method):
-        return repr(method)
-    shown = []
-    for field in dataclasses.fields(method):
-        value = getattr(method, field.name)
-        if field.name in ("order", "stages") or value != field.default:
-            shown.append(f"{field.name}={scheme_name(value) if isinstance(value, Method) else repr(value)}")
-    return f"{type(method).__name__}({', '.join(shown)})"

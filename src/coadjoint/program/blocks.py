@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from decimal import Context, Decimal
 from enum import IntEnum
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +31,8 @@ class Kind(IntEnum):
 
 # Degree at which the Taylor series in a substep of norm at most 1 is below 2^-53: 1/19! = 8e-18.
 TAYLOR_DEGREE = 18
+# Constants of a CUBIC block before the values of its entries.
+CUBIC_HEADER = 6
 
 Entries = dict[tuple[int, int], Any]
 
@@ -36,10 +40,9 @@ Entries = dict[tuple[int, int], Any]
 class Block(NamedTuple):
     """One block: its kind, coordinates (in the order of its formula), constants, and entries for CUBIC and SERIES.
 
-    An entry is (row, column, value of D), of a CUBIC block with the value of D^2 as a fourth item. The constants of a
-    CUBIC block are lam, sqrt(abs(lam)), 1/sqrt(abs(lam)), 1/lam; of a SERIES block its norm (zero where it is
-    nilpotent). `degree` is
-    the last power that the series needs.
+    An entry is (row, column, value of D), of a CUBIC block followed by the value of D^2 and what its rounding left. The
+    constants of a CUBIC block are lam, sqrt(abs(lam)), 1/sqrt(abs(lam)) and 1/lam, the last two each followed by what
+    its rounding left; of a SERIES block its norm (zero where it is nilpotent). `degree` is the last power of a series.
     """
 
     kind: Kind
@@ -143,13 +146,44 @@ def _larger(coordinates: list[int], local: tuple[tuple[int, int, Any], ...], u: 
             return Block(Kind.SERIES, tuple(coordinates), (0 * local[0][2],), local, depth - 1)
     lam = _cubic_factor(matrix, power)
     if lam != 0 and _vanishes(power - lam * matrix, 8 * size * 3 * u * (bound + abs(lam) * abs(matrix))):
-        root = abs(lam) ** (type(lam)(1) / 2)
-        square = matrix @ matrix
-        places = np.argwhere((matrix != 0) | (square != 0)).tolist()
-        both = tuple((i, j, matrix[i, j], square[i, j]) for i, j in places)
-        return Block(Kind.CUBIC, tuple(coordinates), (lam, root, 1 / root, 1 / lam), both)
+        return _cubic(coordinates, matrix)
     norm = max(sum(abs(matrix[:, column])) for column in range(size))
     return Block(Kind.SERIES, tuple(coordinates), (norm,), local, TAYLOR_DEGREE)
+
+
+def _cubic(coordinates: list[int], matrix: NDArray[Any]) -> Block:
+    """Return the block with D^2, 1/sqrt(abs(lam)) and 1/lam to twice the precision: their rounding would turn a
+    rotation into one that always stretches, or always shrinks, by a little.
+    """
+    exact = _lift(matrix) if matrix.dtype == np.float64 else matrix
+    square = exact @ exact
+    lam = _cubic_factor(exact, square @ exact)
+    root = Fraction(_decimal(abs(lam)).sqrt(PRECISE)) if isinstance(lam, Fraction) else abs(lam) ** (type(lam)(1) / 2)
+    numbers = (lam, root, 1 / root, 1 / lam)
+    constants = (*(_rounded(number) for number in numbers[:2]), *_twice(numbers[2]), *_twice(numbers[3]))
+    places = np.argwhere((matrix != 0) | (square != 0)).tolist()
+    entries = tuple((i, j, matrix[i, j], *_twice(square[i, j])) for i, j in places)
+    return Block(Kind.CUBIC, tuple(coordinates), constants, entries)
+
+
+PRECISE = Context(prec=50)
+_lift = np.vectorize(Fraction, otypes=[object])
+
+
+def _decimal(value: Fraction) -> Decimal:
+    return PRECISE.divide(Decimal(value.numerator), Decimal(value.denominator))
+
+
+def _rounded(value: Any) -> Any:
+    return float(value) if isinstance(value, Fraction) else value
+
+
+def _twice(value: Any) -> tuple[Any, Any]:
+    """Return a rational as two floats that add up to it; a number of any other type, and zero."""
+    if not isinstance(value, Fraction):
+        return value, 0 * value
+    high = float(value)
+    return high, float(value - Fraction(high))
 
 
 def _vanishes(matrix: NDArray[Any], bound: NDArray[Any]) -> bool:

@@ -2,42 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action
-from coadjoint.program.blocks import Kind
-from coadjoint.program.numbers import Number, array_of, roundoff
+from coadjoint.program.blocks import CUBIC_HEADER, Kind
+from coadjoint.program.elementary import elementary
+from coadjoint.program.numbers import array_of, roundoff
+from coadjoint.program.rational import bent
 from coadjoint.program.table import Program
 from coadjoint.program.terms import FUNCTION, LINEAR, derivative_of
-
-
-class Elementary(NamedTuple):
-    """The functions that the closed forms need, for one number type."""
-
-    sin: Callable[[Any], Any]
-    cos: Callable[[Any], Any]
-    sinh: Callable[[Any], Any]
-    exp: Callable[[Any], Any]
-    expm1: Callable[[Any], Any]
-    sqrt: Callable[[Any], Any]
-    ceil: Callable[[Any], int]
-
-
-def elementary(number: Number) -> Elementary:
-    """Return the elementary functions of a number type: Python's for float, the type's own context for mpmath."""
-    if number is float:
-        return Elementary(math.sin, math.cos, math.sinh, math.exp, math.expm1, math.sqrt, math.ceil)
-    context: Any = getattr(type(number(1)), "context", None)
-    if context is None:
-        raise TypeError(f"the plain reading knows float and mpmath numbers, not {type(number(1)).__name__}")
-    return Elementary(
-        context.sin, context.cos, context.sinh, context.exp, context.expm1, context.sqrt, lambda v: int(context.ceil(v))
-    )
 
 
 class Reading:
@@ -120,6 +96,7 @@ class Reading:
             tau, moment = table.coefficient[r] * h, t + table.moment[r] * h
             theta = [tau * angle for angle in self.angles(part, x, moment)]
             turned = None if tangent is None else [tau * d for d in self._angle_tangents(part, x, moment, tangent)]
+            theta, turned = self._bent(part, theta, turned)
             self.act(self.program.state, part, theta, x)
             if group is not None and self.program.group is not None:
                 self.act(self.program.group, part, theta, group)
@@ -127,6 +104,14 @@ class Reading:
                 self.act(self.program.state, part, theta, tangent)
                 for angle, change in enumerate(turned):
                     tangent += np.multiply.outer(self._generator_on(part, angle, x), change)
+
+    def _bent(self, part: int, theta: list[Any], turned: Any) -> tuple[list[Any], Any]:
+        """Return the angles with those of rational rotations replaced, and their tangents."""
+        base = int(self.program.terms.row[self.program.share[part]])
+        w = self.program.frequency[base : base + len(theta)]
+        if turned is not None:
+            turned = [d / (1 + (f * angle / 2) ** 2) for d, angle, f in zip(turned, theta, w, strict=True)]
+        return [bent(angle, f, self.functions.atan) for angle, f in zip(theta, w, strict=True)], turned
 
     def angles(self, part: int, x: NDArray[Any], t: Any) -> list[Any]:
         """Return dH/d(l_a.x) for the forms of a part (the verb `angle`)."""
@@ -285,7 +270,7 @@ def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDA
             matrix[:] = [[mean + half, upper], [lower, mean - half]]
         else:
             count = int(action.entries[run])
-            header = 4 if kind == Kind.CUBIC else 1
+            header = CUBIC_HEADER if kind == Kind.CUBIC else 1
             starts = action.indices[index + width : index + 2 * width + 1].astype(np.int64)
             rows = np.repeat(np.arange(width), np.diff(starts))
             columns = action.indices[index + 2 * width + 1 :][:count]

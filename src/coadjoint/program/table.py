@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.methods.base import FlowMethod, Sweep
 from coadjoint.program.actions import Action, BasisMatrices, build_action
+from coadjoint.program.decompose import decompose
 from coadjoint.program.numbers import Number, array_of, convert
 from coadjoint.program.parts import LinearShare, Part, PolynomialShare
-from coadjoint.program.split import split
+from coadjoint.program.rational import rational_frequencies
 from coadjoint.program.terms import Terms, TermTable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.terms import FunctionTerm
@@ -24,7 +27,8 @@ class Rows(NamedTuple):
 
     Row r moves by part[r] over the time coefficient[r] * h, with functions of time taken at t + moment[r] * h. Section
     s (0 start, 1 step, 2 finish) has the rows section[s] to section[s + 1]. The first step is *start*, every other one
-    *step*; *finish* completes a state for output.
+    *step*; *finish* completes a state for output. Of a processed scheme P K P^-1, *start* is P^-1 and K, *step* is K,
+    and *finish* is P.
     """
 
     part: NDArray[np.uint32]
@@ -57,6 +61,10 @@ class Program:
         Sign of the equation; the rows' coefficients include it.
     number : callable
         Number type of the constants.
+    frequency : ndarray, shape (angles,)
+        The frequencies of the angles that are rational rotations, part after part; 0 for exact ones.
+    shift : tuple of (Polynomial, float)
+        Casimirs and factors taken off the Hamiltonian: what `group` leaves out.
     """
 
     rows: Rows
@@ -68,6 +76,8 @@ class Program:
     group: Action | None
     sign: int
     number: Number
+    frequency: NDArray[Any]
+    shift: tuple[tuple[Polynomial, float], ...]
 
 
 def build_program(
@@ -98,15 +108,15 @@ def build_program(
     Examples
     --------
     >>> import coadjoint as co
-    >>> program = build_program(co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(order=2))
+    >>> paper = co.Splitting(order=2, parts="coordinates")
+    >>> program = build_program(co.systems.rigid_body(inertia=(1, 2, 3)), paper)
     >>> [int(p) for p in program.rows.part]
     [0, 1, 2, 1, 0, 1, 2, 1, 0]
     >>> [int(s) for s in program.rows.section]
     [0, 4, 8, 9]
     """
-    parts = split(system, method.parts)
-    if not parts:
-        raise ValueError(f"Splitting has nothing to do for {system.name}: its Hamiltonian is constant")
+    decomposition = decompose(system, method.parts)
+    parts = decomposition.parts
     table, share = TermTable(), [0]
     for part in parts:
         for given in part.shares:
@@ -118,16 +128,23 @@ def build_program(
             else:
                 table.add_function(given.term)
         share.append(len(table))
+    state = build_action(BasisMatrices.coadjoint(system.algebra), parts, number)
+    count = sum(len(part.forms) for part in parts)
+    frequency = array_of(number, [0] * count)
+    if method.rotation == "rational":
+        frequency = rational_frequencies(system, parts, state, number)
     return Program(
-        rows=_rows(method.sweeps(number), parts, system.sign, number),
+        rows=_rows(method, _Joining.of(parts, frequency), system.sign, number),
         parts=parts,
         terms=table.table(number),
         share=np.array(share, dtype=np.uint32),
         functions=table.functions,
-        state=build_action(BasisMatrices.coadjoint(system.algebra), parts, number),
+        state=state,
         group=_group_action(system, group, parts, number),
         sign=system.sign,
         number=number,
+        frequency=frequency,
+        shift=decomposition.shift,
     )
 
 
@@ -142,22 +159,54 @@ class _Row(NamedTuple):
     part: int
     coefficient: Any
     moment: Any
+    turn: bool = False
 
 
-def _rows(sweeps: Sequence[Sweep], parts: tuple[Part, ...], sign: int, number: Number) -> Rows:
-    sequence: list[_Row] = []
-    for sweep in sweeps:
-        order = range(len(parts)) if sweep.forward else range(len(parts) - 1, -1, -1)
-        for part in order:
-            row = _Row(part, convert(number, sweep.coefficient), convert(number, sweep.moment))
-            if sequence and (merged := _merge(sequence[-1], row, parts, sequence[-1].moment)):
-                sequence[-1] = merged
+class _Joining(NamedTuple):
+    """What decides whether two flows of one part, one after the other, are one: which parts depend on time, and which
+    turn rationally.
+    """
+
+    timed: tuple[bool, ...]
+    rational: tuple[bool, ...]
+
+    @classmethod
+    def of(cls, parts: tuple[Part, ...], frequency: NDArray[Any]) -> _Joining:
+        ends = np.cumsum([0] + [len(part.forms) for part in parts])
+        rational = tuple(bool(np.any(frequency[a:b] != 0)) for a, b in pairwise(ends))
+        return cls(tuple(part.timed for part in parts), rational)
+
+    def join(self, last: _Row, row: _Row, moment: Any) -> _Row | None:
+        """Return two flows as one, the first at the given moment of the step of the second, or None.
+
+        Not where each of two flows has its own moment; and two half rational rotations are not a whole one.
+        """
+        apart = self.timed[row.part] and moment != row.moment
+        if last.part != row.part or apart or (self.rational[row.part] and not row.turn):
+            return None
+        return _Row(row.part, last.coefficient + row.coefficient, row.moment)
+
+    def joined(self, rows: Iterable[_Row]) -> list[_Row]:
+        found: list[_Row] = []
+        for row in rows:
+            both = self.join(found[-1], row, found[-1].moment) if found else None
+            if both is None:
+                found.append(row)
             else:
-                sequence.append(row)
-    start, step, finish = sequence, sequence, list[_Row]()
+                found[-1] = both
+        return found
+
+
+def _rows(method: FlowMethod, joining: _Joining, sign: int, number: Number) -> Rows:
+    kernel = joining.joined(_flows(method.sweeps(number), len(joining.timed), number))
+    processor = joining.joined(_flows(method.processor(number), len(joining.timed), number))
+    undone = [row._replace(coefficient=-row.coefficient) for row in processor[::-1]]
+    after = [row._replace(moment=row.moment + 1) for row in processor]
+    start, step, finish = [*undone, *kernel], kernel, after
     # The last row belongs to the step before: seen from this one its moment lies a whole step earlier.
-    if len(sequence) > 1 and (outer := _merge(sequence[-1], sequence[0], parts, sequence[-1].moment - 1)):
-        start, step, finish = sequence[:-1], [outer, *sequence[1:-1]], sequence[-1:]
+    if len(kernel) > 1 and (outer := joining.join(kernel[-1], kernel[0], kernel[-1].moment - 1)):
+        start, step, finish = start[:-1], [outer, *kernel[1:-1]], [kernel[-1], *after]
+    start, finish = joining.joined(start), joining.joined(finish)
     everything = [*start, *step, *finish]
     ends = [0, len(start), len(start) + len(step), len(everything)]
     return Rows(
@@ -168,8 +217,9 @@ def _rows(sweeps: Sequence[Sweep], parts: tuple[Part, ...], sign: int, number: N
     )
 
 
-def _merge(last: _Row, row: _Row, parts: tuple[Part, ...], moment: Any) -> _Row | None:
-    """Two flows of one part in a row are one flow, unless it depends on time and each has its own moment."""
-    if last.part != row.part or (parts[row.part].timed and moment != row.moment):
-        return None
-    return _Row(row.part, last.coefficient + row.coefficient, row.moment)
+def _flows(sweeps: Sequence[Sweep], parts: int, number: Number) -> Iterable[_Row]:
+    for sweep in sweeps:
+        coefficient, moment = convert(number, sweep.coefficient), convert(number, sweep.moment)
+        for place in range(parts):
+            part = place if sweep.forward else parts - 1 - place
+            yield _Row(part, coefficient, moment, sweep.turn and place == 0)

@@ -19,6 +19,8 @@ from coadjoint.runs.prepare import prepare
 from coadjoint.runs.solution import Solution, Statistics
 from coadjoint.runs.start import Start, start_of
 from coadjoint.runs.times import Times, is_positive_whole, times_of
+from coadjoint.runs.unshift import unshifted
+from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 # Between two calls of the compiled loop the interpreter can show progress and hear an interrupt.
 SECONDS_BETWEEN_LOOKS = 0.2
@@ -142,7 +144,9 @@ class Run:
             last=np.zeros((members, invariants)),
         )
         self.schedule = Schedule(times.t0, times.h, times.steps, times.save_every, self.watching)
-        transposed = np.swapaxes(start.groups, 1, 2).reshape(members, square).copy()
+        # A shifted run starts at the unit element; `_groups` puts the initial one before it.
+        groups = np.broadcast_to(np.eye(start.groups.shape[1]), start.groups.shape) if self.shifted else start.groups
+        transposed = np.swapaxes(groups, 1, 2).reshape(members, square).copy()
         self.state = (start.momenta.copy(), np.zeros((members, size)), transposed, np.zeros((members, square)))
         whole = [np.zeros(members, dtype=np.int64) for _ in range(4)]
         self.report = Report(whole[0], whole[1], np.full(members, np.nan), whole[2], whole[3])
@@ -213,19 +217,17 @@ class Run:
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
 
     def _solution(self, kept: int) -> Solution:
-        members, size = self.start.momenta.shape[0], self.start.groups.shape[1]
         numbers = self.times.saved[:kept]
         t = self.times.at(numbers)
         pick: Any = (lambda a: a[:, 0]) if self.start.single else (lambda a: a)
         values = self.saves.values[:kept]
-        groups = np.swapaxes(self.saves.group[:kept].reshape(kept, members, size, size), 2, 3)
         worst = self.saves.worst[0] if self.start.single else self.saves.worst
         return Solution(
             t=t,
             x=pick(self.saves.x[:kept]),
             energy=pick(values[..., 0]),
             casimirs={name: pick(values[..., i + 1]) for i, name in enumerate(self.names[1:])},
-            attitude=None if self.start.representation is None else pick(groups),
+            attitude=None if self.start.representation is None else pick(self._groups(kept)),
             observed={} if self.observed is None else self.observed(t, self.saves.x[:kept], pick),
             stats=Statistics(
                 steps=int(self.times.steps),
@@ -243,6 +245,22 @@ class Run:
             carried=self.start.carried,
             _worst=worst,
         )
+
+    @property
+    def shifted(self) -> bool:
+        """Whether a group element is carried that a Casimir shift has yet to turn."""
+        return bool(self.prepared.shift) and self.start.representation is not None
+
+    def _groups(self, kept: int) -> NDArray[np.float64]:
+        members, size = self.start.groups.shape[:2]
+        groups = np.swapaxes(self.saves.group[:kept].reshape(kept, members, size, size), 2, 3)
+        representation = self.start.representation
+        if not self.shifted or representation is None:
+            return groups
+        assert isinstance(self.system, LiePoissonSystem)
+        elapsed = self.times.at(self.times.saved[:kept]) - self.times.t0
+        start = (self.start.momenta, self.start.groups)
+        return unshifted(self.system, self.prepared.shift, representation, *start, elapsed, groups)
 
 
 def _observables(system: System, observe: Mapping[str, Any]) -> Callable[..., dict[str, NDArray[np.float64]]]:

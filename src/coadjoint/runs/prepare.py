@@ -8,6 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.methods.base import FlowMethod, Method, System
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
@@ -17,11 +18,16 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 @dataclass(frozen=True)
 class Prepared:
-    """A compiled loop with its tables; `keep` holds the machine code of user functions alive."""
+    """A compiled loop with its tables.
+
+    `keep` holds the machine code of user functions alive; `shift` is what was taken off the Hamiltonian, Casimirs and
+    factors, and turns the group element at output.
+    """
 
     advance: Callable[..., None]
     tables: Any
     keep: tuple[Any, ...]
+    shift: tuple[tuple[Polynomial, float], ...] = ()
 
 
 def prepare(system: System, method: Method, h: float, representation: NDArray[Any] | str | None) -> Prepared:
@@ -58,7 +64,7 @@ def prepare(system: System, method: Method, h: float, representation: NDArray[An
         assert isinstance(system, LiePoissonSystem)
         program = build_program(system, method, group=representation)
         found = flow_tables(program, h, bool(method.compensated))
-        return Prepared(advance, found.tables, found.keep)
+        return Prepared(advance, found.tables, found.keep, program.shift)
     if isinstance(innermost, RungeKuttaMethod):
         from coadjoint.kernels import runge_kutta
         from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables

@@ -1,17 +1,24 @@
-"""Are the functions that a user calls Casimirs constant along every motion of the bracket?"""
+"""Which Casimirs does a system follow: those given, checked to be constant, or those of its algebra."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.invariant import Invariant
+from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.systems.points import UNIT_ROUNDOFF
 from coadjoint.systems.user_functions import sample_points
+
+# A system looks for Casimirs by itself where that takes a fraction of a second: monomials times constants a coordinate.
+LARGEST_SEARCH = 5000
+HIGHEST_DEGREE = 4
 
 Product = Callable[[npt.NDArray[np.float64], npt.NDArray[np.float64]], npt.NDArray[np.float64]]
 
@@ -63,6 +70,49 @@ def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size
             _check(str(name), casimir, n, product, size)
         result[str(name)] = casimir
     return result
+
+
+@lru_cache(maxsize=64)
+def casimirs_of(algebra: LieAlgebra) -> Mapping[str, Any]:
+    """Return the Casimirs that are known of an algebra or, where some are missing, those that a quick search finds.
+
+    Parameters
+    ----------
+    algebra : LieAlgebra
+        The algebra; ``algebra.casimirs(max_degree)`` searches further than is done here.
+
+    Returns
+    -------
+    mapping
+        Name to `Polynomial` or `Invariant`.
+
+    Examples
+    --------
+    >>> from coadjoint.algebra.lie_algebra import LieAlgebra
+    >>> g = LieAlgebra.from_brackets(3, {(0, 1): {2: 1.0}, (1, 2): {0: 1.0}, (2, 0): {1: 1.0}})
+    >>> dict(casimirs_of(g))
+    {'C2': x1^2 + x2^2 + x3^2}
+    """
+    known = algebra.casimirs_known
+    constants = len(algebra.triples.c)
+    # A bracket that is not zero has rank two at least.
+    if constants == 0 or (known and len(known) >= algebra.dim - 2):
+        return known
+    degree = max(
+        (d for d in range(1, HIGHEST_DEGREE + 1) if _search_size(algebra.dim, d, constants) <= LARGEST_SEARCH),
+        default=0,
+    )
+    if degree < 2 or (known and len(known) >= algebra.dim - algebra.generic_rank()):
+        return known
+    try:
+        found = algebra.casimirs(degree)
+    except ValueError:  # rounded constants that leave open what is a Casimir
+        return known
+    return found if len(found) > len(known) else known
+
+
+def _search_size(dim: int, degree: int, constants: int) -> float:
+    return math.comb(dim + degree - 1, degree) * max(1.0, constants / dim)
 
 
 def _check(name: str, casimir: Polynomial | Invariant, n: int, product: Product, size: Product) -> None:

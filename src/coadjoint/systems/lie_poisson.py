@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.representation import check_representation
-from coadjoint.systems.casimirs import checked_casimirs
+from coadjoint.systems.casimirs import casimirs_of, checked_casimirs
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.points import checked_sign, matching, point, scatter
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
@@ -33,7 +33,8 @@ class LiePoissonSystem:
     sign : {+1, -1}
         +1: the convention of Reich (1993), right-invariant systems. -1: left-invariant (body) systems.
     casimirs : mapping, optional
-        Name to `Polynomial`, `Invariant` or function of x. By default those known of the algebra.
+        Name to `Polynomial`, `Invariant` or function of x. By default those known of the algebra, or
+        found quickly.
     representation : (n, d, d), optional
         Matrices of the basis for the group element, ``g' = -sign g rho(grad H)``. By default that of the algebra.
     name : str, optional
@@ -78,7 +79,7 @@ class LiePoissonSystem:
     sign: int
     representation: npt.NDArray[np.float64] | None
     name: str
-    _casimirs: dict[str, Any]
+    _casimirs: dict[str, Any] | None
     _parameters: dict[str, Any] | None
     _exact: Callable[..., Any] | None
     _rows: npt.NDArray[np.int64]
@@ -111,7 +112,7 @@ class LiePoissonSystem:
         keep(self, "_states", np.concatenate([k, k]))
         keep(self, "_constants", np.concatenate([c, -c]))
         if casimirs is None:
-            keep(self, "_casimirs", dict(algebra.casimirs_known))
+            keep(self, "_casimirs", None)
         else:
             keep(self, "_casimirs", checked_casimirs(casimirs, algebra.dim, self._product, self._absolute_product))
         if representation is None:
@@ -146,7 +147,7 @@ class LiePoissonSystem:
     @property
     def casimirs(self) -> dict[str, Any]:
         """Name to `Polynomial` or `Invariant` (a copy)."""
-        return dict(self._casimirs)
+        return dict(casimirs_of(self.algebra) if self._casimirs is None else self._casimirs)
 
     @property
     def parameters(self) -> dict[str, Any] | None:

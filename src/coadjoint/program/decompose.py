@@ -1,0 +1,191 @@
+"""Which splitting? Parts, their order, and how much of each quadratic Casimir is taken off the Hamiltonian first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.methods.chosen_parts import ChosenParts
+from coadjoint.program.parts import Part
+from coadjoint.program.second_order import Samples
+from coadjoint.program.shift import Shift, candidate_shifts, quadratic_casimirs, shifted_terms
+from coadjoint.program.split import split
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.terms import FunctionTerm, Term
+
+SEED = 1993
+SAMPLES = 16
+# Larger systems keep the order that they come in: comparing orders costs n^3 for each of them.
+LARGEST_COMPARED = 24
+MOST_PERMUTED = 5
+# Sizes that differ by rounding alone must not decide, so that every machine chooses the same.
+CLEARLY = 1.0 - 1e-9
+
+
+@dataclass(frozen=True)
+class Decomposition:
+    """Parts in the order of a forward sweep, and the Casimirs taken off H; the momentum moves as without.
+
+    Parameters
+    ----------
+    parts : tuple of Part
+        The exact flows.
+    shift : tuple of (Polynomial, float)
+        Quadratic Casimirs C and factors c: the parts add up to H - sum c C.
+    choice : ChosenParts
+        What to pass as `parts` to get the same again.
+    """
+
+    parts: tuple[Part, ...]
+    shift: tuple[tuple[Polynomial, float], ...]
+    choice: ChosenParts
+
+
+def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
+    """Take the Hamiltonian of a system apart, by the algebra and H alone.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        The system.
+    choice : "auto", "coordinates", sequence of sequences of int, or ChosenParts
+        ``"auto"``: few parts, after taking off multiples of quadratic Casimirs where that removes a part or lowers the
+        h^2 term, in the order with the smallest h^2 term over a fixed sample. All else is taken as it stands.
+
+    Returns
+    -------
+    Decomposition
+        The same system gives the same one, always.
+
+    Raises
+    ------
+    ValueError
+        If the Hamiltonian does not split, or the choice does not fit the system.
+    """
+    if isinstance(choice, ChosenParts):
+        return _chosen(system, choice)
+    if not isinstance(choice, str) or choice != "auto":
+        parts = split(system, choice)
+        return Decomposition(parts, (), ChosenParts(tuple(range(len(parts)))))
+    if system not in _FOUND:
+        _FOUND[system] = best_decomposition(system, _sample(system.dim))
+    return _FOUND[system]
+
+
+# Systems do not change: what was found for one serves all of its runs, as long as it lives.
+_FOUND: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
+
+
+def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64], t: float = 0.0) -> Decomposition:
+    """Return the decomposition with the fewest parts and, among those, the smallest h^2 term at some points.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        The system.
+    points : ndarray, shape (k, n)
+        Where the term is compared.
+    t : float
+        Time.
+
+    Returns
+    -------
+    Decomposition
+        With its shift and order.
+    """
+    terms, casimirs = system.hamiltonian.terms(), quadratic_casimirs(system)
+    plain = split(system, "auto")
+    shift: Shift = ()
+    order, least = best_order(system, plain, points, t)
+    fewest = len(plain)
+    for candidate in candidate_shifts(system, plain) if fewest > 1 else ():
+        parts = split(system, "auto", shifted_terms(terms, casimirs, candidate))
+        if len(parts) > fewest:
+            continue
+        own, size = best_order(system, parts, points, t)
+        if len(parts) < fewest or size < least * CLEARLY:
+            shift, order, least, fewest = candidate, own, size, len(parts)
+    return _chosen(system, ChosenParts(order, shift))
+
+
+def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
+    casimirs = quadratic_casimirs(system)
+    parts = split(system, "auto", shifted_terms(system.hamiltonian.terms(), casimirs, choice.shift))
+    if len(parts) != len(choice.order):
+        raise ValueError(
+            f"parts orders {len(choice.order)} parts, but {system.name} has {len(parts)} of them; "
+            "choose again with Splitting.tuned"
+        )
+    taken = tuple((casimirs[name], factor) for name, factor in choice.shift)
+    return Decomposition(tuple(parts[k] for k in choice.order), taken, choice)
+
+
+def best_order(
+    system: LiePoissonSystem, parts: Sequence[Part], points: NDArray[np.float64], t: float = 0.0
+) -> tuple[tuple[int, ...], float]:
+    """Return the order of the parts with the smallest root mean square of the h^2 term at some points, and that size.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        The system.
+    parts : sequence of Part
+        At most five are permuted in every way; more are moved one by one while that helps.
+    points : ndarray, shape (k, n)
+        Where the term is taken; none for a system too large to compare.
+    t : float
+        Time.
+
+    Returns
+    -------
+    order : tuple of int
+        The natural order where the term cannot be had (no second derivatives, or too large).
+    size : float
+        Zero there.
+    """
+    natural = tuple(range(len(parts)))
+    if len(parts) < 2 or not len(points) or not _has_hessians(system.hamiltonian.terms()):
+        return natural, 0.0
+
+    samples = Samples(system.algebra, parts, points, t)
+
+    def size(order: tuple[int, ...]) -> float:
+        return float(np.sqrt(np.mean(samples.second_order_term(order) ** 2)))
+
+    best, least, improved = natural, size(natural), True
+    while improved:
+        improved = False
+        for order in _neighbours(best):
+            error = size(order)
+            if error < least * CLEARLY:
+                best, least, improved = order, error, len(parts) > MOST_PERMUTED
+    return best, least
+
+
+def _neighbours(order: tuple[int, ...]) -> Iterable[tuple[int, ...]]:
+    if len(order) <= MOST_PERMUTED:
+        return permutations(sorted(order))
+    moved = []
+    for source in range(len(order)):
+        rest = order[:source] + order[source + 1 :]
+        moved += [rest[:k] + order[source : source + 1] + rest[k:] for k in range(len(order)) if k != source]
+    return moved
+
+
+def _has_hessians(terms: Iterable[Term]) -> bool:
+    return all(not isinstance(term, FunctionTerm) or term.hessian is not None for term in terms)
+
+
+def _sample(size: int) -> NDArray[np.float64]:
+    """Return fixed points of unit length: the choice must not depend on a state."""
+    if size > LARGEST_COMPARED:
+        return np.zeros((0, size))
+    points = np.random.default_rng(SEED).standard_normal((SAMPLES, size))
+    return np.asarray(points / np.sqrt(np.sum(points**2, axis=1, keepdims=True)))

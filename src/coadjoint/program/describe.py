@@ -1,0 +1,153 @@
+"""What does a splitting do on a system? Parts, generators, kinds of blocks, operations a step."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+from coadjoint.methods.base import FlowMethod
+from coadjoint.program.actions import Action
+from coadjoint.program.blocks import Kind
+from coadjoint.program.decompose import decompose
+from coadjoint.program.parts import Part
+from coadjoint.program.table import Program, build_program
+from coadjoint.program.terms import LINEAR
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+MOST_SHOWN = 6
+# Multiplications with addition on the coordinates of one block.
+WORK = {Kind.SCALE: 1, Kind.ROTATE: 4, Kind.PLANE: 6, Kind.SHEAR: 2}
+
+
+@dataclass(frozen=True)
+class PartDescription:
+    """One part.
+
+    Parameters
+    ----------
+    generators : tuple of str
+        The forms l_a, in the names of the basis.
+    blocks : dict
+        Kind of block -> how many, in the coadjoint action.
+    multiplications : int
+        Multiplications with addition in one flow of the part.
+    functions : int
+        Evaluations of sine with cosine, exponential, or of a user's function, in one flow.
+    """
+
+    generators: tuple[str, ...]
+    blocks: dict[str, int]
+    multiplications: int
+    functions: int
+
+
+@dataclass(frozen=True)
+class Description:
+    """A splitting of a system; printed, it reads as a short text.
+
+    Parameters
+    ----------
+    system, method : str
+        What is described.
+    parts : tuple of PartDescription
+        In the order of a forward sweep.
+    shift : dict
+        Casimir -> the multiple of it that is taken off H.
+    flows : int
+        Flows of parts a step, the outer ones of neighbouring steps merged.
+    multiplications, functions : int
+        Operations a step.
+    """
+
+    system: str
+    method: str
+    parts: tuple[PartDescription, ...]
+    shift: dict[str, float]
+    flows: int
+    multiplications: int
+    functions: int
+
+    def __str__(self) -> str:
+        off = "".join(f" - {factor:.6g} {name}" for name, factor in self.shift.items())
+        lines = [f"{self.method} on {self.system}: H{off} in {len(self.parts)} parts"]
+        for number, part in enumerate(self.parts, start=1):
+            shown = list(part.generators[:MOST_SHOWN])
+            if len(part.generators) > MOST_SHOWN:
+                shown.append(f"... ({len(part.generators)})")
+            kinds = ", ".join(f"{count} {kind}" for kind, count in part.blocks.items()) or "nothing moves"
+            lines.append(f"  part {number}: {', '.join(shown)}: {kinds}")
+        lines.append(
+            f"  a step: {self.flows} flows, {self.multiplications} multiplications, {self.functions} sines and the like"
+        )
+        return "\n".join(lines)
+
+
+def describe(system: LiePoissonSystem, method: FlowMethod) -> Description:
+    """Describe a splitting of a system.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        The system.
+    method : FlowMethod
+        The scheme.
+
+    Returns
+    -------
+    Description
+        To be read, or printed.
+    """
+    program = build_program(system, method)
+    parts = tuple(_part(system, program, number, part) for number, part in enumerate(program.parts))
+    first, last = int(program.rows.section[1]), int(program.rows.section[2])
+    step = [parts[int(program.rows.part[row])] for row in range(first, last)]
+    return Description(
+        system=system.name,
+        method=str(method),
+        parts=parts,
+        shift=dict(decompose(system, method.parts).choice.shift),
+        flows=len(step),
+        multiplications=sum(part.multiplications for part in step),
+        functions=sum(part.functions for part in step),
+    )
+
+
+def _part(system: LiePoissonSystem, program: Program, number: int, part: Part) -> PartDescription:
+    blocks: Counter[str] = Counter()
+    multiplications, functions = _share_work(program, number)
+    action = program.state
+    for run in range(action.run[number], action.run[number + 1]):
+        kind = Kind(int(action.kind[run]))
+        angles, repeat = int(action.angles[run]), int(action.repeat[run])
+        blocks[kind.name] += angles * repeat
+        multiplications += angles * repeat * _block_work(action, run, kind)
+        functions += 0 if kind in (Kind.SHEAR, Kind.SERIES) else angles
+    return PartDescription(tuple(_name(system, form) for form in part.forms), dict(blocks), multiplications, functions)
+
+
+def _block_work(action: Action, run: int, kind: Kind) -> int:
+    if kind in WORK:
+        return WORK[kind]
+    return int(action.entries[run]) * (2 if kind == Kind.CUBIC else int(action.degree[run]))
+
+
+def _share_work(program: Program, number: int) -> tuple[int, int]:
+    terms, multiplications, functions = program.terms, 0, 0
+    for term in range(program.share[number], program.share[number + 1]):
+        rows = range(terms.row[term], terms.row[term + 1])
+        if terms.kind[term] == LINEAR:
+            multiplications += int(terms.entry[rows.stop] - terms.entry[rows.start])
+        elif term in program.functions:
+            functions += 1
+        else:
+            monomials = range(terms.monomial[term], terms.monomial[term + 1])
+            multiplications += sum(int(terms.factor[m + 1] - terms.factor[m]) ** 2 for m in monomials)
+    return multiplications, functions
+
+
+def _name(system: LiePoissonSystem, form: tuple[tuple[int, ...], tuple[Any, ...]]) -> str:
+    basis = system.algebra.basis
+    words = [basis[i] if value == 1 else f"{float(value):.4g} {basis[i]}" for i, value in zip(*form, strict=True)]
+    shown = words if len(words) <= MOST_SHOWN else [*words[:MOST_SHOWN], "..."]
+    return " + ".join(shown).replace("+ -", "- ")

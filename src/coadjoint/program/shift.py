@@ -1,0 +1,184 @@
+"""Casimir shifts: H - c C moves the momentum as H does, and may have fewer parts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.program.parts import Part
+from coadjoint.program.squares import complete_squares
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.terms import QuadraticTerm, Term
+
+Shift = tuple[tuple[str, float], ...]
+
+LARGEST_SINGULAR = 8
+BISECTIONS = 64
+
+
+def quadratic_casimirs(system: LiePoissonSystem) -> dict[str, Polynomial]:
+    """Return the known Casimirs of a system that are homogeneous of degree two, by name."""
+    return {
+        name: casimir
+        for name, casimir in system.casimirs.items()
+        if isinstance(casimir, Polynomial)
+        and casimir.monomials
+        and all(sum(exponents) == 2 for exponents in casimir.monomials)
+    }
+
+
+def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, Polynomial], shift: Shift) -> tuple[Term, ...]:
+    """Take multiples of quadratic Casimirs off the quadratic term of a Hamiltonian.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        The Hamiltonian; one of its quadratic terms belongs to no piece.
+    casimirs : mapping
+        Name -> quadratic Casimir.
+    shift : tuple of (str, float)
+        Names and factors.
+
+    Returns
+    -------
+    tuple of Term
+        Entries that cancel up to rounding are gone.
+
+    Raises
+    ------
+    ValueError
+        If a name is not known, or there is no quadratic term.
+    """
+    if not shift:
+        return tuple(terms)
+    unknown = [name for name, _ in shift if name not in casimirs]
+    if unknown:
+        raise ValueError(f"the shift names {unknown[0]!r}; the quadratic Casimirs are {', '.join(map(repr, casimirs))}")
+    own = next((k for k, term in enumerate(terms) if isinstance(term, QuadraticTerm) and term.piece is None), None)
+    if own is None:
+        raise ValueError("a shift needs a quadratic term in the Hamiltonian, outside the pieces of a SplitHamiltonian")
+    term = terms[own]
+    assert isinstance(term, QuadraticTerm)
+    entries = [(term.rows, term.indices, term.values)]
+    for name, factor in shift:
+        for piece in Quadratic.from_polynomial(casimirs[name]).terms():
+            assert isinstance(piece, QuadraticTerm)
+            entries.append((piece.rows, piece.indices, -factor * piece.values))
+    rows, columns = (np.concatenate([entry[side] for entry in entries]) for side in (0, 1))
+    values = np.concatenate([entry[2] for entry in entries])
+    places, where = np.unique(rows * len(term.linear) + columns, return_inverse=True)
+    total = np.bincount(where, weights=values)
+    kept = np.abs(total) > 4 * 2.0**-53 * np.bincount(where, weights=np.abs(values))
+    rows, columns = np.divmod(places[kept], len(term.linear))
+    counts = np.bincount(rows, minlength=len(term.linear))
+    indptr = np.concatenate([[0], np.cumsum(counts)])
+    changed = QuadraticTerm(indptr, columns, np.asarray(total[kept], dtype=np.float64), term.linear, term.constant)
+    return (*terms[:own], changed, *terms[own + 1 :])
+
+
+def candidate_shifts(system: LiePoissonSystem, parts: Sequence[Part]) -> Iterable[Shift]:
+    """Yield shifts after which a coordinate, a part, or a completed square may vanish.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        The system.
+    parts : sequence of Part
+        Its parts without a shift.
+
+    Yields
+    ------
+    tuple of (str, float)
+        Each at most once.
+    """
+    quadratic = [term for term in system.hamiltonian.terms() if isinstance(term, QuadraticTerm) and term.piece is None]
+    casimirs = quadratic_casimirs(system)
+    if not quadratic or not casimirs:
+        return
+    own = quadratic[0].rows == quadratic[0].indices
+    diagonal = dict(zip(quadratic[0].indices[own].tolist(), quadratic[0].values[own].tolist(), strict=True))
+    holders = _holders(casimirs)
+    seen: set[Shift] = {()}
+    for part in parts:
+        # All coordinates of a part at once, each by the first Casimir that holds its square: a lattice has one a spin.
+        factors: dict[str, float] = {}
+        for coordinate in sorted({i for form, _ in part.forms for i in form}):
+            for name, entry in holders.get(coordinate, [])[:1]:
+                factors.setdefault(name, diagonal.get(coordinate, 0.0) / entry)
+        seen.add(together := tuple((name, factor) for name, factor in sorted(factors.items()) if factor))
+        if together:
+            yield together
+        for coordinate in sorted({i for form, _ in part.forms for i in form}) if len(casimirs) <= 4 else []:
+            for name, entry in holders.get(coordinate, []):
+                alone: Shift = ((name, diagonal.get(coordinate, 0.0) / entry),)
+                if alone[0][1] and alone not in seen:
+                    seen.add(alone)
+                    yield alone
+    if len(casimirs) == 1 and system.dim <= LARGEST_SINGULAR:
+        ((name, casimir),) = casimirs.items()
+        for factor in singular_factors(_dense(quadratic[0]), _dense_of(casimir)):
+            if ((name, factor),) not in seen:
+                yield ((name, factor),)
+
+
+def _holders(casimirs: Mapping[str, Polynomial]) -> dict[int, list[tuple[str, float]]]:
+    """Return for each coordinate the Casimirs with its square, and the entry of their matrix there."""
+    found: dict[int, list[tuple[str, float]]] = {}
+    for name, casimir in casimirs.items():
+        for exponents, coefficient in casimir.monomials.items():
+            if 2 in exponents:
+                found.setdefault(exponents.index(2), []).append((name, 2.0 * float(coefficient)))
+    return found
+
+
+def _dense(term: QuadraticTerm) -> NDArray[np.float64]:
+    matrix = np.zeros((len(term.linear),) * 2)
+    matrix[term.rows, term.indices] = term.values
+    return matrix
+
+
+def _dense_of(casimir: Polynomial) -> NDArray[np.float64]:
+    return Quadratic.from_polynomial(casimir).hessian(np.zeros(casimir.dim))
+
+
+def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) -> tuple[float, ...]:
+    """Return the factors c with M - c C singular, for a definite C: there a completed square vanishes.
+
+    By counting signs of squares in rationals and halving intervals, so that every machine finds the same floats.
+
+    Parameters
+    ----------
+    matrix, casimir : ndarray, shape (n, n)
+        M and C, symmetric.
+
+    Returns
+    -------
+    tuple of float
+        Ascending; empty where C is not definite, or M is diagonal in its basis (the diagonal says it then).
+    """
+    signs = [weight > 0 for weight in _weights(casimir, 0.0, casimir)]
+    if len(signs) < len(matrix) or len(set(signs)) != 1 or not np.any(matrix - np.diag(np.diag(matrix))):
+        return ()
+    definite = casimir if signs[0] else -casimir
+    smallest = min(float(weight) for weight in _weights(definite, 0.0, definite))
+    bound = 2.0 * len(matrix) ** 2 * float(np.max(np.abs(matrix))) / smallest
+    found = []
+    for count in range(1, len(matrix) + 1):
+        low, high = -bound, bound
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            negative = sum(weight < 0 for weight in _weights(matrix, middle, definite))
+            low, high = (low, middle) if negative >= count else (middle, high)
+        found.append(high if signs[0] else -high)
+    return tuple(sorted(found))
+
+
+def _weights(matrix: NDArray[np.float64], factor: float, casimir: NDArray[np.float64]) -> list[Fraction]:
+    lift = np.vectorize(Fraction, otypes=[object])
+    exact = lift(matrix) - Fraction(factor) * lift(casimir)
+    return list(complete_squares(exact, lift(np.zeros(len(matrix)))).weights)

@@ -1,0 +1,274 @@
+"""Rational rotations, tan(phi/2) := half the angle: Poisson where they are offered, refused elsewhere by name."""
+
+import math
+
+import mpmath
+import numba
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.kernels.arithmetic import rational_angle, rational_rotation, shortfall
+from coadjoint.program.reading import Reading
+from coadjoint.program.table import build_program
+
+U = 2.0**-53
+I4 = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, -1], [0, 0, 1, 0]]) / 2
+J4 = np.array([[0, 0, -1, 0], [0, 0, 0, 1], [1, 0, 0, 0], [0, -1, 0, 0]]) / 2
+QUATERNIONS = np.array([I4, J4, 2 * I4 @ J4])  # spin one half: half the frequency of the coadjoint action
+FULL = [[1.0, 0.25, 0.125], [0.25, 0.75, 0.375], [0.125, 0.375, 0.5]]
+SO3, E3, SO4 = co.algebras.so(3), co.algebras.e(3), co.algebras.so(4)
+TOP = co.Quadratic([1.0, 0.5, 0.375, 0, 0, 0], linear=[0, 0, 0, 0.75, 0.5, 1.0])
+
+
+def scaled(algebra, factor):
+    i, j, k, c = algebra.triples
+    return co.LieAlgebra(list(zip(i.tolist(), j.tolist(), k.tolist(), (factor * c).tolist(), strict=True)), dim=3)
+
+
+SYSTEMS = {
+    "so(3) diagonal": co.LiePoissonSystem(SO3, co.Quadratic([1.0, 0.5, 0.25])),
+    "so(3) full": co.LiePoissonSystem(SO3, co.Quadratic(FULL), sign=-1),
+    "so(3) quartic": co.LiePoissonSystem(SO3, co.Polynomial({(4, 0, 0): 0.25, (0, 3, 0): 0.5, (0, 0, 2): 1.0})),
+    "so(3) with another frequency": co.LiePoissonSystem(scaled(SO3, 1.5), co.Quadratic([1.0, 0.5, 0.25])),
+    "e(3) heavy top": co.LiePoissonSystem(E3, TOP, sign=-1),
+    "so(4) diagonal": co.LiePoissonSystem(SO4, co.Quadratic([2.0, 0.5, 0.75, 0.25, 0.5, 1.0])),
+}
+METHODS = {
+    "order 1": co.Splitting(order=1, rotation="rational", parts="coordinates"),
+    "order 2": co.Splitting(rotation="rational", parts="coordinates"),
+    "order 2, coordinates": co.Splitting(rotation="rational", parts="coordinates"),
+    "order 4": co.Splitting(order=4, rotation="rational", parts="coordinates"),
+    "first-order steps": co.Splitting(scheme="blanes_moan4", rotation="rational", parts="coordinates"),
+    "processed": co.Splitting(scheme="blanes_casas_murua6", rotation="rational", parts="coordinates"),
+}
+
+
+@numba.njit
+def tabulated(angles, out):
+    for k in range(angles.size):
+        out[k, 0], out[k, 1] = rational_rotation(angles[k])
+        out[k, 2] = rational_angle(angles[k], 1.5)
+        out[k, 3] = shortfall(out[k, 0], -out[k, 1], 1.0)
+
+
+def test_arithmetic():
+    """Sine and cosine minus one of 2 atan(phi/2) within 4 u, and what the rounded pair lacks in length."""
+    rng = np.random.default_rng(2)
+    angles = rng.choice([-1.0, 1.0], 500) * 10 ** rng.uniform(-8, 1, 500)
+    out = np.empty((angles.size, 4))
+    tabulated(angles, out)
+    with mpmath.workdps(50):
+        for phi, (sine, lowered, angle, short) in zip(angles.tolist(), out.tolist(), strict=True):
+            half = mpmath.mpf(phi) / 2
+            assert abs(sine - 2 * half / (1 + half**2)) <= 4 * U * abs(sine)
+            assert abs(lowered + 2 * half**2 / (1 + half**2)) <= 4 * U * abs(lowered)
+            assert abs(angle - mpmath.atan(half * 1.5) * 2 / 1.5) <= 4 * U * abs(angle)
+            s, c = mpmath.mpf(sine), -mpmath.mpf(lowered)
+            missing = (s**2 - 2 * c + c**2) / 2
+            assert abs(missing) <= 8 * U * abs(lowered)
+            assert abs(short - missing) <= 2 * U * lowered**2
+
+
+def state(s):
+    return np.linspace(-0.75, 1.25, s.dim)
+
+
+def one(dim):
+    return np.eye(dim)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("method", METHODS)
+def test_poisson_in_40_digits(name, method):
+    """P J P^T = J with the exact tangent, and P against differences: (h^2 of them) in 40 digits."""
+    s, h = SYSTEMS[name], 0.5
+    with mpmath.workdps(40):
+        read = Reading(build_program(s, METHODS[method], number=mpmath.mpf))
+        x0 = np.array([mpmath.mpf(v) for v in state(s)], dtype=object)
+        x, P = read.steps(x0, mpmath.mpf(h), 1, tangent=one(s.dim))
+        defect = P @ s.structure_matrix(x0) @ P.T - s.structure_matrix(x)
+        assert np.max(np.abs(defect)) < 1e-35
+        small = mpmath.mpf(10) ** -12
+        ahead, behind = (read.steps(x0 + sign * small * x, mpmath.mpf(h), 1) for sign in (1, -1))
+        assert np.max(np.abs((ahead - behind) / (2 * small) - P @ x)) < 1e-18
+        exact = Reading(build_program(s, co.Splitting(order=METHODS[method].order), number=mpmath.mpf))
+        assert np.max(np.abs(exact.steps(x0, mpmath.mpf(h), 1) - x)) > 1e-8  # it is another map
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("method", METHODS)
+def test_compiled_and_plain_reading_agree(name, method):
+    """Ten steps of twelve roundings for each component of each flow."""
+    s, scheme = SYSTEMS[name], METHODS[method]
+    x0 = state(s)
+    for attitude, matrices in (("coadjoint", "coadjoint"), (True, s.representation)):
+        if matrices is None:
+            continue
+        run = co.integrate(s, x0, (0, 1), 0.1, scheme, attitude=attitude, save_every=10)
+        program = build_program(s, scheme, group=matrices)
+        x, g = Reading(program).steps(x0, 0.1, 10, group=one(program.group.size))
+        bound = 12 * s.dim * U * run.stats.evaluations * np.linalg.norm(x0) * np.linalg.norm(g)
+        assert np.max(np.abs(run.x[-1] - x)) <= bound and np.max(np.abs(run.attitude[-1] - g)) <= bound
+    step = co.stepper(s, scheme, 0.1)
+    P = step.tangent(x0)
+    defect = P @ s.structure_matrix(x0) @ P.T - s.structure_matrix(step(x0))
+    assert np.max(np.abs(defect)) <= 64 * U * run.stats.evaluations * np.linalg.norm(P) ** 2 * np.linalg.norm(x0)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("method", ["order 2", "order 4", "first-order steps", "processed"])
+def test_order(name, method):
+    """One step against two halves in 40 digits: h^(p+1) (1 + O(h)), h = 1/128."""
+    s, scheme = SYSTEMS[name], METHODS[method]
+    with mpmath.workdps(40):
+        read = Reading(build_program(s, scheme, number=mpmath.mpf))
+        x0 = np.array([mpmath.mpf(v) for v in state(s)], dtype=object)
+        errors = []
+        for k in (7, 8):
+            h = mpmath.mpf(2) ** -k
+            errors.append(max(abs(v) for v in read.steps(x0, h, 1) - read.steps(x0, h / 2, 2)))
+        assert abs(mpmath.log(errors[0] / errors[1], 2) - scheme.order - 1) < 0.15
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_order_two_converges_to_the_motion(name):
+    """Against Gauss-Legendre of order 16: a rotation by another angle would keep every invariant and be wrong."""
+    s, x0 = SYSTEMS[name], state(SYSTEMS[name])
+    exact = co.integrate(s, x0, (0, 1), 1 / 32, co.GaussLegendre(8), save_every=32).x[-1]
+    errors = [
+        np.max(np.abs(co.integrate(s, x0, (0, 1), 1 / n, METHODS["order 2"], save_every=n).x[-1] - exact))
+        for n in (64, 128)
+    ]
+    assert abs(math.log2(errors[0] / errors[1]) - 2) < 0.05
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("method", ["order 2", "order 4", "first-order steps"])
+def test_a_step_back_undoes_a_step(name, method):
+    s, x0 = SYSTEMS[name], state(SYSTEMS[name])
+    there, back = (co.stepper(s, METHODS[method], h) for h in (0.25, -0.25))
+    assert METHODS[method].symmetric
+    assert np.max(np.abs(back(there(x0)) - x0)) <= 512 * s.dim * U * np.linalg.norm(x0)
+
+
+def test_rational_flows_are_not_merged_but_for_the_middle_of_a_step():
+    rows = build_program(SYSTEMS["so(3) diagonal"], METHODS["order 2, coordinates"]).rows
+    assert rows.section.tolist() == [0, 5, 10, 10]
+    assert rows.part[:5].tolist() == [0, 1, 2, 1, 0] and rows.coefficient[:5].tolist() == [0.5, 0.5, 1, 0.5, 0.5]
+    single = co.Splitting(scheme="blanes_moan4", rotation="rational", parts="coordinates")
+    assert len(build_program(SYSTEMS["so(3) diagonal"], single).rows.part) == 2 * 12 * 3
+
+
+def test_nilpotent_generators_are_untouched():
+    """On a Heisenberg algebra nothing turns: the same bits."""
+    s = co.LiePoissonSystem(co.algebras.heisenberg(2), co.Quadratic([1.0, 2.0, 0.5, 0.25, 1.0]))
+    runs = [co.integrate(s, state(s), (0, 1), 0.1, co.Splitting(rotation=r)) for r in ("exact", "rational")]
+    assert np.array_equal(runs[0].x, runs[1].x)
+    top = build_program(SYSTEMS["e(3) heavy top"], METHODS["order 2, coordinates"])
+    assert [f == 0 for f in top.frequency] == [
+        len(form[0]) == 1 and form[0][0] > 2 for p in top.parts for form in p.forms
+    ]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_rotation_matrices_carry_the_momentum(method):
+    """A x constant and A orthogonal over 1000 steps: each flow rounds unbiased, 8 sigma."""
+    s, x0 = SYSTEMS["so(3) full"], np.array([1.0, -0.5, 0.75])
+    run = co.integrate(s, x0, (0, 100), 0.1, METHODS[method], attitude=True, save_every=100, watch=False)
+    wander = 8 * math.sqrt(run.stats.evaluations) * U
+    for x, A in zip(run.x, run.attitude, strict=True):
+        assert np.max(np.abs(A.T @ A - one(3))) <= wander
+        assert np.max(np.abs(A @ x - x0)) <= 2 * wander * np.linalg.norm(x0)
+    assert np.max(np.abs(run.attitude[-1] - one(3))) > 0.1
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_representation_with_other_frequencies(method):
+    """Unit quaternions turn by half the angle: q stays orthogonal and q rho(x) q^-1 constant."""
+    s = co.LiePoissonSystem(SO3, co.Quadratic(FULL), representation=QUATERNIONS)
+    x0 = np.array([1.0, -0.5, 0.75])
+    run = co.integrate(s, x0, (0, 20), 0.1, METHODS[method], attitude=True, save_every=50)
+    plain = co.integrate(s, x0, (0, 20), 0.1, METHODS[method], save_every=50)
+    assert np.array_equal(run.x, plain.x)
+    wander = 16 * math.sqrt(run.stats.evaluations) * U
+    rho = [np.einsum("i,ijk->jk", v, QUATERNIONS) for v in (x0, run.x[-1])]
+    q = run.attitude[-1]
+    assert np.max(np.abs(q.T @ q - one(4))) <= wander
+    assert np.max(np.abs(q @ rho[1] @ q.T - rho[0])) <= wander * np.linalg.norm(x0)
+    program = build_program(s, METHODS[method], group=QUATERNIONS)
+    _, read = Reading(program).steps(x0, 0.1, 200, group=one(4))
+    assert np.max(np.abs(read - q)) <= 12 * 4 * U * run.stats.evaluations
+    # The rotation matrices of the same run are the squares of the quaternions: the same angles.
+    vectors = co.LiePoissonSystem(SO3, co.Quadratic(FULL))
+    A = co.integrate(vectors, x0, (0, 20), 0.1, METHODS[method], attitude=True, save_every=200).attitude[-1]
+    turned = np.array([[-np.trace(q @ r @ q.T @ t) for r in QUATERNIONS] for t in QUATERNIONS])
+    assert np.max(np.abs(turned - A)) <= 4 * wander + 12 * 4 * U * run.stats.evaluations
+
+
+def test_same_bits_however_it_is_run():
+    s, x0 = SYSTEMS["e(3) heavy top"], state(SYSTEMS["e(3) heavy top"])
+    every = co.integrate(s, x0, (0, 2), 0.1, METHODS["processed"], attitude=True)
+    rare = co.integrate(s, x0, (0, 2), 0.1, METHODS["processed"], attitude=True, save_every=5, watch=False)
+    assert np.array_equal(every.x[::5], rare.x) and np.array_equal(every.attitude[::5], rare.attitude)
+
+
+def ring(value):
+    return np.array([[0.5, value], [value, 0.5]])
+
+
+REFUSED = {
+    "so(4) full": (
+        co.LiePoissonSystem(SO4, co.Quadratic(np.eye(6) + 0.125)),
+        "along e1 .* e2 .*is neither nilpotent nor",
+    ),
+    "sl(2)": (co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([2.0, 0.5, 0.75])), "neither nilpotent nor"),
+    "A3,7": (co.systems.paper_a37(2.0, (1.0, 2.0, 0.01)), "the flow along e3 is neither nilpotent nor a rotation"),
+    "coupled angles": (
+        co.LiePoissonSystem(
+            SO4,
+            co.SplitHamiltonian(
+                [((0, 5), co.Quadratic(ring(0.25))), ((1, 4), co.Quadratic(1.0)), ((2, 3), co.Quadratic(0.5))]
+            ),
+        ),
+        "by an angle that depends on more than itself",
+    ),
+    "a coupling function": (
+        co.LiePoissonSystem(
+            SO4,
+            co.SplitHamiltonian(
+                [
+                    ((0, 5), co.Hamiltonian(lambda y: y[0] * y[1], lambda y: np.array([y[1], y[0]]))),
+                    ((1, 4), co.Quadratic(1.0)),
+                ]
+            ),
+        ),
+        "by an angle that depends on more than itself",
+    ),
+    "a coupling polynomial": (
+        co.LiePoissonSystem(SO4, co.Polynomial({(1, 0, 0, 0, 0, 2): 0.5, (0, 2, 0, 0, 0, 0): 0.5})),
+        "by an angle that depends on more than itself",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused_where_it_would_not_be_poisson(name):
+    s, reason = REFUSED[name]
+    with pytest.raises(ValueError, match=reason) as refusal:
+        co.integrate(s, state(s), (0, 1), 0.1, co.Splitting(rotation="rational", parts="coordinates"))
+    assert "\n" not in str(refusal.value) and 'rotation="exact"' in str(refusal.value)
+
+
+def test_what_is_refused_would_not_be_poisson():
+    """The Cayley map of a generator of so(4) with two frequencies: the exact tangent has a defect of order one."""
+    s = co.LiePoissonSystem(SO4, co.Quadratic(np.zeros((6, 6))))
+    l = np.array([1.0, 0.0, 0.5, 0.0, 0.0, 0.75])
+
+    def step(x):
+        D = s.algebra.coadjoint(l) * (0.5 * (l @ x))
+        return np.linalg.solve(one(6) - D, x + D @ x)
+
+    x, d = state(s), 1e-6
+    P = np.array([(step(x + d * e) - step(x - d * e)) / (2 * d) for e in one(6)]).T
+    assert np.linalg.norm(P @ s.structure_matrix(x) @ P.T - s.structure_matrix(step(x))) > 1e-3

@@ -1,0 +1,192 @@
+"""Casimir shifts, orders of parts, and the h^2 term that decides between them."""
+
+from itertools import permutations
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import coadjoint as co
+from coadjoint.methods.chosen_parts import ChosenParts
+from coadjoint.program.decompose import best_order, decompose
+from coadjoint.program.exponential import exponentials
+from coadjoint.program.second_order import part_jet, second_order_term
+from coadjoint.program.shift import shifted_terms, singular_factors
+from coadjoint.program.split import split
+
+U = 2.0**-53
+
+
+def full(n, seed=0):
+    matrix = np.random.default_rng(seed).standard_normal((n, n))
+    return matrix @ matrix.T / n + np.eye(n)
+
+
+def systems():
+    rng = np.random.default_rng(3)
+    return {
+        "so(3)": co.systems.paper_rigid_body(),
+        "so(3), full": co.systems.rigid_body(((2.0, 0.3, 0.1), (0.3, 3.0, 0.2), (0.1, 0.2, 4.0))),
+        "A3,7": co.systems.paper_a37(),
+        "e(3)": co.LiePoissonSystem(
+            co.algebras.e(3), co.Quadratic(rng.uniform(0.5, 2, 6), linear=rng.uniform(size=6)), -1
+        ),
+        "so(4)": co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(rng.uniform(0.5, 2, 6))),
+        "so(4), full": co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(full(6))),
+        "sl(2)": co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic((1.0, 2.0, 3.0))),
+        "spins": co.LiePoissonSystem(
+            co.algebras.copies(co.algebras.so(3), 4), co.Quadratic(np.diag(np.tile((0.4, 0.4, 1.0), 4)) + chain(4))
+        ),
+    }
+
+
+def chain(count):
+    coupled = np.zeros((3 * count, 3 * count))
+    for k in range(3 * count - 3):
+        coupled[k, k + 3] = coupled[k + 3, k] = -0.3
+    return coupled
+
+
+NAMES = list(systems())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_parts_add_up_to_the_shifted_hamiltonian(name):
+    system = systems()[name]
+    found = decompose(system, "auto")
+    x = np.random.default_rng(0).standard_normal(system.dim)
+    gradient = sum((part_jet(part, x, 0.0).gradient for part in found.parts), np.zeros(system.dim))
+    expected = system.hamiltonian.gradient(x) - sum(
+        (c * np.asarray(C.gradient(x), dtype=float) for C, c in found.shift), np.zeros(system.dim)
+    )
+    # Each component is a sum of at most 2 n rounded products.
+    assert np.abs(gradient - expected).max() <= 16 * system.dim * U * max(1.0, np.abs(x).max()) * 8
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_momentum_moves_as_without_a_shift(name):
+    system = systems()[name]
+    x0 = np.random.default_rng(1).standard_normal(system.dim)
+    reference = co.integrate(system, x0, (0, 1), 0.05, co.GaussLegendre(6)).x[-1]
+    errors = [
+        np.abs(co.integrate(system, x0, (0, 1), h, co.Splitting(order=4)).x[-1] - reference).max() for h in (0.02, 0.01)
+    ]
+    assert errors[0] < 1e-3 and errors[1] < errors[0] / 12 + 1e-13  # order 4: a factor 16
+
+
+def test_a_shift_removes_a_part():
+    for name, (plain, chosen) in {"so(3)": (3, 2), "so(3), full": (3, 2), "spins": (3, 1 + 1)}.items():
+        system = systems()[name]
+        assert len(split(system, "auto")) == plain
+        found = decompose(system, "auto")
+        assert len(found.parts) <= plain
+        if name != "spins":
+            assert len(found.parts) == chosen and found.shift
+
+
+def test_the_middle_moment_is_taken_off():
+    assert decompose(systems()["so(3)"], "auto").choice.shift == (("|x|^2", 0.25),)  # of |x|^2 = 2 |x|^2/2: m = 1/2
+
+
+@pytest.mark.parametrize("name", ["so(3)", "so(4)", "e(3)", "A3,7"])
+def test_the_same_system_gives_the_same_choice(name):
+    first, second = (decompose(systems()[name], "auto") for _ in range(2))
+    assert first.choice == second.choice
+    again = decompose(systems()[name], first.choice)
+    assert again.parts[0].forms == first.parts[0].forms and again.choice == first.choice
+
+
+def test_second_order_term_of_the_rigid_body():
+    """The polynomial of the modified Hamiltonian of the free rigid body, parts 1 2 3."""
+    system = systems()["so(3)"]
+    m1, m2, m3 = 1.0, 0.5, 1.0 / 3.0
+    x = np.random.default_rng(5).standard_normal((20, 3))
+    a, b, c = (x**2).T
+    expected = (
+        a * b * (m1**2 * m2 - m1**2 * m3 - 2 * m1 * m2**2 + 2 * m1 * m2 * m3 - m2**2 * m3)
+        + a * c * (-(m1**2) * m2 + m1**2 * m3 + 2 * m1 * m2 * m3 - 2 * m1 * m3**2 + 2 * m2 * m3**2)
+        + b * c * (2 * m1 * m2**2 - 4 * m1 * m2 * m3 + 2 * m1 * m3**2 + m2**2 * m3 - 2 * m2 * m3**2)
+    ) / 24
+    found = second_order_term(system.algebra, split(system, "coordinates"), x)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=200 * U * np.abs(x).max() ** 4)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_energy_error_is_the_second_order_term(name):
+    """H + h^2 H2 is kept to O(h^4): halving h divides its largest change by 16, that of H by 4."""
+    system = systems()[name]
+    method = co.Splitting(order=2, parts=decompose(system, "auto").choice)
+    parts = decompose(system, method.parts).parts
+    x0 = 0.5 * np.random.default_rng(2).standard_normal(system.dim)
+    changes = []
+    for h in (0.05, 0.025):
+        sol = co.integrate(system, x0, (0, 2), h, method)
+        modified = sol.energy + h**2 * second_order_term(system.algebra, parts, sol.x)
+        changes.append((np.abs(sol.energy - sol.energy[0]).max(), np.abs(modified - modified[0]).max()))
+    if changes[0][0] > 1e-12:  # one part alone is exact
+        assert changes[0][0] / changes[1][0] < 5
+        assert changes[0][1] / max(changes[1][1], 1e-15) > 12 or changes[0][1] < 1e-13
+
+
+def test_the_best_order_is_the_best_of_all():
+    system = systems()["so(3)"]
+    parts = split(system, "coordinates")
+    points = np.random.default_rng(0).standard_normal((50, 3))
+    order, size = best_order(system, parts, points)
+    sizes = {
+        p: np.sqrt(np.mean(second_order_term(system.algebra, [parts[k] for k in p], points) ** 2))
+        for p in permutations(range(3))
+    }
+    assert order == min(sizes, key=sizes.get) and size == pytest.approx(min(sizes.values()), rel=1e-12)
+
+
+def test_a_cancelled_entry_is_gone():
+    system = systems()["so(3)"]
+    (term,) = shifted_terms(system.hamiltonian.terms(), system.casimirs, (("|x|^2", 1.0 / 6.0),))
+    assert term.rows.tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_singular_factors_are_generalized_eigenvalues(seed):
+    matrix, casimir = full(4, seed), full(4, seed + 10)
+    found = singular_factors(matrix, casimir)
+    mpmath.mp.prec = 80
+    expected = np.linalg.eigvals(np.linalg.solve(casimir, matrix))
+    np.testing.assert_allclose(found, np.sort(expected.real), rtol=1e-12)
+    assert singular_factors(matrix, np.diag((1.0, -1.0, 1.0, 1.0))) == ()
+
+
+def test_refusals():
+    system = systems()["so(3)"]
+    with pytest.raises(ValueError, match="not a permutation"):
+        ChosenParts((0, 2))
+    with pytest.raises(ValueError, match="orders 3 parts, but paper_rigid_body has 2"):
+        decompose(system, ChosenParts((0, 1, 2), (("|x|^2", 0.25),)))
+    with pytest.raises(ValueError, match="the shift names 'C9'; the quadratic Casimirs are"):
+        decompose(system, ChosenParts((0, 1), (("C9", 0.25),)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_exponentials(seed):
+    rng = np.random.default_rng(seed)
+    matrices = [
+        rng.standard_normal((4, 4)),
+        np.array([[0.0, -1.3, 0.4], [1.3, 0.0, 0.2], [-0.4, -0.2, 0.0]]),
+        np.kron(np.eye(2), np.array([[0.0, -2.0], [2.0, 0.0]])),
+        np.diag((1.0, -2.0, 0.0)),
+        np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 3.0], [0.0, 0.0, 0.0]]),
+        co.algebras.e(3).coadjoint(rng.standard_normal(6)),
+    ]
+    times = np.array([0.0, 1e-9, 0.3, -2.0, 4.0])
+    for matrix in matrices:
+        for time, found in zip(times, exponentials(matrix, times), strict=True):
+            expected = expm(time * matrix)
+            # Scaling and squaring, here and there: each of the products rounds what the next ones may still multiply.
+            size = np.linalg.norm(time * matrix, 1)
+            assert np.abs(found - expected).max() <= 16 * len(matrix) * U * (1 + size) * np.exp(size)
+
+
+def test_a_rotation_by_a_huge_angle_is_orthogonal():
+    (found,) = exponentials(np.array([[0.0, -1.3, 0.4], [1.3, 0.0, 0.2], [-0.4, -0.2, 0.0]]), np.array([1e9]))
+    assert np.abs(found.T @ found - np.eye(3)).max() <= 16 * U
