@@ -113,7 +113,7 @@ def test_poisson_condition_with_the_exact_tangent(name, order):
 )
 def test_polynomial_casimirs(name):
     with mpmath.workdps(DIGITS):
-        s, read, x = setup(name, co.Splitting(order=4))
+        s, read, x = setup(name, co.Splitting(order=4, parts="coordinates"))
         assert s.casimirs
         y = read.steps(x, mpmath.mpf("0.4"), 6)
         for casimir in s.casimirs.values():

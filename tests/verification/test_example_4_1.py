@@ -52,7 +52,7 @@ def test_printed_composition_is_orthogonal():
         R = rotation(i, fraction * h * MASSES[i] * x[i])
         x, B = R @ x, R @ B
     body = co.systems.paper_rigid_body()
-    step = co.stepper(body, co.Splitting(order=2), h)
+    step = co.stepper(body, co.Splitting(order=2, parts="coordinates"), h)
     assert np.max(np.abs(step(X) - x)) <= 64 * U
     assert np.max(np.abs(B.T @ B - np.eye(3))) <= 64 * U
     # The group element of the step is B^T: A_(k+1) = A_k B^T.

@@ -114,7 +114,7 @@ def numbers(values):
 
 
 def reading(system, name):
-    return Reading(build_program(system, co.Splitting(scheme=name), number=mpmath.mpf))
+    return Reading(build_program(system, co.Splitting(scheme=name, parts="coordinates"), number=mpmath.mpf))
 
 
 def distance(a, b):

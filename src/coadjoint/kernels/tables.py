@@ -97,7 +97,7 @@ def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
     rows = program.rows
     edges = program.terms.row[program.share]
     lone = (np.diff(edges) == 1) & (np.diff(program.share) == 1) & (program.terms.kind[program.share[:-1]] == LINEAR)
-    rational = np.array([np.any(program.frequency[a:b] != 0) for a, b in pairwise(edges)])
+    rational = np.array([np.any(program.frequency[a:b] != 0) for a, b in pairwise(edges)], dtype=bool)
     agree = np.zeros_like(rational)
     if program.group is not None:
         agree = rational & acts_rationally(group, program.parts, program.frequency)

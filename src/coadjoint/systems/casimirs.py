@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -72,7 +71,6 @@ def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size
     return result
 
 
-@lru_cache(maxsize=64)
 def casimirs_of(algebra: LieAlgebra) -> Mapping[str, Any]:
     """Return the Casimirs that are known of an algebra or, where some are missing, those that a quick search finds.
 

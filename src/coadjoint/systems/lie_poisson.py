@@ -147,7 +147,9 @@ class LiePoissonSystem:
     @property
     def casimirs(self) -> dict[str, Any]:
         """Name to `Polynomial` or `Invariant` (a copy)."""
-        return dict(casimirs_of(self.algebra) if self._casimirs is None else self._casimirs)
+        if self._casimirs is None:
+            object.__setattr__(self, "_casimirs", dict(casimirs_of(self.algebra)))
+        return dict(self._casimirs or {})
 
     @property
     def parameters(self) -> dict[str, Any] | None:
