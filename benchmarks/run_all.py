@@ -1,6 +1,6 @@
 """Every benchmark and the machine as Markdown: printed, and written to benchmarks/report.md.
 
-python benchmarks/run_all.py [--steps N] [--rounds R]
+python benchmarks/run_all.py [--steps N] [--rounds R] [--without automatic_parts large_algebras]
 """
 
 from __future__ import annotations
@@ -10,7 +10,9 @@ import os
 import platform
 import subprocess
 
+import automatic_parts
 import first_result
+import large_algebras
 import numba
 import numpy
 import one_trajectory
@@ -44,6 +46,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="all benchmarks, as Markdown")
     parser.add_argument("--steps", type=int, default=10_000_000)
     parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--without", nargs="+", choices=["automatic_parts", "large_algebras"], default=[])
     given = parser.parse_args()
     build("rigid_body")  # no compiler: say so before anything is measured
     tables = [
@@ -51,6 +54,12 @@ def main() -> None:
         one_trajectory.table(one_trajectory.measure(given.steps, given.rounds, list("abcde"))),
         first_result.table(first_result.measure(given.rounds, cold=True)),
     ]
+    if "automatic_parts" not in given.without:
+        # errors and steps follow from the ratio of two costs: a tenth of the steps is enough for that
+        timed = max(1, given.steps // 10)
+        tables.append(automatic_parts.table(automatic_parts.measure(timed, given.rounds)))
+    if "large_algebras" not in given.without:
+        tables.append(large_algebras.table(large_algebras.measure()))
     report = "# Benchmarks\n\n" + "\n\n".join(tables) + "\n"
     (HERE / "report.md").write_text(report)
     print(report)
