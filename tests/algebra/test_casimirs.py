@@ -4,124 +4,14 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from casimir_comparison import assert_annihilated, assert_same_span, generated, rank, rational_change, substituted
 from flint import fmpq, fmpq_mat
+from trace_casimirs import classical, symplectic
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.independence import independent_count
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
-
-
-def generated(generators, degree):
-    """All products of a degree, with repetition, of homogeneous polynomials."""
-    if not generators:
-        return []
-    first, rest = generators[0], list(generators[1:])
-    result, power = [], Polynomial({(0,) * first.dim: 1})
-    for used in range(0, degree + 1, first.degree):
-        result += [power * other for other in generated(rest, degree - used)] if used < degree else [power]
-        power = power * first
-    return result
-
-
-def rank(polynomials):
-    places = {e: at for at, e in enumerate(sorted({e for p in polynomials for e in p.monomials}))}
-    if not places:
-        return 0
-    matrix = fmpq_mat(len(polynomials), len(places))
-    for row, polynomial in enumerate(polynomials):
-        for exponents, value in polynomial.monomials.items():
-            matrix[row, places[exponents]] = fmpq(Fraction(value).numerator, Fraction(value).denominator)
-    return matrix.rank()
-
-
-def assert_same_span(found, known, max_degree=4):
-    """In each degree both lists generate the same space; and no member of `found` is a combination of the others."""
-    for degree in range(1, max_degree + 1):
-        here, there = generated(list(found), degree), generated(list(known), degree)
-        assert rank(here) == rank(there) == rank(here + there), f"degree {degree}"
-        lower = generated([p for p in found if p.degree < degree], degree)
-        assert rank(here) == rank(lower) + sum(p.degree == degree for p in found)
-
-
-def assert_annihilated(g, polynomial):
-    """J(x) grad C(x) = 0 exactly, as polynomials, every derivation written out."""
-    exact = [Fraction(c).limit_denominator(10**6) for c in g.triples.c.tolist()]
-    total = [{} for _ in range(g.dim)]
-    slopes = [polynomial.derivative(i).monomials for i in range(g.dim)]
-    for i, j, k, c in zip(*(column.tolist() for column in g.triples[:3]), exact, strict=True):
-        for row, slope, sign in ((i, slopes[j], c), (j, slopes[i], -c)):
-            for e, value in slope.items():
-                shifted = e[:k] + (e[k] + 1,) + e[k + 1 :]
-                total[row][shifted] = total[row].get(shifted, 0) + sign * value
-    assert not any(value for derivative in total for value in derivative.values())
-
-
-def from_matrices(rho):
-    """The algebra spanned by matrices of whole numbers, and X(x) with x_i = tr(X rho_i), whose traces are Casimirs."""
-    n, d = len(rho), rho.shape[1]
-    form = np.einsum("iab,jba->ij", rho, rho)
-    inverse = fmpq_mat(n, n, [int(v) for v in form.ravel()]).inv()
-    dual = np.array([[Fraction(int(inverse[i, j].p), int(inverse[i, j].q)) for j in range(n)] for i in range(n)])
-    brackets = np.einsum("iab,jbc->ijac", rho, rho)
-    brackets = brackets - brackets.transpose(1, 0, 2, 3)
-    constants = np.einsum("ijac,lca->ijl", brackets, rho).astype(object) @ dual
-    x = [Polynomial.variable(i, n) for i in range(n)]
-    zero = Polynomial({}, dim=n)
-    weights = dual @ np.array(rho, dtype=object).reshape(n, d * d)
-    entries = [sum((x[i] * weights[i, e] for i in range(n) if weights[i, e]), start=zero) for e in range(d * d)]
-    return LieAlgebra(constants.astype(float)), np.array(entries, dtype=object).reshape(d, d)
-
-
-def units(n, *pairs):
-    matrix = np.zeros((n, n), dtype=np.int64)
-    for a, b, value in pairs:
-        matrix[a, b] += value
-    return matrix
-
-
-def sl(n):
-    off = [units(n, (a, b, 1)) for a in range(n) for b in range(n) if a != b]
-    return np.array(off + [units(n, (a, a, 1), (a + 1, a + 1, -1)) for a in range(n - 1)])
-
-
-def so(n):
-    return np.array([units(n, (a, b, 1), (b, a, -1)) for a in range(n) for b in range(a + 1, n)])
-
-
-def sp4():
-    symmetric = [units(2, (a, b, 1), *([(b, a, 1)] if a != b else [])) for a in range(2) for b in range(a, 2)]
-    zero = np.zeros((2, 2), dtype=np.int64)
-    blocks = [np.block([[zero, s], [zero, zero]]) for s in symmetric]
-    blocks += [np.block([[zero, zero], [s, zero]]) for s in symmetric]
-    diagonal = [units(2, (a, b, 1)) for a in range(2) for b in range(2)]
-    return np.array(blocks + [np.block([[m, zero], [zero, -m.T]]) for m in diagonal])
-
-
-def su(n):
-    """i as the matrix ((0, -1), (1, 0)); the last item is i times the identity."""
-    imaginary = np.array([[0, -1], [1, 0]])
-    pairs = [(a, b) for a in range(n) for b in range(a + 1, n)]
-    real = [np.kron(units(n, (a, b, 1), (b, a, -1)), np.eye(2, dtype=np.int64)) for a, b in pairs]
-    other = [np.kron(units(n, (a, b, 1), (b, a, 1)), imaginary) for a, b in pairs]
-    diagonal = [np.kron(units(n, (a, a, 1), (a + 1, a + 1, -1)), imaginary) for a in range(n - 1)]
-    return np.array(real + other + diagonal), np.kron(np.eye(n, dtype=np.int64), imaginary)
-
-
-def traces(powers, matrix, factor=None):
-    result, power = [], matrix
-    for exponent in range(2, max(powers) + 1):
-        power = power @ matrix
-        if exponent in powers:
-            odd = factor is not None and exponent % 2
-            result.append((power @ factor.astype(object)).trace() if odd else power.trace())
-    return result
-
-
-def classical(name):
-    rho, imaginary = su(int(name[3])) if name.startswith("su") else ({"sl": sl, "so": so}[name[:2]](int(name[3])), None)
-    g, matrix = from_matrices(rho)
-    return g, traces((2, 4) if name == "so(5)" else range(2, int(name[3]) + 1), matrix, imaginary)
 
 
 @pytest.mark.parametrize("name", ["so(3)", "so(5)", "sl(3)", "sl(4)", "su(3)", "su(4)"])
@@ -132,11 +22,6 @@ def test_classical_algebras_have_the_traces(name):
     assert len(found) == g.dim - g.generic_rank() == independent_count(list(found.values()))
     for casimir in found.values():
         assert_annihilated(g, casimir)
-
-
-def symplectic():
-    g, matrix = from_matrices(sp4())
-    return g, traces((2, 4), matrix)
 
 
 def test_symplectic_algebra():
@@ -258,32 +143,6 @@ def changed(g, p):
         c[i, j, k], c[j, i, k] = Fraction(value), -Fraction(value)
     new = np.tensordot(p, np.tensordot(p, np.tensordot(c, q, 1), (1, 1)), (1, 1))
     return LieAlgebra(new.astype(float)), q
-
-
-def substituted(polynomial, q):
-    """C(q x')."""
-    n = polynomial.dim
-    x, zero = [Polynomial.variable(j, n) for j in range(n)], Polynomial({}, dim=n)
-    lines = [sum((x[j] * q[i, j] for j in range(n) if q[i, j]), start=zero) for i in range(n)]
-    total = Polynomial({}, dim=n)
-    for exponents, value in polynomial.monomials.items():
-        term = Polynomial({(0,) * n: value})
-        for line, power in zip(lines, exponents, strict=True):
-            term = term * line**power
-        total = total + term
-    return total
-
-
-def rational_change(n, rng):
-    """A random matrix of determinant 1/4, with halves in it."""
-    entries = np.array([Fraction(-1), Fraction(0), Fraction(1, 2), Fraction(1)], dtype=object)
-    chosen = rng.integers(0, 4, size=(n, n))
-    full = 3.0 / n  # few enough entries that the constants keep denominators below 10^6
-    lower = np.where(np.tri(n, k=-1, dtype=bool) & (rng.random((n, n)) < full), entries[chosen], Fraction(0))
-    upper = np.where(np.tri(n, k=-1, dtype=bool).T & (rng.random((n, n)) < full), entries[chosen], Fraction(0))
-    one = np.array([[Fraction(int(i == j)) for j in range(n)] for i in range(n)], dtype=object)
-    one[0, 0] = Fraction(1, 2)
-    return (lower + one) @ (upper + one)
 
 
 CHANGED = {

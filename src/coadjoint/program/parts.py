@@ -103,22 +103,53 @@ class Commutation:
         return dense
 
 
-def first_fit(parts: Iterable[Part], commutation: Commutation) -> tuple[Part, ...]:
-    """Join each part to the first one that it commutes with: few parts, in a fixed order, not the fewest (NP-hard)."""
-    groups: list[list[Part]] = []
+# Larger sets of parts are joined in one order alone: a lattice has thousands, and comes in a good one.
+MOST_REORDERED = 64
+
+
+def few_parts(parts: Sequence[Part], commutation: Commutation) -> tuple[Part, ...]:
+    """Join parts that commute: few, in a fixed order, not always the fewest (a clique cover is NP-hard).
+
+    First fit in the given order and, where that leaves more than two, in the orders of most and of fewest clashes.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        Sorted by their first coordinates.
+    commutation : Commutation
+        Of the algebra.
+
+    Returns
+    -------
+    tuple of Part
+        Sorted by their first coordinates.
+    """
+    best = _first_fit(range(len(parts)), parts, commutation)
+    if 2 < len(best) and len(parts) <= MOST_REORDERED:
+        own = [{i for form, _ in part.forms for i in form} for part in parts]
+        near = [{int(j) for i in mine for j in commutation.neighbours(i)} for mine in own]
+        clashes = [sum(not mine.isdisjoint(other) for other in own) for mine in near]
+        for sign in (-1, 1):
+            found = _first_fit(sorted(range(len(parts)), key=lambda k: (sign * clashes[k], k)), parts, commutation)
+            best = found if len(found) < len(best) else best
+    return tuple(joined([parts[k] for k in group]) for group in sorted(sorted(group) for group in best))
+
+
+def _first_fit(order: Iterable[int], parts: Sequence[Part], commutation: Commutation) -> list[list[int]]:
+    groups: list[list[int]] = []
     coordinates: list[set[int]] = []
-    for part in parts:
-        ours = {i for form, _ in part.forms for i in form}
+    for k in order:
+        ours = {i for form, _ in parts[k].forms for i in form}
         near = {int(j) for i in ours for j in commutation.neighbours(i)}
         for group, theirs in zip(groups, coordinates, strict=True):
-            if near.isdisjoint(theirs) or _combined_commute(part, group, commutation):
-                group.append(part)
+            if near.isdisjoint(theirs) or _combined_commute(parts[k], [parts[m] for m in group], commutation):
+                group.append(k)
                 theirs |= ours
                 break
         else:
-            groups.append([part])
+            groups.append([k])
             coordinates.append(ours)
-    return tuple(joined(group) for group in groups)
+    return groups
 
 
 def _combined_commute(part: Part, group: list[Part], commutation: Commutation) -> bool:

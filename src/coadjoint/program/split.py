@@ -15,7 +15,7 @@ from coadjoint.program.parts import (
     LinearShare,
     Part,
     PolynomialShare,
-    first_fit,
+    few_parts,
     joined,
     unit_forms,
 )
@@ -56,7 +56,7 @@ def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Ter
     if choice == "coordinates":
         return tuple(atoms)
     if isinstance(choice, str):
-        return first_fit(atoms, commutation)
+        return few_parts(atoms, commutation)
     return _as_given(system, choice, atoms, commutation)
 
 
