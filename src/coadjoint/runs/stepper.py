@@ -11,7 +11,7 @@ from coadjoint.methods.base import FlowMethod, Method, System
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.step_method import StepMethod
-from coadjoint.runs.integrate import Run
+from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.lie_poisson import LiePoissonSystem
