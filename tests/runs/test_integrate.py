@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs import integrate as integrate_module
+from coadjoint.runs import run as run_module
 
 U = 2.0**-53
 C1 = 1 / (2 - 2 ** (1 / 3))
@@ -84,7 +84,7 @@ def test_company_changes_nothing(name, scheme):
 def test_pauses_change_nothing(name, monkeypatch, capfd):
     s = SYSTEMS[name]
     whole = co.integrate(s, start_of(s), (0, 5), 0.0625, save_every=3, attitude="coadjoint")
-    monkeypatch.setattr(integrate_module, "SECONDS_BETWEEN_LOOKS", 0.0)
+    monkeypatch.setattr(run_module, "SECONDS_BETWEEN_LOOKS", 0.0)
     pieces = co.integrate(s, start_of(s), (0, 5), 0.0625, save_every=3, attitude="coadjoint", progress=True)
     assert np.array_equal(whole.x, pieces.x) and np.array_equal(whole.attitude, pieces.attitude)
     assert whole.drift() == pieces.drift()
