@@ -208,6 +208,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (click.Abort, KeyboardInterrupt):
         click.echo("coadjoint: interrupted", err=True)
         return 130
+    except (ValueError, OverflowError, RecursionError, MemoryError) as error:
+        # Numbers and nestings that no reader foresaw: bad input all the same, on one line.
+        click.echo(f"coadjoint: {type(error).__name__}: {' '.join(str(error).split())[:300]}", err=True)
+        return 2
     except OSError as error:
         # A disk that fills up, for instance; whatever could be known before the run was refused before it.
         click.echo(f"coadjoint: {error}", err=True)

@@ -38,6 +38,14 @@ class IntegrationError(RuntimeError):
         self.residual = residual
         self.partial = partial
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what another process makes the same error of."""
+        return _restored, (str(self), self.step, self.time, self.residual, self.partial)
+
+
+def _restored(message: str, step: int, time: float, residual: float, partial: Any) -> IntegrationError:
+    return IntegrationError(message, step=step, time=time, residual=residual, partial=partial)
+
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
     """Return the error for an unknown name, with the nearest known one.

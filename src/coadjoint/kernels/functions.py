@@ -62,7 +62,7 @@ class CompiledFunction:
 # A step function or a scan makes many runs of one system: each of its functions is compiled once.
 @lru_cache(maxsize=256)
 def _callback_of(function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool) -> Any:
-    inner = numba.njit(error_model="numpy")(function) if inspect.isfunction(function) else function
+    inner = numba.njit(error_model="numpy", boundscheck=True)(function) if inspect.isfunction(function) else function
     body = _BODIES[(scalar, flat and not scalar, timed)](inner, size, results)
     return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(body)
 

@@ -9,6 +9,7 @@ from typing import Any
 from coadjoint.methods.base import FlowMethod, Method, Properties, Sweep, System, no_nan
 
 HIGHEST_ORDER = 12
+LARGEST_SUM = 1000.0
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,11 @@ class Composition(FlowMethod):
                     if processed
                     else "of a first-order splitting take Splitting(order=2), its composition with its adjoint"
                 )
+            )
+        if sum(map(abs, self.coefficients)) > LARGEST_SUM:
+            raise ValueError(
+                f"the absolute coefficients of a Composition add up to {sum(map(abs, self.coefficients)):.3g}; above "
+                f"{LARGEST_SUM:g} rounding would undo the composition"
             )
         total = sum(self.coefficients)
         if abs(total - 1.0) > 4 * len(self.coefficients) * 2.0**-53 * sum(map(abs, self.coefficients)):

@@ -26,6 +26,10 @@ def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
     return Coefficients(nodes, weights, mu, np.array([number(1)] * stages))
 
 
+# Stages or iterations; nodes for more take minutes to compute, and no float64 run gains by them.
+MOST = 256
+
+
 def whole_number(value: Any, least: int, name: str) -> int:
     """Return a whole number from `least` up, or refuse it by name.
 
@@ -36,6 +40,8 @@ def whole_number(value: Any, least: int, name: str) -> int:
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{name} must be a whole number from {least} up, not {value!r}")
+    if value > MOST:
+        raise ValueError(f"{name} must be at most {MOST}, not {value!r}; no step is worth more")
     return int(value)
 
 

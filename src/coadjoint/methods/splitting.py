@@ -96,6 +96,11 @@ class Splitting(FlowMethod):
     adjoint: bool = False
 
     def __post_init__(self) -> None:
+        for name, kinds in (("compensated", bool | None), ("adjoint", bool)):
+            if not isinstance(getattr(self, name), kinds):
+                raise TypeError(f"{name} is {getattr(self, name)!r}; it must be True or False")
+        if isinstance(self.order, bool):
+            raise TypeError(f"order is {self.order!r}; it must be a whole number")
         if self.scheme is not None:
             if self.scheme not in SCHEMES:
                 raise unknown_name("splitting scheme", self.scheme, SCHEMES)
@@ -258,8 +263,13 @@ class Splitting(FlowMethod):
 
 def _sets_of_coordinates(parts: Any) -> tuple[tuple[int, ...], ...]:
     try:
-        return tuple(tuple(operator.index(i) for i in group) for group in parts)
+        sets = tuple(tuple(operator.index(i) for i in group) for group in parts)
     except TypeError:
         raise TypeError(
             f"parts is {parts!r}; it must be 'auto', 'coordinates', or sets of coordinates such as [[0, 1], [2]]"
         ) from None
+    everything = [i for group in sets for i in group]
+    if len(set(everything)) < len(everything):
+        twice = next(i for i in everything if everything.count(i) > 1)
+        raise ValueError(f"parts name coordinate {twice} more than once")
+    return sets

@@ -157,6 +157,11 @@ def _algebra(name: str, table: AlgebraTable) -> LieAlgebra:
             raise ConfigurationError(f"{name}: algebra.name: is missing; give it, or brackets with dim or basis")
         with section(name, "algebra"):
             return catalogue.get(table.name, **table.parameters)
+    if table.name is not None:
+        raise ConfigurationError(
+            f"{name}: algebra.name: is for an algebra of the catalogue; give it or brackets, not both "
+            "(a title goes into the key name at the top)"
+        )
     if table.parameters:
         raise ConfigurationError(
             f"{name}: algebra.parameters: belongs to an algebra of the catalogue; write numbers in brackets"
@@ -168,7 +173,7 @@ def _algebra(name: str, table: AlgebraTable) -> LieAlgebra:
     if len(basis) != dim:
         raise ConfigurationError(f"{name}: algebra.basis: has {len(basis)} names; dim is {dim}")
     with section(name, "algebra.brackets"):
-        return LieAlgebra.from_brackets(dim, read_brackets(table.brackets or [], basis), basis=basis, name=table.name)
+        return LieAlgebra.from_brackets(dim, read_brackets(table.brackets or [], basis), basis=basis)
 
 
 def _hamiltonian(name: str, table: HamiltonianTable, dim: int) -> Any:

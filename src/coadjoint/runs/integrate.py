@@ -6,6 +6,8 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from coadjoint.methods.base import Method, System
 from coadjoint.methods.splitting import Splitting
 from coadjoint.runs.run import Run
@@ -85,10 +87,12 @@ def integrate(
     scheme = Splitting() if method is None else method
     if not isinstance(scheme, Method):
         raise TypeError(f"method is {method!r}; it must be a scheme such as Splitting(order=2)")
+    if not isinstance(watch, bool | np.bool_):
+        raise TypeError(f"watch is {watch!r}; it must be True or False")
     times = times_of(t_span, step, save_every)
     start = start_of(system, scheme, x0, attitude)
     workers = _workers(threads, len(start.momenta))
-    run = Run(system, scheme, times, start, bool(watch), dict(observe or {}))
+    run = Run(system, scheme, times, start, bool(watch), observe or {})
     run.advance(workers, progress)
     return run.solution()
 

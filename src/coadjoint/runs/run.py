@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.invariant import Invariant
+from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Method, System
 from coadjoint.runs.prepare import prepare
@@ -19,6 +21,7 @@ from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.runs.unshift import unshifted
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.user_functions import takes_time
 
 # Between two calls of the compiled loop the interpreter can show progress and hear an interrupt.
 SECONDS_BETWEEN_LOOKS = 0.2
@@ -36,7 +39,7 @@ class Run:
         self.names = ["energy", *system.casimirs]
         self.prepared = prepare(system, method, times.h, start.representation)
         self.watch = watch_tables(system, system.casimirs)
-        self.observed = _observables(system, observe) if observe else None
+        self.observed = _observables(system, observe, start.momenta[0]) if observe else None
         self.restart(times, start)
 
     def restart(self, times: Times, start: Start) -> None:
@@ -105,12 +108,28 @@ class Run:
     def solution(self) -> Solution:
         """Return what was saved, or raise the failure with it."""
         failed = np.flatnonzero(self.report.status)
-        if not len(failed):
-            return self._solution(len(self.times.saved))
         kept = len(self.times.saved)
+        if not len(failed):
+            whole = self._solution(kept)
+            self._check_energy(whole)
+            return whole
         if len(self.start.momenta) == 1:
             kept = int(np.searchsorted(self.times.saved, self.report.step[0]))
         raise self._error(int(failed[0]), len(failed), self._solution(kept))
+
+    def _check_energy(self, whole: Solution) -> None:
+        """A state that is finite with an energy that is not: the function of the user is not defined there."""
+        wrong = np.flatnonzero(~np.all(np.isfinite(whole.energy.reshape(len(whole.t), -1)), axis=1))
+        if len(wrong):
+            step, when = int(self.times.saved[wrong[0]]), float(whole.t[wrong[0]])
+            raise IntegrationError(
+                f"the energy at t = {when:g} is not a finite number, though the state is: the Hamiltonian overflows "
+                "or is undefined there; start elsewhere, or correct its value",
+                step=step,
+                time=when,
+                residual=float("nan"),
+                partial=whole,
+            )
 
     def _error(self, member: int, count: int, partial: Solution) -> IntegrationError:
         from coadjoint.kernels.watching import NOT_CONVERGED
@@ -176,16 +195,21 @@ class Run:
         return unshifted(self.system, self.prepared.shift, representation, *start, elapsed, groups)
 
 
-def _observables(system: System, observe: Mapping[str, Any]) -> Callable[..., dict[str, NDArray[np.float64]]]:
+def _observables(
+    system: System, observe: Mapping[str, Any], x0: NDArray[np.float64]
+) -> Callable[..., dict[str, NDArray[np.float64]]]:
     """Compile further quantities; returns the function that evaluates them along saved points."""
-    from coadjoint.algebra.invariant import Invariant
-    from coadjoint.algebra.polynomial import Polynomial
     from coadjoint.kernels.tables import watch_tables
     from coadjoint.kernels.watching import values_along
 
+    if not isinstance(observe, Mapping) or not all(isinstance(name, str) for name in observe):
+        raise TypeError(f"observe is {observe!r}; it must map names to Polynomials or functions of x")
     for name, given in observe.items():
         if not isinstance(given, Polynomial | Invariant) and not callable(given):
             raise TypeError(f"observe[{name!r}] is {given!r}; it must be a Polynomial or a function of x")
+        value = _value_at(given, name, x0)
+        if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
+            raise TypeError(f"observe[{name!r}] returns {value!r} at the start; it must return one real number")
     wrapped = {
         name: given if isinstance(given, Polynomial | Invariant) else Invariant(given)
         for name, given in observe.items()
@@ -198,6 +222,14 @@ def _observables(system: System, observe: Mapping[str, Any]) -> Callable[..., di
         return {name: pick(out[..., i + 1]) for i, name in enumerate(wrapped)}
 
     return evaluate
+
+
+def _value_at(given: Any, name: str, x0: NDArray[np.float64]) -> Any:
+    """Return a quantity at the start; NaN where it is not defined there, which the run then says of it as well."""
+    try:
+        return 0.0 if isinstance(given, Polynomial) or takes_time(given, name) else given(x0)
+    except (ArithmeticError, ValueError, OSError):
+        return float("nan")
 
 
 class _bar:

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.attitude import check_attitude
 from coadjoint.methods.base import Method, System
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.poisson import PoissonSystem
 
 
 class Start(NamedTuple):
@@ -51,7 +53,8 @@ def start_of(system: System, method: Method, x0: Any, attitude: Any) -> Start:
     ValueError
         Naming what does not fit.
     """
-    momenta = np.array(x0, dtype=np.float64)
+    check_system(system)
+    momenta = _real_array(x0, "x0")
     single = momenta.ndim == 1
     if momenta.ndim not in (1, 2) or momenta.shape[-1] != system.dim:
         raise ValueError(f"x0 has the shape {momenta.shape}; it must be ({system.dim},) or (members, {system.dim})")
@@ -65,15 +68,46 @@ def start_of(system: System, method: Method, x0: Any, attitude: Any) -> Start:
         return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single)
     check_attitude(method, system, representation)
     size = system.dim if isinstance(representation, str) else representation.shape[1]
-    initial = np.eye(size) if isinstance(attitude, bool | str) else np.array(attitude, dtype=np.float64)
+    initial = np.eye(size) if isinstance(attitude, bool | str) else _real_array(attitude, "attitude")
     if initial.shape not in ((size, size), (len(momenta), size, size)):
         raise ValueError(
             f"attitude has the shape {initial.shape}; the representation of {system.name} needs ({size}, {size})"
         )
     if not np.all(np.isfinite(initial)):
         raise ValueError("attitude contains NaN or infinity; every entry must be finite")
+    if np.any(np.linalg.matrix_rank(initial) < size):
+        raise ValueError("attitude is a singular matrix; a group element has an inverse")
     groups = np.broadcast_to(initial, (len(momenta), size, size)).copy()
     return Start(momenta, groups, representation, single)
+
+
+def check_system(system: Any) -> None:
+    """Refuse what is no system, before it fails somewhere else.
+
+    Parameters
+    ----------
+    system : object
+        What was given as one.
+
+    Raises
+    ------
+    TypeError
+        It is neither a `LiePoissonSystem` nor a `PoissonSystem`.
+    """
+    if not isinstance(system, LiePoissonSystem | PoissonSystem):
+        raise TypeError(
+            f"system is {system!r}; it must be a LiePoissonSystem or a PoissonSystem, such as co.systems.rigid_body()"
+        )
+
+
+def _real_array(values: Any, what: str) -> NDArray[np.float64]:
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind not in "iufO":
+            raise TypeError
+        return np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"{what} is {values!r}; it must be an array of real numbers") from None
 
 
 def _representation(system: System, attitude: Any) -> NDArray[np.float64] | str | None:

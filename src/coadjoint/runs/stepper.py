@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from coadjoint.methods.composition import Composition
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.step_method import StepMethod
 from coadjoint.runs.run import Run
-from coadjoint.runs.start import start_of
+from coadjoint.runs.start import check_system, start_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
@@ -36,12 +37,21 @@ class Stepper:
         self.h = float(h)
         if not np.isfinite(self.h) or self.h == 0.0:
             raise ValueError(f"h is {h!r}; it must be finite and not zero")
+        check_system(system)
         method.properties(system)
         self.system, self.method = system, method
-        self._runs: dict[Any, Any] = {}
+        # Each thread has arrays of its own: one stepper may serve several.
+        self._own = threading.local()
 
     def __repr__(self) -> str:
         return f"stepper({self.system!r}, {self.method!r}, {self.h!r})"
+
+    @property
+    def _runs(self) -> dict[Any, Any]:
+        if not hasattr(self._own, "runs"):
+            self._own.runs = {}
+        found: dict[Any, Any] = self._own.runs
+        return found
 
     def _advance(self, x: Any, t: float, attitude: Any) -> Any:
         start = start_of(self.system, self.method, x, attitude)
@@ -92,6 +102,8 @@ class Stepper:
         """
         if attitude is None:
             attitude = True if self.system.representation is not None else "coadjoint"
+        if attitude is False:
+            raise ValueError("attitude is False; a group element needs True, 'coadjoint', an initial one, or None")
         return np.asarray(self._advance(x, t, attitude).attitude[-1])
 
     def tangent(self, x: Any, t: float = 0.0) -> NDArray[np.float64]:

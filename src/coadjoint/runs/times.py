@@ -79,7 +79,12 @@ def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
             f"step {size!r} does not divide the time {abs(span)!r}; "
             f"the nearest steps that do are {abs(span) / (count + 1)!r} and {abs(span) / count!r}"
         )
-    return Times(ends[0], math.copysign(size, span), steps, int(save_every))
+    if steps and np.spacing(max(map(abs, ends))) > size / 4:
+        raise ValueError(
+            f"step {size!r} is too small beside the times {ends}: neighbouring ones would be the same number; "
+            "shift t_span towards zero"
+        )
+    return Times(ends[0], math.copysign(size, span), steps, min(int(save_every), max(1, steps)))
 
 
 def is_positive_whole(value: Any) -> bool:

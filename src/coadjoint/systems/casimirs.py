@@ -57,6 +57,8 @@ def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size
         raise TypeError(f"casimirs is a {type(casimirs).__name__}; give a mapping from name to Polynomial or Invariant")
     result: dict[str, Any] = {}
     for name, given in casimirs.items():
+        if name == "energy":
+            raise ValueError("a Casimir is called 'energy', which is the name of the Hamiltonian; give it another")
         if isinstance(given, Polynomial | Invariant):
             casimir = given
         elif callable(given):

@@ -57,7 +57,8 @@ class LiePoissonSystem:
     ------
     TypeError, ValueError
         Wrong kinds; a sign that is not +1 or -1; a Hamiltonian of another dimension; coordinates of a piece of a
-        `SplitHamiltonian` that do not commute; a "Casimir" that is none; a representation with other commutators.
+        `SplitHamiltonian` that do not commute; a "Casimir" that is none (where its gradient is known); a representation
+        with other commutators.
 
     Notes
     -----
