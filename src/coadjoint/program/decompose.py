@@ -25,6 +25,8 @@ SAMPLES = 16
 # Larger systems keep the order that they come in: comparing orders costs n^3 for each of them.
 LARGEST_COMPARED = 24
 MOST_PERMUTED = 5
+# More parts than this keep their order: comparing them would take longer than many a run.
+MOST_ORDERED = 8
 # Sizes that differ by rounding alone must not decide, so that every machine chooses the same.
 CLEARLY = 1.0 - 1e-9
 
@@ -137,7 +139,8 @@ def best_order(
     system : LiePoissonSystem
         The system.
     parts : sequence of Part
-        At most five are permuted in every way; more are moved one by one while that helps.
+        At most five are permuted in every way, up to eight are moved one by one while that helps, and more keep
+        their order.
     points : ndarray, shape (k, n)
         Where the term is taken; none for a system too large to compare.
     t : float
@@ -159,7 +162,7 @@ def best_order(
     def size(order: tuple[int, ...]) -> float:
         return float(np.sqrt(np.mean(samples.second_order_term(order) ** 2)))
 
-    best, least, improved = natural, size(natural), True
+    best, least, improved = natural, size(natural), len(parts) <= MOST_ORDERED
     while improved:
         improved = False
         for order in _neighbours(best):
