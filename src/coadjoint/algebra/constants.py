@@ -67,7 +67,11 @@ def read_numbers(values: Any, what: str) -> Floats:
             raise TypeError
         numbers = np.array(given, dtype=np.float64)
     except (TypeError, ValueError):
-        raise TypeError(f"{what} must be an array of real numbers, all rows of the same length") from None
+        shown = " ".join(repr(values).split())
+        shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
+        raise TypeError(
+            f"{what} is {shown}; it must be an array of real numbers, all rows of the same length"
+        ) from None
     except OverflowError:
         raise ValueError(f"{what} holds a number that is too large for float64") from None
     return numbers

@@ -116,8 +116,7 @@ def violated(
 
     The products of the two factors with equal keys are added up; a sum counts as zero when it is below 64 u times the
     sum of the products of their sizes (u = 2^-53). A factor is as exact as the largest number of the row or bracket
-    that it was rounded
-    with: its size. Mantissas and exponents are kept apart: no product over- or underflows.
+    that it was rounded with: its size. Mantissas and exponents are kept apart: no product over- or underflows.
 
     Parameters
     ----------

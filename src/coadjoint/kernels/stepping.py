@@ -101,8 +101,8 @@ def advance(
 ) -> None:
     """Take the steps k0 + 1 to k1 for the members crew[0] to crew[1] - 1, by the step that the tables bring.
 
-    `state` is (momentum, its compensation,
-    group, its compensation), each (members, ...). Every step starts anew from it.
+    `state` is (momentum, its compensation, group, its compensation), each (members, ...). Every step starts anew from
+    it.
     """
     size, square = state[0].shape[1], state[2].shape[1]
     room, watch_room = np.empty(ROOM + tables.need), np.empty(watch.longest + 1)

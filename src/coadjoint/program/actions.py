@@ -20,11 +20,9 @@ class Action(NamedTuple):
 
     Part p has the runs run[p] to run[p + 1]. A run has `angles` of them, theta[angle], theta[angle + 1], ..., and for
     each of them `repeat` blocks of one kind with the same constants (a shear has a constant for each block). `width` is
-    the number
-    of coordinates of a CUBIC or SERIES block and `degree` the length of its sum; its entries follow as compressed
-    sparse rows, `width`
-    + 1 starts and the columns after the coordinates, the values of D (of a CUBIC block then those of D^2) after the
-    constants.
+    the number of coordinates of a CUBIC or SERIES block and `degree` the length of its sum; its entries follow as
+    compressed sparse rows, `width` + 1 starts and the columns after the coordinates, the values of D (of a CUBIC block
+    then those of D^2, and what rounding left of them) after the constants.
     """
 
     size: int

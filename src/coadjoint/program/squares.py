@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # A square is taken of one coordinate unless its diagonal entry is this much smaller than the largest entry: no form
-# then has large
-# coefficients (Bunch and Parlett 1971, (1 + sqrt 17)/8).
+# then has large coefficients (Bunch and Parlett 1971, (1 + sqrt 17)/8).
 SMALLEST_PIVOT = Fraction(41, 64)
 # Above this size the numerators grow past use and the reduction runs in the number type that it was given.
 LARGEST_RATIONAL = 16

@@ -20,8 +20,7 @@ class Terms(NamedTuple):
 
     A row of a LINEAR term is ``offset + weight . x``; its target is the coordinate that it belongs to, and the value of
     the term is the sum of x[target] (offset + weight . x / 2). A POLYNOMIAL term is a list of monomials over its rows;
-    a
-    FUNCTION term calls compiled (or, in the plain reading, Python) functions of y = x[target].
+    a FUNCTION term calls compiled (or, in the plain reading, Python) functions of y = x[target].
     """
 
     size: int

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.constants import read_numbers
 from coadjoint.methods.attitude import check_attitude
 from coadjoint.methods.base import Method, System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -54,7 +55,7 @@ def start_of(system: System, method: Method, x0: Any, attitude: Any) -> Start:
         Naming what does not fit.
     """
     check_system(system)
-    momenta = _real_array(x0, "x0")
+    momenta = read_numbers(x0, "x0")
     single = momenta.ndim == 1
     if momenta.ndim not in (1, 2) or momenta.shape[-1] != system.dim:
         raise ValueError(f"x0 has the shape {momenta.shape}; it must be ({system.dim},) or (members, {system.dim})")
@@ -68,7 +69,7 @@ def start_of(system: System, method: Method, x0: Any, attitude: Any) -> Start:
         return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single)
     check_attitude(method, system, representation)
     size = system.dim if isinstance(representation, str) else representation.shape[1]
-    initial = np.eye(size) if isinstance(attitude, bool | str) else _real_array(attitude, "attitude")
+    initial = np.eye(size) if isinstance(attitude, bool | str) else read_numbers(attitude, "attitude")
     if initial.shape not in ((size, size), (len(momenta), size, size)):
         raise ValueError(
             f"attitude has the shape {initial.shape}; the representation of {system.name} needs ({size}, {size})"
@@ -98,16 +99,6 @@ def check_system(system: Any) -> None:
         raise TypeError(
             f"system is {system!r}; it must be a LiePoissonSystem or a PoissonSystem, such as co.systems.rigid_body()"
         )
-
-
-def _real_array(values: Any, what: str) -> NDArray[np.float64]:
-    try:
-        given = np.asarray(values)
-        if given.dtype.kind not in "iufO":
-            raise TypeError
-        return np.array(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(f"{what} is {values!r}; it must be an array of real numbers") from None
 
 
 def _representation(system: System, attitude: Any) -> NDArray[np.float64] | str | None:
