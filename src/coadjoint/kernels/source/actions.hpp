@@ -173,7 +173,7 @@ INLINE Rotation<A> cubic_rotation(const A& lam, const A& phi) {
 
 // D^3 = lam D: exp(theta D) = 1 + S D + C D^2, Rodrigues' formula where lam < 0 and its hyperbolic kin where lam > 0.
 template <Care care, class A, class V, class C>
-NOINLINE void cubic(const Action& action, const C& constants, uint32_t run, const A& theta, const Vectors<V>& x) {
+INLINE void cubic(const Action& action, const C& constants, uint32_t run, const A& theta, const Vectors<V>& x) {
     const BlockRows block(action, run);
     auto constant = [&](int64_t place) { return constants.template number_at<A>(action.constants, place); };
     const int64_t base = block.constant, values = base + CUBIC_HEADER, squares = values + block.entries,
@@ -263,68 +263,108 @@ NOINLINE void series(const Action& action, const C& constants, uint32_t run, con
     }
 }
 
-// The angles of a part: a lone one in its register (an angle that passes through memory delays the step), or several.
+// The last lone angle of a part and its sine: the group element turns by the same angle as the momentum.
 template <class A>
-struct Angles {
-    bool single;
-    A lone;
-    const A* theta;
+struct Turned {
+    A phi = A(NAN);
+    Rotation<A> turn;
 
-    INLINE A operator[](int64_t place) const { return single ? lone : theta[place]; }
+    template <bool again>
+    INLINE Rotation<A> by(const A& angle) {
+        if constexpr (again) {
+            if (__builtin_expect(all(angle == phi), 1)) return turn;
+            if (all(angle == -phi)) return {-turn.sine, turn.lowered};
+        }
+        phi = angle;
+        return turn = rotation_by(angle);
+    }
 };
 
 constexpr int SPREAD = 8;  // rotations of one trajectory whose sines are computed side by side
 
-// Move vectors by exp(tau sum theta_a D_a) of one part. CORRECTED pays besides what the increment itself owes, so that
-// no rounding keeps its sign.
+// The rotations of a run, each with an angle of its own.
 template <Care care, class A, class V, class C>
-INLINE void act(const Action& action, const C& constants, uint32_t part, double tau, const Angles<A>& angles,
-                const Vectors<V>& x) {
+NOINLINE void rotate_several(const Action& action, const C& constants, uint32_t run, double tau, const A* theta,
+                             Vectors<V> x) {
+    const uint32_t repeat = action.repeat[run], count = action.angles[run];
+    const uint32_t* index = action.indices + action.place[run];
+    const int64_t place = action.constant[run];
+    uint32_t q = 0;
+    if constexpr (Numbers<A>::lanes == 1) {
+        for (; q + SPREAD <= count; q += SPREAD) {
+            typedef Lanes<SPREAD> Spread;
+            const Spread phi = load<Spread>(theta + q) * (Spread(tau) * load<Spread>(action.constants + place + q));
+            const Rotation<Spread> turns = rotation_by(phi);
+            double sines[SPREAD], lowereds[SPREAD];
+            store(sines, turns.sine);
+            store(lowereds, turns.lowered);
+            for (int lane = 0; lane < SPREAD; ++lane, index += 2 * repeat)
+                rotate<care>(Rotation<A>{A(sines[lane]), A(lowereds[lane])}, index, repeat, x);
+        }
+    }
+    for (; q < count; ++q, index += 2 * repeat)
+        rotate<care>(rotation_by(theta[q] * (tau * constants.template number_at<A>(action.constants, place + q))), index,
+                     repeat, x);
+}
+
+// The runs that are not on every step's way, or long enough not to mind a call.
+template <Care care, class A, class V, class C>
+NOINLINE void act_apart(const Action& action, const C& constants, uint32_t run, double tau, const A* theta,
+                        Vectors<V> x) {
     auto constant = [&](int64_t place) { return constants.template number_at<A>(action.constants, place); };
+    const int kind = action.kind[run];
+    const uint32_t repeat = action.repeat[run], count = action.angles[run];
+    const uint32_t* index = action.indices + action.place[run];
+    int64_t place = action.constant[run];
+    if (kind == ROTATE) {
+        rotate_several<care>(action, constants, run, tau, theta, x);
+    } else if (kind == SHEAR) {
+        for (uint32_t q = 0; q < count; ++q) {
+            const A turn = tau * theta[q];
+            for (uint32_t block = 0; block < repeat; ++block, ++place, index += 2)
+                shear<care>(turn * constant(place), index, x);
+        }
+    } else if (kind == RATIONAL_ROTATE) {
+        for (uint32_t q = 0; q < count; ++q, index += 2 * repeat)
+            rotate<care>(rational_rotation(theta[q] * (tau * constant(place + q))), index, repeat, x);
+    } else if (kind == CUBIC || kind == RATIONAL_CUBIC) {
+        cubic<care>(action, constants, run, tau * theta[0], x);
+    } else if (kind == SCALE) {
+        for (uint32_t q = 0; q < count; ++q, index += repeat) {
+            const A grown = map(theta[q] * (tau * constant(place + q)), [](double a) { return std::expm1(a); });
+            scale<care>(grown, index, repeat, x);
+        }
+    } else if (kind == PLANE) {
+        for (uint32_t q = 0; q < count; ++q, place += 4, index += 2 * repeat)
+            plane<care, A, V>(constant(place), constant(place + 1), constant(place + 2), constant(place + 3), index,
+                              repeat, tau * theta[q], x);
+    } else {
+        series<care>(action, constants, run, tau * theta[0], x);
+    }
+}
+
+// Move vectors by exp(tau sum theta_a D_a) of one part. CORRECTED pays besides what the increment itself owes, so that
+// no rounding keeps its sign. A lone angle stays in its register: one that passes through memory delays the step.
+template <Care care, bool again, class A, class V, class C>
+INLINE void act(const Action& action, const C& constants, uint32_t part, double tau, bool single, A lone,
+                const A* theta, Turned<A>& turned, const Vectors<V>& x) {
     for (uint32_t run = action.run[part], last = action.run[part + 1]; run < last; ++run) {
         const int kind = action.kind[run];
-        const uint32_t repeat = action.repeat[run], count = action.angles[run], first = action.angle[run];
+        const uint32_t repeat = action.repeat[run];
         const uint32_t* index = action.indices + action.place[run];
-        int64_t place = action.constant[run];
-        if (kind == ROTATE) {
-            uint32_t q = 0;
-            if constexpr (Numbers<A>::lanes == 1) {
-                for (; q + SPREAD <= count; q += SPREAD) {
-                    Lanes<SPREAD> phi;
-                    for (int lane = 0; lane < SPREAD; ++lane)
-                        phi.set(lane, angles[first + q + lane] * (tau * action.constants[place + q + lane]));
-                    Rotation<Lanes<SPREAD>> turns = rotation_by(phi);
-                    double sines[SPREAD], lowereds[SPREAD];
-                    store(sines, turns.sine);
-                    store(lowereds, turns.lowered);
-                    for (int lane = 0; lane < SPREAD; ++lane, index += 2 * repeat)
-                        rotate<care>(Rotation<A>{A(sines[lane]), A(lowereds[lane])}, index, repeat, x);
-                }
-            }
-            for (; q < count; ++q, index += 2 * repeat)
-                rotate<care>(rotation_by(angles[first + q] * (tau * constant(place + q))), index, repeat, x);
-        } else if (kind == SHEAR) {
-            for (uint32_t q = 0; q < count; ++q) {
-                A turn = tau * angles[first + q];
-                for (uint32_t block = 0; block < repeat; ++block, ++place, index += 2)
-                    shear<care>(turn * constant(place), index, x);
-            }
-        } else if (kind == CUBIC || kind == RATIONAL_CUBIC) {
-            cubic<care>(action, constants, run, tau * angles[first], x);
-        } else if (kind == RATIONAL_ROTATE) {
-            for (uint32_t q = 0; q < count; ++q, index += 2 * repeat)
-                rotate<care>(rational_rotation(angles[first + q] * (tau * constant(place + q))), index, repeat, x);
-        } else if (kind == SCALE) {
-            for (uint32_t q = 0; q < count; ++q, index += repeat) {
-                A grown = map(angles[first + q] * (tau * constant(place + q)), [](double a) { return std::expm1(a); });
-                scale<care>(grown, index, repeat, x);
-            }
-        } else if (kind == PLANE) {
-            for (uint32_t q = 0; q < count; ++q, place += 4, index += 2 * repeat)
-                plane<care, A, V>(constant(place), constant(place + 1), constant(place + 2), constant(place + 3), index,
-                                  repeat, tau * angles[first + q], x);
+        const int64_t place = action.constant[run];
+        auto constant = [&](int64_t which) { return constants.template number_at<A>(action.constants, which); };
+        if (__builtin_expect(single && kind == ROTATE, 1)) {
+            rotate<care>(turned.template by<again>(lone * (tau * constant(place))), index, repeat, x);
+        } else if (single && kind == SHEAR) {
+            const A turn = tau * lone;
+            for (uint32_t block = 0; block < repeat; ++block, index += 2)
+                shear<care>(turn * constant(place + block), index, x);
+        } else if (Numbers<A>::lanes == 1 && sizeof(V) == sizeof(A) && single && kind == CUBIC) {
+            cubic<care>(action, constants, run, tau * lone, x);
         } else {
-            series<care>(action, constants, run, tau * angles[first], x);
+            const A apart = lone;
+            act_apart<care>(action, constants, run, tau, single ? &apart : theta + action.angle[run], x);
         }
     }
 }

@@ -52,7 +52,7 @@ INLINE Rotation<A> reduced_rotation(const A& phi, const typename Numbers<A>::Mas
             select(near, z * c, fma(turned, select(odd, sine, lowered), below))};
 }
 
-INLINE Rotation<double> far_rotation(double phi) {
+NOINLINE static Rotation<double> far_rotation(double phi) {
     double half = std::sin(0.5 * phi);
     return {std::sin(phi), -2.0 * half * half};
 }
@@ -66,7 +66,7 @@ INLINE Rotation<double> rotation_by(double phi) {
         circular_series(phi, z, s, c);
         return {fma(phi * z, s, phi), z * c};
     }
-    if (!(absolute(phi) <= LARGEST_REDUCED)) return far_rotation(phi);
+    if (__builtin_expect(!(absolute(phi) <= LARGEST_REDUCED), 0)) return far_rotation(phi);
     return reduced_rotation(phi, false);
 }
 

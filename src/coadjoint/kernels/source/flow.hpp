@@ -27,16 +27,17 @@ struct AngleRoom {
 
 // Apply the rows first to last - 1: angles from the shares, then the action on the momentum and on the group element.
 template <Care care, bool carry, class A, class G, class C>
-NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first, uint32_t last, const Vectors<A>& x,
+INLINE void sweep_inline(const FlowTables& tables, const C& constants, uint32_t first, uint32_t last, const Vectors<A>& x,
                   const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
     const Terms& terms = tables.terms;
     for (uint32_t r = first; r < last; ++r) {
         const uint32_t part = tables.part[r];
         const int64_t row = tables.only[part];
         const double tau = tables.tau[r];
-        Angles<A> angles{row >= 0, A(0.0), room.theta.at};
-        if (angles.single) {
-            angles.lone = linear_row(terms, constants, row, x.at);
+        const bool single = row >= 0;
+        A lone(0.0);
+        if (__builtin_expect(single, 1)) {
+            lone = linear_row(terms, constants, row, x.at);
         } else {
             const uint32_t low = tables.share[part], high = tables.share[part + 1];
             const A moment = t + A(tables.moment[r] * h);
@@ -44,26 +45,28 @@ NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first
                 gradient_rows(terms, constants, tables.addresses, k, x.at, moment, room.theta.at, terms.row[low],
                               room.arguments.at, room.calls.data());
         }
-        act<care>(tables.state, constants, part, tau, angles, x);
+        Turned<A> turned;
+        act<care, false>(tables.state, constants, part, tau, single, lone, room.theta.at, turned, x);
         if constexpr (carry) {
-            if (tables.bent[part]) {
-                auto turned = [&](const A& angle, int64_t place) {
-                    return rational_angle(tau * angle, constants.template number_at<A>(tables.frequency, place));
-                };
-                Angles<A> bent{angles.single, A(0.0), room.turned.at};
-                if (angles.single) {
-                    bent.lone = turned(angles.lone, row);
-                } else {
-                    const int64_t base = terms.row[tables.share[part]], stop = terms.row[tables.share[part + 1]];
-                    for (int64_t place = base; place < stop; ++place)
-                        room.turned.at[place - base] = turned(room.theta.at[place - base], place);
-                }
-                act<CORRECTED>(tables.group, constants, part, 1.0, bent, group);
+            if (__builtin_expect(tables.bent[part], 0)) {
+                const int64_t base = single ? row : terms.row[tables.share[part]];
+                const int64_t stop = single ? row + 1 : terms.row[tables.share[part + 1]];
+                for (int64_t place = base; place < stop; ++place)
+                    room.turned.at[place - base] =
+                        rational_angle(tau * (single ? lone : room.theta.at[place - base]),
+                                       constants.template number_at<A>(tables.frequency, place));
+                act<CORRECTED, true>(tables.group, constants, part, 1.0, false, lone, room.turned.at, turned, group);
             } else {
-                act<CORRECTED>(tables.group, constants, part, tau, angles, group);
+                act<CORRECTED, true>(tables.group, constants, part, tau, single, lone, room.theta.at, turned, group);
             }
         }
     }
+}
+
+template <Care care, bool carry, class A, class G, class C>
+NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first, uint32_t last, const Vectors<A>& x,
+                  const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
+    sweep_inline<care, carry>(tables, constants, first, last, x, group, t, h, room);
 }
 
 // The members of a call: positions first to last - 1 of a crew; state, schedule and report are those of all members.
@@ -132,7 +135,7 @@ void follow_alone(const Loop& loop, int64_t member) {
     int64_t saved = next_saved(schedule, loop.k0), failed = 0;
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         const double t = schedule.t0 + double(k - 1) * schedule.h;
-        sweep<care, carry>(tables, Shared{}, tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], momentum,
+        sweep_inline<care, carry>(tables, Shared{}, tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], momentum,
                            group, t, schedule.h, angles);
         if (!finite(size, x)) {
             failed = k;

@@ -52,7 +52,7 @@ INLINE A monomial_without(const Terms& terms, const C& constants, uint32_t monom
 // Fills out[row - first] with every row of term k: the angles of a share, or components of a gradient. `y` is room for
 // the arguments of a user function, `room` for one lane of them and of its results.
 template <class A, class C>
-INLINE void gradient_rows(const Terms& terms, const C& constants, const int64_t* addresses, int64_t k, const A* x,
+NOINLINE void gradient_rows(const Terms& terms, const C& constants, const int64_t* addresses, int64_t k, const A* x,
                           const A& t, A* out, int64_t first, A* y, double* room) {
     int64_t start = terms.row[k], stop = terms.row[k + 1];
     if (terms.kind[k] == LINEAR) {
