@@ -4,6 +4,8 @@
 // rows of a group element as lanes. Component i of vector r stands at i * rows + r.
 #pragma once
 
+#include <algorithm>
+
 #include "arithmetic.hpp"
 #include "tables.hpp"
 
@@ -217,7 +219,7 @@ INLINE void cubic(const Action& action, const C& constants, uint32_t run, const 
     }
 }
 
-// Sum theta^k D^k / k!: finite where D is nilpotent, else in substeps of norm at most 1.
+// The sum of theta^k D^k / k!: finite where D is nilpotent, else in substeps of norm at most 1.
 template <Care care, class A, class V, class C>
 NOINLINE void series(const Action& action, const C& constants, uint32_t run, const A& theta,
                                       const Vectors<V>& x) {
@@ -239,15 +241,13 @@ NOINLINE void series(const Action& action, const C& constants, uint32_t run, con
     }
     for (int64_t done = 0; done < most; ++done) {
         auto going = A(double(done)) < substeps;
+        // In Horner's order: added one by one, terms below half a unit in the last place would all be lost alike.
         gather(block, x);
-        V *here = x.room, *there = x.room + length, *total = x.room + 2 * length;
-        for (int64_t place = 0; place < length; ++place) total[place] = V(0.0);
-        for (uint32_t k = 1; k <= action.degree[run]; ++k) {
-            apply_block(action, constants, block, block.constant + 1, here, step / double(k), there, x.rows);
-            for (int64_t place = 0; place < length; ++place) total[place] += there[place];
-            V* other = here;
-            here = there;
-            there = other;
+        V *start = x.room, *inner = x.room + length, *total = x.room + 2 * length;
+        std::copy_n(start, length, inner);
+        for (uint32_t k = action.degree[run]; k > 0; --k) {
+            apply_block(action, constants, block, block.constant + 1, inner, step / double(k), total, x.rows);
+            for (int64_t place = 0; k > 1 && place < length; ++place) inner[place] = start[place] + total[place];
         }
         for (uint32_t k = 0; k < block.width; ++k) {
             int64_t i = block.coordinates[k] * x.rows;
