@@ -15,12 +15,13 @@ constexpr int RATIONAL = 8, RATIONAL_ROTATE = ROTATE + RATIONAL, RATIONAL_CUBIC 
 constexpr int CUBIC_HEADER = 6;  // constants of a CUBIC block before the values of its entries
 constexpr double MOST_SUBSTEPS = 1.0e6;
 
+constexpr uint32_t MANY = 4;  // blocks of one angle that are worth a call
+
 enum Care { PLAIN, COMPENSATED, CORRECTED };
 
-// Add an increment to a component; with compensation what rounding lost is kept and added the next time.
+// Add an increment to a component of known value; with compensation what rounding lost is kept and added the next time.
 template <Care care, class V>
-INLINE void add(V* vectors, V* errors, int64_t place, V increment) {
-    V old = vectors[place];
+INLINE void add(V* vectors, V* errors, int64_t place, const V& old, V increment) {
     if constexpr (care == PLAIN) {
         vectors[place] = old + increment;
     } else {
@@ -35,8 +36,8 @@ INLINE void add(V* vectors, V* errors, int64_t place, V increment) {
 // Add an increment with compensation; keep besides what the increment owes and what adding the error to it lost. The
 // next rotation does not wait for any of that.
 template <class V>
-INLINE void add_owing(V* vectors, V* errors, int64_t place, const V& increment, const V& owed) {
-    V old = vectors[place], error = errors[place];
+INLINE void add_owing(V* vectors, V* errors, int64_t place, const V& old, const V& increment, const V& error,
+                      const V& owed) {
     V whole = increment + error;
     V now = old + whole;
     V kept = now - old;
@@ -53,8 +54,31 @@ struct Vectors {
     V* room;
 };
 
+// Many blocks that turn by one angle: their coordinates are disjoint, so that loads need not wait for stores.
+NOINLINE inline void rotate_many(double sine, double lowered, const uint32_t* index, uint32_t repeat, double* x) {
+    constexpr int together = 4;
+    uint32_t block = 0;
+    for (; block + together <= repeat; block += together, index += 2 * together) {
+        double a[together], b[together];
+#pragma GCC unroll 4
+        for (int k = 0; k < together; ++k) a[k] = x[index[2 * k]], b[k] = x[index[2 * k + 1]];
+#pragma GCC unroll 4
+        for (int k = 0; k < together; ++k) {
+            x[index[2 * k]] = a[k] + fma(lowered, a[k], -(sine * b[k]));
+            x[index[2 * k + 1]] = b[k] + fma(lowered, b[k], sine * a[k]);
+        }
+    }
+    for (; block < repeat; ++block, index += 2) {
+        const double a = x[index[0]], b = x[index[1]];
+        x[index[0]] = a + fma(lowered, a, -(sine * b));
+        x[index[1]] = b + fma(lowered, b, sine * a);
+    }
+}
+
 template <Care care, class A, class V>
 INLINE void rotate(const Rotation<A>& turn, const uint32_t* index, uint32_t repeat, const Vectors<V>& x) {
+    if constexpr (care == PLAIN && Numbers<V>::lanes == 1)
+        if (repeat >= MANY) return rotate_many(turn.sine, turn.lowered, index, repeat, x.at);
     const V sine(turn.sine), lowered(turn.lowered);
     const V dearth(care == CORRECTED ? shortfall(turn.sine, -turn.lowered, A(1.0)) : A(0.0));
     for (uint32_t block = 0; block < repeat; ++block, index += 2) {
@@ -67,11 +91,11 @@ INLINE void rotate(const Rotation<A>& turn, const uint32_t* index, uint32_t repe
                 V e = x.errors[i + row], f = x.errors[j + row];
                 V first = fma(lowered, e, -fma(sine, f, fma(sine, b, -back))) - dearth * a;
                 V second = fma(lowered, f, fma(sine, e, fma(sine, a, -forth))) - dearth * b;
-                add_owing(x.at, x.errors, i + row, fma(lowered, a, -back), first);
-                add_owing(x.at, x.errors, j + row, fma(lowered, b, forth), second);
+                add_owing(x.at, x.errors, i + row, a, fma(lowered, a, -back), e, first);
+                add_owing(x.at, x.errors, j + row, b, fma(lowered, b, forth), f, second);
             } else {
-                add<care>(x.at, x.errors, i + row, fma(lowered, a, -back));
-                add<care>(x.at, x.errors, j + row, fma(lowered, b, forth));
+                add<care>(x.at, x.errors, i + row, a, fma(lowered, a, -back));
+                add<care>(x.at, x.errors, j + row, b, fma(lowered, b, forth));
             }
         }
     }
@@ -86,9 +110,9 @@ INLINE void shear(const A& factor, const uint32_t* index, const Vectors<V>& x) {
         V moved = by * source;
         if constexpr (care == CORRECTED) {
             V owed = fma(by, x.errors[j + row], fma(by, source, -moved));
-            add_owing(x.at, x.errors, i + row, moved, owed);
+            add_owing(x.at, x.errors, i + row, x.at[i + row], moved, x.errors[i + row], owed);
         } else {
-            add<care>(x.at, x.errors, i + row, moved);
+            add<care>(x.at, x.errors, i + row, x.at[i + row], moved);
         }
     }
 }
@@ -99,7 +123,7 @@ INLINE void scale(const A& factor, const uint32_t* index, uint32_t repeat, const
     for (uint32_t block = 0; block < repeat; ++block) {
         int64_t i = index[block] * x.rows;
         for (int64_t row = 0; row < x.rows; ++row)
-            add<care == PLAIN ? PLAIN : COMPENSATED>(x.at, x.errors, i + row, by * x.at[i + row]);
+            add<care == PLAIN ? PLAIN : COMPENSATED>(x.at, x.errors, i + row, x.at[i + row], by * x.at[i + row]);
     }
 }
 
@@ -118,8 +142,8 @@ NOINLINE void plane(const A& mean, const A& half, const A& upper, const A& lower
         for (int64_t row = 0; row < x.rows; ++row) {
             V a = x.at[i + row], b = x.at[j + row];
             constexpr Care kept = care == PLAIN ? PLAIN : COMPENSATED;
-            add<kept>(x.at, x.errors, i + row, fma(diagonal, a, s * fma(V(half), a, V(upper) * b)));
-            add<kept>(x.at, x.errors, j + row, fma(diagonal, b, s * fma(V(lower), a, -(V(half) * b))));
+            add<kept>(x.at, x.errors, i + row, a, fma(diagonal, a, s * fma(V(half), a, V(upper) * b)));
+            add<kept>(x.at, x.errors, j + row, b, fma(diagonal, b, s * fma(V(lower), a, -(V(half) * b))));
         }
     }
 }
@@ -197,7 +221,8 @@ INLINE void cubic(const Action& action, const C& constants, uint32_t run, const 
             int64_t i = block.coordinates[k] * x.rows;
             for (int64_t row = 0; row < x.rows; ++row) {
                 V first = x.room[length + k * x.rows + row], second = x.room[2 * length + k * x.rows + row];
-                add_owing(x.at, x.errors, i + row, fma(along, first, across * second), dearth * second);
+                add_owing(x.at, x.errors, i + row, x.at[i + row], fma(along, first, across * second),
+                          x.errors[i + row], dearth * second);
             }
         }
         return;
@@ -214,7 +239,7 @@ INLINE void cubic(const Action& action, const C& constants, uint32_t run, const 
                 rest = fma(V(constant(rests + entry)), v, rest);
             }
             second += rest;
-            add<care>(x.at, x.errors, i + row, fma(along, first, across * second));
+            add<care>(x.at, x.errors, i + row, x.at[i + row], fma(along, first, across * second));
         }
     }
 }
@@ -253,7 +278,7 @@ NOINLINE void series(const Action& action, const C& constants, uint32_t run, con
             int64_t i = block.coordinates[k] * x.rows;
             for (int64_t row = 0; row < x.rows; ++row) {
                 V before = x.at[i + row], error = care == PLAIN ? before : x.errors[i + row];
-                add<care == PLAIN ? PLAIN : COMPENSATED>(x.at, x.errors, i + row, total[k * x.rows + row]);
+                add<care == PLAIN ? PLAIN : COMPENSATED>(x.at, x.errors, i + row, before, total[k * x.rows + row]);
                 if constexpr (Numbers<A>::lanes > 1) {
                     x.at[i + row] = select(going, x.at[i + row], before);
                     if constexpr (care != PLAIN) x.errors[i + row] = select(going, x.errors[i + row], error);
@@ -263,16 +288,16 @@ NOINLINE void series(const Action& action, const C& constants, uint32_t run, con
     }
 }
 
-// The last lone angle of a part and its sine: the group element turns by the same angle as the momentum.
+// The last lone angle of a part and its sine: other blocks of the part, and the group element, turn by the same angle or
+// its opposite.
 template <class A>
 struct Turned {
     A phi = A(NAN);
     Rotation<A> turn;
 
-    template <bool again>
-    INLINE Rotation<A> by(const A& angle) {
-        if constexpr (again) {
-            if (__builtin_expect(all(angle == phi), 1)) return turn;
+    INLINE Rotation<A> by(const A& angle, bool again) {
+        if (again) {
+            if (all(angle == phi)) return turn;
             if (all(angle == -phi)) return {-turn.sine, turn.lowered};
         }
         phi = angle;
@@ -355,7 +380,7 @@ INLINE void act(const Action& action, const C& constants, uint32_t part, double 
         const int64_t place = action.constant[run];
         auto constant = [&](int64_t which) { return constants.template number_at<A>(action.constants, which); };
         if (__builtin_expect(single && kind == ROTATE, 1)) {
-            rotate<care>(turned.template by<again>(lone * (tau * constant(place))), index, repeat, x);
+            rotate<care>(turned.by(lone * (tau * constant(place)), again || run > action.run[part]), index, repeat, x);
         } else if (single && kind == SHEAR) {
             const A turn = tau * lone;
             for (uint32_t block = 0; block < repeat; ++block, index += 2)
