@@ -29,8 +29,9 @@ class Kind(IntEnum):
     SERIES = 5
 
 
-# Degree at which the Taylor series in a substep of norm at most 1 is below 2^-53: 1/19! = 8e-18.
-TAYLOR_DEGREE = 18
+# Degree of the Taylor series in a substep of norm at most 1: the rest, 1/21! = 2e-20, has one sign and must not add up
+# over the steps.
+TAYLOR_DEGREE = 20
 # Constants of a CUBIC block before the values of its entries.
 CUBIC_HEADER = 6
 
