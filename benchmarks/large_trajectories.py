@@ -58,7 +58,9 @@ def chain(spins: int) -> Large:
         s = x.reshape(-1, 3)
         return np.concatenate([s.sum(axis=0), s[0], s[-1]])
 
-    return Large(f"chain of {spins} spins", "spin_chain", spins, system, parts, x0, max(3, 10**7 // spins), COUPLINGS, shown)
+    return Large(
+        f"chain of {spins} spins", "spin_chain", spins, system, parts, x0, max(3, 10**7 // spins), COUPLINGS, shown
+    )
 
 
 def solve(case: Large, steps: int) -> Any:

@@ -61,6 +61,9 @@ def _increment(block: Block, own: NDArray[np.float64], times: NDArray[np.float64
     if np.array_equal(own, -own.T):
         # i B is Hermitian: unitary to round-off at any time, where squarings lose a bit each.
         frequencies, vectors = np.linalg.eigh(1j * own)
+        # What X leaves where it is must not begin to turn by rounding.
+        still = np.abs(frequencies) <= 4 * len(own) * UNIT * np.max(np.abs(frequencies))
+        frequencies = np.where(still, 0.0, frequencies)
         turned = np.exp(-1j * times[:, None] * frequencies)[:, None, :]
         return np.asarray((vectors * turned @ vectors.conj().T).real - np.eye(len(own)))
     return np.array([_squared(own, float(time)) for time in times]) - np.eye(len(own))

@@ -57,5 +57,8 @@ def unshifted(
         else:
             generator = np.einsum("i,ijk->jk", gradient, representation)
         turned = exponentials(np.asarray(-system.sign * generator), elapsed)
+        if isinstance(representation, str) and not np.array_equal(generator, -generator.T):
+            # The gradient of a Casimir leaves x where it is; rounded, it would push it away in proportion to time.
+            turned -= np.einsum("ki,j->kij", turned @ x - x, x / max(float(x @ x), np.finfo(float).tiny))
         result[:, member] = g0[member] @ turned @ groups[:, member]
     return result

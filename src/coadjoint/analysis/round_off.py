@@ -1,0 +1,121 @@
+"""Does round-off wander or drift? Brouwer's law over an ensemble."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomial import Polynomial
+
+
+@dataclass(frozen=True)
+class RandomWalk:
+    """How deviations of an ensemble grow between an early and a late time.
+
+    Attributes
+    ----------
+    early, late : float
+        Root mean square deviation over the members, relative to the size of what is conserved.
+    worst : float
+        The largest late deviation of any member.
+    bias : float
+        The mean late deviation in standard errors of that mean: within 3 for rounding without a preferred sign.
+    """
+
+    early: float
+    late: float
+    worst: float
+    bias: float
+
+    @property
+    def growth(self) -> float:
+        """The late deviation over the early one: 10 for a random walk over 100 times the time, 100 for a bias."""
+        return self.late / self.early if self.early else np.inf
+
+
+def random_walk(deviations: NDArray[np.float64], early: int) -> RandomWalk:
+    """Return how deviations grow.
+
+    Parameters
+    ----------
+    deviations : ndarray, shape (k, members) or (k, members, ...)
+        Relative deviations at the saved times; further axes count as members of their own for the size, and are
+        averaged for the bias.
+    early : int
+        The saved point that the last one is compared with.
+
+    Returns
+    -------
+    RandomWalk
+        Root mean squares, growth and bias.
+
+    Examples
+    --------
+    >>> steps = np.random.default_rng(1).choice([-1.0, 1.0], (10000, 64))
+    >>> walk = random_walk(np.cumsum(steps, axis=0), 100)
+    >>> bool(5 < walk.growth < 20 and abs(walk.bias) < 3)
+    True
+    """
+    last = deviations[-1]
+    means = last.reshape(len(last), -1).mean(axis=1)
+    spread = float(np.std(means)) / np.sqrt(len(means))
+    return RandomWalk(
+        early=float(np.sqrt(np.mean(deviations[early] ** 2))),
+        late=float(np.sqrt(np.mean(last**2))),
+        worst=float(np.max(np.abs(last))),
+        bias=float(np.mean(means) / spread) if spread else 0.0,
+    )
+
+
+def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
+    """Return for energy and Casimirs of an ensemble how their round-off grows.
+
+    Brouwer's law: unbiased rounding errors make an invariant wander like the square root of time, biased ones make it
+    drift in proportion to time. Choose this to see which of the two a scheme does; for a single trajectory `drift` has
+    the sizes.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of an ensemble, with at least three saved points.
+    early : int
+        The saved point that the last one is compared with.
+
+    Returns
+    -------
+    dict
+        Name -> `RandomWalk`, relative to the sum of the absolute terms of the invariant (of its value, where it is not
+        a polynomial).
+
+    Raises
+    ------
+    ValueError
+        The solution is of a single trajectory.
+
+    References
+    ----------
+    D. Brouwer, On the accumulation of errors in numerical integration, Astron. J. 46 (1937).
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> x0 = np.random.default_rng(0).normal(size=(64, 3))
+    >>> sol = co.integrate(body, x0, (0, 1000), 0.1, co.Splitting(compensated=True), save_every=100, watch=False)
+    >>> round_off(sol)["|x|^2"].growth < 20
+    True
+    """
+    if solution.energy.ndim == 1:
+        raise ValueError("round-off is judged over an ensemble, and the solution has one trajectory; give x0 members")
+    found = {}
+    for name, values in {"energy": solution.energy, **solution.casimirs}.items():
+        invariant = solution.system.casimirs.get(name)
+        size = np.max(np.abs(values), axis=0)
+        if isinstance(invariant, Polynomial):
+            terms = Polynomial({e: abs(c) for e, c in invariant.monomials.items()})
+            size = np.array([float(terms(np.abs(x))) for x in solution.x[0]])
+        found[name] = random_walk((values - values[0]) / size, early)
+    return found

@@ -1,0 +1,67 @@
+"""Over 64 members round-off wanders like the square root of time, and has no sign that it prefers."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.analysis.round_off import random_walk, round_off
+
+from .systems_under_test import cases, full_matrix
+
+MEMBERS, STEPS, STEP = 64, 100_000, 0.1
+# A random walk over 100 times the time grows by 10, a bias by 100.
+MOST_GROWTH, MOST_BIAS = 20.0, 3.0
+E3 = co.algebras.get("e(3)")
+SYSTEMS = {
+    "rigid body": co.systems.rigid_body(inertia=(1, 2, 3)),
+    "heavy top": co.LiePoissonSystem(E3, co.Quadratic([1.0, 0.8, 0.5, 0, 0, 0], linear=[0, 0, 0, 0.2, 0.1, 1.0])),
+    "so(4), diagonal": cases()["so(4), diagonal"].system,
+    "so(4), full": co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(full_matrix(4, 6))),
+    "so(3), full": co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(full_matrix(3, 3))),
+}
+COMPENSATED = co.Splitting(order=2, compensated=True)
+
+
+def ensemble(name, method, steps=STEPS, **options):
+    system = SYSTEMS[name]
+    x0 = np.random.default_rng(5).normal(size=(MEMBERS, system.dim))
+    span = (0.0, steps * STEP)
+    return co.integrate(system, x0, span, STEP, method, save_every=steps // 100, watch=False, **options)
+
+
+def follows_the_law(walk):
+    return walk.growth <= MOST_GROWTH and abs(walk.bias) <= MOST_BIAS
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_casimirs_of_the_compensated_splitting(name):
+    walks = round_off(ensemble(name, COMPENSATED))
+    for casimir in SYSTEMS[name].casimirs:
+        assert follows_the_law(walks[casimir]), (casimir, walks[casimir])
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_group_elements_of_the_splitting(name):
+    solution = ensemble(name, COMPENSATED, attitude=True)
+    g = solution.attitude
+    d = 3 if g.shape[-1] == 4 and SYSTEMS[name].dim == 6 and "top" in name else g.shape[-1]
+    turned = g[..., :d, :d]
+    defect = turned @ np.swapaxes(turned, -1, -2) - np.eye(d)
+    walk = random_walk(defect, 1)
+    assert follows_the_law(walk), walk
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_spatial_momentum_of_the_splitting(name):
+    solution = ensemble(name, COMPENSATED, attitude="coadjoint")
+    spatial = np.einsum("kmij,kmj->kmi", solution.attitude, solution.x)
+    # On e(3) the translation grows with time, and its rounding with it.
+    size = np.linalg.norm(solution.attitude, axis=(2, 3), ord=2) * np.linalg.norm(solution.x, axis=2)
+    walk = random_walk((spatial - spatial[0]) / size[..., None], 1)
+    assert follows_the_law(walk), walk
+
+
+def test_the_law_tells_a_bias_from_a_walk():
+    steps = np.random.default_rng(2).choice([-1.0, 1.0], (10_000, MEMBERS))
+    walks = [random_walk(np.cumsum(steps + bias, axis=0), 100) for bias in (0.0, 0.1)]
+    assert [follows_the_law(walk) for walk in walks] == [True, False]
