@@ -8,8 +8,9 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.methods.chosen_parts import ChosenParts
-from coadjoint.program.decompose import best_order, decompose
+from coadjoint.program.decompose import decompose
 from coadjoint.program.exponential import exponentials
+from coadjoint.program.order_of_parts import best_order
 from coadjoint.program.second_order import part_jet, second_order_term
 from coadjoint.program.shift import shifted_terms, singular_factors
 from coadjoint.program.split import split

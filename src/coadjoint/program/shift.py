@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,9 +67,8 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, Polynomial], shi
     assert isinstance(term, QuadraticTerm)
     entries = [(term.rows, term.indices, term.values)]
     for name, factor in shift:
-        for piece in Quadratic.from_polynomial(casimirs[name]).terms():
-            assert isinstance(piece, QuadraticTerm)
-            entries.append((piece.rows, piece.indices, -factor * piece.values))
+        piece = _term_of(casimirs[name])
+        entries.append((piece.rows, piece.indices, -factor * piece.values))
     rows, columns = (np.concatenate([entry[side] for entry in entries]) for side in (0, 1))
     values = np.concatenate([entry[2] for entry in entries])
     places, where = np.unique(rows * len(term.linear) + columns, return_inverse=True)
@@ -79,6 +79,14 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, Polynomial], shi
     indptr = np.concatenate([[0], np.cumsum(counts)])
     changed = QuadraticTerm(indptr, columns, np.asarray(total[kept], dtype=np.float64), term.linear, term.constant)
     return (*terms[:own], changed, *terms[own + 1 :])
+
+
+# A scan over constants takes off the same Casimir again and again.
+@lru_cache(maxsize=256)
+def _term_of(casimir: Polynomial) -> QuadraticTerm:
+    (term,) = Quadratic.from_polynomial(casimir).terms()
+    assert isinstance(term, QuadraticTerm)
+    return term
 
 
 def candidate_shifts(system: LiePoissonSystem, parts: Sequence[Part]) -> Iterable[Shift]:
@@ -121,7 +129,7 @@ def candidate_shifts(system: LiePoissonSystem, parts: Sequence[Part]) -> Iterabl
                     yield alone
     if len(casimirs) == 1 and system.dim <= LARGEST_SINGULAR:
         ((name, casimir),) = casimirs.items()
-        for factor in singular_factors(_dense(quadratic[0]), _dense_of(casimir)):
+        for factor in singular_factors(_dense(quadratic[0]), _dense(_term_of(casimir))):
             if ((name, factor),) not in seen:
                 yield ((name, factor),)
 
@@ -142,10 +150,6 @@ def _dense(term: QuadraticTerm) -> NDArray[np.float64]:
     return matrix
 
 
-def _dense_of(casimir: Polynomial) -> NDArray[np.float64]:
-    return Quadratic.from_polynomial(casimir).hessian(np.zeros(casimir.dim))
-
-
 def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) -> tuple[float, ...]:
     """Return the factors c with M - c C singular, for a definite C: there a completed square vanishes.
 
@@ -161,8 +165,10 @@ def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) 
     tuple of float
         Ascending; empty where C is not definite, or M is diagonal in its basis (the diagonal says it then).
     """
+    if not np.any(matrix - np.diag(np.diag(matrix))):
+        return ()
     signs = [weight > 0 for weight in _weights(casimir, 0.0, casimir)]
-    if len(signs) < len(matrix) or len(set(signs)) != 1 or not np.any(matrix - np.diag(np.diag(matrix))):
+    if len(signs) < len(matrix) or len(set(signs)) != 1:
         return ()
     definite = casimir if signs[0] else -casimir
     smallest = min(float(weight) for weight in _weights(definite, 0.0, definite))
