@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from coadjoint.systems.terms import QuadraticTerm, Term
 Shift = tuple[tuple[str, float], ...]
 
 LARGEST_SINGULAR = 8
+LARGEST_DENSE = 32  # coordinates: up to here a sum over all n^2 entries is quicker than to sort those that are not zero
 BISECTIONS = 64
 
 
@@ -71,13 +73,15 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, Polynomial], shi
         entries.append((piece.rows, piece.indices, -factor * piece.values))
     rows, columns = (np.concatenate([entry[side] for entry in entries]) for side in (0, 1))
     values = np.concatenate([entry[2] for entry in entries])
-    places, where = np.unique(rows * len(term.linear) + columns, return_inverse=True)
-    total = np.bincount(where, weights=values)
-    kept = np.abs(total) > 4 * 2.0**-53 * np.bincount(where, weights=np.abs(values))
-    rows, columns = np.divmod(places[kept], len(term.linear))
-    counts = np.bincount(rows, minlength=len(term.linear))
-    indptr = np.concatenate([[0], np.cumsum(counts)])
-    changed = QuadraticTerm(indptr, columns, np.asarray(total[kept], dtype=np.float64), term.linear, term.constant)
+    n = len(term.linear)
+    flat, cells = rows * n + columns, np.arange(n * n) if n <= LARGEST_DENSE else None
+    if cells is None:
+        cells, flat = np.unique(flat, return_inverse=True)
+    total: NDArray[Any] = np.bincount(flat, weights=values, minlength=len(cells))
+    kept = np.abs(total) > 4 * 2.0**-53 * np.bincount(flat, weights=np.abs(values), minlength=len(cells))
+    rows, columns = np.divmod(cells[kept], n)
+    indptr = np.searchsorted(rows, np.arange(n + 1))
+    changed = QuadraticTerm(indptr, columns, total[kept], term.linear, term.constant)
     return (*terms[:own], changed, *terms[own + 1 :])
 
 

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import Method
+from coadjoint.methods.base import FlowMethod, Method
+from coadjoint.program.decompose import decompose_all
 from coadjoint.runs.loops import Crew, Work, start_of_loop, unshifted_groups
 from coadjoint.runs.prepare import Prepared, loop_of
 from coadjoint.runs.start import Representation, Start
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 # So many members to a worker in a round: an interrupt waits for them, and each of them costs a call from Python.
 MEMBERS_IN_A_ROUND = 8
@@ -49,6 +52,10 @@ class BatchLoops:
         from coadjoint.kernels.tables import watch_tables
         from coadjoint.kernels.watching import record_start
 
+        if isinstance(method, FlowMethod) and method.parts == "auto":
+            # Quicker together; what cannot be split is refused below, where the member can be named.
+            with suppress(ValueError):
+                decompose_all([system for system in batch if isinstance(system, LiePoissonSystem)])
         names = list(batch[0].casimirs)
         prepared, watches = [], []
         for m, (system, representation) in enumerate(zip(batch, representations, strict=True)):

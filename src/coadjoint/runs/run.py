@@ -100,9 +100,9 @@ class Run:
         """Give every member the place that it was given at."""
         place = np.argsort(order)
         self.saves = self.saves._replace(
-            x=self.saves.x[:, place],
-            group=self.saves.group[:, place],
-            values=self.saves.values[:, place],
+            x=self.saves.x.take(place, axis=1),
+            group=self.saves.group.take(place, axis=1),
+            values=self.saves.values.take(place, axis=1),
             worst=self.saves.worst[place],
             first=self.saves.first[place],
             last=self.saves.last[place],
