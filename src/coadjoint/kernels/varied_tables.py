@@ -33,10 +33,11 @@ def structure_of(tables: Any) -> Hashable:
     >>> structure_of(one) == structure_of(other)
     True
     """
+    if isinstance(tables, np.ndarray):
+        kind = tables.dtype.char
+        return (kind, tables.shape) if kind == "d" else (kind, tables.shape, tables.tobytes())
     if isinstance(tables, tuple):
         return (type(tables), *map(structure_of, tables))
-    if isinstance(tables, np.ndarray):
-        return (tables.dtype.str, tables.shape, b"" if tables.dtype == np.float64 else tables.tobytes())
     found: Hashable = tables
     return found
 

@@ -201,8 +201,8 @@ def _check_variables(polynomial: Polynomial, n: int) -> None:
         raise ValueError(f"the polynomial has {polynomial.dim} variables but the system has dimension {n}; give {n}")
 
 
-# The members of an ensemble follow the same Casimirs. Polynomials are equal whatever the kind of their numbers; the kind
-# is to be kept.
+# The members of an ensemble follow the same Casimirs. Polynomials are equal whatever kind of numbers they hold, and the
+# kind is to be kept.
 @lru_cache(maxsize=64)
 def _quadratic(polynomial: Polynomial, kinds: tuple[type, ...]) -> Quadratic:
     return Quadratic.from_polynomial(polynomial)
