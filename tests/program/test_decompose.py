@@ -11,8 +11,9 @@ from coadjoint.methods.chosen_parts import ChosenParts
 from coadjoint.program.decompose import best_decomposition, best_decompositions, decompose
 from coadjoint.program.exponential import exponentials
 from coadjoint.program.order_of_parts import best_order
+from coadjoint.program.pencil import singular_factors
 from coadjoint.program.second_order import part_jet, second_order_term
-from coadjoint.program.shift import shifted_terms, singular_factors
+from coadjoint.program.shift import shifted_terms
 from coadjoint.program.split import split
 
 U = 2.0**-53

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from fractions import Fraction
 from functools import lru_cache
 from typing import Any
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.program.parts import Part
-from coadjoint.program.squares import complete_squares
+from coadjoint.program.pencil import singular_factors
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import QuadraticTerm, Term
@@ -21,7 +20,6 @@ Shift = tuple[tuple[str, float], ...]
 
 LARGEST_SINGULAR = 8
 LARGEST_DENSE = 32  # coordinates: up to here a sum over all n^2 entries is quicker than to sort those that are not zero
-BISECTIONS = 64
 
 
 def quadratic_casimirs(system: LiePoissonSystem) -> dict[str, Polynomial]:
@@ -152,43 +150,3 @@ def _dense(term: QuadraticTerm) -> NDArray[np.float64]:
     matrix = np.zeros((len(term.linear),) * 2)
     matrix[term.rows, term.indices] = term.values
     return matrix
-
-
-def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) -> tuple[float, ...]:
-    """Return the factors c with M - c C singular, for a definite C: there a completed square vanishes.
-
-    By counting signs of squares in rationals and halving intervals, so that every machine finds the same floats.
-
-    Parameters
-    ----------
-    matrix, casimir : ndarray, shape (n, n)
-        M and C, symmetric.
-
-    Returns
-    -------
-    tuple of float
-        Ascending; empty where C is not definite, or M is diagonal in its basis (the diagonal says it then).
-    """
-    if not np.any(matrix - np.diag(np.diag(matrix))):
-        return ()
-    signs = [weight > 0 for weight in _weights(casimir, 0.0, casimir)]
-    if len(signs) < len(matrix) or len(set(signs)) != 1:
-        return ()
-    definite = casimir if signs[0] else -casimir
-    smallest = min(float(weight) for weight in _weights(definite, 0.0, definite))
-    bound = 2.0 * len(matrix) ** 2 * float(np.max(np.abs(matrix))) / smallest
-    found = []
-    for count in range(1, len(matrix) + 1):
-        low, high = -bound, bound
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (low + high)
-            negative = sum(weight < 0 for weight in _weights(matrix, middle, definite))
-            low, high = (low, middle) if negative >= count else (middle, high)
-        found.append(high if signs[0] else -high)
-    return tuple(sorted(found))
-
-
-def _weights(matrix: NDArray[np.float64], factor: float, casimir: NDArray[np.float64]) -> list[Fraction]:
-    lift = np.vectorize(Fraction, otypes=[object])
-    exact = lift(matrix) - Fraction(factor) * lift(casimir)
-    return list(complete_squares(exact, lift(np.zeros(len(matrix)))).weights)
