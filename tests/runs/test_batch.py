@@ -175,3 +175,13 @@ def test_a_batch_is_a_sequence_with_a_name():
     batch = co.batch(iter(systems))
     assert len(batch) == 3 and list(batch) == systems and batch[1] is systems[1] and batch.dim == 3
     assert repr(batch) == "<batch of 3 (spiral 1, spiral 1.5, ...)>"
+
+
+def test_a_scan_looks_for_the_casimirs_of_an_algebra_once(monkeypatch):
+    searched = []
+    real = co.LieAlgebra.casimirs
+    monkeypatch.setattr(co.LieAlgebra, "casimirs", lambda g, degree: searched.append(g) or real(g, degree))
+    brackets = {(0, 1): {2: 3.0}, (1, 2): {0: 5.0}, (2, 0): {1: 7.0}}
+    systems = [co.LiePoissonSystem(co.LieAlgebra.from_brackets(3, brackets), co.Quadratic(float(m))) for m in (1, 2, 3)]
+    names = [list(system.casimirs) for system in co.batch(systems)]
+    assert names == [["C2"]] * 3 and len(searched) == 1

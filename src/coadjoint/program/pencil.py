@@ -28,12 +28,13 @@ def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) 
     Returns
     -------
     tuple of float
-        Ascending; empty where C is not definite, or M is diagonal in its basis (the diagonal says it then).
+        Ascending, each the float beyond the factor; empty where C is not definite, or M is diagonal in its basis (the
+        diagonal says it then).
 
     Examples
     --------
-    >>> singular_factors(np.array([[2.0, 1.0], [1.0, 2.0]]), np.eye(2))
-    (1.0, 3.0)
+    >>> [round(factor, 12) for factor in singular_factors(np.array([[2.0, 1.0], [1.0, 2.0]]), np.eye(2))]
+    [1.0, 3.0]
     """
     if not np.any(matrix - np.diag(np.diag(matrix))):
         return ()
