@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.actions import act
-from coadjoint.kernels.arithmetic import rational_angle
-from coadjoint.kernels.compiling import compiled, inlined
-from coadjoint.kernels.pointers import alive, pointed, shifted
-from coadjoint.kernels.terms import gradient_rows, linear_row
-from coadjoint.kernels.watching import DONE, OVERFLOW, Report, Saves, Schedule, Watch, finite, record, slot_of
+from coadjoint.kernels.library import address, kernels, pointed
 from coadjoint.program.actions import Action
 from coadjoint.program.terms import Terms
 
@@ -41,108 +37,45 @@ class FlowTables(NamedTuple):
     compensated: bool
 
 
-@inlined
-def sweep(
-    tables: Any,
-    first: int,
-    last: int,
-    x: Any,
-    dx: Any,
-    group: Any,
-    dgroup: Any,
-    t: float,
-    h: float,
-    carry: bool,
-    theta: Any,
-    room: Any,
-) -> None:
-    """Apply the rows first to last - 1: angles from the shares, then the action on the momentum and on the group
-    element.
+class State(NamedTuple):
+    """Where all members are: momenta (members, size) and transposed group elements (members, square), each followed by
+    what compensated sums owe.
     """
-    for r in range(first, last):
-        part = tables.part[r]
-        row = tables.only[part]
-        single = row >= 0
-        angle = 0.0
-        if single:
-            angle = linear_row(tables.terms, row, x)
-        else:
-            low, high = tables.share[part], tables.share[part + 1]
-            base = tables.terms.row[low]
-            moment = t + tables.moment[r] * h
-            for k in range(low, high):
-                gradient_rows(tables.terms, tables.addresses, k, x, moment, theta, base, room)
-        tau = tables.tau[r]
-        act(tables.state, part, tau, single, angle, theta, x, dx, 1, tables.compensated, tables.compensated, room)
-        if carry:
-            if tables.bent[part]:
-                if single:
-                    angle = rational_angle(tau * angle, tables.frequency[row])
-                else:
-                    base = tables.terms.row[tables.share[part]]
-                    for place in range(base, tables.terms.row[tables.share[part + 1]]):
-                        theta[place - base] = rational_angle(tau * theta[place - base], tables.frequency[place])
-                tau = 1.0
-            act(tables.group, part, tau, single, angle, theta, group, dgroup, tables.group.size, True, False, room)
+
+    size: int
+    square: int
+    momenta: NDArray[np.float64]
+    errors: NDArray[np.float64]
+    groups: NDArray[np.float64]
+    group_errors: NDArray[np.float64]
 
 
-@compiled
 def advance(
-    tables: FlowTables,
-    watch: Watch,
-    saves: Saves,
-    schedule: Schedule,
+    tables: Any,
+    watch: Any,
+    saves: Any,
+    schedule: Any,
     state: Any,
-    crew: Any,
+    crew: NDArray[np.int64],
     k0: int,
     k1: int,
-    report: Report,
+    report: Any,
 ) -> None:
     """Take the steps k0 + 1 to k1 for the members crew[0] to crew[1] - 1.
 
-    `state` is (momentum, its compensation, group, its compensation), each (members, ...), unfinished between calls: the
-    outer flow of a step is merged with the next one, and *finish* acts on a copy.
+    Tables come as they are or `pointed`; `state` is (momentum, its compensation, group, its compensation), each
+    (members, ...), unfinished between calls: the outer flow of a step is merged with the next one, and *finish* acts on
+    a copy.
     """
-    size, square = state[0].shape[1], state[2].shape[1]
-    lanes = max(1, tables.group.size)
-    room = np.empty(3 * max(size, lanes * lanes) + 2 * tables.longest + watch.longest + 1)
-    theta, copies = np.empty(tables.longest), np.empty((2, size))
-    group_copies = np.empty((2, square))
-    at, watch_at, saves_at, report_at = pointed((tables, watch, saves, report))
-    x_at, dx_at, group_at, dgroup_at = pointed(state)
-    room_at, theta_at, copy, group_copy = pointed((room, theta, copies, group_copies))
-    copy_error, group_copy_error = shifted(copy, size), shifted(group_copy, square)
-    carry = square > 0
-    h = schedule.h
-    for member in range(crew[0], crew[1]):
-        if report_at.status[member] != DONE:
-            continue
-        x, dx = shifted(x_at, member * size), shifted(dx_at, member * size)
-        group, dgroup = shifted(group_at, member * square), shifted(dgroup_at, member * square)
-        for k in range(k0 + 1, k1 + 1):
-            t = schedule.t0 + (k - 1) * h
-            slot = slot_of(schedule, k)
-            look = schedule.watching or slot >= 0
-            first = at.section[0 if k == 1 else 1]
-            last = at.section[1 if k == 1 else 2]
-            report_at.evaluations[member] += last - first
-            sweep(at, first, last, x, dx, group, dgroup, t, h, carry, theta_at, room_at)
-            if not finite(size, x):
-                report_at.status[member] = OVERFLOW
-                report_at.step[member] = k
-                break
-            if look:
-                for i in range(size):
-                    copy[i], copy_error[i] = x[i], dx[i]
-                if slot >= 0:
-                    for i in range(square):
-                        group_copy[i], group_copy_error[i] = group[i], dgroup[i]
-                first, last = at.section[2], at.section[3]
-                carried = carry and slot >= 0
-                sweep(at, first, last, copy, copy_error, group_copy, group_copy_error, t, h, carried, theta_at, room_at)
-                if not finite(size, copy) or (carried and not finite(square, group_copy)):
-                    report_at.status[member] = OVERFLOW
-                    report_at.step[member] = k
-                    break
-                record(watch_at, saves_at, schedule, member, k, slot, size, copy, square, group_copy, room_at)
-    alive((room, theta, copies, group_copies))
+    momenta, _, groups, _ = state
+    where = State(momenta.shape[1], groups.shape[1], *state)
+    members = np.arange(len(momenta))
+    given = [pointed(table) for table in (tables, watch, saves, schedule, where)]
+    reported = pointed(report)
+    kernels().flow_advance(
+        *(ctypes.byref(table) for table in given),
+        address(members),
+        *(ctypes.c_int64(number) for number in (int(crew[0]), int(crew[1]), k0, k1)),
+        ctypes.byref(reported),
+        ctypes.c_int64(0),
+    )

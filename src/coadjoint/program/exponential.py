@@ -11,7 +11,7 @@ UNIT = 2.0**-53
 
 
 def exponentials(matrix: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return exp(t X), by the closed form of each block of X where it has one, else by scaling and squaring.
+    """Return exp(t X), by the closed form of each block of X, its eigenvectors where it is skew, else by squaring.
 
     Parameters
     ----------
@@ -58,6 +58,11 @@ def _increment(block: Block, own: NDArray[np.float64], times: NDArray[np.float64
         root = np.sqrt(-block.constants[0])
         half = np.sin(0.5 * t * root)
         return np.asarray(np.sin(t * root) / root * own + 2.0 * (half / root) ** 2 * (own @ own))
+    if np.array_equal(own, -own.T):
+        # i B is Hermitian: unitary to round-off at any time, where squarings lose a bit each.
+        frequencies, vectors = np.linalg.eigh(1j * own)
+        turned = np.exp(-1j * times[:, None] * frequencies)[:, None, :]
+        return np.asarray((vectors * turned @ vectors.conj().T).real - np.eye(len(own)))
     return np.array([_squared(own, float(time)) for time in times]) - np.eye(len(own))
 
 

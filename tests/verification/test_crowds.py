@@ -1,0 +1,110 @@
+"""Members side by side have the bits they have alone: states, invariants, largest deviations, failures."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+from .systems_under_test import all_cases, cases
+
+STEP, STEPS, EVERY = 0.0625, 40, 8
+METHODS = {
+    "plain": co.Splitting(order=2),
+    "compensated": co.Splitting(order=2, compensated=True),
+    "coordinates": co.Splitting(order=2, parts="coordinates"),
+    "processed": co.Splitting(scheme="blanes_casas_murua6"),
+    "rational": co.Splitting(order=2, rotation="rational"),
+}
+
+
+def crowd_around(x0, members):
+    return x0 * (1.0 - 0.9 * np.arange(members)[:, None] / members)
+
+
+def tenths(solution):
+    return np.stack([solution.drift()[name].tenths for name in ("energy", *solution.casimirs)], axis=-2)
+
+
+def assert_same(crowd, member, alone):
+    assert np.array_equal(crowd.x[:, member], alone.x)
+    assert np.array_equal(crowd.energy[:, member], alone.energy)
+    for name, values in alone.casimirs.items():
+        assert np.array_equal(crowd.casimirs[name][:, member], values)
+    assert np.array_equal(tenths(crowd)[member], tenths(alone))
+    if alone.attitude is not None:
+        assert np.array_equal(crowd.attitude[:, member], alone.attitude)
+
+
+def serves(method, system, x0):
+    try:
+        co.stepper(system, method, STEP)(x0)
+    except (ValueError, TypeError):
+        return False
+    return True
+
+
+PAIRS = [(m, c) for m in METHODS for c in cases() if serves(METHODS[m], *cases()[c][:2])]
+
+
+@pytest.mark.parametrize(("method", "case"), PAIRS)
+@pytest.mark.parametrize("watch", [True, False])
+def test_a_member_of_a_crowd_is_what_it_is_alone(method, case, watch):
+    system, x0, _ = all_cases()[case]
+    attitude = METHODS[method].properties(system).attitude != "none" and "coadjoint"
+
+    def run(x):
+        span = (0.0, STEPS * STEP)
+        return co.integrate(
+            system, x, span, STEP, METHODS[method], save_every=EVERY, watch=watch, attitude=attitude, threads=1
+        )
+
+    states = crowd_around(x0, 35)
+    crowd = run(states)
+    for member in (0, 1, 15, 16, 31, 32, 34):
+        assert_same(crowd, member, run(states[member]))
+
+
+@pytest.mark.parametrize("members", [1, 2, 3, 4, 31, 32, 33, 64, 67])
+def test_every_size_of_a_crowd(members):
+    system, x0, _ = cases()["e(3), heavy top"]
+    states = crowd_around(x0, members)
+    span = (0.0, STEPS * STEP)
+    crowd = co.integrate(system, states, span, STEP, save_every=EVERY)
+    for member in range(members):
+        assert_same(crowd, member, co.integrate(system, states[member], span, STEP, save_every=EVERY))
+
+
+def test_angles_of_any_size_side_by_side():
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    sizes = np.array([1e-200, 1e-9, 0.1, 1.0, 8.0, 1e3, 1e7, 1e12])
+    states = np.multiply.outer(np.repeat(sizes, 5), [0.3, -1.0, 0.7])
+    crowd = co.integrate(body, states, (0.0, 20.0), 1.0)
+    for member in range(0, len(states), 5):
+        assert_same(crowd, member, co.integrate(body, states[member], (0.0, 20.0), 1.0))
+
+
+def test_a_member_that_fails_disturbs_no_other():
+    # x1' = -x1 x2, x2' = -x1^2: beyond x2 = -c, c^2 = x2^2 - x1^2, it blows up, elsewhere x2 goes to c.
+    algebra = co.LieAlgebra.from_brackets(2, {(0, 1): {0: 1.0}})
+    system = co.LiePoissonSystem(algebra, co.Quadratic([1.0, -1.0]))
+    states = np.column_stack([np.linspace(0.1, 0.2, 40), np.where(np.arange(40) % 7 == 3, -1.0, 0.5)])
+    span, method = (0.0, 60.0), co.Splitting(order=2)
+    alone = []
+    for state in states:
+        try:
+            alone.append(co.integrate(system, state, span, 0.5, method))
+        except co.IntegrationError as error:
+            alone.append(error)
+    failing = np.array([isinstance(one, co.IntegrationError) for one in alone])
+    with pytest.raises(co.IntegrationError) as raised:
+        co.integrate(system, states, span, 0.5, method)
+    crowd = raised.value.partial
+    assert failing.any() and not failing.all()
+    assert np.array_equal(crowd.failed, failing)
+    assert raised.value.step == alone[int(np.argmax(failing))].step
+    for member in np.flatnonzero(~failing):
+        assert np.array_equal(crowd.x[:, member], alone[member].x)
+    for member in np.flatnonzero(failing):
+        reached = alone[member].step
+        assert np.array_equal(crowd.x[:reached, member], alone[member].partial.x)
+        assert np.all(np.isnan(crowd.x[reached:, member]))
