@@ -69,17 +69,23 @@ class SystemLoops:
     order: NDArray[np.int64] | None = None
 
     def __init__(self, system: System, method: Method, h: float, representation: Representation) -> None:
+        from coadjoint.kernels import flow
+        from coadjoint.kernels.library import pointed
         from coadjoint.kernels.tables import watch_tables
         from coadjoint.kernels.watching import record_start
 
         prepared, watch = loop_of(system, method, h, representation), watch_tables(system, system.casimirs)
         self._system, self._shift = system, prepared.shift
         self._keep = (prepared.keep, watch.keep)
-        self._work, self._record_start = Work(prepared.advance, prepared.tables, watch.tables), record_start
+        self._record_start, self._watch = record_start, watch.tables
+        self._work = Work(prepared.advance, prepared.tables, watch.tables)
+        if prepared.advance is flow.advance:
+            # As C structures once, not at each call.
+            self._work = Work(flow.advance, pointed(prepared.tables), pointed(watch.tables))
 
     def record_start(self, saves: Any, schedule: Any, momenta: NDArray[Any], groups: NDArray[Any]) -> None:
         """Save the initial states, and the values that deviations are measured from."""
-        self._record_start(self._work.watch, saves, schedule, momenta, groups)
+        self._record_start(self._watch, saves, schedule, momenta, groups)
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return one round, of a crew for each worker."""
