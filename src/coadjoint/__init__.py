@@ -37,8 +37,11 @@ _HOME = {
     "ModifiedGaussLegendre": "coadjoint.methods.modified_gauss_legendre",
     "RadauEnergy": "coadjoint.methods.radau_energy",
     "Splitting": "coadjoint.methods.splitting",
+    "PreparedRun": "coadjoint.runs.prepared_run",
     "Solution": "coadjoint.runs.solution",
+    "batch": "coadjoint.systems.batch",
     "integrate": "coadjoint.runs.integrate",
+    "prepare": "coadjoint.runs.prepared_run",
     "stepper": "coadjoint.runs.stepper",
 }
 _MODULES = {
@@ -65,8 +68,11 @@ if TYPE_CHECKING:
     from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy
     from coadjoint.methods.splitting import Splitting as Splitting
     from coadjoint.runs.integrate import integrate as integrate
+    from coadjoint.runs.prepared_run import PreparedRun as PreparedRun
+    from coadjoint.runs.prepared_run import prepare as prepare
     from coadjoint.runs.solution import Solution as Solution
     from coadjoint.runs.stepper import stepper as stepper
+    from coadjoint.systems.batch import batch as batch
     from coadjoint.systems.hamiltonian import Hamiltonian as Hamiltonian
     from coadjoint.systems.lie_poisson import LiePoissonSystem as LiePoissonSystem
     from coadjoint.systems.poisson import PoissonSystem as PoissonSystem

@@ -8,10 +8,12 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.methods.chosen_parts import ChosenParts
-from coadjoint.program.decompose import best_order, decompose
+from coadjoint.program.decompose import best_decomposition, best_decompositions, decompose
 from coadjoint.program.exponential import exponentials
+from coadjoint.program.order_of_parts import best_order
+from coadjoint.program.pencil import singular_factors
 from coadjoint.program.second_order import part_jet, second_order_term
-from coadjoint.program.shift import shifted_terms, singular_factors
+from coadjoint.program.shift import shifted_terms
 from coadjoint.program.split import split
 
 U = 2.0**-53
@@ -188,3 +190,31 @@ def test_exponentials(seed):
 def test_a_rotation_by_a_huge_angle_is_orthogonal():
     (found,) = exponentials(np.array([[0.0, -1.3, 0.4], [1.3, 0.0, 0.2], [-0.4, -0.2, 0.0]]), np.array([1e9]))
     assert np.abs(found.T @ found - np.eye(3)).max() <= 16 * U
+
+
+def test_many_systems_at_once_are_decomposed_as_each_alone():
+    """Every choice and factor the same, to the bit: equal moments, full matrices and other structure constants too."""
+    rng = np.random.default_rng(7)
+    groups = [
+        [co.systems.rigid_body(tuple(I)) for I in [*rng.uniform(1, 3, (20, 3)), (2, 2, 1), (1, 1, 1), (1, 2, 2)]],
+        [co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(full(3) * rng.uniform(0.5, 2))) for _ in range(4)],
+        [co.LiePoissonSystem(co.algebras.get("A3,7", a=a), co.Quadratic([1.0, a, 0.5])) for a in (0.5, 1.0, 2.0, 3.0)],
+        [co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(rng.uniform(0.5, 2, 6))) for _ in range(4)],
+    ]
+    points = rng.standard_normal((5, 6))
+    for systems in groups:
+        own = points[:, : systems[0].dim]
+        for together, system in zip(best_decompositions(systems, own), systems, strict=True):
+            alone = best_decomposition(system, own)
+            assert together.choice == alone.choice
+            assert [part.forms for part in together.parts] == [part.forms for part in alone.parts]
+
+
+def test_parts_of_one_pattern_have_the_entries_of_each_matrix():
+    """What is remembered of a pattern of zeros holds no entry, and another pattern is another one."""
+    g = co.algebras.e(3)
+    for M, linear in ((np.arange(1.0, 7), None), (np.arange(2.0, 8), None), (np.arange(1.0, 7), np.eye(6)[4])):
+        system = co.LiePoissonSystem(g, co.Quadratic(M, linear=linear))
+        x = np.linspace(-1, 1, 6)
+        gradient = sum((part_jet(part, x, 0.0).gradient for part in split(system, "auto")), np.zeros(6))
+        assert np.array_equal(gradient, system.hamiltonian.gradient(x))

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.pictures.orbit import draw_orbit
 from coadjoint.pictures.style import colour, key, plain_axes, symbol
+from coadjoint.systems.batch import Batch
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,7 +55,9 @@ def draw_solution(solution: Solution) -> Figure:
     components.sharex(drift)
     drift.tick_params(labelbottom=False)
     if spatial:
-        draw_orbit(figure.add_subplot(grid[:, 1], projection="3d"), drawn.x, solution.system.casimirs)
+        # The surface is that of the first member, which is always drawn.
+        first = solution.system[0] if isinstance(solution.system, Batch) else solution.system
+        draw_orbit(figure.add_subplot(grid[:, 1], projection="3d"), drawn.x, first.casimirs)
     figure.suptitle(_headline(solution, drawn), fontsize=10.5)
     return figure
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import permutations
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -13,22 +13,18 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.methods.chosen_parts import ChosenParts
+from coadjoint.program.order_of_parts import CLEARLY, best_orders
 from coadjoint.program.parts import Part
-from coadjoint.program.second_order import Samples
 from coadjoint.program.shift import Shift, candidate_shifts, quadratic_casimirs, shifted_terms
 from coadjoint.program.split import split
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.terms import FunctionTerm, Term
 
 SEED = 1993
 SAMPLES = 16
 # Larger systems keep the order that they come in: comparing orders costs n^3 for each of them.
 LARGEST_COMPARED = 24
-MOST_PERMUTED = 5
-# More parts than this keep their order: comparing them would take longer than many a run.
-MOST_ORDERED = 8
-# Sizes that differ by rounding alone must not decide, so that every machine chooses the same.
-CLEARLY = 1.0 - 1e-9
+# Systems that are compared at once: more do not fit a cache.
+MOST_TOGETHER = 256
 
 
 @dataclass(frozen=True)
@@ -77,12 +73,32 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
         parts = split(system, choice)
         return Decomposition(parts, (), ChosenParts(tuple(range(len(parts)))))
     if system not in _FOUND:
-        _FOUND[system] = best_decomposition(system, _sample(system.dim))
+        decompose_all([system])
     return _FOUND[system]
+
+
+def decompose_all(systems: Sequence[LiePoissonSystem]) -> None:
+    """Find the automatic decompositions of many systems at once, for `decompose`: the same ones, faster.
+
+    Parameters
+    ----------
+    systems : sequence of LiePoissonSystem
+        Of one dimension.
+    """
+    missing = [system for system in systems if system not in _FOUND]
+    for k in range(0, len(missing), MOST_TOGETHER):
+        some = missing[k : k + MOST_TOGETHER]
+        for system, found in zip(some, best_decompositions(some, _sample(some[0].dim)), strict=True):
+            _FOUND[system] = found
 
 
 # Systems do not change: what was found for one serves all of its runs, as long as it lives.
 _FOUND: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
+
+
+class _Candidate(NamedTuple):
+    shift: Shift
+    parts: tuple[Part, ...]
 
 
 def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64], t: float = 0.0) -> Decomposition:
@@ -102,19 +118,51 @@ def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64], t:
     Decomposition
         With its shift and order.
     """
+    return best_decompositions([system], points, t)[0]
+
+
+def best_decompositions(
+    systems: Sequence[LiePoissonSystem], points: NDArray[np.float64], t: float = 0.0
+) -> list[Decomposition]:
+    """Return `best_decomposition` of several systems, comparing them all at once.
+
+    Parameters
+    ----------
+    systems : sequence of LiePoissonSystem
+        Of one dimension.
+    points : ndarray, shape (k, n)
+        Where the term is compared.
+    t : float
+        Time.
+
+    Returns
+    -------
+    list of Decomposition
+        Each one the same as for its system alone.
+    """
+    candidates = [_candidates(system) for system in systems]
+    pairs = [(system, one.parts) for system, own in zip(systems, candidates, strict=True) for one in own]
+    orders = iter(best_orders(pairs, points, t))
+    result = []
+    for system, own in zip(systems, candidates, strict=True):
+        best, (order, least) = own[0], next(orders)
+        for candidate in own[1:]:
+            found, size = next(orders)
+            if size < least * CLEARLY:
+                best, order, least = candidate, found, size
+        result.append(_decomposition(best.parts, quadratic_casimirs(system), ChosenParts(order, best.shift)))
+    return result
+
+
+def _candidates(system: LiePoissonSystem) -> list[_Candidate]:
+    """Return the parts after every shift that leaves the fewest of them."""
     terms, casimirs = system.hamiltonian.terms(), quadratic_casimirs(system)
     plain = split(system, "auto")
-    shift: Shift = ()
-    order, least = best_order(system, plain, points, t)
-    fewest = len(plain)
-    for candidate in candidate_shifts(system, plain) if fewest > 1 else ():
-        parts = split(system, "auto", shifted_terms(terms, casimirs, candidate))
-        if len(parts) > fewest:
-            continue
-        own, size = best_order(system, parts, points, t)
-        if len(parts) < fewest or size < least * CLEARLY:
-            shift, order, least, fewest = candidate, own, size, len(parts)
-    return _chosen(system, ChosenParts(order, shift))
+    found = [_Candidate((), plain)]
+    for shift in candidate_shifts(system, plain) if len(plain) > 1 else ():
+        found.append(_Candidate(shift, split(system, "auto", shifted_terms(terms, casimirs, shift))))
+    fewest = min(len(candidate.parts) for candidate in found)
+    return [candidate for candidate in found if len(candidate.parts) == fewest]
 
 
 def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
@@ -125,70 +173,20 @@ def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
             f"parts orders {len(choice.order)} parts, but {system.name} has {len(parts)} of them; "
             "choose again with Splitting.tuned"
         )
+    return _decomposition(parts, casimirs, choice)
+
+
+def _decomposition(parts: Sequence[Part], casimirs: Mapping[str, Polynomial], choice: ChosenParts) -> Decomposition:
     taken = tuple((casimirs[name], factor) for name, factor in choice.shift)
     return Decomposition(tuple(parts[k] for k in choice.order), taken, choice)
 
 
-def best_order(
-    system: LiePoissonSystem, parts: Sequence[Part], points: NDArray[np.float64], t: float = 0.0
-) -> tuple[tuple[int, ...], float]:
-    """Return the order of the parts with the smallest root mean square of the h^2 term at some points, and that size.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-    parts : sequence of Part
-        At most five are permuted in every way, up to eight are moved one by one while that helps, and more keep
-        their order.
-    points : ndarray, shape (k, n)
-        Where the term is taken; none for a system too large to compare.
-    t : float
-        Time.
-
-    Returns
-    -------
-    order : tuple of int
-        The natural order where the term cannot be had (no second derivatives, or too large).
-    size : float
-        Zero there.
-    """
-    natural = tuple(range(len(parts)))
-    if len(parts) < 2 or not len(points) or not _has_hessians(system.hamiltonian.terms()):
-        return natural, 0.0
-
-    samples = Samples(system.algebra, parts, points, t)
-
-    def size(order: tuple[int, ...]) -> float:
-        return float(np.sqrt(np.mean(samples.second_order_term(order) ** 2)))
-
-    best, least, improved = natural, size(natural), len(parts) <= MOST_ORDERED
-    while improved:
-        improved = False
-        for order in _neighbours(best):
-            error = size(order)
-            if error < least * CLEARLY:
-                best, least, improved = order, error, len(parts) > MOST_PERMUTED
-    return best, least
-
-
-def _neighbours(order: tuple[int, ...]) -> Iterable[tuple[int, ...]]:
-    if len(order) <= MOST_PERMUTED:
-        return permutations(sorted(order))
-    moved = []
-    for source in range(len(order)):
-        rest = order[:source] + order[source + 1 :]
-        moved += [rest[:k] + order[source : source + 1] + rest[k:] for k in range(len(order)) if k != source]
-    return moved
-
-
-def _has_hessians(terms: Iterable[Term]) -> bool:
-    return all(not isinstance(term, FunctionTerm) or term.hessian is not None for term in terms)
-
-
+@lru_cache(maxsize=32)
 def _sample(size: int) -> NDArray[np.float64]:
     """Return fixed points of unit length: the choice must not depend on a state."""
     if size > LARGEST_COMPARED:
         return np.zeros((0, size))
     points = np.random.default_rng(SEED).standard_normal((SAMPLES, size))
-    return np.asarray(points / np.sqrt(np.sum(points**2, axis=1, keepdims=True)))
+    points /= np.sqrt(np.sum(points**2, axis=1, keepdims=True))
+    points.flags.writeable = False
+    return points

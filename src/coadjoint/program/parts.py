@@ -71,6 +71,11 @@ class Commutation:
         self._algebra = algebra
         self._indptr, self._indices = algebra.neighbours()
 
+    @property
+    def key(self) -> tuple[bytes, bytes]:
+        """Which coordinates commute: equal for algebras that differ in the sizes of their constants alone."""
+        return self._indptr.tobytes(), self._indices.tobytes()
+
     def neighbours(self, i: int) -> NDArray[Any]:
         """Return the coordinates that do not commute with coordinate i."""
         return self._indices[self._indptr[i] : self._indptr[i + 1]]

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.program.parts import FunctionShare, LinearShare, Part
+from coadjoint.program.parts import FunctionShare, LinearShare, Part, PolynomialShare
 from coadjoint.program.terms import derivative_of
+
+Floats = NDArray[np.float64]
 
 
 class Jet(NamedTuple):
-    """Gradient (n,) and Hessian (n, n) of a function at a point."""
+    """Gradient (n,) and Hessian (n, n) of a function at a point; or of several parts at several points."""
 
-    gradient: NDArray[np.float64]
-    hessian: NDArray[np.float64]
+    gradient: Floats
+    hessian: Floats
 
 
-def part_jet(part: Part, x: NDArray[np.float64], t: float) -> Jet:
+def part_jet(part: Part, x: Floats, t: float) -> Jet:
     """Return gradient and Hessian of a part's piece of the Hamiltonian at x.
 
     Parameters
@@ -37,42 +40,70 @@ def part_jet(part: Part, x: NDArray[np.float64], t: float) -> Jet:
     Jet
         sum_a l_a theta_a, and its derivative.
     """
-    n = len(x)
-    forms = np.zeros((len(part.forms), n))
-    for row, (coordinates, values) in zip(forms, part.forms, strict=True):
-        row[list(coordinates)] = [float(value) for value in values]
-    angles, slopes = [], []
-    for share in part.shares:
-        if isinstance(share, LinearShare):
-            weights = np.zeros((len(share.offset), n))
-            owner = np.repeat(np.arange(len(share.offset)), np.diff(share.indptr))
-            np.add.at(weights, (owner, share.columns), np.asarray(share.weights, dtype=np.float64))
-            angles.append(np.asarray(share.offset, dtype=np.float64) + weights @ x)
-            slopes.append(weights)
-            continue
-        if isinstance(share, FunctionShare):
-            own = share.term.coordinates
-            angle, hessian = (derivative_of(share.term, order, x[own], t) for order in (1, 2))
-        else:
-            own = np.array(share.coordinates)
-            angle = np.asarray(share.polynomial.gradient(x), dtype=np.float64)[own]
-            hessian = np.asarray(share.polynomial.hessian(x), dtype=np.float64)[np.ix_(own, own)]
-        slope = np.zeros((len(own), n))
-        slope[:, own] = hessian
-        angles.append(np.asarray(angle, dtype=np.float64))
-        slopes.append(slope)
-    return Jet(forms.T @ np.concatenate(angles), forms.T @ np.concatenate(slopes))
+    found = _jets([[part]], np.asarray(x, dtype=np.float64)[None], t)
+    return Jet(found.gradient[0, 0, 0], found.hessian[0, 0, 0])
+
+
+def _jets(sets: Sequence[Sequence[Part]], points: Floats, t: float) -> Jet:
+    """Return gradients (sets, parts, k, n) and Hessians (sets, parts, k, n, n), or 1 for k where all are constant."""
+    shape = (len(sets), len(sets[0]))
+    count, n = points.shape
+    constant, bent = np.zeros((*shape, 1, n)), np.zeros((*shape, 1, n, n))
+    others = []
+    for s, parts in enumerate(sets):
+        for p, part in enumerate(parts):
+            forms: Iterator[Any] = iter(part.forms)
+            for share in part.shares:
+                if isinstance(share, LinearShare):
+                    edges, weights = share.indptr.tolist(), np.asarray(share.weights, dtype=np.float64)
+                    for a, offset in enumerate(share.offset.tolist()):
+                        row = slice(edges[a], edges[a + 1])
+                        for i, value in zip(*next(forms), strict=True):
+                            constant[s, p, 0, i] += float(value) * float(offset)
+                            bent[s, p, 0, i, share.columns[row]] += float(value) * weights[row]
+                else:
+                    own = share.term.coordinates if isinstance(share, FunctionShare) else np.array(share.coordinates)
+                    others.append((s, p, share, own))
+                    forms = islice(forms, len(own), None)
+    gradient = constant + _applied(bent, points)
+    hessian = np.repeat(bent, count, axis=2) if others else bent
+    for s, p, share, own in others:
+        for k, x in enumerate(points):
+            slope, curvature = _own_jet(share, own, x, t)
+            gradient[s, p, k, own] += slope
+            hessian[s, p, k][np.ix_(own, own)] += curvature
+    return Jet(gradient, hessian)
+
+
+def _own_jet(share: PolynomialShare | FunctionShare, own: NDArray[Any], x: Floats, t: float) -> tuple[Floats, Floats]:
+    """Return gradient and Hessian of a share with respect to its own coordinates."""
+    if isinstance(share, FunctionShare):
+        slope, curvature = (derivative_of(share.term, order, x[own], t) for order in (1, 2))
+    else:
+        slope, curvature = share.polynomial.gradient(x)[own], share.polynomial.hessian(x)[np.ix_(own, own)]
+    return np.asarray(slope, dtype=np.float64), np.asarray(curvature, dtype=np.float64)
+
+
+def _applied(matrices: Floats, vectors: Floats) -> Floats:
+    """Return matrices (..., n, n) times vectors (..., n), summed in order.
+
+    Not by einsum: whether others are compared at the same time must not change a bit, for the smallest one is chosen.
+    """
+    total = matrices[..., 0] * vectors[..., :1]
+    for j in range(1, matrices.shape[-1]):
+        total = total + matrices[..., j] * vectors[..., j : j + 1]
+    return total
 
 
 class Samples:
-    """The parts at some points: gradients and Hessians once, so that many orders of them can be compared.
+    """Sets of parts at some points: gradients and Hessians once, so that many orders of them can be compared.
 
     Parameters
     ----------
-    algebra : LieAlgebra
-        Its bracket {F, G} = (grad F)^T J(x) grad G.
-    parts : sequence of Part
-        The pieces.
+    algebras : sequence of LieAlgebra
+        Of each set; the bracket is {F, G} = (grad F)^T J(x) grad G. The same brackets are not zero in all of them.
+    sets : sequence of sequence of Part
+        The pieces, equally many in each set.
     points : ndarray, shape (k, n)
         Where.
     t : float
@@ -84,58 +115,66 @@ class Samples:
         If a user function was given without second derivatives.
     """
 
-    def __init__(self, algebra: LieAlgebra, parts: Sequence[Part], points: NDArray[np.float64], t: float = 0.0) -> None:
-        jets = [[part_jet(part, x, t) for x in points] for part in parts]
-        self._gradients = [np.array([jet.gradient for jet in own]) for own in jets]
-        self._hessians = [np.array([jet.hessian for jet in own]) for own in jets]
-        self._structure = np.array([algebra.structure_matrix(x) for x in points])
-        i, j, k, c = algebra.triples
-        order = np.argsort(k, kind="stable")
-        self._i, self._j, self._c = i[order], j[order], c[order]
-        self._k, self._starts = np.unique(k[order], return_index=True)
+    def __init__(
+        self, algebras: Sequence[LieAlgebra], sets: Sequence[Sequence[Part]], points: Floats, t: float = 0.0
+    ) -> None:
+        self._gradients, self._hessians = _jets(sets, points, t)
+        count, n = points.shape
+        self._i, self._j, self._k, _ = algebras[0].triples
+        self._c = np.array([algebra.triples.c for algebra in algebras]).reshape(len(sets), 1, 1, -1)
+        flat = np.zeros((n * n, len(sets), count))
+        products = np.moveaxis(self._c[:, 0] * points[:, self._k], -1, 0)
+        np.add.at(flat, self._i * n + self._j, products)
+        np.subtract.at(flat, self._j * n + self._i, products)
+        self._structure = np.moveaxis(flat, 0, -1).reshape(len(sets), 1, count, n, n)
 
-    def second_order_term(self, order: Sequence[int]) -> NDArray[np.float64]:
+    def second_order_terms(self, orders: Sequence[Sequence[int]]) -> Floats:
         """Return H2 at the points, where ``X1(h/2) ... Xn(h) ... X1(h/2)`` is the time-h flow of H + h^2 H2 + O(h^4).
 
         For a pair, A outside and D inside, H2 = -{A, {A, D}}/24 + {D, {D, A}}/12; several parts are nested pairs.
 
         Parameters
         ----------
-        order : sequence of int
-            Numbers of the parts, in the order of a forward sweep.
+        orders : sequence of sequence of int
+            Numbers of the parts, in the order of a forward sweep; several of them.
 
         Returns
         -------
-        ndarray, shape (k,)
+        ndarray, shape (sets, orders, k)
             The values.
         """
-        inside, curved = self._gradients[order[-1]], self._hessians[order[-1]]
-        total = np.zeros(len(inside))
-        for part in order[-2::-1]:
-            outside, bent = self._gradients[part], self._hessians[part]
-            bracket = self._bracket_gradient(outside, bent, inside, curved)
-            total -= self._product(outside / 24.0 + inside / 12.0, bracket)
+        places = np.array(orders)
+        inside, curved = self._gradients[:, places[:, -1]], self._hessians[:, places[:, -1]]
+        total = np.zeros(inside.shape[:3])
+        for place in range(places.shape[1] - 2, -1, -1):
+            outside, bent = self._gradients[:, places[:, place]], self._hessians[:, places[:, place]]
+            turned = self._turned(self._bracket_gradient(outside, bent, inside, curved))
+            weights = outside / 24.0 + inside / 12.0
+            for i in range(inside.shape[-1]):
+                total -= weights[..., i] * turned[..., i]
             inside, curved = outside + inside, bent + curved
         return total
 
-    def _turned(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.einsum("kij,kj->ki", self._structure, u)
+    def sizes(self, orders: Sequence[Sequence[int]]) -> Floats:
+        """Return the root mean square of H2 over the points, shape (sets, orders)."""
+        terms = self.second_order_terms(orders)
+        squares = np.zeros(terms.shape[:2])
+        for k in range(terms.shape[2]):
+            squares += terms[..., k] ** 2
+        return np.asarray(np.sqrt(squares / terms.shape[2]))
 
-    def _product(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.einsum("ki,ki->k", u, self._turned(v))
+    def _turned(self, u: Floats) -> Floats:
+        return _applied(self._structure, u)
 
-    def _bracket_gradient(self, a: Any, a_bent: Any, d: Any, d_bent: Any) -> NDArray[np.float64]:
+    def _bracket_gradient(self, a: Floats, a_bent: Floats, d: Floats, d_bent: Floats) -> Floats:
         """Return the gradient of {A, D}: A'' J grad D - D'' J grad A + [grad A, grad D], J being linear in x."""
-        result = np.einsum("kij,kj->ki", a_bent, self._turned(d)) - np.einsum("kij,kj->ki", d_bent, self._turned(a))
-        if len(self._c):
-            products = self._c * (a[:, self._i] * d[:, self._j] - a[:, self._j] * d[:, self._i])
-            result[:, self._k] += np.add.reduceat(products, self._starts, axis=1)
-        return np.asarray(result)
+        result = _applied(a_bent, self._turned(d)) - _applied(d_bent, self._turned(a))
+        products = self._c * (a[..., self._i] * d[..., self._j] - a[..., self._j] * d[..., self._i])
+        np.add.at(np.moveaxis(result, -1, 0), self._k, np.moveaxis(products, -1, 0))
+        return result
 
 
-def second_order_term(
-    algebra: LieAlgebra, parts: Sequence[Part], points: NDArray[np.float64], t: float = 0.0
-) -> NDArray[np.float64]:
+def second_order_term(algebra: LieAlgebra, parts: Sequence[Part], points: Floats, t: float = 0.0) -> Floats:
     """Return H2 of parts in their order at points; see `Samples`.
 
     Parameters
@@ -154,4 +193,4 @@ def second_order_term(
     ndarray, shape (k,)
         The values.
     """
-    return Samples(algebra, parts, points, t).second_order_term(range(len(parts)))
+    return Samples([algebra], [parts], points, t).second_order_terms([range(len(parts))])[0, 0]

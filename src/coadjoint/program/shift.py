@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from fractions import Fraction
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.program.parts import Part
-from coadjoint.program.squares import complete_squares
+from coadjoint.program.pencil import singular_factors
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import QuadraticTerm, Term
@@ -18,7 +19,7 @@ from coadjoint.systems.terms import QuadraticTerm, Term
 Shift = tuple[tuple[str, float], ...]
 
 LARGEST_SINGULAR = 8
-BISECTIONS = 64
+LARGEST_DENSE = 32  # coordinates: up to here a sum over all n^2 entries is quicker than to sort those that are not zero
 
 
 def quadratic_casimirs(system: LiePoissonSystem) -> dict[str, Polynomial]:
@@ -66,19 +67,28 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, Polynomial], shi
     assert isinstance(term, QuadraticTerm)
     entries = [(term.rows, term.indices, term.values)]
     for name, factor in shift:
-        for piece in Quadratic.from_polynomial(casimirs[name]).terms():
-            assert isinstance(piece, QuadraticTerm)
-            entries.append((piece.rows, piece.indices, -factor * piece.values))
+        piece = _term_of(casimirs[name])
+        entries.append((piece.rows, piece.indices, -factor * piece.values))
     rows, columns = (np.concatenate([entry[side] for entry in entries]) for side in (0, 1))
     values = np.concatenate([entry[2] for entry in entries])
-    places, where = np.unique(rows * len(term.linear) + columns, return_inverse=True)
-    total = np.bincount(where, weights=values)
-    kept = np.abs(total) > 4 * 2.0**-53 * np.bincount(where, weights=np.abs(values))
-    rows, columns = np.divmod(places[kept], len(term.linear))
-    counts = np.bincount(rows, minlength=len(term.linear))
-    indptr = np.concatenate([[0], np.cumsum(counts)])
-    changed = QuadraticTerm(indptr, columns, np.asarray(total[kept], dtype=np.float64), term.linear, term.constant)
+    n = len(term.linear)
+    flat, cells = rows * n + columns, np.arange(n * n) if n <= LARGEST_DENSE else None
+    if cells is None:
+        cells, flat = np.unique(flat, return_inverse=True)
+    total: NDArray[Any] = np.bincount(flat, weights=values, minlength=len(cells))
+    kept = np.abs(total) > 4 * 2.0**-53 * np.bincount(flat, weights=np.abs(values), minlength=len(cells))
+    rows, columns = np.divmod(cells[kept], n)
+    indptr = np.searchsorted(rows, np.arange(n + 1))
+    changed = QuadraticTerm(indptr, columns, total[kept], term.linear, term.constant)
     return (*terms[:own], changed, *terms[own + 1 :])
+
+
+# A scan over constants takes off the same Casimir again and again.
+@lru_cache(maxsize=256)
+def _term_of(casimir: Polynomial) -> QuadraticTerm:
+    (term,) = Quadratic.from_polynomial(casimir).terms()
+    assert isinstance(term, QuadraticTerm)
+    return term
 
 
 def candidate_shifts(system: LiePoissonSystem, parts: Sequence[Part]) -> Iterable[Shift]:
@@ -121,7 +131,7 @@ def candidate_shifts(system: LiePoissonSystem, parts: Sequence[Part]) -> Iterabl
                     yield alone
     if len(casimirs) == 1 and system.dim <= LARGEST_SINGULAR:
         ((name, casimir),) = casimirs.items()
-        for factor in singular_factors(_dense(quadratic[0]), _dense_of(casimir)):
+        for factor in singular_factors(_dense(quadratic[0]), _dense(_term_of(casimir))):
             if ((name, factor),) not in seen:
                 yield ((name, factor),)
 
@@ -140,45 +150,3 @@ def _dense(term: QuadraticTerm) -> NDArray[np.float64]:
     matrix = np.zeros((len(term.linear),) * 2)
     matrix[term.rows, term.indices] = term.values
     return matrix
-
-
-def _dense_of(casimir: Polynomial) -> NDArray[np.float64]:
-    return Quadratic.from_polynomial(casimir).hessian(np.zeros(casimir.dim))
-
-
-def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) -> tuple[float, ...]:
-    """Return the factors c with M - c C singular, for a definite C: there a completed square vanishes.
-
-    By counting signs of squares in rationals and halving intervals, so that every machine finds the same floats.
-
-    Parameters
-    ----------
-    matrix, casimir : ndarray, shape (n, n)
-        M and C, symmetric.
-
-    Returns
-    -------
-    tuple of float
-        Ascending; empty where C is not definite, or M is diagonal in its basis (the diagonal says it then).
-    """
-    signs = [weight > 0 for weight in _weights(casimir, 0.0, casimir)]
-    if len(signs) < len(matrix) or len(set(signs)) != 1 or not np.any(matrix - np.diag(np.diag(matrix))):
-        return ()
-    definite = casimir if signs[0] else -casimir
-    smallest = min(float(weight) for weight in _weights(definite, 0.0, definite))
-    bound = 2.0 * len(matrix) ** 2 * float(np.max(np.abs(matrix))) / smallest
-    found = []
-    for count in range(1, len(matrix) + 1):
-        low, high = -bound, bound
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (low + high)
-            negative = sum(weight < 0 for weight in _weights(matrix, middle, definite))
-            low, high = (low, middle) if negative >= count else (middle, high)
-        found.append(high if signs[0] else -high)
-    return tuple(sorted(found))
-
-
-def _weights(matrix: NDArray[np.float64], factor: float, casimir: NDArray[np.float64]) -> list[Fraction]:
-    lift = np.vectorize(Fraction, otypes=[object])
-    exact = lift(matrix) - Fraction(factor) * lift(casimir)
-    return list(complete_squares(exact, lift(np.zeros(len(matrix)))).weights)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
 
 Choice = str | Sequence[Sequence[int]]
+
+LARGEST_PATTERN = 64  # coordinates: the parts of larger systems are not remembered
 
 
 def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Term] | None = None) -> tuple[Part, ...]:
@@ -49,15 +52,66 @@ def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Ter
         If the Hamiltonian is not a sum of functions of commuting forms, or the sets given do not serve it.
     """
     commutation = Commutation(system.algebra)
-    atoms = sorted(
-        _atoms(system, terms or system.hamiltonian.terms(), commutation, apart=choice == "coordinates"),
-        key=_first_coordinate,
-    )
+    terms = terms or system.hamiltonian.terms()
+    if isinstance(choice, str) and choice == "auto" and system.dim <= LARGEST_PATTERN and len(terms) == 1:
+        (term,) = terms
+        known = _parts_by_pattern(term, commutation) if isinstance(term, QuadraticTerm) and term.piece is None else None
+        if known is not None:
+            return known
+    atoms = sorted(_atoms(system, terms, commutation, apart=choice == "coordinates"), key=_first_coordinate)
     if choice == "coordinates":
         return tuple(atoms)
     if isinstance(choice, str):
         return few_parts(atoms, commutation)
     return _as_given(system, choice, atoms, commutation)
+
+
+class _Pattern:
+    """Where a matrix and a linear part are not zero, and what commutes; equal where both are."""
+
+    def __init__(self, term: QuadraticTerm, commutation: Commutation) -> None:
+        self.term, self.commutation = term, commutation
+        self._key = (*commutation.key, *(part.tobytes() for part in (term.indptr, term.indices, term.linear != 0)))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Pattern) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+def _parts_by_pattern(term: QuadraticTerm, commutation: Commutation) -> tuple[Part, ...] | None:
+    """Return the automatic parts of a quadratic term where no square is completed: then no entry decides on them."""
+    template = _template(_Pattern(term, commutation))
+    if template is None:
+        return None
+    return tuple(
+        Part(
+            part.forms,
+            tuple(
+                LinearShare(term.linear[share.offset], share.indptr, share.columns, term.values[share.weights])
+                for share in part.shares
+                if isinstance(share, LinearShare)
+            ),
+        )
+        for part in template
+    )
+
+
+@lru_cache(maxsize=1024)
+def _template(pattern: _Pattern) -> tuple[Part, ...] | None:
+    """Return the parts with places in `linear` and `values` for numbers; None where a square must be completed."""
+    term, commutation = pattern.term, pattern.commutation
+    used = term.linear != 0
+    used[term.rows] = True
+    clusters = _clusters(term.linear.size, zip(term.rows, term.indices, strict=True), used)
+    if any(commutation.first_clash(cluster) is not None for cluster in clusters):
+        return None
+    entries: Any = np.arange(term.values.size)
+    coordinates: Any = np.arange(term.linear.size)
+    places = QuadraticTerm(term.indptr, term.indices, entries, coordinates)
+    atoms = [Part(unit_forms(cluster), (_rows_of(places, cluster),)) for cluster in clusters]
+    return few_parts(sorted(atoms, key=_first_coordinate), commutation)
 
 
 def _first_coordinate(part: Part) -> int:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.methods.base import FlowMethod, Sweep
 from coadjoint.program.actions import Action, BasisMatrices, build_action
@@ -20,6 +22,8 @@ from coadjoint.program.rational import rational_frequencies
 from coadjoint.program.terms import Terms, TermTable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.terms import FunctionTerm
+
+MOST_REMEMBERED = 64  # forms: what larger systems do is not kept
 
 
 class Rows(NamedTuple):
@@ -128,13 +132,22 @@ def build_program(
             else:
                 table.add_function(given.term)
         share.append(len(table))
-    state = build_action(BasisMatrices.coadjoint(system.algebra), parts, number)
     count = sum(len(part.forms) for part in parts)
+    if number is float and count <= MOST_REMEMBERED:
+        state = _remembered_action(system.algebra, tuple(part.forms for part in parts))
+    else:
+        state = build_action(BasisMatrices.coadjoint(system.algebra), parts, number)
     frequency = array_of(number, [0] * count)
     if method.rotation == "rational":
         frequency = rational_frequencies(system, parts, state, number)
     return Program(
-        rows=_rows(method, _Joining.of(parts, frequency), system.sign, number),
+        rows=_rows(
+            tuple(method.sweeps(number)),
+            tuple(method.processor(number)),
+            _Joining.of(parts, frequency),
+            system.sign,
+            number,
+        ),
         parts=parts,
         terms=table.table(number),
         share=np.array(share, dtype=np.uint32),
@@ -146,6 +159,12 @@ def build_program(
         frequency=frequency,
         shift=decomposition.shift,
     )
+
+
+# Members of an ensemble differ in their constants; what their parts do is often the same.
+@lru_cache(maxsize=256)
+def _remembered_action(algebra: LieAlgebra, forms: tuple[Any, ...]) -> Action:
+    return build_action(BasisMatrices.coadjoint(algebra), [Part(own, ()) for own in forms], float)
 
 
 def _group_action(system: LiePoissonSystem, group: Any, parts: tuple[Part, ...], number: Number) -> Action | None:
@@ -197,15 +216,16 @@ class _Joining(NamedTuple):
         return found
 
 
-def _rows(method: FlowMethod, joining: _Joining, sign: int, number: Number) -> Rows:
-    kernel = joining.joined(_flows(method.sweeps(number), len(joining.timed), number))
-    processor = joining.joined(_flows(method.processor(number), len(joining.timed), number))
+@lru_cache(maxsize=64)
+def _rows(sweeps: tuple[Sweep, ...], after: tuple[Sweep, ...], joining: _Joining, sign: int, number: Number) -> Rows:
+    kernel = joining.joined(_flows(sweeps, len(joining.timed), number))
+    processor = joining.joined(_flows(after, len(joining.timed), number))
     undone = [row._replace(coefficient=-row.coefficient) for row in processor[::-1]]
-    after = [row._replace(moment=row.moment + 1) for row in processor]
-    start, step, finish = [*undone, *kernel], kernel, after
+    later = [row._replace(moment=row.moment + 1) for row in processor]
+    start, step, finish = [*undone, *kernel], kernel, later
     # The last row belongs to the step before: seen from this one its moment lies a whole step earlier.
     if len(kernel) > 1 and (outer := joining.join(kernel[-1], kernel[0], kernel[-1].moment - 1)):
-        start, step, finish = start[:-1], [outer, *kernel[1:-1]], [kernel[-1], *after]
+        start, step, finish = start[:-1], [outer, *kernel[1:-1]], [kernel[-1], *later]
     start, finish = joining.joined(start), joining.joined(finish)
     everything = [*start, *step, *finish]
     ends = [0, len(start), len(start) + len(step), len(everything)]

@@ -12,6 +12,7 @@ from coadjoint import __version__
 from coadjoint.errors import IntegrationError
 from coadjoint.methods import registry
 from coadjoint.runs.records import record_of, safe_name, system_of
+from coadjoint.systems.batch import Batch
 
 if TYPE_CHECKING:
     import xarray
@@ -78,7 +79,8 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
             solution.failed,
             {"long_name": "whether the member failed; its later states are NaN"},
         )
-    basis = system.algebra.basis if system.algebra is not None else [f"x{i + 1}" for i in range(system.dim)]
+    algebra = system[0].algebra if isinstance(system, Batch) else system.algebra
+    basis = algebra.basis if algebra is not None else [f"x{i + 1}" for i in range(system.dim)]
     coordinates = {
         "time": solution.t,
         "component": list(basis),

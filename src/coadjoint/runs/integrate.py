@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from coadjoint.methods.base import Method, System
-from coadjoint.methods.splitting import Splitting
-from coadjoint.runs.run import Run
+from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
-from coadjoint.runs.start import start_of
-from coadjoint.runs.times import is_positive_whole, times_of
+from coadjoint.systems.batch import Batch
 
 
 def integrate(
-    system: System,
+    system: System | Batch,
     x0: Any,
     t_span: tuple[float, float],
     step: float,
@@ -30,17 +25,17 @@ def integrate(
     threads: int | None = None,
     progress: bool = False,
 ) -> Solution:
-    """Integrate a system at a constant step.
+    """Integrate a system at a constant step; `prepare` sets it up once for many calls.
 
     No Python runs between saved points. The same inputs give the same bits, whatever `save_every`, `watch`, `threads`,
     and whether a member runs alone or with others.
 
     Parameters
     ----------
-    system : LiePoissonSystem or PoissonSystem
-        What moves.
+    system : LiePoissonSystem, PoissonSystem or Batch
+        What moves; a `batch` has a system for each member.
     x0 : array_like, shape (n,) or (members, n)
-        Initial momentum, or one for each member of an ensemble.
+        Initial momentum, or one for each member of an ensemble; (n,) is shared by all members of a batch.
     t_span : (float, float)
         Start and end; backward where the end lies before the start. A whole number of steps.
     step : float
@@ -84,20 +79,5 @@ def integrate(
     >>> sol.drift()["energy"] < 1e-14
     True
     """
-    scheme = Splitting() if method is None else method
-    if not isinstance(scheme, Method):
-        raise TypeError(f"method is {method!r}; it must be a scheme such as Splitting(order=2)")
-    if not isinstance(watch, bool | np.bool_):
-        raise TypeError(f"watch is {watch!r}; it must be True or False")
-    times = times_of(t_span, step, save_every)
-    start = start_of(system, scheme, x0, attitude)
-    workers = _workers(threads, len(start.momenta))
-    run = Run(system, scheme, times, start, bool(watch), observe or {})
-    run.advance(workers, progress)
-    return run.solution()
-
-
-def _workers(threads: int | None, members: int) -> int:
-    if threads is not None and not is_positive_whole(threads):
-        raise ValueError(f"threads is {threads!r}; it must be a positive whole number, or None for all cores")
-    return min(members, int(threads) if threads is not None else os.cpu_count() or 1)
+    ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads)
+    return ready.run(x0, t_span, save_every, progress=progress)

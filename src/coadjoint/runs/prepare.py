@@ -30,7 +30,7 @@ class Prepared:
     shift: tuple[tuple[Polynomial, float], ...] = ()
 
 
-def prepare(system: System, method: Method, h: float, representation: NDArray[Any] | str | None) -> Prepared:
+def loop_of(system: System, method: Method, h: float, representation: NDArray[Any] | str | None) -> Prepared:
     """Return the compiled loop for a scheme on a system.
 
     Parameters

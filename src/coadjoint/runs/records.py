@@ -12,6 +12,7 @@ import numpy as np
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.methods.base import System
+from coadjoint.systems.batch import Batch
 from coadjoint.systems.hamiltonian import HamiltonianLike, PolynomialHamiltonian
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
@@ -19,15 +20,16 @@ from coadjoint.systems.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
 
 
-def record_of(system: System) -> dict[str, Any]:
+def record_of(system: System | Batch) -> dict[str, Any]:
     """Return a system as plain numbers, lists and text.
 
     A ready-made system is its name and parameters. Any other is its structure constants (i, j, k, c), its Hamiltonian,
-    sign, polynomial Casimirs and representation; functions cannot be stored, and are named under ``"not_stored"``.
+    sign, polynomial Casimirs and representation; functions cannot be stored, and are named under ``"not_stored"``. A
+    batch is the list of its members.
 
     Parameters
     ----------
-    system : LiePoissonSystem or PoissonSystem
+    system : LiePoissonSystem, PoissonSystem or Batch
         The system.
 
     Returns
@@ -41,6 +43,8 @@ def record_of(system: System) -> dict[str, Any]:
     >>> record_of(rigid_body((1, 2, 3)))
     {'name': 'rigid_body', 'parameters': {'inertia': [1.0, 2.0, 3.0]}}
     """
+    if isinstance(system, Batch):
+        return _batch_record(system)
     ready_made = importlib.import_module("coadjoint.systems").names()
     if system.parameters is not None and system.name in ready_made:
         functions = [f"{system.name}: {key}" for key, value in system.parameters.items() if callable(value)]
@@ -75,7 +79,14 @@ def record_of(system: System) -> dict[str, Any]:
     return record
 
 
-def system_of(record: Mapping[str, Any]) -> System:
+def _batch_record(batch: Batch) -> dict[str, Any]:
+    members = [record_of(member) for member in batch]
+    missing = [f"{what} (member {m})" for m, record in enumerate(members) for what in record.get("not_stored", [])]
+    record: dict[str, Any] = {"name": batch.name, "members": members}
+    return {**record, "not_stored": missing} if missing else record
+
+
+def system_of(record: Mapping[str, Any]) -> System | Batch:
     """Return the system that a record describes.
 
     Parameters
@@ -85,7 +96,7 @@ def system_of(record: Mapping[str, Any]) -> System:
 
     Returns
     -------
-    LiePoissonSystem or PoissonSystem
+    LiePoissonSystem, PoissonSystem or Batch
         Without Casimirs that are functions.
 
     Raises
@@ -99,6 +110,12 @@ def system_of(record: Mapping[str, Any]) -> System:
     >>> system_of(record_of(rigid_body((1, 2, 4)))).parameters
     {'inertia': (1.0, 2.0, 4.0)}
     """
+    if "members" in record:
+        return Batch([_member_of(member) for member in record["members"]])
+    return _member_of(record)
+
+
+def _member_of(record: Mapping[str, Any]) -> System:
     if "parameters" in record:
         return importlib.import_module("coadjoint.systems").get(record["name"], **record["parameters"])
     lost = [what for what in record.get("not_stored", []) if not what.startswith("casimir: ")]

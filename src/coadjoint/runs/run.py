@@ -3,125 +3,137 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.invariant import Invariant
-from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Method, System
-from coadjoint.runs.prepare import prepare
+from coadjoint.runs.loops import Crew, Loops, Work
+from coadjoint.runs.observed import Observed
 from coadjoint.runs.solution import Solution, Statistics
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
-from coadjoint.runs.unshift import unshifted
-from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.user_functions import takes_time
+from coadjoint.systems.batch import Batch
 
 # Between two calls of the compiled loop the interpreter can show progress and hear an interrupt.
 SECONDS_BETWEEN_LOOKS = 0.2
 
 
 class Run:
-    """Arrays of one run and the compiled loop that fills them."""
+    """Arrays of one run, from checked states and times, and the loops that fill them."""
 
     def __init__(
-        self, system: System, method: Method, times: Times, start: Start, watch: bool, observe: Mapping[str, Any]
+        self, system: System | Batch, method: Method, loops: Loops, times: Times, start: Start, watching: bool
     ) -> None:
-        from coadjoint.kernels.tables import watch_tables
+        from coadjoint.kernels.watching import TENTHS, Report, Saves, Schedule
 
-        self.system, self.method, self.watching = system, method, watch
-        self.names = ["energy", *system.casimirs]
-        self.prepared = prepare(system, method, times.h, start.representation)
-        self.watch = watch_tables(system, system.casimirs)
-        self.observed = _observables(system, observe, start.momenta[0]) if observe else None
-        self.restart(times, start)
-
-    def restart(self, times: Times, start: Start) -> None:
-        """Begin again at another state or time; the step must be the one that was prepared."""
-        from coadjoint.kernels.watching import TENTHS, Report, Saves, Schedule, record_start
-
-        self.times, self.start = times, start
+        self.system, self.method, self.loops = system, method, loops
+        self.times, self.start, self.watching = times, start, watching
+        self.names = ["energy", *(system[0] if isinstance(system, Batch) else system).casimirs]
+        self.saved = times.saved
         members, size = start.momenta.shape
         square = start.groups.shape[1] ** 2
-        count, invariants = len(times.saved), len(self.names)
+        count, invariants = len(self.saved), len(self.names)
         self.saves = Saves(
             members=members,
-            x=np.full((count, members, size), np.nan),
-            group=np.full((count, members, square), np.nan),
-            values=np.full((count, members, invariants), np.nan),
+            x=_blank(count, members, size),
+            group=_blank(count, members, square),
+            values=_blank(count, members, invariants),
             worst=np.zeros((members, TENTHS, invariants)),
             first=np.zeros((members, invariants)),
             last=np.zeros((members, invariants)),
         )
-        self.schedule = Schedule(times.t0, times.h, times.steps, times.save_every, self.watching)
-        # A shifted run starts at the unit element; `_groups` puts the initial one before it.
-        groups = np.broadcast_to(np.eye(start.groups.shape[1]), start.groups.shape) if self.shifted else start.groups
-        transposed = np.swapaxes(groups, 1, 2).reshape(members, square).copy()
-        self.state = (start.momenta.copy(), np.zeros((members, size)), transposed, np.zeros((members, square)))
-        whole = [np.zeros(members, dtype=np.int64) for _ in range(4)]
-        self.report = Report(whole[0], whole[1], np.full(members, np.nan), whole[2], whole[3])
+        self.schedule = Schedule(times.t0, times.h, times.steps, times.save_every, watching)
+        held = slice(None) if loops.order is None else loops.order
+        # Group elements are held transposed.
+        groups = np.swapaxes(loops.started(start.groups)[held], 1, 2).reshape(members, square).copy()
+        self.state = (start.momenta[held].copy(), np.zeros((members, size)), groups, np.zeros((members, square)))
+        counts = np.zeros((4, members), dtype=np.int64)
+        self.report = Report(counts[0], counts[1], _blank(members), counts[2], counts[3])
         self.seconds = 0.0
-        record_start(self.watch.tables, self.saves, self.schedule, self.state[0], self.state[2])
+        loops.record_start(self.saves, self.schedule, self.state[0], self.state[2])
 
     def advance(self, workers: int, progress: bool) -> None:
-        """Take all steps, in chunks between which an interrupt is heard."""
-        members = len(self.start.momenta)
-        edges = [members * w // workers for w in range(workers + 1)]
-        crews = [np.array(pair, dtype=np.int64) for pair in pairwise(edges)]
+        """Take all steps: round after round, each in chunks between which an interrupt is heard."""
+        rounds = self.loops.rounds(len(self.start.momenta), workers)
         began = time.perf_counter()
-        with ThreadPoolExecutor(workers) as pool, _bar(self.times.steps, progress) as bar:
-            done, chunk = 0, 1
-            while done < self.times.steps and not np.all(self.report.status):
-                target = min(self.times.steps, done + chunk)
-                before = time.perf_counter()
-                self._call(pool, crews, done, target)
-                spent = max(time.perf_counter() - before, 1e-6)
-                bar(target - done)
-                done, chunk = target, max(1, min(int(chunk * SECONDS_BETWEEN_LOOKS / spent), 1000 * chunk))
+        with _pool(workers) as pool, _bar(self.times.steps * len(rounds), progress) as bar:
+            chunk = 1
+            for crews in rounds:
+                chunk = self._advance(crews, chunk, pool, bar)
         self.seconds = time.perf_counter() - began
+        if self.loops.order is not None:
+            self._put_in_order(self.loops.order)
 
-    def _call(self, pool: ThreadPoolExecutor, crews: list[NDArray[np.int64]], k0: int, k1: int) -> None:
-        def one(crew: NDArray[np.int64]) -> None:
-            self.prepared.advance(
-                self.prepared.tables,
-                self.watch.tables,
-                self.saves,
-                self.schedule,
-                self.state,
-                crew,
-                k0,
-                k1,
-                self.report,
-            )
+    def _advance(self, crews: list[Crew], chunk: int, pool: ThreadPoolExecutor | None, bar: Callable[..., Any]) -> int:
+        """Take all steps of some crews; returns how many steps are a chunk of the right length."""
+        report, steps = self.report, self.times.steps
+        works = [(self.loops.work(crew), np.array(crew, dtype=np.int64)) for crew in crews]
+        status = report.status[crews[0][0] : crews[-1][1]]
 
-        if len(crews) == 1:
-            one(crews[0])
-        else:
-            list(pool.map(one, crews))
+        def take(given: tuple[Work, NDArray[np.int64]]) -> None:
+            (advance, tables, watch), crew = given
+            advance(tables, watch, self.saves, self.schedule, self.state, crew, done, target, report)
 
-    def solution(self) -> Solution:
+        done = 0
+        while done < steps and not status.all():
+            target = min(steps, done + chunk)
+            before = time.perf_counter()
+            if pool is None:
+                for work in works:
+                    take(work)
+            else:
+                list(pool.map(take, works))
+            spent = max(time.perf_counter() - before, 1e-6)
+            bar(target - done)
+            whole, done = target - done == chunk, target
+            if whole:
+                chunk = max(1, min(int(chunk * SECONDS_BETWEEN_LOOKS / spent), 1000 * chunk))
+        return chunk
+
+    def _put_in_order(self, order: NDArray[np.int64]) -> None:
+        """Give every member the place that it was given at."""
+        place = np.argsort(order)
+        self.saves = self.saves._replace(
+            x=self.saves.x.take(place, axis=1),
+            group=self.saves.group.take(place, axis=1),
+            values=self.saves.values.take(place, axis=1),
+            worst=self.saves.worst[place],
+            first=self.saves.first[place],
+            last=self.saves.last[place],
+        )
+        report = self.report
+        self.report = report._replace(
+            status=report.status[place],
+            step=report.step[place],
+            residual=report.residual[place],
+            evaluations=report.evaluations[place],
+            iterations=report.iterations[place],
+        )
+
+    def solution(self, observed: Observed | None) -> Solution:
         """Return what was saved, or raise the failure with it."""
-        failed = np.flatnonzero(self.report.status)
-        kept = len(self.times.saved)
+        failed = self.report.status.nonzero()[0]
+        kept = len(self.saved)
         if not len(failed):
-            whole = self._solution(kept)
+            whole = self._solution(kept, observed)
             self._check_energy(whole)
             return whole
         if len(self.start.momenta) == 1:
-            kept = int(np.searchsorted(self.times.saved, self.report.step[0]))
-        raise self._error(int(failed[0]), len(failed), self._solution(kept))
+            kept = int(np.searchsorted(self.saved, self.report.step[0]))
+        raise self._error(int(failed[0]), len(failed), self._solution(kept, observed))
 
     def _check_energy(self, whole: Solution) -> None:
         """A state that is finite with an energy that is not: the function of the user is not defined there."""
-        wrong = np.flatnonzero(~np.all(np.isfinite(whole.energy.reshape(len(whole.t), -1)), axis=1))
-        if len(wrong):
-            step, when = int(self.times.saved[wrong[0]]), float(whole.t[wrong[0]])
+        finite = np.isfinite(whole.energy)
+        if not finite.all():
+            wrong = np.flatnonzero(~finite.reshape(len(whole.t), -1).all(axis=1))
+            step, when = int(self.saved[wrong[0]]), float(whole.t[wrong[0]])
             raise IntegrationError(
                 f"the energy at t = {when:g} is not a finite number, though the state is: the Hamiltonian overflows "
                 "or is undefined there; start elsewhere, or correct its value",
@@ -148,19 +160,19 @@ class Run:
         message = f"in step {step}, at t = {when:g}, {what}{who}; take a smaller step than {abs(self.times.h):g}"
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
 
-    def _solution(self, kept: int) -> Solution:
-        numbers = self.times.saved[:kept]
-        t = self.times.at(numbers)
+    def _solution(self, kept: int, observed: Observed | None) -> Solution:
+        t = self.times.at(self.saved[:kept])
         pick: Any = (lambda a: a[:, 0]) if self.start.single else (lambda a: a)
-        values = self.saves.values[:kept]
+        values, x = self.saves.values[:kept], self.saves.x[:kept]
         worst = self.saves.worst[0] if self.start.single else self.saves.worst
+        quantities = {} if observed is None else observed.along(t, x)
         return Solution(
             t=t,
-            x=pick(self.saves.x[:kept]),
+            x=pick(x),
             energy=pick(values[..., 0]),
             casimirs={name: pick(values[..., i + 1]) for i, name in enumerate(self.names[1:])},
-            attitude=None if self.start.representation is None else pick(self._groups(kept)),
-            observed={} if self.observed is None else self.observed(t, self.saves.x[:kept], pick),
+            attitude=None if self.start.representation is None else pick(self._groups(t)),
+            observed={name: pick(series) for name, series in quantities.items()},
             stats=Statistics(
                 steps=int(self.times.steps),
                 evaluations=int(self.report.evaluations.sum()),
@@ -178,58 +190,27 @@ class Run:
             _worst=worst,
         )
 
-    @property
-    def shifted(self) -> bool:
-        """Whether a group element is carried that a Casimir shift has yet to turn."""
-        return bool(self.prepared.shift) and self.start.representation is not None
-
-    def _groups(self, kept: int) -> NDArray[np.float64]:
+    def _groups(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
         members, size = self.start.groups.shape[:2]
-        groups = np.swapaxes(self.saves.group[:kept].reshape(kept, members, size, size), 2, 3)
-        representation = self.start.representation
-        if not self.shifted or representation is None:
-            return groups
-        assert isinstance(self.system, LiePoissonSystem)
-        elapsed = self.times.at(self.times.saved[:kept]) - self.times.t0
-        start = (self.start.momenta, self.start.groups)
-        return unshifted(self.system, self.prepared.shift, representation, *start, elapsed, groups)
+        held = self.saves.group[: len(t)].reshape(len(t), members, size, size)
+        return self.loops.turned(self.start, t - self.times.t0, np.swapaxes(held, 2, 3))
 
 
-def _observables(
-    system: System, observe: Mapping[str, Any], x0: NDArray[np.float64]
-) -> Callable[..., dict[str, NDArray[np.float64]]]:
-    """Compile further quantities; returns the function that evaluates them along saved points."""
-    from coadjoint.kernels.tables import watch_tables
-    from coadjoint.kernels.watching import values_along
-
-    if not isinstance(observe, Mapping) or not all(isinstance(name, str) for name in observe):
-        raise TypeError(f"observe is {observe!r}; it must map names to Polynomials or functions of x")
-    for name, given in observe.items():
-        if not isinstance(given, Polynomial | Invariant) and not callable(given):
-            raise TypeError(f"observe[{name!r}] is {given!r}; it must be a Polynomial or a function of x")
-        value = _value_at(given, name, x0)
-        if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
-            raise TypeError(f"observe[{name!r}] returns {value!r} at the start; it must return one real number")
-    wrapped = {
-        name: given if isinstance(given, Polynomial | Invariant) else Invariant(given)
-        for name, given in observe.items()
-    }
-    compiled = watch_tables(system, wrapped)
-
-    def evaluate(t: NDArray[np.float64], points: NDArray[np.float64], pick: Any) -> dict[str, NDArray[np.float64]]:
-        out = np.empty((*points.shape[:2], len(wrapped) + 1))
-        values_along(compiled.tables, points, t, out)
-        return {name: pick(out[..., i + 1]) for i, name in enumerate(wrapped)}
-
-    return evaluate
+def _blank(*shape: int) -> NDArray[np.float64]:
+    """Return an array in which nothing has been saved yet: a NaN that is left over says so."""
+    blank = np.empty(shape)
+    blank.fill(np.nan)
+    return blank
 
 
-def _value_at(given: Any, name: str, x0: NDArray[np.float64]) -> Any:
-    """Return a quantity at the start; NaN where it is not defined there, which the run then says of it as well."""
-    try:
-        return 0.0 if isinstance(given, Polynomial) or takes_time(given, name) else given(x0)
-    except (ArithmeticError, ValueError, OSError):
-        return float("nan")
+@contextmanager
+def _pool(workers: int) -> Iterator[ThreadPoolExecutor | None]:
+    """A pool of threads, or None where one thread does the work."""
+    if workers == 1:
+        yield None
+    else:
+        with ThreadPoolExecutor(workers) as pool:
+            yield pool
 
 
 class _bar:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.base import Method, System
+from coadjoint.systems.batch import Batch
 
 if TYPE_CHECKING:
     import xarray
@@ -113,7 +114,7 @@ class Solution:
     observed: Mapping[str, NDArray[np.float64]]
     stats: Statistics
     failed: NDArray[np.bool_] | None
-    system: System
+    system: System | Batch
     method: Method
     t_span: tuple[float, float]
     step: float

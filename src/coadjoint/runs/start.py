@@ -10,16 +10,22 @@ from numpy.typing import NDArray
 from coadjoint.algebra.constants import read_numbers
 from coadjoint.methods.attitude import check_attitude
 from coadjoint.methods.base import Method, System
+from coadjoint.systems.batch import Batch
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
 
+Representation = NDArray[np.float64] | str | None
+
 
 class Start(NamedTuple):
-    """Initial momenta (members, n), group elements (members, d, d), and how they were given."""
+    """Initial momenta (members, n), group elements (members, d, d), and how they were given.
+
+    `representation` is what the elements are in; of a batch, what those of its first member are in.
+    """
 
     momenta: NDArray[np.float64]
     groups: NDArray[np.float64]
-    representation: NDArray[np.float64] | str | None
+    representation: Representation
     single: bool
 
     @property
@@ -30,12 +36,12 @@ class Start(NamedTuple):
         return "coadjoint" if isinstance(self.representation, str) else "representation"
 
 
-def start_of(system: System, method: Method, x0: Any, attitude: Any) -> Start:
+def start_of(system: System | Batch, method: Method, x0: Any, attitude: Any) -> Start:
     """Check the initial state and the attitude.
 
     Parameters
     ----------
-    system : LiePoissonSystem or PoissonSystem
+    system : LiePoissonSystem, PoissonSystem or Batch
         The system.
     method : Method
         The scheme; it refuses an attitude that it cannot keep.
@@ -55,31 +61,128 @@ def start_of(system: System, method: Method, x0: Any, attitude: Any) -> Start:
         Naming what does not fit.
     """
     check_system(system)
+    momenta, single = momenta_of(system, x0)
+    return with_group(system, momenta, single, representations_of(system, method, attitude)[0], attitude)
+
+
+def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bool]:
+    """Return initial momenta (members, n), and whether one state was given for one system.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem, PoissonSystem or Batch
+        The system; of a batch every member has its own state, or all have the same one.
+    x0 : array_like, shape (n,) or (members, n)
+        Initial momentum.
+
+    Returns
+    -------
+    momenta : ndarray, shape (members, n)
+        A copy.
+    single : bool
+
+    Raises
+    ------
+    ValueError
+        Of another shape, empty, or not finite.
+    """
     momenta = read_numbers(x0, "x0")
     single = momenta.ndim == 1
-    if momenta.ndim not in (1, 2) or momenta.shape[-1] != system.dim:
-        raise ValueError(f"x0 has the shape {momenta.shape}; it must be ({system.dim},) or (members, {system.dim})")
-    if not np.all(np.isfinite(momenta)):
+    n = system.dim
+    if isinstance(system, Batch):
+        if momenta.shape not in ((n,), (len(system), n)):
+            raise ValueError(
+                f"x0 has the shape {momenta.shape}; a batch of {len(system)} members needs ({len(system)}, {n}), "
+                f"or ({n},) for all of them"
+            )
+        momenta, single = np.array(np.broadcast_to(momenta, (len(system), n))), False
+    if momenta.ndim not in (1, 2) or momenta.shape[-1] != n:
+        raise ValueError(f"x0 has the shape {momenta.shape}; it must be ({n},) or (members, {n})")
+    if not np.isfinite(momenta).all():
         raise ValueError("x0 contains NaN or infinity; every component must be finite")
-    momenta = np.atleast_2d(momenta)
+    if momenta.ndim == 1:
+        momenta = momenta[None]
     if not len(momenta):
         raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs at least one member")
-    representation = _representation(system, attitude)
+    return momenta, single
+
+
+def with_group(
+    system: System | Batch, momenta: NDArray[np.float64], single: bool, representation: Any, attitude: Any
+) -> Start:
+    """Return the start of a run from checked momenta and a checked representation.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem, PoissonSystem or Batch
+        For messages, and its dimension.
+    momenta : ndarray, shape (members, n)
+        Initial momenta.
+    single : bool
+        Whether the solution has no axis of members.
+    representation : ndarray of shape (n, d, d), "coadjoint", or None
+        From `representations_of`.
+    attitude : bool, "coadjoint", or array_like of shape (d, d) or (members, d, d)
+        The initial element, the unit where it is no array.
+
+    Returns
+    -------
+    Start
+
+    Raises
+    ------
+    ValueError
+        The initial element has another shape, is not finite, or singular.
+    """
     if representation is None:
         return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single)
-    check_attitude(method, system, representation)
     size = system.dim if isinstance(representation, str) else representation.shape[1]
-    initial = np.eye(size) if isinstance(attitude, bool | str) else read_numbers(attitude, "attitude")
+    unit = isinstance(attitude, bool | str)
+    initial = np.eye(size) if unit else read_numbers(attitude, "attitude")
     if initial.shape not in ((size, size), (len(momenta), size, size)):
         raise ValueError(
             f"attitude has the shape {initial.shape}; the representation of {system.name} needs ({size}, {size})"
         )
-    if not np.all(np.isfinite(initial)):
+    if not unit and not np.all(np.isfinite(initial)):
         raise ValueError("attitude contains NaN or infinity; every entry must be finite")
-    if np.any(np.linalg.matrix_rank(initial) < size):
+    if not unit and np.any(np.linalg.matrix_rank(initial) < size):
         raise ValueError("attitude is a singular matrix; a group element has an inverse")
     groups = np.broadcast_to(initial, (len(momenta), size, size)).copy()
     return Start(momenta, groups, representation, single)
+
+
+def representations_of(system: System | Batch, method: Method, attitude: Any) -> tuple[Representation, ...]:
+    """Return what the group element of each system is carried in, one for a system and one for each of a batch.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem, PoissonSystem or Batch
+        The system.
+    method : Method
+        The scheme.
+    attitude : bool, "coadjoint", or array_like
+        What was asked for.
+
+    Returns
+    -------
+    tuple of (ndarray of shape (n, d, d), "coadjoint", or None)
+
+    Raises
+    ------
+    ValueError
+        There is none, the scheme cannot keep it, or the members of a batch have matrices of different sizes.
+    """
+    if not isinstance(system, Batch):
+        return (_representation(system, method, attitude),)
+    found = tuple(_representation(member, method, attitude) for member in system)
+    shapes = [getattr(representation, "shape", ()) for representation in found]
+    other = next((m for m, shape in enumerate(shapes) if shape != shapes[0]), None)
+    if other is not None:
+        raise ValueError(
+            f"member {other} of the batch has a representation of shape {shapes[other]} and member 0 of {shapes[0]}; "
+            "an attitude needs matrices of one size"
+        )
+    return found
 
 
 def check_system(system: Any) -> None:
@@ -93,27 +196,43 @@ def check_system(system: Any) -> None:
     Raises
     ------
     TypeError
-        It is neither a `LiePoissonSystem` nor a `PoissonSystem`.
+        It is neither a `LiePoissonSystem` nor a `PoissonSystem`, nor a `Batch` of them.
     """
-    if not isinstance(system, LiePoissonSystem | PoissonSystem):
+    if not isinstance(system, LiePoissonSystem | PoissonSystem | Batch):
         raise TypeError(
             f"system is {system!r}; it must be a LiePoissonSystem or a PoissonSystem, such as co.systems.rigid_body()"
         )
 
 
-def _representation(system: System, attitude: Any) -> NDArray[np.float64] | str | None:
+def check_one_system(system: Any) -> None:
+    """Refuse a batch where one system is needed, and what is no system.
+
+    Parameters
+    ----------
+    system : object
+        What was given.
+
+    Raises
+    ------
+    TypeError
+        It is neither a `LiePoissonSystem` nor a `PoissonSystem`.
+    """
+    check_system(system)
+    if isinstance(system, Batch):
+        raise TypeError(f"system is {system!r}; it must be one system, such as a member of the batch, batch[0]")
+
+
+def _representation(system: System, method: Method, attitude: Any) -> Representation:
     if isinstance(attitude, bool) and not attitude:
         return None
     if system.algebra is None:
         raise ValueError(f"{system.name} has no Lie algebra, so it moves no group element; use attitude=False")
-    if isinstance(attitude, str):
-        if attitude != "coadjoint":
-            raise ValueError(
-                f"attitude is {attitude!r}; it must be True, False, 'coadjoint' or an initial group element"
-            )
-        return attitude
-    if system.representation is None:
+    if isinstance(attitude, str) and attitude != "coadjoint":
+        raise ValueError(f"attitude is {attitude!r}; it must be True, False, 'coadjoint' or an initial group element")
+    if not isinstance(attitude, str) and system.representation is None:
         raise ValueError(
             f"{system.name} has no representation for an attitude; give representation=, or use attitude='coadjoint'"
         )
-    return np.asarray(system.representation)
+    representation = attitude if isinstance(attitude, str) else np.asarray(system.representation)
+    check_attitude(method, system, representation)
+    return representation

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import threading
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,8 @@ from coadjoint.methods.base import FlowMethod, Method, System
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.step_method import StepMethod
-from coadjoint.runs.run import Run
-from coadjoint.runs.start import check_system, start_of
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.start import check_one_system, momenta_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
@@ -37,33 +37,22 @@ class Stepper:
         self.h = float(h)
         if not np.isfinite(self.h) or self.h == 0.0:
             raise ValueError(f"h is {h!r}; it must be finite and not zero")
-        check_system(system)
+        check_one_system(system)
         method.properties(system)
         self.system, self.method = system, method
-        # Each thread has arrays of its own: one stepper may serve several.
-        self._own = threading.local()
+        self._prepared: dict[bool | str, PreparedRun] = {}
 
     def __repr__(self) -> str:
         return f"stepper({self.system!r}, {self.method!r}, {self.h!r})"
 
-    @property
-    def _runs(self) -> dict[Any, Any]:
-        if not hasattr(self._own, "runs"):
-            self._own.runs = {}
-        found: dict[Any, Any] = self._own.runs
-        return found
-
     def _advance(self, x: Any, t: float, attitude: Any) -> Any:
-        start = start_of(self.system, self.method, x, attitude)
-        key = attitude if isinstance(attitude, bool | str) else "initial"
-        times = Times(float(t), self.h, 1, 1)
-        run = self._runs.get(key)
-        if run is None:
-            run = self._runs[key] = Run(self.system, self.method, times, start, watch=False, observe={})
-        else:
-            run.restart(times, start)
-        run.advance(1, False)
-        return run.solution()
+        initial = None if isinstance(attitude, bool | str) else attitude
+        kind = True if initial is not None else attitude
+        ready = self._prepared.get(kind)
+        if ready is None:
+            ready = PreparedRun(self.system, self.method, abs(self.h), attitude=kind, watch=False, threads=1)
+            self._prepared[kind] = ready
+        return ready.follow(Times(float(t), self.h, 1, 1), ready.start(x, initial))
 
     def __call__(self, x: Any, t: float = 0.0) -> NDArray[np.float64]:
         """Return the state after one step.
@@ -126,12 +115,12 @@ class Stepper:
         TypeError
             If the Hamiltonian was given without second derivatives.
         """
-        start = start_of(self.system, self.method, x, False)
-        if not start.single:
+        momenta, single = momenta_of(self.system, x)
+        if not single:
             raise ValueError(
                 f"x has the shape {np.shape(x)}; a tangent is taken at one state, of shape ({self.system.dim},)"
             )
-        x = start.momenta[0]
+        x = momenta[0]
         innermost = self.method.innermost if isinstance(self.method, Composition) else self.method
         if isinstance(innermost, FlowMethod):
             return np.asarray(self._reading.steps(x, self.h, 1, t0=t, tangent=np.eye(len(x)))[1])
@@ -142,16 +131,13 @@ class Stepper:
             product, t = own @ product, t + self.h * fraction
         return product
 
-    @property
+    @cached_property
     def _reading(self) -> Any:
         from coadjoint.program.reading import Reading
         from coadjoint.program.table import build_program
 
         assert isinstance(self.system, LiePoissonSystem) and isinstance(self.method, FlowMethod)
-        found = self._runs.get("reading")
-        if found is None:
-            found = self._runs["reading"] = Reading(build_program(self.system, self.method))
-        return found
+        return Reading(build_program(self.system, self.method))
 
 
 def stepper(system: System, method: Method, h: float) -> Stepper:

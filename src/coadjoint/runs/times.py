@@ -62,9 +62,7 @@ def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
     4
     """
     ends = [_finite(end, "t_span") for end in _pair(t_span)]
-    size = _finite(step, "step")
-    if size <= 0.0:
-        raise ValueError(f"step is {size!r}; it must be positive (the direction comes from t_span)")
+    size = checked_step(step)
     if not is_positive_whole(save_every):
         raise ValueError(f"save_every is {save_every!r}; it must be a positive whole number of steps")
     span = ends[1] - ends[0]
@@ -79,12 +77,20 @@ def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
             f"step {size!r} does not divide the time {abs(span)!r}; "
             f"the nearest steps that do are {abs(span) / (count + 1)!r} and {abs(span) / count!r}"
         )
-    if steps and np.spacing(max(map(abs, ends))) > size / 4:
+    if steps and math.ulp(max(map(abs, ends))) > size / 4:
         raise ValueError(
             f"step {size!r} is too small beside the times {ends}: neighbouring ones would be the same number; "
             "shift t_span towards zero"
         )
     return Times(ends[0], math.copysign(size, span), steps, min(int(save_every), max(1, steps)))
+
+
+def checked_step(step: Any) -> float:
+    """Return a step as a float, or refuse one that is not a positive number."""
+    size = _finite(step, "step")
+    if size <= 0.0:
+        raise ValueError(f"step is {size!r}; it must be positive (the direction comes from t_span)")
+    return size
 
 
 def is_positive_whole(value: Any) -> bool:

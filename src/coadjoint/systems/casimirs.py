@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -73,6 +74,10 @@ def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size
     return result
 
 
+# Algebras do not change, and equal ones have the same Casimirs: a scan over Hamiltonians looks for them once.
+_FOUND: WeakKeyDictionary[LieAlgebra, dict[str, Polynomial]] = WeakKeyDictionary()
+
+
 def casimirs_of(algebra: LieAlgebra) -> Mapping[str, Any]:
     """Return the Casimirs that are known of an algebra or, where some are missing, those that a quick search finds.
 
@@ -104,10 +109,12 @@ def casimirs_of(algebra: LieAlgebra) -> Mapping[str, Any]:
     )
     if degree < 2 or (known and len(known) >= algebra.dim - algebra.generic_rank()):
         return known
-    try:
-        found = algebra.casimirs(degree)
-    except ValueError:  # rounded constants that leave open what is a Casimir
-        return known
+    if algebra not in _FOUND:
+        try:
+            _FOUND[algebra] = algebra.casimirs(degree)
+        except ValueError:  # rounded constants that leave open what is a Casimir
+            _FOUND[algebra] = {}
+    found = _FOUND[algebra]
     return found if len(found) > len(known) else known
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -13,6 +14,8 @@ from coadjoint.systems.points import point
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, Term
 from coadjoint.systems.user_functions import all_take_time, check_derivative
+
+MOST_REMEMBERED = 64  # monomials
 
 
 @runtime_checkable
@@ -198,6 +201,13 @@ def _check_variables(polynomial: Polynomial, n: int) -> None:
         raise ValueError(f"the polynomial has {polynomial.dim} variables but the system has dimension {n}; give {n}")
 
 
+# The members of an ensemble follow the same Casimirs. Polynomials are equal whatever kind of numbers they hold, and the
+# kind is to be kept.
+@lru_cache(maxsize=64)
+def _quadratic(polynomial: Polynomial, kinds: tuple[type, ...]) -> Quadratic:
+    return Quadratic.from_polynomial(polynomial)
+
+
 def as_hamiltonian(H: Any, n: int) -> HamiltonianLike:
     """Return `H`, of any accepted kind, as a Hamiltonian bound to dimension `n`.
 
@@ -226,7 +236,12 @@ def as_hamiltonian(H: Any, n: int) -> HamiltonianLike:
     """
     if isinstance(H, Polynomial):
         _check_variables(H, n)
-        return Quadratic.from_polynomial(H) if H.degree <= 2 else PolynomialHamiltonian(H)
+        if H.degree > 2:
+            return PolynomialHamiltonian(H)
+        monomials = H.monomials
+        if len(monomials) > MOST_REMEMBERED:
+            return Quadratic.from_polynomial(H)
+        return _quadratic(H, tuple(map(type, monomials.values())))
     if isinstance(H, type) or not isinstance(H, HamiltonianLike):
         raise TypeError(
             f"the Hamiltonian is a {type(H).__name__}; give a Quadratic, Polynomial, Separable, SplitHamiltonian or "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -223,8 +224,12 @@ class Quadratic:
         """Return the one `QuadraticTerm`; the Hamiltonian must be bound."""
         if self.dim is None:
             raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
+        return self._terms
+
+    @cached_property
+    def _terms(self) -> tuple[Term, ...]:
         values = self._entries.astype(np.float64)
-        linear = self._linear_part(np.zeros(self.dim))
+        linear = self._linear_part(np.zeros(self._indptr.size - 1))
         return (QuadraticTerm(self._indptr, self._indices, values, linear, float(self._constant)),)
 
     def __repr__(self) -> str:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
+from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.systems.free_rigid_body import exact_solution
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.points import UNIT_ROUNDOFF
@@ -84,7 +85,13 @@ def so3_body(M: npt.NDArray[np.float64], *, sign: int, name: str, parameters: di
     1
     """
     exact = partial(exact_solution, M, sign)
-    return LiePoissonSystem(catalogue.so(3), Quadratic(M), sign=sign, name=name, parameters=parameters, exact=exact)
+    return LiePoissonSystem(_rotations(), Quadratic(M), sign=sign, name=name, parameters=parameters, exact=exact)
+
+
+@cache
+def _rotations() -> LieAlgebra:
+    """Return so(3), which does not change, to all bodies."""
+    return catalogue.so(3)
 
 
 def _positive_moments(moments: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ class QuadraticTerm:
     constant: float = 0.0
     piece: int | None = None
 
-    @property
+    @cached_property
     def rows(self) -> npt.NDArray[np.int64]:
         """Row number of every stored entry of M, shape (nnz,)."""
         return np.repeat(np.arange(self.linear.size, dtype=np.int64), np.diff(self.indptr))

@@ -1,0 +1,109 @@
+"""In which order? The one with the smallest h^2 term, of every order of few parts, or moving parts one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Sequence
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.program.parts import Part
+from coadjoint.program.second_order import Samples
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.terms import FunctionTerm, QuadraticTerm, Term
+
+MOST_PERMUTED = 5
+# More parts than this keep their order: comparing them would take longer than many a run.
+MOST_ORDERED = 8
+# Sizes that differ by rounding alone must not decide, so that every machine chooses the same.
+CLEARLY = 1.0 - 1e-9
+
+
+def best_order(
+    system: LiePoissonSystem, parts: Sequence[Part], points: NDArray[np.float64], t: float = 0.0
+) -> tuple[tuple[int, ...], float]:
+    """Return the order of the parts with the smallest root mean square of the h^2 term at some points, and that size.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        The system.
+    parts : sequence of Part
+        At most five are permuted in every way, up to eight are moved one by one while that helps, and more keep
+        their order.
+    points : ndarray, shape (k, n)
+        Where the term is taken; none for a system too large to compare.
+    t : float
+        Time.
+
+    Returns
+    -------
+    order : tuple of int
+        The natural order where the term cannot be had (no second derivatives, or too large).
+    size : float
+        Zero there.
+    """
+    return best_orders([(system, parts)], points, t)[0]
+
+
+def best_orders(
+    pairs: Sequence[tuple[LiePoissonSystem, Sequence[Part]]], points: NDArray[np.float64], t: float = 0.0
+) -> list[tuple[tuple[int, ...], float]]:
+    """Return `best_order` of several systems of one dimension, each with its parts."""
+    result = [(tuple(range(len(parts))), 0.0) for _, parts in pairs]
+    alike: dict[Hashable, list[int]] = {}
+    for m, (system, parts) in enumerate(pairs):
+        terms = system.hamiltonian.terms()
+        if len(parts) > 1 and len(points) and _has_hessians(terms):
+            pattern = tuple(column.tobytes() for column in system.algebra.triples[:3])
+            quadratic = all(isinstance(term, QuadraticTerm) for term in terms)
+            # Many parts are moved step by step, each set in its own way.
+            key: Hashable = (len(parts), quadratic, pattern) if len(parts) <= MOST_PERMUTED else m
+            alike.setdefault(key, []).append(m)
+    for members in alike.values():
+        samples = Samples([pairs[m][0].algebra for m in members], [pairs[m][1] for m in members], points, t)
+        for m, found in zip(members, _least(samples, result[members[0]][0]), strict=True):
+            result[m] = found
+    return result
+
+
+def _least(samples: Samples, natural: tuple[int, ...]) -> list[tuple[tuple[int, ...], float]]:
+    """Return for each set of parts the order with the smallest h^2 term, and its size."""
+    if len(natural) > MOST_ORDERED:
+        return [(natural, float(size)) for size in samples.sizes([natural])[:, 0]]
+    if len(natural) > MOST_PERMUTED:
+        return [_moved(samples, natural)]
+    orders = list(permutations(natural))
+    return [_first_clearly_least(orders, sizes) for sizes in samples.sizes(orders).tolist()]
+
+
+def _first_clearly_least(orders: Sequence[tuple[int, ...]], sizes: Sequence[float]) -> tuple[tuple[int, ...], float]:
+    best, least = orders[0], sizes[0]
+    for order, size in zip(orders[1:], sizes[1:], strict=True):
+        if size < least * CLEARLY:
+            best, least = order, size
+    return best, least
+
+
+def _moved(samples: Samples, natural: tuple[int, ...]) -> tuple[tuple[int, ...], float]:
+    """Move the parts of one set one by one, while that helps."""
+    best = natural
+    while True:
+        orders = [best, *_neighbours(best)]
+        found, size = _first_clearly_least(orders, samples.sizes(orders)[0].tolist())
+        if found == best:
+            return best, size
+        best = found
+
+
+def _neighbours(order: tuple[int, ...]) -> list[tuple[int, ...]]:
+    moved = []
+    for source in range(len(order)):
+        rest = order[:source] + order[source + 1 :]
+        moved += [rest[:k] + order[source : source + 1] + rest[k:] for k in range(len(order)) if k != source]
+    return moved
+
+
+def _has_hessians(terms: Iterable[Term]) -> bool:
+    return all(not isinstance(term, FunctionTerm) or term.hessian is not None for term in terms)

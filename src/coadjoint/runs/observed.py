@@ -1,0 +1,86 @@
+"""Further quantities along a run: what `observe` asks for, compiled once and evaluated at the saved points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.invariant import Invariant
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.methods.base import System
+from coadjoint.systems.user_functions import takes_time
+
+
+class Observed:
+    """Quantities to be evaluated along saved points.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        For the number of coordinates.
+    observe : mapping
+        Name -> `Polynomial` or function of x.
+    x0 : ndarray, shape (n,)
+        A state; there a function must return one real number.
+
+    Raises
+    ------
+    TypeError
+        Not a mapping of names to functions, or a function that returns something else or cannot be compiled.
+    """
+
+    def __init__(self, system: System, observe: Mapping[str, Any], x0: NDArray[np.float64]) -> None:
+        from coadjoint.kernels.tables import watch_tables
+        from coadjoint.kernels.watching import values_along
+
+        for name, given in observe.items():
+            value = _value_at(given, name, x0)
+            if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
+                raise TypeError(f"observe[{name!r}] returns {value!r} at the start; it must return one real number")
+        self._names = list(observe)
+        kinds = (Polynomial, Invariant)
+        wrapped = {name: given if isinstance(given, kinds) else Invariant(given) for name, given in observe.items()}
+        self._compiled, self._values_along = watch_tables(system, wrapped), values_along
+
+    def along(self, t: NDArray[np.float64], points: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """Return the values (k, members) of every quantity at the times (k,) and points (k, members, n)."""
+        # The first invariant of a watch is the energy.
+        out = np.empty((*points.shape[:2], len(self._names) + 1))
+        self._values_along(self._compiled.tables, points, t, out)
+        return {name: out[..., i + 1] for i, name in enumerate(self._names)}
+
+
+def check_observe(observe: Any) -> dict[str, Any]:
+    """Return a copy of what is to be observed, or refuse it.
+
+    Parameters
+    ----------
+    observe : mapping
+        Name -> `Polynomial` or function of x.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    TypeError
+        Something else.
+    """
+    if not isinstance(observe, Mapping) or not all(isinstance(name, str) for name in observe):
+        raise TypeError(f"observe is {observe!r}; it must map names to Polynomials or functions of x")
+    for name, given in observe.items():
+        if not isinstance(given, Polynomial | Invariant) and not callable(given):
+            raise TypeError(f"observe[{name!r}] is {given!r}; it must be a Polynomial or a function of x")
+    return dict(observe)
+
+
+def _value_at(given: Any, name: str, x0: NDArray[np.float64]) -> Any:
+    """Return a quantity at the start; NaN where it is not defined there, which the run then says of it as well."""
+    try:
+        return 0.0 if isinstance(given, Polynomial) or takes_time(given, name) else given(x0)
+    except (ArithmeticError, ValueError, OSError):
+        return float("nan")

@@ -1,0 +1,196 @@
+"""A run made ready: tables and compiled functions once, for many short calls."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.methods.base import Method, System
+from coadjoint.methods.splitting import Splitting
+from coadjoint.runs.batch_loops import BatchLoops
+from coadjoint.runs.loops import Loops, SystemLoops
+from coadjoint.runs.observed import Observed, check_observe
+from coadjoint.runs.run import Run
+from coadjoint.runs.solution import Solution
+from coadjoint.runs.start import Start, check_system, momenta_of, representations_of, with_group
+from coadjoint.runs.times import Times, checked_step, is_positive_whole, times_of
+from coadjoint.systems.batch import Batch
+
+
+class PreparedRun:
+    """A system, a scheme and a step with everything that does not depend on the initial state; see `prepare`.
+
+    It does not change: several threads may run it at the same time, each run has arrays of its own.
+
+    Attributes
+    ----------
+    system, method, step
+        What runs.
+    """
+
+    def __init__(
+        self,
+        system: System | Batch,
+        method: Method | None,
+        step: float,
+        *,
+        attitude: Any = False,
+        watch: bool = True,
+        observe: Mapping[str, Any] | None = None,
+        threads: int | None = None,
+    ) -> None:
+        scheme = Splitting() if method is None else method
+        if not isinstance(scheme, Method):
+            raise TypeError(f"method is {method!r}; it must be a scheme such as Splitting(order=2)")
+        if not isinstance(watch, bool | np.bool_):
+            raise TypeError(f"watch is {watch!r}; it must be True or False")
+        if threads is not None and not is_positive_whole(threads):
+            raise ValueError(f"threads is {threads!r}; it must be a positive whole number, or None for all cores")
+        check_system(system)
+        self.system, self.method, self.step = system, scheme, checked_step(step)
+        self._attitude, self._watching = attitude, bool(watch)
+        self._representations = representations_of(system, scheme, attitude)
+        self._observe = check_observe(observe or {})
+        self._threads = int(threads) if threads is not None else os.cpu_count() or 1
+        self._made: dict[float, Loops] = {}
+        self._observed: Observed | None = None
+        self._making = threading.RLock()
+
+    def __repr__(self) -> str:
+        return f"<prepared run of {self.system!r} by {self.method}, step {self.step:g}>"
+
+    def run(
+        self, x0: Any, t_span: tuple[float, float], save_every: int = 1, *, attitude: Any = None, progress: bool = False
+    ) -> Solution:
+        """Integrate from an initial state; the same bits as `integrate`.
+
+        Parameters
+        ----------
+        x0 : array_like, shape (n,) or (members, n)
+            Initial momentum, as in `integrate`.
+        t_span : (float, float)
+            Start and end; backward where the end lies before the start. A whole number of steps.
+        save_every : int
+            Keep every k-th step, the start and the end.
+        attitude : array_like, shape (d, d) or (members, d, d), optional
+            The initial group element of this run, in place of the one that was prepared.
+        progress : bool
+            Show a progress bar.
+
+        Returns
+        -------
+        Solution
+
+        Raises
+        ------
+        ValueError, TypeError
+            For wrong input, before the first step.
+        IntegrationError
+            As in `integrate`.
+        """
+        times = times_of(t_span, self.step, save_every)
+        return self.follow(times, self.start(x0, attitude), progress)
+
+    def start(self, x0: Any, attitude: Any = None) -> Start:
+        """Return a checked initial state for `follow`; x0 and attitude as in `run`."""
+        representation = self._representations[0]
+        if attitude is not None and (representation is None or isinstance(attitude, bool | str)):
+            raise ValueError(
+                "attitude of a run is an initial group element, an array; which matrices are carried is said "
+                f"when it is prepared, with attitude=True or 'coadjoint' (here {self._attitude!r})"
+            )
+        momenta, single = momenta_of(self.system, x0)
+        initial = self._attitude if attitude is None else attitude
+        return with_group(self.system, momenta, single, representation, initial)
+
+    def follow(self, times: Times, start: Start, progress: bool = False) -> Solution:
+        """Take the steps of `times`, whose step is the prepared one or its negative, from a checked state."""
+        run = Run(self.system, self.method, self.loops(times.h), times, start, self._watching)
+        observed = self._observed_at(start.momenta[0]) if self._observe else None
+        run.advance(min(len(start.momenta), self._threads), progress)
+        return run.solution(observed)
+
+    def loops(self, h: float) -> Loops:
+        """Return the loops of a step or of its negative; those of each direction are made when first needed."""
+        found = self._made.get(h)
+        if found is None:
+            with self._making:
+                found = self._made.get(h) or self._loops(h)
+                self._made[h] = found
+        return found
+
+    def _loops(self, h: float) -> Loops:
+        if isinstance(self.system, Batch):
+            return BatchLoops(self.system, self.method, h, self._representations)
+        return SystemLoops(self.system, self.method, h, self._representations[0])
+
+    def _observed_at(self, x0: NDArray[np.float64]) -> Observed:
+        with self._making:
+            if self._observed is None:
+                system = self.system[0] if isinstance(self.system, Batch) else self.system
+                self._observed = Observed(system, self._observe, x0)
+        return self._observed
+
+
+def prepare(
+    system: System | Batch,
+    method: Method | None,
+    step: float,
+    *,
+    attitude: Any = False,
+    watch: bool = True,
+    observe: Mapping[str, Any] | None = None,
+    threads: int | None = None,
+) -> PreparedRun:
+    """Make a run ready once, for many short calls: control loops, shooting, maps, ensembles that arrive one by one.
+
+    `integrate` does the same and throws it away. Parameters are those of `integrate`; the initial state and the times
+    are said at each run.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem, PoissonSystem or Batch
+        What moves.
+    method : Method or None
+        The scheme; `Splitting()` of order 2 if None.
+    step : float
+        Size of a step, positive. Runs backward are made ready when the first one comes.
+    attitude : bool, "coadjoint", or array_like
+        The group element carried beside the momentum; an array is the initial one of every run that does not give its
+        own.
+    watch : bool
+        Follow the energy and every Casimir over every step; otherwise over the saved points.
+    observe : mapping, optional
+        Name -> `Polynomial` or function of x: further quantities, evaluated at the saved points.
+    threads : int, optional
+        Threads for the members of an ensemble; None is one for each core.
+
+    Returns
+    -------
+    PreparedRun
+        ``run(x0, t_span, save_every=1)`` returns a `Solution`. Threads may share it.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For wrong input.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> ready = co.prepare(co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(order=4), step=0.05)
+    >>> there = ready.run((0.1, 1.0, 0.1), t_span=(0, 5), save_every=50)
+    >>> there.t
+    array([0. , 2.5, 5. ])
+    >>> back = ready.run(there.x[-1], t_span=(5, 0), save_every=100)
+    >>> bool(abs(back.x[-1] - there.x[0]).max() < 1e-13)
+    True
+    """
+    ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads)
+    ready.loops(ready.step)
+    return ready

@@ -1,0 +1,131 @@
+"""An ensemble whose members have the same structure and other constants: one system for each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import zip_longest
+from typing import Any
+
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.poisson import PoissonSystem
+
+Member = LiePoissonSystem | PoissonSystem
+
+
+class Batch:
+    """Systems of one structure with other constants, one for each member of an ensemble; see `batch`.
+
+    Parameters
+    ----------
+    systems : iterable of LiePoissonSystem, or of PoissonSystem
+        The members.
+
+    Attributes
+    ----------
+    systems : tuple
+        The members.
+    dim, sign : int
+        Of every member.
+    """
+
+    def __init__(self, systems: Iterable[Member]) -> None:
+        if isinstance(systems, Member | Batch) or not isinstance(systems, Iterable):
+            raise TypeError(f"batch was given {systems!r}; give a list of systems, one for each member")
+        self.systems = tuple(systems)
+        if not self.systems:
+            raise ValueError("the batch is empty; give at least one system")
+        for m, system in enumerate(self.systems):
+            if not isinstance(system, Member):
+                raise TypeError(
+                    f"member {m} of the batch is {system!r}; it must be a LiePoissonSystem or a PoissonSystem"
+                )
+            difference = _difference(self.systems[0], system)
+            if difference:
+                raise ValueError(
+                    f"member {m} of the batch {difference}; members have the same structure and other constants"
+                )
+        self.dim, self.sign = self.systems[0].dim, self.systems[0].sign
+
+    @property
+    def name(self) -> str:
+        """That of the members, the first two where they differ, and how many there are."""
+        names = list(dict.fromkeys(system.name for system in self.systems))
+        shown = ", ".join(names[:2]) + (", ..." if len(names) > 2 else "")
+        return f"batch of {len(self)} ({shown})"
+
+    def __len__(self) -> int:
+        return len(self.systems)
+
+    def __getitem__(self, member: int) -> Member:
+        return self.systems[member]
+
+    def __iter__(self) -> Iterator[Member]:
+        return iter(self.systems)
+
+    def __repr__(self) -> str:
+        return f"<{self.name}>"
+
+
+def _difference(first: Any, other: Any) -> str:
+    """Return how the structure of a system differs from that of the first member; empty where it does not."""
+    if type(other) is not type(first):
+        return f"is a {type(other).__name__} and member 0 a {type(first).__name__}"
+    if other.dim != first.dim:
+        return f"has dimension {other.dim} and member 0 has {first.dim}"
+    if other.sign != first.sign:
+        return f"has sign={other.sign:+d} and member 0 has {first.sign:+d}"
+    if first.algebra is not None and other.algebra is not first.algebra:
+        bracket = _own_bracket(first.algebra, other.algebra)
+        if bracket:
+            return bracket
+    for mine, theirs in zip_longest(first.casimirs, other.casimirs):
+        if mine != theirs and set(first.casimirs) != set(other.casimirs):
+            return f"has the Casimirs {list(other.casimirs)} and member 0 has {list(first.casimirs)}"
+    return ""
+
+
+def _own_bracket(first: Any, other: Any) -> str:
+    """Return the first component of a bracket that is zero in one of two algebras and not in the other."""
+    mine, theirs = (list(zip(*(a.triples[side].tolist() for side in range(3)), strict=True)) for a in (first, other))
+    if mine == theirs:
+        return ""
+    i, j, k = min(set(mine).symmetric_difference(theirs))
+    e = first.basis
+    has, misses = ("member 0 has", "it has not") if (i, j, k) in set(mine) else ("it has", "member 0 has not")
+    return f"has another algebra: [{e[i]}, {e[j]}] with a component along {e[k]}, which {has} and {misses}"
+
+
+def batch(systems: Iterable[Member]) -> Batch:
+    """Return systems of the same structure with other constants, as one ensemble for `integrate` and `prepare`.
+
+    Choose it for scans over parameters: inertias, coupling constants, constants of the algebra. Every member has the
+    bits that it has alone. For one system with many initial states give x0 of shape (members, n) instead.
+
+    Parameters
+    ----------
+    systems : iterable of LiePoissonSystem, or of PoissonSystem
+        One for each member. Of one kind, dimension and sign; with the same brackets not zero, and Casimirs of the same
+        names. Structure constants, Hamiltonians (functions too), Casimirs and representations may differ.
+
+    Returns
+    -------
+    Batch
+        In place of the system in `integrate`: x0 is (members, n), or (n,) shared by all.
+
+    Raises
+    ------
+    ValueError, TypeError
+        No systems, or a member of another structure; the member is named, and what differs.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> bodies = co.batch([co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.5, 2.75, 3)])
+    >>> sol = co.integrate(bodies, (0.1, 1.0, 0.1), t_span=(0, 10), step=0.1)
+    >>> sol.x.shape, sol.energy.shape
+    ((101, 3, 3), (101, 3))
+    >>> alone = co.integrate(bodies[2], (0.1, 1.0, 0.1), t_span=(0, 10), step=0.1)
+    >>> bool((sol.x[:, 2] == alone.x).all())
+    True
+    """
+    return Batch(systems)

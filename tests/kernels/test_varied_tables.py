@@ -1,0 +1,79 @@
+"""Members that differ in their constants alone: one set of tables, from which each gets its own back."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.kernels.tables import watch_tables
+from coadjoint.kernels.varied_tables import picked, stacked, structure_of
+from coadjoint.runs.batch_loops import groups_of
+from coadjoint.runs.prepare import loop_of
+
+METHODS = [
+    co.Splitting(order=4),
+    co.GaussLegendre(2),
+    co.ModifiedGaussLegendre(1, freeze="structure"),
+    co.RadauEnergy(2),
+]
+
+
+def members():
+    algebras = [co.algebras.get("A3,7", a=a) for a in (1.0, 1.75, 2.5)]
+    return [co.LiePoissonSystem(g, co.Quadratic([1.0, 2.0, 0.25 * (k + 1)])) for k, g in enumerate(algebras)]
+
+
+def leaves(tables):
+    for item in tables:
+        if isinstance(item, tuple):
+            yield from leaves(item)
+        else:
+            yield item
+
+
+@pytest.mark.parametrize("method", METHODS, ids=str)
+@pytest.mark.parametrize("group", [None, "coadjoint"])
+def test_picking_from_a_stack_gives_the_tables_of_the_member(method, group):
+    if isinstance(method, co.RadauEnergy) and group:
+        group = None
+    tables = [loop_of(system, method, 0.1, group).tables for system in members()]
+    assert len({structure_of(own) for own in tables}) == 1
+    varied = stacked(tables)
+    differing = 0
+    for m, own in enumerate(tables):
+        again = picked(varied, m)
+        assert type(again) is type(own) and structure_of(again) == structure_of(own)
+        for one, other, stack in zip(leaves(own), leaves(again), leaves(varied), strict=True):
+            if not isinstance(one, np.ndarray):
+                assert one == other
+                continue
+            assert one.dtype == other.dtype and one.tobytes() == other.tobytes()
+            assert other.flags.c_contiguous and other.flags.writeable
+            if one.dtype == np.float64:
+                assert stack.shape == (*one.shape, len(tables)) and stack.flags.c_contiguous
+                differing += not np.array_equal(one, stack[..., 0])
+    assert differing > 0
+
+
+def test_structure_is_everything_but_constants():
+    system = members()[0]
+    two, four = (loop_of(system, co.Splitting(order=order), 0.1, None).tables for order in (2, 4))
+    other_step = loop_of(system, co.Splitting(order=2), 0.2, None).tables
+    assert structure_of(two) == structure_of(other_step) and structure_of(two) != structure_of(four)
+    assert structure_of(two) != structure_of(two._replace(compensated=True))
+    assert structure_of(two) != structure_of(two._replace(part=two.part + np.uint32(1)))
+
+
+def test_groups_hold_members_of_one_structure():
+    """A member of another order of parts, in the middle, has a group of its own."""
+    inertias = [(1, 2, 3), (1, 2, 3.5), (3, 1, 2), (1, 2, 4)]
+    systems = [co.systems.rigid_body(inertia) for inertia in inertias]
+    prepared = [loop_of(system, co.Splitting(), 0.1, None) for system in systems]
+    watches = [watch_tables(system, system.casimirs).tables for system in systems]
+    groups = groups_of(prepared, watches)
+    assert sorted(m for group in groups for m in group.members.tolist()) == [0, 1, 2, 3]
+    assert [0, 1, 3] in [group.members.tolist() for group in groups]
+    for group in groups:
+        for column, m in enumerate(group.members):
+            for varied, own in ((group.tables, prepared[m].tables), (group.watch, watches[m])):
+                for one, other in zip(leaves(picked(varied, column)), leaves(own), strict=True):
+                    assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other

@@ -1,0 +1,187 @@
+"""Batches: what they refuse, and everything that a solution of one offers."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.runs.export import rebuild
+from coadjoint.runs.output import write_dataset
+
+X = (0.1, 1.0, 0.2)
+
+
+def body(*inertia):
+    return co.systems.rigid_body(inertia)
+
+
+def spiral(a, M=(1.0, 2.0, 0.5)):
+    return co.LiePoissonSystem(co.algebras.get("A3,7", a=a), co.Quadratic(M), name=f"spiral {a:g}")
+
+
+def flat(dim=2, scale=1.0):
+    J = np.zeros((dim, dim))
+    J[0, 1], J[1, 0] = 1.0, -1.0
+    return co.PoissonSystem(lambda x: J, co.Quadratic([scale] * dim), dim=dim, name="flat")
+
+
+REFUSED = {
+    "empty": (lambda: [], ValueError, "the batch is empty; give at least one system"),
+    "one system": (lambda: body(1, 2, 3), TypeError, "give a list of systems"),
+    "no system": (lambda: [body(1, 2, 3), 5], TypeError, "member 1 of the batch is 5; it must be a LiePoissonSystem"),
+    "dimension": (
+        lambda: [body(1, 2, 3), body(1, 2, 4), co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(1.0))],
+        ValueError,
+        "member 2 of the batch has dimension 6 and member 0 has 3",
+    ),
+    "kind": (
+        lambda: [body(1, 2, 3), flat(3)],
+        ValueError,
+        "member 1 of the batch is a PoissonSystem and member 0 a Lie",
+    ),
+    "sign": (
+        lambda: [body(1, 2, 3), co.systems.paper_rigid_body()],
+        ValueError,
+        r"member 1 of the batch has sign=\+1 and member 0 has -1",
+    ),
+    "algebra": (
+        lambda: [spiral(1.0), spiral(2.0), co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1.0))],
+        ValueError,
+        r"member 2 of the batch has another algebra: \[e1, e2\] with a component along e3, which it has and member 0",
+    ),
+    "casimirs": (
+        lambda: [body(1, 2, 3), co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1.0), -1, casimirs={})],
+        ValueError,
+        r"member 1 of the batch has the Casimirs \[\] and member 0 has \['\|x\|\^2'\]",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refusals(case):
+    systems, kind, message = REFUSED[case]
+    with pytest.raises(kind, match=message) as refusal:
+        co.batch(systems())
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("shape", [(2, 3), (4, 3), (3, 2), (3, 1, 3), (4,), ()])
+def test_wrong_shapes_of_x0(shape):
+    batch = co.batch([body(1, 2, 3), body(1, 2, 4), body(1, 2, 5)])
+    with pytest.raises(ValueError, match=r"a batch of 3 members needs \(3, 3\), or \(3,\) for all of them"):
+        co.integrate(batch, np.ones(shape), (0, 1), 0.1)
+
+
+def test_a_batch_is_no_single_system():
+    batch = co.batch([body(1, 2, 3)])
+    with pytest.raises(TypeError, match="it must be one system"):
+        co.stepper(batch, co.Splitting(), 0.1)
+    assert co.integrate(batch, X, (0, 1), 0.1).x.shape == (11, 1, 3)
+
+
+def test_what_a_scheme_cannot_serve_names_the_member():
+    split = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 2.0, 3.0]))
+    coupled = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(2, 1, 0): 1.0}))
+    with pytest.raises(ValueError, match=r"member 1 of the batch: Splitting cannot serve"):
+        co.integrate(co.batch([split, coupled]), X, (0, 1), 0.1)
+
+
+def test_representations_of_other_sizes_carry_no_common_attitude():
+    so3 = co.algebras.so(3)
+    larger = np.zeros((3, 4, 4))
+    larger[:, :3, :3] = so3.representation
+    batch = co.batch(
+        [co.LiePoissonSystem(so3, co.Quadratic(M), representation=r) for M, r in ((1.0, None), (2.0, larger))]
+    )
+    with pytest.raises(ValueError, match=r"member 1 of the batch has a representation of shape \(3, 4, 4\)"):
+        co.integrate(batch, X, (0, 1), 0.1, attitude=True)
+    assert co.integrate(batch, X, (0, 1), 0.1, attitude="coadjoint").attitude.shape == (11, 2, 3, 3)
+
+
+def test_each_member_follows_its_own_casimirs():
+    """The Casimir of A3,7 holds a: with that of another member it would drift at once."""
+    systems = [spiral(a) for a in (0.5, 1.0, 3.0)]
+    sol = co.integrate(co.batch(systems), X, (0, 5), 0.05, observe={"first": lambda x: x[0]})
+    (name,) = systems[0].casimirs
+    for m, system in enumerate(systems):
+        casimir = system.casimirs[name]
+        expected = [casimir(x) for x in sol.x[:, m]]
+        # The function in Python and its compiled twin round a logarithm and an angle differently.
+        wrapped = (sol.casimirs[name][:, m] - expected) / (casimir.period or np.inf)
+        assert np.abs(wrapped - np.round(wrapped)).max() < 1e-12
+        assert sol.drift()[name].members[m] < 1e-12 * len(sol.t)
+    assert np.array_equal(sol.observed["first"], sol.x[..., 0])
+    assert len(np.unique(sol.casimirs[name][0])) == 3
+
+
+def test_a_member_that_fails_leaves_the_others():
+    """The exact flow of a dilation overflows; the mask is in the order of the members, whatever their groups."""
+    bad = spiral(2.0, ((1.0, 0.3, 0.0), (0.3, -2.0, 0.1), (0.0, 0.1, 0.5)))
+    systems = [spiral(1.0), bad, spiral(1.5), spiral(1.0, (2.0, 1.0, 0.5))]
+    x0 = np.array([X, (1e3, 2e3, 3e3), X, X])
+    with pytest.raises(co.IntegrationError, match=r"for 1 of 4 members \(first: member 1\)") as failure:
+        co.integrate(co.batch(systems), x0, (0, 20), 0.5)
+    partial = failure.value.partial
+    assert partial.failed.tolist() == [False, True, False, False]
+    assert np.isnan(partial.x[-1, 1]).all() and np.isfinite(partial.x[:, [0, 2, 3]]).all()
+    for m in (0, 2, 3):
+        assert np.array_equal(partial.x[:, m], co.integrate(systems[m], x0[m], (0, 20), 0.5).x)
+
+
+def test_statistics_and_drift_have_a_place_for_each_member():
+    batch = co.batch([body(1, 2, 3), body(3, 1, 2), body(1, 1, 2)])
+    sol = co.integrate(batch, X, (0, 10), 0.1, co.Splitting(order=4), watch=False)
+    assert sol.failed.tolist() == [False] * 3 and sol.stats.steps == 100
+    drift = sol.drift()["energy"]
+    assert drift.members.shape == (3,) and drift.initial.shape == (3,)
+    worst = np.abs(sol.energy - sol.energy[0]).max(axis=0)
+    assert np.array_equal(drift.members, worst)
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".zarr"])
+def test_a_dataset_of_a_batch_runs_again_to_the_same_bits(suffix, tmp_path):
+    import xarray
+
+    batch = co.batch([body(1, 2, 3 + m / 500) for m in range(600)])  # a record above 64 kB of some formats' attributes
+    first = co.integrate(batch, X, (0, 1), 0.1, attitude=True)
+    dataset = first.to_xarray()
+    assert dict(dataset.sizes)["member"] == 600
+    path = tmp_path / f"run{suffix}"
+    write_dataset(dataset, path)
+    with xarray.open_dataset(path, engine={".nc": "h5netcdf", ".zarr": "zarr"}[suffix]) as read:
+        again = rebuild(read.load())
+    assert np.array_equal(again.x, first.x) and np.array_equal(again.attitude, first.attitude)
+    assert again.system.name == first.system.name
+
+
+def test_functions_of_members_are_named_as_not_stored():
+    H = co.Separable({0: (lambda y: y * y, lambda y: 2 * y)})
+    batch = co.batch([co.LiePoissonSystem(co.algebras.so(3), h) for h in (co.Quadratic(1.0), H)])
+    dataset = co.integrate(batch, X, (0, 1), 0.1).to_xarray()
+    assert "(member 1)" in dataset.attrs["not_stored"]
+    with pytest.raises(ValueError, match="functions are not stored"):
+        rebuild(dataset)
+
+
+def test_a_figure_of_a_batch():
+    from matplotlib import pyplot
+
+    figure = co.integrate(co.batch([body(1, 2, 3), body(1, 2, 4)]), X, (0, 10), 0.1).plot()
+    assert "batch of 2 (rigid\\_body)" in figure._suptitle.get_text() or "batch of 2" in figure._suptitle.get_text()
+    pyplot.close(figure)
+
+
+def test_a_batch_is_a_sequence_with_a_name():
+    systems = [spiral(a) for a in (1.0, 1.5, 2.0)]
+    batch = co.batch(iter(systems))
+    assert len(batch) == 3 and list(batch) == systems and batch[1] is systems[1] and batch.dim == 3
+    assert repr(batch) == "<batch of 3 (spiral 1, spiral 1.5, ...)>"
+
+
+def test_a_scan_looks_for_the_casimirs_of_an_algebra_once(monkeypatch):
+    searched = []
+    real = co.LieAlgebra.casimirs
+    monkeypatch.setattr(co.LieAlgebra, "casimirs", lambda g, degree: searched.append(g) or real(g, degree))
+    brackets = {(0, 1): {2: 3.0}, (1, 2): {0: 5.0}, (2, 0): {1: 7.0}}
+    systems = [co.LiePoissonSystem(co.LieAlgebra.from_brackets(3, brackets), co.Quadratic(float(m))) for m in (1, 2, 3)]
+    names = [list(system.casimirs) for system in co.batch(systems)]
+    assert names == [["C2"]] * 3 and len(searched) == 1

@@ -1,0 +1,125 @@
+"""Runs that were made ready once: the results of `integrate`, in several threads, without set-up."""
+
+import threading
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.runs import loops, prepared_run, run
+
+BODY = co.systems.rigid_body((1, 2, 3))
+X = np.array([0.1, 1.0, 0.2])
+
+
+def test_everything_is_as_with_integrate():
+    options = {"attitude": True, "watch": False, "observe": {"x1": lambda x: x[0]}, "threads": 2}
+    method = co.Splitting(order=4)
+    many = X * np.linspace(1, 2, 5)[:, None]
+    ready = co.prepare(BODY, method, 0.1, **options)
+    for _ in range(2):
+        sol = ready.run(many, (1, 3), 4)
+        once = co.integrate(BODY, many, (1, 3), 0.1, method, save_every=4, **options)
+        for name in ("t", "x", "energy", "attitude", "failed"):
+            assert np.array_equal(getattr(sol, name), getattr(once, name))
+        assert np.array_equal(sol.observed["x1"], once.observed["x1"])
+        assert (sol.t_span, sol.step, sol.save_every, sol.watched) == ((1.0, 3.0), 0.1, 4, False)
+    assert ready.run(X, (0, 1)).x.shape == (11, 3)
+
+
+def test_each_direction_is_prepared_once(monkeypatch):
+    calls = []
+    real = loops.loop_of
+    monkeypatch.setattr(
+        loops, "loop_of", lambda system, method, h, group: calls.append(h) or real(system, method, h, group)
+    )
+    ready = co.prepare(BODY, None, 0.1)
+    assert calls == [0.1]
+    there = ready.run(X, (0, 2))
+    back = ready.run(there.x[-1], (2, 0))
+    again = ready.run(there.x[-1], (2, 0))
+    assert calls == [0.1, -0.1]
+    assert np.array_equal(back.x, again.x) and np.abs(back.x[-1] - X).max() < 1e-14 * 20
+
+
+def test_a_run_keeps_its_arrays_when_another_follows():
+    ready = co.prepare(BODY, co.GaussLegendre(2), 0.1, attitude=True)
+    first = ready.run(X, (0, 1))
+    kept = first.x.copy(), first.attitude.copy()
+    ready.run(2 * X, (0, 1))
+    assert np.array_equal(first.x, kept[0]) and np.array_equal(first.attitude, kept[1])
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(3), co.RadauEnergy(2)], ids=str)
+def test_threads_may_share_one(method):
+    ready = co.prepare(BODY, method, 0.01, observe={"x1": lambda x: x[0]}, threads=1)
+    states = X * np.linspace(0.5, 2.0, 8)[:, None]
+    expected = [co.integrate(BODY, x, (0, 5), 0.01, method, save_every=50) for x in states]
+    found, gate = {}, threading.Barrier(len(states))
+
+    def work(m):
+        gate.wait()
+        for span in ((0, -0.01), (0, 5), (0, 5)):
+            found[m] = ready.run(states[m], span, 50)
+
+    workers = [threading.Thread(target=work, args=(m,)) for m in range(len(states))]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    for m, once in enumerate(expected):
+        assert np.array_equal(found[m].x, once.x) and np.array_equal(found[m].energy, once.energy)
+
+
+def test_one_thread_starts_none(monkeypatch):
+    def refused(*_):
+        raise AssertionError("a thread for one member")
+
+    monkeypatch.setattr(run, "ThreadPoolExecutor", refused)
+    assert co.prepare(BODY, None, 0.1, threads=8).run(X, (0, 1)).x.shape == (11, 3)
+    assert co.prepare(BODY, None, 0.1, threads=1).run([X, X], (0, 1)).x.shape == (11, 2, 3)
+    with pytest.raises(AssertionError, match="a thread"):
+        co.prepare(BODY, None, 0.1, threads=2).run([X, X], (0, 1))
+
+
+def test_initial_group_element_of_each_run():
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    ready = co.prepare(BODY, None, 0.1, attitude=True)
+    turned = ready.run(X, (0, 1), attitude=quarter)
+    assert np.array_equal(turned.attitude, co.integrate(BODY, X, (0, 1), 0.1, attitude=quarter).attitude)
+    assert np.array_equal(ready.run(X, (0, 1)).attitude[0], np.eye(3))
+    for wrong in (True, "coadjoint"):
+        with pytest.raises(ValueError, match="an initial group element, an array"):
+            ready.run(X, (0, 1), attitude=wrong)
+    with pytest.raises(ValueError, match="is said when it is prepared"):
+        co.prepare(BODY, None, 0.1).run(X, (0, 1), attitude=quarter)
+    with pytest.raises(ValueError, match=r"attitude has the shape \(2, 2\)"):
+        ready.run(X, (0, 1), attitude=np.eye(2))
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "message"),
+    [
+        ({"method": "strang"}, TypeError, "it must be a scheme"),
+        ({"step": 0.0}, ValueError, "it must be positive"),
+        ({"step": "a"}, TypeError, "it must be a number"),
+        ({"watch": 1}, TypeError, "watch is 1"),
+        ({"threads": 0}, ValueError, "threads is 0"),
+        ({"observe": [1]}, TypeError, "it must map names"),
+        ({"attitude": "spin"}, ValueError, "attitude is 'spin'"),
+        ({"system": 3}, TypeError, "system is 3"),
+    ],
+)
+def test_what_is_refused_before_any_run(options, kind, message):
+    given = {"system": BODY, "method": None, "step": 0.1, **options}
+    with pytest.raises(kind, match=message):
+        co.prepare(given.pop("system"), given.pop("method"), given.pop("step"), **given)
+
+
+def test_what_a_run_refuses():
+    ready = prepared_run.PreparedRun(BODY, None, 0.1)
+    with pytest.raises(ValueError, match="does not divide"):
+        ready.run(X, (0, 0.25))
+    with pytest.raises(ValueError, match=r"x0 has the shape \(2,\)"):
+        ready.run(X[:2], (0, 1))
+    assert ready._made == {}  # nothing was prepared for wrong input
