@@ -28,14 +28,7 @@ def measure(rounds: int, only: Sequence[str]) -> dict[str, Any]:
         "rounds": rounds,
         "versions": {solver.package: importlib.metadata.version(solver.package) for solver in solvers},
         "missing": missing,
-        "problems": {
-            problem.name: {
-                "span": problem.span,
-                "dim": problem.system.dim,
-                "runs": scan.measure(problem, solvers, rounds),
-            }
-            for problem in chosen
-        },
+        "problems": {problem.name: scan.measure(problem, solvers, rounds) for problem in chosen},
     }
     (HERE / "build" / "work_precision.json").write_text(json.dumps(measured, indent=1))
     figure.draw(measured, HERE / "build" / "work_precision.png")

@@ -1,18 +1,20 @@
 """coadjoint through its public interface.
 
-Where `co.choose` exists, it chooses scheme and step for an accuracy, the settings are accuracies, and the time of the
-choice is set-up. Where it does not, schemes and steps are scanned as the tolerances of the others are.
+"coadjoint": `co.choose` chooses scheme and step for an accuracy; the settings are accuracies, and the time of the choice
+is set-up. "coadjoint, scanned": many schemes and steps, so that one sees what the choice gives away. Without `co.choose`
+the scan is all there is.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 import coadjoint as co
 from work_precision.problems import Problem
-from work_precision.solver import Solve, Solver, decades
+from work_precision.solver import Failed, Solve, Solver, decades
 
 SCANNED = (
     *((co.Splitting(order=2), angle) for angle in (0.4, 0.1)),
@@ -29,7 +31,11 @@ def end(problem: Problem, x0: np.ndarray, span: float, step: float, method: Any)
     """Integrate with the nearest whole number of steps."""
     steps = max(1, round(span / step))
     times, step = (0.0, span), span / steps
-    return co.integrate(problem.system, x0, times, step, method, save_every=steps, watch=False, threads=1).x[-1]
+    try:
+        done = co.integrate(problem.system, x0, times, step, method, save_every=steps, watch=False, threads=1)
+    except co.IntegrationError as reason:
+        raise Failed(str(reason)) from reason
+    return done.x[-1]
 
 
 def scanned(problem: Problem, setting: tuple[Any, float]) -> Solve:
@@ -44,7 +50,10 @@ def scanned(problem: Problem, setting: tuple[Any, float]) -> Solve:
 
 def chosen(problem: Problem, accuracy: float) -> Solve:
     span = (0.0, problem.span)
-    choices = {x.tobytes(): co.choose(problem.system, x, span, accuracy) for x in problem.states}
+    try:
+        choices = {x.tobytes(): co.choose(problem.system, x, span, accuracy) for x in problem.states}
+    except ValueError as reason:  # no scheme reaches it in double precision
+        raise Failed(str(reason)) from reason
 
     def solve(x0: np.ndarray, span: float) -> np.ndarray:
         choice = choices[x0.tobytes()]
@@ -55,6 +64,7 @@ def chosen(problem: Problem, accuracy: float) -> Solve:
 
 
 def solvers() -> list[Solver]:
-    if hasattr(co, "choose"):
-        return [Solver("coadjoint", "coadjoint", decades(2, 13, 1), chosen)]
-    return [Solver("coadjoint", "coadjoint", SCANNED, scanned)]
+    scan = Solver("coadjoint, scanned", "coadjoint", SCANNED, scanned)
+    if not hasattr(co, "choose"):
+        return [replace(scan, name="coadjoint")]
+    return [Solver("coadjoint", "coadjoint", decades(2, 13, 1), chosen, prepares_each_state=True), scan]

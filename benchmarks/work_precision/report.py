@@ -69,11 +69,13 @@ def problem_table(name: str, found: dict[str, Any]) -> str:
         costs = [f"{1e3 * min(run['call'] for run in runs):.2g}", f"{max(run['setup'] for run in runs):.2g}"]
         best = f"{min(run['error'] for run in runs):.0e}"
         lines.append(f"| {' | '.join([solver, *times, best, *drifts, *costs])} |")
+    if found["failed"]:
+        lines += ["", "Not run to the end: " + "; ".join(found["failed"])]
     return "\n".join(lines)
 
 
 def best_other(target: float, solvers: dict[str, list[Run]]) -> tuple[float, str] | None:
-    times = [(time_to(target, runs), name) for name, runs in solvers.items() if name not in (OURS, STEPPING)]
+    times = [(time_to(target, runs), name) for name, runs in solvers.items() if not name.startswith(OURS)]
     return min(((seconds, name) for seconds, name in times if seconds is not None), default=None)
 
 

@@ -32,9 +32,9 @@ class Run:
     setting: str
     states: int
     setup: float
-    error: float
-    energy: float
-    casimirs: float
+    error: float = 0.0
+    energy: float = 0.0
+    casimirs: float = 0.0
     call: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
     wall: list[float] = field(default_factory=list)
@@ -89,26 +89,34 @@ class Energy:
         return self.hamiltonian.gradient(x)
 
 
-def measure(problem: Problem, solvers: Sequence[Solver], rounds: int) -> list[dict[str, Any]]:
-    """Run every solver from loose to tight, then repeat all fast runs in turns."""
-    exact = reference(problem)
+def once(problem: Problem, solver: Solver, exact: np.ndarray, failed: list[str]) -> list[tuple[Run, Solve]]:
+    """Run a solver from loose to tight until a run is too slow; what it refuses or breaks off is noted in `failed`."""
     runs: list[tuple[Run, Solve]] = []
-    for solver in solvers:
-        states = problem.states[: solver.states]
-        for setting in solver.settings:
-            begun = time.process_time()
+    states = problem.states[: solver.states]
+    for setting in solver.settings:
+        begun = time.process_time()
+        try:
             solve = solver.prepare(problem, setting)
-            run = Run(solver.name, repr(setting), len(states), time.process_time() - begun, 0.0, 0.0, 0.0)
-            try:
-                found = ends(solve, problem, run)
-            except Failed:
-                continue
-            run.error = float(relative_errors(found, exact[: solver.states]).max())
-            run.energy = drift(Energy(problem), states, found)
-            run.casimirs = max(drift(casimir, states, found) for casimir in problem.system.casimirs.values())
-            runs.append((run, solve))
-            if run.cpu[0] * len(states) > LIMIT:
-                break
+            setup = (time.process_time() - begun) / (len(states) if solver.prepares_each_state else 1)
+            run = Run(solver.name, repr(setting), len(states), setup)
+            found = ends(solve, problem, run)
+        except Failed as reason:
+            failed.append(f"{solver.name}, {setting!r}: {reason}")
+            continue
+        run.error = float(relative_errors(found, exact[: solver.states]).max())
+        run.energy = drift(Energy(problem), states, found)
+        run.casimirs = max(drift(casimir, states, found) for casimir in problem.system.casimirs.values())
+        runs.append((run, solve))
+        if run.cpu[0] * len(states) > LIMIT:
+            break
+    return runs
+
+
+def measure(problem: Problem, solvers: Sequence[Solver], rounds: int) -> dict[str, Any]:
+    """Run every solver once at all settings, then repeat all fast runs in turns."""
+    exact = reference(problem)
+    failed: list[str] = []
+    runs = [pair for solver in solvers for pair in once(problem, solver, exact, failed)]
     fast = [(run, solve) for run, solve in runs if run.cpu[0] * run.states < REPEATED]
     for run, _ in fast:
         for seconds in (run.cpu, run.wall, run.call):
@@ -116,4 +124,5 @@ def measure(problem: Problem, solvers: Sequence[Solver], rounds: int) -> list[di
     for _ in range(rounds):
         for run, solve in fast:
             ends(solve, problem, run)
-    return [run.measured() for run, _ in runs]
+    measured = [run.measured() for run, _ in runs]
+    return {"span": problem.span, "dim": problem.system.dim, "runs": measured, "failed": failed}

@@ -26,6 +26,7 @@ class Solver:
     settings: tuple[Any, ...]
     prepare: Callable[[Problem, Any], Solve]
     states: int = STATES  # slow ones run on the first few
+    prepares_each_state: bool = False  # then set-up is the time for one
 
 
 def decades(loosest: int, tightest: int, apart: int = 2) -> tuple[float, ...]:
