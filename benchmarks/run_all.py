@@ -67,7 +67,7 @@ def main() -> None:
     if "ensembles" not in given.without:
         tables.append(ensembles.table(ensembles.measure(100_000, given.rounds)))
     if "work_against_precision" not in given.without:
-        tables.append(work_against_precision.table(work_against_precision.measure(5, work_against_precision.NAMES)))
+        tables.append(work_against_precision.table(work_against_precision.measure(3, work_against_precision.NAMES)))
     report = "# Benchmarks\n\n" + "\n\n".join(tables) + "\n"
     (HERE / "report.md").write_text(report)
     print(report)

@@ -10,6 +10,8 @@ from __future__ import annotations
 import argparse
 import importlib.metadata
 import json
+import sys
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,12 +26,16 @@ def measure(rounds: int, only: Sequence[str]) -> dict[str, Any]:
     """Measure, write build/work_precision.json and .png, and return what was written."""
     solvers, missing = scan.available()
     chosen = [problem for name, problem in problems().items() if name in only]
-    measured = {
+    measured: dict[str, Any] = {
         "rounds": rounds,
         "versions": {solver.package: importlib.metadata.version(solver.package) for solver in solvers},
         "missing": missing,
-        "problems": {problem.name: scan.measure(problem, solvers, rounds) for problem in chosen},
+        "problems": {},
     }
+    for problem in chosen:
+        begun = time.perf_counter()
+        measured["problems"][problem.name] = scan.measure(problem, solvers, rounds)
+        print(f"{problem.name}: {time.perf_counter() - begun:.0f} s", file=sys.stderr)
     (HERE / "build" / "work_precision.json").write_text(json.dumps(measured, indent=1))
     figure.draw(measured, HERE / "build" / "work_precision.png")
     return measured
@@ -41,7 +47,7 @@ def table(measured: dict[str, Any]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="time against accuracy, beside other integrators")
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--only", nargs="+", choices=NAMES, default=list(NAMES))
     given = parser.parse_args()
     print(table(measure(given.rounds, given.only)))

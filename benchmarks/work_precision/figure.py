@@ -47,5 +47,11 @@ def draw(measured: dict[str, Any], path: Path) -> None:
         panel.set_xlabel("relative error at the end, worst state")
     for row in panels:
         row[0].set_ylabel("CPU time of one trajectory, ms")
-    figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=5, frameon=False)
+    figure.legend(
+        shown.values(),
+        shown.keys(),
+        loc="outside lower center",
+        ncols=2 * columns - 1 if columns > 1 else 2,
+        frameon=False,
+    )
     figure.savefig(path, dpi=130)

@@ -1,8 +1,8 @@
 """coadjoint through its public interface.
 
-"coadjoint": `co.choose` chooses scheme and step for an accuracy; the settings are accuracies, and the time of the choice
-is set-up. "coadjoint, scanned": many schemes and steps, so that one sees what the choice gives away. Without `co.choose`
-the scan is all there is.
+"coadjoint": `co.choose` chooses scheme and step; the settings are accuracies, and the time of the choice is set-up.
+"coadjoint, scanned": many schemes and steps, so that one sees what the choice gives away. Without `co.choose` the scan is
+all there is.
 """
 
 from __future__ import annotations
@@ -67,4 +67,4 @@ def solvers() -> list[Solver]:
     scan = Solver("coadjoint, scanned", "coadjoint", SCANNED, scanned)
     if not hasattr(co, "choose"):
         return [replace(scan, name="coadjoint")]
-    return [Solver("coadjoint", "coadjoint", decades(2, 13, 1), chosen, prepares_each_state=True), scan]
+    return [Solver("coadjoint", "coadjoint", decades(2, 12), chosen, prepares_each_state=True), scan]
