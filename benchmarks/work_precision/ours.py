@@ -1,8 +1,8 @@
 """coadjoint through its public interface.
 
 "coadjoint": `co.choose` chooses scheme and step; the settings are accuracies, and the time of the choice is set-up.
-"coadjoint, scanned": many schemes and steps, so that one sees what the choice gives away. Without `co.choose` the scan is
-all there is.
+"coadjoint, scanned": many schemes and steps, so that one sees what the choice gives away. Without `co.choose` the scan
+is all there is.
 """
 
 from __future__ import annotations
