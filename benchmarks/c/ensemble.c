@@ -3,7 +3,7 @@
    ensemble STEPS h m1 m2 m3 MEMBERS START END      START, END: files of 3 * MEMBERS doubles, all x1, then all x2, all x3
 
    VECTORS registers of members stay in registers over all steps. With -DLIBMVEC sine and cosine are glibc's vector
-   functions; otherwise they are computed here, to within a unit in the last place. Prints CPU nanoseconds a step of one
+   functions; otherwise they are computed here, to 1.5 units in the last place. Prints CPU nanoseconds a step of one
    member. */
 #include "program.h"
 #include <stdint.h>
