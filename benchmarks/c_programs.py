@@ -13,16 +13,22 @@ HERE = Path(__file__).parent
 FLAGS = ("-std=c99", "-O3", "-march=native")
 
 
-def build(name: str) -> Path:
-    """Compile c/NAME.c into build/; without gcc say so and exit with status 2."""
-    compiler = shutil.which("gcc")
-    if compiler is None:
+def compiler() -> str:
+    """Return the path of gcc; without it say so and exit with status 2."""
+    found = shutil.which("gcc")
+    if found is None:
         print("gcc was not found; install it to compare with C", file=sys.stderr)
         raise SystemExit(2)
-    target = HERE / "build" / name
-    target.parent.mkdir(exist_ok=True)
-    subprocess.run([compiler, *FLAGS, "-o", str(target), str(HERE / "c" / f"{name}.c"), "-lm"], check=True)
-    return target
+    return found
+
+
+def build(name: str, *flags: str, target: str | None = None) -> Path:
+    """Compile c/NAME.c into build/NAME, or build/TARGET, with further flags."""
+    program = HERE / "build" / (target or name)
+    program.parent.mkdir(exist_ok=True)
+    source = str(HERE / "c" / f"{name}.c")
+    subprocess.run([compiler(), *FLAGS, "-o", str(program), source, *flags, "-lm"], check=True)
+    return program
 
 
 def run(program: Path, arguments: list[str]) -> tuple[float, np.ndarray]:

@@ -1,6 +1,6 @@
 """Every benchmark and the machine as Markdown: printed, and written to benchmarks/report.md.
 
-python benchmarks/run_all.py [--steps N] [--rounds R] [--without automatic_parts large_algebras]
+python benchmarks/run_all.py [--steps N] [--rounds R] [--without automatic_parts large_algebras ensembles ...]
 """
 
 from __future__ import annotations
@@ -11,12 +11,16 @@ import platform
 import subprocess
 
 import automatic_parts
+import ensembles
 import first_result
 import large_algebras
 import numba
 import numpy
 import one_trajectory
+import work_against_precision
 from c_programs import FLAGS, HERE, build
+
+LONG = ["automatic_parts", "large_algebras", "ensembles", "work_against_precision"]
 
 
 def first_line(*command: str) -> str:
@@ -46,7 +50,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="all benchmarks, as Markdown")
     parser.add_argument("--steps", type=int, default=10_000_000)
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--without", nargs="+", choices=["automatic_parts", "large_algebras"], default=[])
+    parser.add_argument("--without", nargs="+", choices=LONG, default=[])
     given = parser.parse_args()
     build("rigid_body")  # no compiler: say so before anything is measured
     tables = [
@@ -60,6 +64,10 @@ def main() -> None:
         tables.append(automatic_parts.table(automatic_parts.measure(timed, given.rounds)))
     if "large_algebras" not in given.without:
         tables.append(large_algebras.table(large_algebras.measure()))
+    if "ensembles" not in given.without:
+        tables.append(ensembles.table(ensembles.measure(100_000, given.rounds)))
+    if "work_against_precision" not in given.without:
+        tables.append(work_against_precision.table(work_against_precision.measure(3, work_against_precision.NAMES)))
     report = "# Benchmarks\n\n" + "\n\n".join(tables) + "\n"
     (HERE / "report.md").write_text(report)
     print(report)
