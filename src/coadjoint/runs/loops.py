@@ -16,6 +16,9 @@ from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.unshift import unshifted
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
+# Members that the kernels advance as lanes, at most, and the dimension up to which they do.
+BLOCK, WIDEST = 32, 1024
+
 Crew = tuple[int, int]
 """The members first to last - 1, which one call of a compiled loop advances."""
 
@@ -88,8 +91,10 @@ class SystemLoops:
         self._record_start(self._watch, saves, schedule, momenta, groups)
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
-        """Return one round, of a crew for each worker."""
-        edges = [members * w // workers for w in range(workers + 1)]
+        """Return one round, of a crew for each worker; what the kernels advance side by side stays together."""
+        block = BLOCK if self._system.dim <= WIDEST else 1
+        blocks = -(-members // block)
+        edges = [min(members, blocks * w // workers * block) for w in range(workers + 1)]
         return [list(pairwise(edges))]
 
     def work(self, crew: Crew) -> Work:
