@@ -1,6 +1,8 @@
 // The loop over steps for programs: flow methods read from their table.
 #pragma once
 
+#include <optional>
+
 #include "actions.hpp"
 #include "watching.hpp"
 
@@ -25,48 +27,46 @@ struct AngleRoom {
         : theta(longest), turned(longest), arguments(longest), calls(2 * longest + 2) {}
 };
 
-// Apply the rows first to last - 1: angles from the shares, then the action on the momentum and on the group element.
+// Apply row r: angles from its share, then the action on the momentum and on the group element.
 template <Care care, bool carry, class A, class G, class C>
-INLINE void sweep_inline(const FlowTables& tables, const C& constants, uint32_t first, uint32_t last, const Vectors<A>& x,
-                  const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
+INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, const Vectors<A>& x,
+                      const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
     const Terms& terms = tables.terms;
-    for (uint32_t r = first; r < last; ++r) {
-        const uint32_t part = tables.part[r];
-        const int64_t row = tables.only[part];
-        const double tau = tables.tau[r];
-        const bool single = row >= 0;
-        A lone(0.0);
-        if (__builtin_expect(single, 1)) {
-            lone = linear_row(terms, constants, row, x.at);
+    const uint32_t part = tables.part[r];
+    const int64_t row = tables.only[part];
+    const double tau = tables.tau[r];
+    const bool single = row >= 0;
+    A lone(0.0);
+    if (__builtin_expect(single, 1)) {
+        lone = linear_row(terms, constants, row, x.at);
+    } else {
+        const uint32_t low = tables.share[part], high = tables.share[part + 1];
+        const A moment = t + A(tables.moment[r] * h);
+        for (uint32_t k = low; k < high; ++k)
+            gradient_rows(terms, constants, tables.addresses, k, x.at, moment, room.theta.at, terms.row[low],
+                          room.arguments.at, room.calls.data());
+    }
+    Turned<A> turned;
+    act<care, false>(tables.state, constants, part, tau, single, lone, room.theta.at, turned, x);
+    if constexpr (carry) {
+        if (__builtin_expect(tables.bent[part], 0)) {
+            const int64_t base = single ? row : terms.row[tables.share[part]];
+            const int64_t stop = single ? row + 1 : terms.row[tables.share[part + 1]];
+            for (int64_t place = base; place < stop; ++place)
+                room.turned.at[place - base] =
+                    rational_angle(tau * (single ? lone : room.theta.at[place - base]),
+                                   constants.template number_at<A>(tables.frequency, place));
+            act<CORRECTED, true>(tables.group, constants, part, 1.0, false, lone, room.turned.at, turned, group);
         } else {
-            const uint32_t low = tables.share[part], high = tables.share[part + 1];
-            const A moment = t + A(tables.moment[r] * h);
-            for (uint32_t k = low; k < high; ++k)
-                gradient_rows(terms, constants, tables.addresses, k, x.at, moment, room.theta.at, terms.row[low],
-                              room.arguments.at, room.calls.data());
-        }
-        Turned<A> turned;
-        act<care, false>(tables.state, constants, part, tau, single, lone, room.theta.at, turned, x);
-        if constexpr (carry) {
-            if (__builtin_expect(tables.bent[part], 0)) {
-                const int64_t base = single ? row : terms.row[tables.share[part]];
-                const int64_t stop = single ? row + 1 : terms.row[tables.share[part + 1]];
-                for (int64_t place = base; place < stop; ++place)
-                    room.turned.at[place - base] =
-                        rational_angle(tau * (single ? lone : room.theta.at[place - base]),
-                                       constants.template number_at<A>(tables.frequency, place));
-                act<CORRECTED, true>(tables.group, constants, part, 1.0, false, lone, room.turned.at, turned, group);
-            } else {
-                act<CORRECTED, true>(tables.group, constants, part, tau, single, lone, room.theta.at, turned, group);
-            }
+            act<CORRECTED, true>(tables.group, constants, part, tau, single, lone, room.theta.at, turned, group);
         }
     }
 }
 
 template <Care care, bool carry, class A, class G, class C>
 NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first, uint32_t last, const Vectors<A>& x,
-                  const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
-    sweep_inline<care, carry>(tables, constants, first, last, x, group, t, h, room);
+                    const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
+    for (uint32_t r = first; r < last; ++r) apply_row<care, carry>(tables, constants, r, x, group, t, h, room);
 }
 
 // The members of a call: positions first to last - 1 of a crew; state, schedule and report are those of all members.
@@ -135,8 +135,8 @@ void follow_alone(const Loop& loop, int64_t member) {
     int64_t saved = next_saved(schedule, loop.k0), failed = 0;
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         const double t = schedule.t0 + double(k - 1) * schedule.h;
-        sweep_inline<care, carry>(tables, Shared{}, tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], momentum,
-                           group, t, schedule.h, angles);
+        for (uint32_t r = tables.section[k == 1 ? 0 : 1], last = tables.section[k == 1 ? 1 : 2]; r < last; ++r)
+            apply_row<care, carry>(tables, Shared{}, r, momentum, group, t, schedule.h, angles);
         if (!finite(size, x)) {
             failed = k;
             break;
@@ -184,88 +184,128 @@ void follow_alone(const Loop& loop, int64_t member) {
         });
 }
 
-// A block of members as lanes; the last one fills what is left of the lanes.
+// Blocks of members as lanes; the last member fills what is left of the lanes. While one block waits for a sine, another
+// goes on.
 template <Care care, bool carry, class A, class C>
-void follow_together(const Loop& loop, const C& constants, const int64_t* members, int64_t count) {
-    const FlowTables& tables = loop.tables;
-    const Schedule& schedule = loop.schedule;
-    const State& state = loop.state;
-    constexpr int lanes = Numbers<A>::lanes;
-    const int64_t size = state.size, d = tables.group.size, square = state.square;
-    Room<A> scratch(3 * size), copies(2 * size), momenta(2 * size);
-    Room<A> elements(2 * square), finished(2 * square), group_scratch(3 * square);
-    AngleRoom<A> angles(tables.longest);
-    auto member_of = [&](int64_t lane) { return members[std::min<int64_t>(lane, count - 1)]; };
-    auto read = [&](A* to, const double* from, int64_t length) {
+struct Block {
+    const Loop& loop;
+    const C constants;
+    const int64_t* members;
+    const int64_t count, size, square;
+    Room<A> momenta, elements;
+    int64_t going[Numbers<A>::lanes], left = 0, evaluations = 0;
+    CrowdWatcher<A, C> watcher;
+    Vectors<A> momentum, group;
+
+    Block(const Loop& loop, const C& constants, const int64_t* members, int64_t count, Room<A>& scratch)
+        : loop(loop), constants(constants), members(members), count(count), size(loop.state.size),
+          square(loop.state.square), momenta(2 * size), elements(2 * square), going{},
+          watcher(loop.watch, loop.saves, loop.schedule, this->constants, members, going, count),
+          momentum{momenta.at, momenta.at + size, 1, scratch.at},
+          group{elements.at, elements.at + square, loop.tables.group.size, scratch.at} {
+        for (int64_t lane = 0; lane < count; ++lane) left += going[lane] = loop.report.status[members[lane]] == DONE;
+        read(momentum.at, loop.state.momenta, size);
+        read(momentum.errors, loop.state.errors, size);
+        read(group.at, loop.state.groups, square);
+        read(group.errors, loop.state.group_errors, square);
+    }
+
+    ~Block() {
+        for (int64_t lane = 0; lane < count; ++lane)
+            if (going[lane]) loop.report.evaluations[members[lane]] += evaluations;
+        write(momentum.at, loop.state.momenta, size);
+        write(momentum.errors, loop.state.errors, size);
+        write(group.at, loop.state.groups, square);
+        write(group.errors, loop.state.group_errors, square);
+    }
+
+    template <class Mask>
+    void stop_where_not(const Mask& sound, int64_t k) {
+        if (__builtin_expect(all(sound), 1)) return;
+        for (int64_t lane = 0; lane < count; ++lane) {
+            if (at(sound, int(lane)) || !going[lane]) continue;
+            watcher.keep_worst();
+            going[lane] = 0;
+            --left;
+            loop.report.status[members[lane]] = OVERFLOWED;
+            loop.report.step[members[lane]] = k;
+            loop.report.evaluations[members[lane]] += evaluations;
+        }
+    }
+
+    // Finish copies, note them, and save what has a slot.
+    NOINLINE void look(int64_t k, int64_t slot, const A& t, A* copies, A* scratch, AngleRoom<A>& angles) {
+        const uint32_t first = loop.tables.section[2], last = loop.tables.section[3];
+        A* element = copies + 2 * size;
+        const Vectors<A> copy{copies, copies + size, 1, scratch};
+        std::copy_n(momentum.at, 2 * size, copies);
+        if (carry && slot >= 0) {
+            std::copy_n(group.at, 2 * square, element);
+            const Vectors<A> finished{element, element + square, group.rows, scratch};
+            sweep<care, carry>(loop.tables, constants, first, last, copy, finished, t, loop.schedule.h, angles);
+            stop_where_not(finite(square, element), k);
+        } else {
+            sweep<care, false>(loop.tables, constants, first, last, copy, Vectors<A>{}, t, loop.schedule.h, angles);
+        }
+        stop_where_not(finite(size, copies), k);
+        watcher.note(k, slot, size, copies);
+        if (!carry || slot < 0) return;
+        for (int64_t lane = 0; lane < count; ++lane) {
+            double* place = loop.saves.group + (slot * loop.saves.members + members[lane]) * square;
+            for (int64_t i = 0; going[lane] && i < square; ++i) place[i] = lane_of(element[i], int(lane));
+        }
+    }
+
+  private:
+    void read(A* to, const double* from, int64_t length) {
         for (int64_t i = 0; i < length; ++i)
-            for (int lane = 0; lane < lanes; ++lane) set_lane(to[i], lane, from[member_of(lane) * length + i]);
-    };
-    auto write = [&](const A* from, double* to, int64_t length) {
+            for (int64_t lane = 0; lane < Numbers<A>::lanes; ++lane)
+                set_lane(to[i], int(lane), from[members[std::min(lane, count - 1)] * length + i]);
+    }
+
+    void write(const A* from, double* to, int64_t length) {
         for (int64_t lane = 0; lane < count; ++lane)
             for (int64_t i = 0; i < length; ++i) to[members[lane] * length + i] = lane_of(from[i], int(lane));
-    };
-    read(momenta.at, state.momenta, size);
-    read(momenta.at + size, state.errors, size);
-    read(elements.at, state.groups, square);
-    read(elements.at + square, state.group_errors, square);
-    const Vectors<A> momentum{momenta.at, momenta.at + size, 1, scratch.at};
-    const Vectors<A> group{elements.at, elements.at + square, d, group_scratch.at};
-    int64_t going[lanes], left = 0, evaluations = 0;
-    for (int64_t lane = 0; lane < count; ++lane)
-        left += going[lane] = loop.report.status[members[lane]] == DONE;
-    CrowdWatcher<A, C> watcher(loop.watch, loop.saves, schedule, constants, members, going, count);
-    auto stop = [&](int64_t lane, int64_t k) {
-        if (!going[lane]) return;
-        watcher.keep_worst();
-        going[lane] = 0;
-        --left;
-        loop.report.status[members[lane]] = OVERFLOWED;
-        loop.report.step[members[lane]] = k;
-        loop.report.evaluations[members[lane]] += evaluations;
-    };
-    int64_t saved = next_saved(schedule, loop.k0);
-    for (int64_t k = loop.k0 + 1; k <= loop.k1 && left > 0; ++k) {
-        const A t(schedule.t0 + double(k - 1) * schedule.h);
-        const uint32_t first = tables.section[k == 1 ? 0 : 1], last = tables.section[k == 1 ? 1 : 2];
-        sweep<care, carry>(tables, constants, first, last, momentum, group, t, schedule.h, angles);
-        evaluations += last - first;
-        auto sound = finite(size, momentum.at);
-        if (__builtin_expect(!all(sound), 0))
-            for (int64_t lane = 0; lane < count; ++lane)
-                if (!at(sound, int(lane))) stop(lane, k);
-        if (!schedule.watching && k != saved) continue;
-        std::copy_n(momenta.at, 2 * size, copies.at);
-        const Vectors<A> copy{copies.at, copies.at + size, 1, scratch.at};
-        const uint32_t from = tables.section[2], to = tables.section[3];
-        if (carry && k == saved) {
-            std::copy_n(elements.at, 2 * square, finished.at);
-            sweep<care, carry>(tables, constants, from, to, copy,
-                              Vectors<A>{finished.at, finished.at + square, d, group_scratch.at}, t, schedule.h, angles);
-            sound = finite(square, finished.at);
-        } else {
-            sweep<care, false>(tables, constants, from, to, copy, Vectors<A>{}, t, schedule.h, angles);
-        }
-        sound = sound & finite(size, copies.at);
-        if (__builtin_expect(!all(sound), 0))
-            for (int64_t lane = 0; lane < count; ++lane)
-                if (!at(sound, int(lane))) stop(lane, k);
-        const int64_t slot = k == saved ? slot_of(schedule, k) : -1;
-        watcher.note(k, slot, size, copies.at);
-        if (slot < 0) continue;
-        saved = next_saved(schedule, k);
-        if constexpr (carry)
-            for (int64_t lane = 0; lane < count; ++lane)
-                if (going[lane]) {
-                    double* place = loop.saves.group + (slot * loop.saves.members + members[lane]) * square;
-                    for (int64_t i = 0; i < square; ++i) place[i] = lane_of(finished.at[i], int(lane));
-                }
     }
-    for (int64_t lane = 0; lane < count; ++lane)
-        if (going[lane]) loop.report.evaluations[members[lane]] += evaluations;
-    write(momenta.at, state.momenta, size);
-    write(momenta.at + size, state.errors, size);
-    write(elements.at, state.groups, square);
-    write(elements.at + square, state.group_errors, square);
+};
+
+constexpr int BLOCKS = 2;
+
+// `constants_from(place)` are those of the lanes from a place of the crew.
+template <Care care, bool carry, class A, class ConstantsFrom>
+void follow_together(const Loop& loop, const ConstantsFrom& constants_from, const int64_t* members, int64_t first,
+                     int64_t last) {
+    typedef Block<care, carry, A, decltype(constants_from(0))> Own;
+    constexpr int64_t lanes = Numbers<A>::lanes;
+    const FlowTables& tables = loop.tables;
+    const Schedule& schedule = loop.schedule;
+    const int64_t size = loop.state.size, square = loop.state.square;
+    Room<A> scratch(3 * std::max(size, square)), copies(2 * (size + square));
+    AngleRoom<A> angles(tables.longest);
+    std::optional<Own> blocks[BLOCKS];
+    int used = 0;
+    for (int64_t place = first; place < last; place += lanes)
+        blocks[used++].emplace(loop, constants_from(place), members + place, std::min(lanes, last - place), scratch);
+    int64_t saved = next_saved(schedule, loop.k0);
+    for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
+        const A t(schedule.t0 + double(k - 1) * schedule.h);
+        const uint32_t from = tables.section[k == 1 ? 0 : 1], to = tables.section[k == 1 ? 1 : 2];
+        for (uint32_t r = from; r < to; ++r)
+            for (int b = 0; b < used; ++b)
+                apply_row<care, carry>(tables, blocks[b]->constants, r, blocks[b]->momentum, blocks[b]->group, t,
+                                       schedule.h, angles);
+        const bool looking = schedule.watching || k == saved;
+        const int64_t slot = k == saved ? slot_of(schedule, k) : -1;
+        int64_t left = 0;
+        for (int b = 0; b < used; ++b) {
+            blocks[b]->evaluations += to - from;
+            blocks[b]->stop_where_not(finite(size, blocks[b]->momentum.at), k);
+            if (looking) blocks[b]->look(k, slot, t, copies.at, scratch.at, angles);
+            left += blocks[b]->left;
+        }
+        if (k == saved) saved = next_saved(schedule, k);
+        if (left == 0) break;
+    }
 }
 
 constexpr int CROWD = 4 * NATIVE;    // members side by side: four vectors hide each other's latency
@@ -275,14 +315,17 @@ constexpr int64_t FEWEST = 3;        // members that are worth a block of lanes
 template <Care care, bool carry>
 void advance_crew(const Loop& loop, const Crew& crew, const Varied* varied) {
     typedef Lanes<CROWD> Crowd;
+    const auto shared = [](int64_t) { return Shared{}; };
+    const auto own = [&](int64_t place) { return Varied{varied->stride, place}; };
     int64_t place = crew.first;
     const bool narrow = loop.state.size <= WIDEST;
-    for (; place < crew.last && (varied || (narrow && crew.last - place >= FEWEST)); place += CROWD) {
-        const int64_t count = std::min<int64_t>(CROWD, crew.last - place);
+    while (place < crew.last && (varied || (narrow && crew.last - place >= FEWEST))) {
+        const int64_t next = std::min<int64_t>(place + BLOCKS * CROWD, crew.last);
         if (varied)
-            follow_together<care, carry, Crowd>(loop, Varied{varied->stride, place}, crew.members + place, count);
+            follow_together<care, carry, Crowd>(loop, own, crew.members, place, next);
         else
-            follow_together<care, carry, Crowd>(loop, Shared{}, crew.members + place, count);
+            follow_together<care, carry, Crowd>(loop, shared, crew.members, place, next);
+        place = next;
     }
     for (; place < crew.last; ++place) {
         const int64_t member = crew.members[place];
