@@ -63,11 +63,12 @@ class Run:
         # A shifted run starts at the unit element; `_groups` puts the initial one before it.
         groups = np.broadcast_to(np.eye(start.groups.shape[1]), start.groups.shape) if self.shifted else start.groups
         transposed = np.swapaxes(groups, 1, 2).reshape(members, square).copy()
-        self.state = (start.momenta.copy(), np.zeros((members, size)), transposed, np.zeros((members, square)))
+        memory = np.full((members, self.prepared.memory), np.nan)
+        self.state = (start.momenta.copy(), np.zeros((members, size)), transposed, np.zeros((members, square)), memory)
         whole = [np.zeros(members, dtype=np.int64) for _ in range(4)]
         self.report = Report(whole[0], whole[1], np.full(members, np.nan), whole[2], whole[3])
         self.seconds = 0.0
-        record_start(self.watch.tables, self.saves, self.schedule, self.state[0], self.state[2])
+        record_start(self.watch.tables, self.saves, self.schedule, self.state)
 
     def advance(self, workers: int, progress: bool) -> None:
         """Take all steps, in chunks between which an interrupt is heard."""

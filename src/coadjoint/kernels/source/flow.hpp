@@ -2,19 +2,7 @@
 #pragma once
 
 #include "actions.hpp"
-#include "watching.hpp"
-
-// Constants that differ by member: `stride` of them side by side for each place of a table, the lanes from `first`.
-struct Varied {
-    int64_t stride, first;
-    template <class A>
-    INLINE A number_at(const double* from, int64_t place) const {
-        return load<A>(from + place * stride + first);
-    }
-    INLINE int64_t address(const int64_t* from, int64_t place, int lane) const {
-        return from[place * stride + first + lane];
-    }
-};
+#include "crew.hpp"
 
 // Room for the angles of a part and for the calls of user functions.
 template <class A>
@@ -65,12 +53,6 @@ NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first
         }
     }
 }
-
-// The members of a call: positions first to last - 1 of a crew; state, schedule and report are those of all members.
-struct Crew {
-    const int64_t* members;
-    int64_t first, last;
-};
 
 struct Loop {
     const FlowTables& tables;
@@ -264,10 +246,6 @@ void follow_together(const Loop& loop, const C& constants, const int64_t* member
     write(elements.at, state.groups, square);
     write(elements.at + square, state.group_errors, square);
 }
-
-constexpr int CROWD = 4 * NATIVE;    // members side by side: four vectors hide each other's latency
-constexpr int64_t WIDEST = 1024;     // dimension up to which lanes of states stay in the cache
-constexpr int64_t FEWEST = 3;        // members that are worth a block of lanes
 
 template <Care care, bool carry>
 void advance_crew(const Loop& loop, const Crew& crew, const Varied* varied) {

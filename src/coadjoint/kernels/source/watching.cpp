@@ -26,6 +26,7 @@ EXPORT void watch_values(const Watch* watch, const double* x, const double* time
 
 EXPORT const char* table_fields() {
     static const std::string all = std::string(Terms_fields) + Action_fields + FlowTables_fields + Watch_fields +
-                                   Saves_fields + Schedule_fields + Report_fields + State_fields;
+                                   Saves_fields + Schedule_fields + Report_fields + State_fields + Field_fields +
+                                   GroupField_fields + RungeKuttaTables_fields + StepTables_fields + Stepping_fields;
     return all.c_str();
 }
