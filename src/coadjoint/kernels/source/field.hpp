@@ -20,8 +20,10 @@ struct FieldRoom {
 template <class A, class C>
 INLINE void gradient(const Field& field, const C& constants, const A* x, const A& t, A* u, FieldRoom<A>& room) {
     const Terms& terms = field.terms;
-    for (int64_t i = 0; i < field.size; ++i) u[i] = A(0.0);
-    if (__builtin_expect(terms.size == 1 && terms.kind[0] == LINEAR, 1)) {
+    const bool whole = terms.size == 1 && terms.kind[0] == LINEAR;
+    if (!whole || terms.row[1] < field.size)
+        for (int64_t i = 0; i < field.size; ++i) u[i] = A(0.0);
+    if (__builtin_expect(whole, 1)) {
         for (uint32_t row = 0, stop = terms.row[1]; row < stop; ++row)
             u[terms.target[row]] = linear_row(terms, constants, row, x);
         return;

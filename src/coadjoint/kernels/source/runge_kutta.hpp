@@ -47,7 +47,6 @@ struct Stages {
     Room<A> gradients, kept, frozen, times, lengths, matrices;
     Room<V> system, pivots, right;
     FieldRoom<A> room;
-    std::unique_ptr<LinearRoom<A>> linear_room;
     V iterations{0.0}, residual{0.0};
 
     Stages(const RungeKuttaTables& tables, const C& constants)
@@ -281,28 +280,32 @@ struct Stages {
 
     // The rest is for one trajectory at a time.
 
-    // Factorize 1 - mix h scale times the Jacobian at one point, the same for all stages.
-    NOINLINE bool linearize(const double* x, Room<double>& matrix, Room<double>& exchanged) {
+    // Factorize 1 - mix h scale times the Jacobian: at the base for all stages, or for every stage at its point.
+    NOINLINE bool linearize(bool at_base, Room<double>& matrix, Room<double>& exchanged) {
         if constexpr (alone) {
-            const double t = Layout::at(times.at, 1, 0, s / 2);
             DerivativeRoom<double> sloping(field);
-            Room<double> u(n), unit(n), image(n), whole(n * n);
-            gradient(field, constants, x, t, u.at, sloping.field);
-            for (int64_t k = 0; k < n; ++k) {
-                unit.at[k] = 1.0;
-                jacobian_times(field, constants, x, u.at, unit.at, t, 1.0, image.at, sloping);
-                unit.at[k] = 0.0;
-                for (int64_t i = 0; i < n; ++i) whole.at[i * n + k] = image.at[i];
-            }
+            Room<double> point(n), u(n), unit(n), image(n), whole(n * n);
             const int64_t size = s * n;
-            for (int64_t i = 0; i < s; ++i)
-                for (int64_t j = 0; j < s; ++j) {
+            for (int64_t j = 0; j < s; ++j) {
+                if (j == 0 || !at_base) {
+                    const double t = Layout::at(times.at, 1, 0, j);
+                    for (int64_t c = 0; c < n; ++c) point.at[c] = at_base ? p.base[c] : Layout::at(p.points.at, n, c, j);
+                    gradient(field, constants, point.at, t, u.at, sloping.field);
+                    for (int64_t k = 0; k < n; ++k) {
+                        unit.at[k] = 1.0;
+                        jacobian_times(field, constants, point.at, u.at, unit.at, t, 1.0, image.at, sloping);
+                        unit.at[k] = 0.0;
+                        for (int64_t i = 0; i < n; ++i) whole.at[i * n + k] = image.at[i];
+                    }
+                }
+                for (int64_t i = 0; i < s; ++i) {
                     const double factor = -tables.mix[i * s + j] * Layout::at(lengths.at, 1, 0, j);
                     for (int64_t a = 0; a < n; ++a)
                         for (int64_t b = 0; b < n; ++b)
                             matrix.at[(i * n + a) * size + j * n + b] =
                                 fma(factor, whole.at[a * n + b], i == j && a == b ? 1.0 : 0.0);
                 }
+            }
             return factorize(matrix.at, size, exchanged.at);
         }
         return false;
@@ -318,14 +321,11 @@ struct Stages {
                                        gradients.at + b * n, v + b * n, times.at[b], lengths.at[b], out + b * n,
                                        own.sloping);
                 });
-            Room<double> matrix(size * size), exchanged(size), middle(n);
-            if (!linearize(p.base, matrix, exchanged)) return false;
+            Room<double> matrix(size * size), exchanged(size);
+            if (!linearize(true, matrix, exchanged)) return false;
             return taken(correct(p, [&] { evaluate_all(); },
                                  [&](double* r) { return substitute(matrix.at, size, exchanged.at, r, 1), true; },
-                                 [&] {
-                                     for (int64_t c = 0; c < n; ++c) middle.at[c] = Layout::at(p.points.at, n, c, s / 2);
-                                     return linearize(middle.at, matrix, exchanged);
-                                 }));
+                                 [&] { return linearize(false, matrix, exchanged); }));
         }
         return false;
     }

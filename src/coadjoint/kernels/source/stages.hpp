@@ -139,10 +139,12 @@ NOINLINE void add_slopes(const double* out, int64_t stages, const typename Layou
     typedef typename Layout::V V;
     for (int64_t c = 0; c < size; ++c) {
         V even = errors[c], odd(0.0);
-        for (int64_t j = 0; j < stages; ++j) {
-            V& part = j % 2 ? odd : even;
-            part = fma(V(out[j]), Layout::at(slopes, size, c, j), part);
+        int64_t j = 0;
+        for (; j + 1 < stages; j += 2) {
+            even = fma(V(out[j]), Layout::at(slopes, size, c, j), even);
+            odd = fma(V(out[j + 1]), Layout::at(slopes, size, c, j + 1), odd);
         }
+        if (j < stages) even = fma(V(out[j]), Layout::at(slopes, size, c, j), even);
         const V increment = even + odd, old = x[c], now = old + increment, kept = now - old;
         errors[c] = (old - (now - kept)) + (increment - kept);
         x[c] = now;

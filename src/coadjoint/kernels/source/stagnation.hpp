@@ -20,13 +20,13 @@ struct Unknowns {
     const int64_t stages, blocks, size;
     const typename Layout::Coefficient* mix;
     V *base = nullptr, *error = nullptr;
-    Room<A> points, slopes, before, kept, change, moved, extent;
+    Room<A> points, slopes, before, kept, change, moved;
     Room<V> least;
 
     Unknowns(int64_t stages, int64_t size, const typename Layout::Coefficient* mix)
         : stages(stages), blocks(Layout::blocks(stages)), size(size), mix(mix), points(blocks * size),
           slopes(blocks * size), before(blocks * size), kept(Numbers<V>::lanes > 1 ? blocks * size : 0),
-          change(blocks * size), moved(blocks), extent(blocks), least(size) {}
+          change(blocks * size), moved(blocks), least(size) {}
 
     void start_at_base() {
         for (int64_t b = 0; b < blocks; ++b)
@@ -54,7 +54,7 @@ struct Unknowns {
     // Set the points of the blocks low to high - 1 from the first `count` slopes, and note how far they moved.
     INLINE void restage(int64_t low, int64_t high, int64_t count) {
         for (int64_t b = low; b < high; ++b) {
-            A far(0.0), large(0.0);
+            A far(0.0);
             A *here = points.at + b * size, *changed = change.at + b * size;
             mix_each<Layout>(mix + b * stages, count, slopes.at, size, error, [&](int64_t c, const A& sum) {
                 const A point = Layout::spread(base[c]) + sum;
@@ -62,11 +62,20 @@ struct Unknowns {
                 here[c] = point;
                 changed[c] = distance;
                 far = far + distance;
-                large = large + absolute(point);
             });
             moved.at[b] = far;
-            extent.at[b] = large;
         }
+    }
+
+    // The largest size of a stage, summed over its components.
+    V largest_size() const {
+        V result(0.0);
+        for (int64_t b = 0; b < blocks; ++b) {
+            A total(0.0);
+            for (int64_t c = 0; c < size; ++c) total = total + absolute(points.at[b * size + c]);
+            result = larger(result, V(Layout::largest(total)));
+        }
+        return result;
     }
 
     // The largest correction of a stage, summed over its components; no number where there is one that is none.
@@ -112,39 +121,38 @@ INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep
     typedef typename Layout::A A;
     constexpr bool alone = Numbers<V>::lanes == 1;
     Outcome<V> outcome{!(V(0.0) == V(0.0)), V(0.0), V(0.0)};
-    V first(0.0), looked(0.0), quiet(0.0);
+    V first(0.0), looked(0.0), quiet(0.0), noise = V(NOISE) * y.largest_size();
     bool noisy = false, kept = false;
     for (int64_t passed = 1;; ++passed) {
         evaluate();
         y.restage(0, y.blocks, y.stages);
-        auto still = V(0.0) == V(0.0), small = still, bounded = still;
-        if (passed == 1) {
-            first = looked = y.largest_move();
-            bounded = first - first == V(0.0);
-        }
-        for (int64_t b = 0; b < y.blocks; ++b) {
-            const A &moved = y.moved.at[b];
-            still = still & Layout::every(moved == A(0.0));
-            small = small & Layout::every(moved <= A(NOISE) * y.extent.at[b]);
-            bounded = bounded & Layout::every(moved <= Layout::spread(V(GROWTH) * first));
-        }
-        auto ended = going & still;
-        if (__builtin_expect(any(going & small & !ended), 0)) {
+        auto small = V(0.0) == V(0.0);
+        for (int64_t b = 0; b < y.blocks; ++b) small = small & Layout::every(y.moved.at[b] <= Layout::spread(noise));
+        auto ended = going & !(V(0.0) == V(0.0)), failed = ended;
+        if (__builtin_expect(any(going & small), 0)) {
+            auto still = going & small;
+            for (int64_t b = 0; b < y.blocks; ++b) still = still & Layout::every(y.moved.at[b] == A(0.0));
             if (!noisy) std::fill_n(y.least.at, y.size, V(std::numeric_limits<double>::infinity()));
             noisy = true;
-            const auto fell = y.falling(going & small);
-            const auto calm = going & small & !fell & (V(double(passed)) > V(double(FIRST_TEST)));
-            quiet = select(calm, quiet + 1.0, V(0.0));
-            ended = ended | (going & (quiet >= V(2.0)));
+            ended = still;
+            if (any(going & small & !still)) {
+                const auto fell = y.falling(going & small);
+                const auto calm = going & small & !fell & (V(double(passed)) > V(double(FIRST_TEST)));
+                quiet = select(calm, quiet + 1.0, V(0.0));
+                ended = ended | (going & (quiet >= V(2.0)));
+            }
         } else {
             quiet = V(0.0);
         }
-        auto failed = going & !ended & !bounded;
-        if (__builtin_expect(passed % LOOK == 0, 0)) {
+        if (__builtin_expect(passed == 1, 0)) {
+            first = looked = y.largest_move();
+            noise = noise + V(NOISE) * first;
+            failed = going & !ended & !(first - first == V(0.0));
+        } else if (__builtin_expect(passed % LOOK == 0, 0)) {
             const V now = y.largest_move();
-            failed = failed | (going & !ended & !small & !(now <= V(SLOW) * looked));
+            failed = going & !ended & (!(now <= V(GROWTH) * first) | (!small & !(now <= V(SLOW) * looked)));
             looked = now;
-            if (passed >= MOST) failed = failed | (going & !ended);
+            if (passed >= MOST) failed = going & !ended;
         }
         const auto over = ended | failed;
         if (!any(over)) continue;
