@@ -33,10 +33,11 @@ def run(system, method, x0, h, steps, *, t0=0.0, cuts=(), fractions=(1.0,)):
         np.zeros((members, count)),
     )
     schedule = Schedule(t0, h, steps, steps, True)
-    state = (momenta, np.zeros((members, n)), np.zeros((members, 0)), np.zeros((members, 0)))
+    none = np.zeros((members, 0))
+    state = (momenta, np.zeros((members, n)), none, none, none)
     whole = [np.zeros(members, dtype=np.int64) for _ in range(4)]
     report = Report(whole[0], whole[1], np.zeros(members), whole[2], whole[3])
-    record_start(watch.tables, saves, schedule, momenta, state[2])
+    record_start(watch.tables, saves, schedule, state)
     edges = [0, *cuts, steps]
     for k0, k1 in pairwise(edges):
         crew = np.array([0, members])

@@ -45,6 +45,11 @@ def field_of(system: System) -> tuple[Field, Kept]:
     addresses, keep = addresses_of(table.functions, len(table), "gradient", "the Hamiltonian")
     none = np.zeros(0, dtype=np.int64)
     i, j, k, c = (none, none, none, np.zeros(0)) if system.algebra is None else system.algebra.triples
+    # Both orders of every pair, row by row, and within a row as they are listed.
+    order = np.argsort(np.stack([i, j], axis=1).ravel(), kind="stable")
+    row, column, state, constant = (
+        np.stack(pair, axis=1).ravel()[order] for pair in ((i, j), (j, i), (k, k), (c, -c))
+    )
     structure = none
     if system.algebra is None:
         n = system.dim
@@ -55,11 +60,10 @@ def field_of(system: System) -> tuple[Field, Kept]:
     field = Field(
         system.dim,
         float(system.sign),
-        len(c),
-        _indices(i),
-        _indices(j),
-        _indices(k),
-        np.ascontiguousarray(system.sign * c, dtype=np.float64),
+        _indices(np.searchsorted(row, np.arange(system.dim + 1))),
+        _indices(column),
+        _indices(state),
+        np.ascontiguousarray(system.sign * constant, dtype=np.float64),
         system.algebra is None,
         structure,
         terms,

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.library import address, kernels, pointed
+from coadjoint.kernels.loop import take_steps
 from coadjoint.program.actions import Action
 from coadjoint.program.terms import Terms
 
@@ -37,19 +36,6 @@ class FlowTables(NamedTuple):
     compensated: bool
 
 
-class State(NamedTuple):
-    """Where all members are: momenta (members, size) and transposed group elements (members, square), each followed by
-    what compensated sums owe.
-    """
-
-    size: int
-    square: int
-    momenta: NDArray[np.float64]
-    errors: NDArray[np.float64]
-    groups: NDArray[np.float64]
-    group_errors: NDArray[np.float64]
-
-
 def advance(
     tables: Any,
     watch: Any,
@@ -60,22 +46,12 @@ def advance(
     k0: int,
     k1: int,
     report: Any,
+    stride: int = 0,
+    base: int = 0,
 ) -> None:
     """Take the steps k0 + 1 to k1 for the members crew[0] to crew[1] - 1.
 
-    Tables come as they are or `pointed`; `state` is (momentum, its compensation, group, its compensation), each
-    (members, ...), unfinished between calls: the outer flow of a step is merged with the next one, and *finish* acts on
-    a copy.
+    Tables come as they are or `pointed`; `state` is that of `coadjoint.kernels.loop.state_of`, unfinished between calls:
+    the outer flow of a step is merged with the next one, and *finish* acts on a copy.
     """
-    momenta, _, groups, _ = state
-    where = State(momenta.shape[1], groups.shape[1], *state)
-    members = np.arange(len(momenta))
-    given = [pointed(table) for table in (tables, watch, saves, schedule, where)]
-    reported = pointed(report)
-    kernels().flow_advance(
-        *(ctypes.byref(table) for table in given),
-        address(members),
-        *(ctypes.c_int64(number) for number in (int(crew[0]), int(crew[1]), k0, k1)),
-        ctypes.byref(reported),
-        ctypes.c_int64(0),
-    )
+    take_steps("flow_advance", tables, watch, saves, schedule, state, crew, k0, k1, report, stride, base)

@@ -74,11 +74,17 @@ def runge_kutta_tables(
         _flat(scale),
         _flat(mix),
         _flat(out),
+        _flat(np.stack([method.forecast(ratio) for ratio in _ratios(fractions)])),
         _flat(dense),
         fraction,
         moment,
     )
     return Compiled(tables, keep)
+
+
+def _ratios(fractions: Sequence[float]) -> list[float]:
+    """Return the length of each substep in units of the one before it."""
+    return [fractions[part] / fractions[part - 1] for part in range(len(fractions))]
 
 
 def _flat(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.kernels.field_tables import field_of, group_of, substeps
-from coadjoint.kernels.stepping import Stepping, StepTables
+from coadjoint.kernels.stepping import Stepping, StepTables, step_address
 from coadjoint.kernels.tables import Compiled, addresses_of
 from coadjoint.methods.base import System
 from coadjoint.methods.step_method import StepMethod
@@ -58,5 +58,6 @@ def step_tables(
         np.array(numbers, dtype=np.float64),
     )
     lengths, moments = substeps(fractions)
-    stepping = Stepping(method.compiled_step, method.room(system), len(lengths), lengths, moments, tables)
+    step = np.array([step_address(method.compiled_step)], dtype=np.int64)
+    stepping = Stepping(step, len(lengths), lengths, moments, tables)
     return Compiled(stepping, (*keep, *kept))

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.kernels.actions import RATIONAL
 from coadjoint.kernels.flow import FlowTables
 from coadjoint.kernels.functions import CompiledFunction
 from coadjoint.kernels.watching import Watch
@@ -23,6 +22,10 @@ from coadjoint.program.terms import LINEAR, TermTable
 from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
 from coadjoint.systems.user_functions import takes_time
+
+
+RATIONAL = 8
+"""Added to the kind of a rotation by tan(angle/2) := half the angle: the same block, with another sine and cosine."""
 
 
 class Compiled(NamedTuple):

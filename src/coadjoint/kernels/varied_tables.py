@@ -9,11 +9,26 @@ import numpy as np
 
 Tables = TypeVar("Tables", bound=tuple[Any, ...])
 
+# The float64 arrays that the kernels read by member; steps and coefficients of a scheme are not among them.
+VARIED = frozenset(
+    ("offset", "weight", "coefficient", "constants", "frequency", "constant", "period", "value", "quadratic")
+)
+BLOCK = 32
+"""Columns of a stack are a multiple of this, the last ones repeated, so that lanes may read beyond the last member."""
+
+
+def _varies(name: str, item: Any) -> bool:
+    return name in VARIED and isinstance(item, np.ndarray) and item.dtype == np.float64
+
+
+def _fields(tables: Any) -> Sequence[str]:
+    return getattr(tables, "_fields", ("",) * len(tables))
+
 
 def structure_of(tables: Any) -> Hashable:
     """Return everything in tables but their constants: two members with equal structure can share one set of tables.
 
-    Constants are the arrays of float64; of those the shape is structure. Addresses of user functions are structure.
+    Constants are the float64 arrays of a name in `VARIED`; of those the shape is structure.
 
     Parameters
     ----------
@@ -34,10 +49,10 @@ def structure_of(tables: Any) -> Hashable:
     True
     """
     if isinstance(tables, np.ndarray):
-        kind = tables.dtype.char
-        return (kind, tables.shape) if kind == "d" else (kind, tables.shape, tables.tobytes())
+        return tables.dtype.char, tables.shape, tables.tobytes()
     if isinstance(tables, tuple):
-        return (type(tables), *map(structure_of, tables))
+        items = zip(_fields(tables), tables, strict=True)
+        return type(tables), *(item.shape if _varies(name, item) else structure_of(item) for name, item in items)
     found: Hashable = tables
     return found
 
@@ -53,27 +68,28 @@ def stacked(members: Sequence[Tables]) -> Tables:
     Returns
     -------
     NamedTuple
-        The integers and functions of the first member; every array of constants (count,) has become (count, members),
-        C-contiguous.
+        The integers and functions of the first member; every array of constants (count,) has become (count, columns),
+        C-contiguous, a column for each member and the last one repeated up to a multiple of `BLOCK`.
 
     Examples
     --------
     >>> import numpy as np
     >>> from coadjoint.kernels.field import GroupField
     >>> index = np.zeros(1, dtype=np.uint32)
-    >>> stacked([GroupField(1, 1, index, index, index, np.array([value])) for value in (1.0, 2.0)])[-1]
-    array([[1., 2.]])
+    >>> stacked([GroupField(1, 1, index, index, index, np.array([value])) for value in (1.0, 2.0)])[-1][:, :3]
+    array([[1., 2., 2.]])
     """
     first = members[0]
-    columns = zip(*members, strict=True)
-    return _remade(first, [_stacked_column(item, column) for item, column in zip(first, columns, strict=True)])
+    columns = zip(_fields(first), first, zip(*members, strict=True), strict=True)
+    return _remade(first, [_stacked_column(name, item, column) for name, item, column in columns])
 
 
-def _stacked_column(item: Any, column: Sequence[Any]) -> Any:
+def _stacked_column(name: str, item: Any, column: Sequence[Any]) -> Any:
     if isinstance(item, tuple):
         return stacked(column)
-    if isinstance(item, np.ndarray) and item.dtype == np.float64:
-        return np.ascontiguousarray(np.array(column).T)
+    if _varies(name, item):
+        beyond = -len(column) % BLOCK
+        return np.ascontiguousarray(np.pad(np.array(column), ((0, beyond), (0, 0)), mode="edge").T)
     return item
 
 
@@ -100,15 +116,15 @@ def picked(varied: Tables, member: int) -> Tables:
     >>> picked(both, 1)[-1]
     array([2.])
     """
-    return _remade(varied, [_picked_item(item, member) for item in varied])
+    return _remade(
+        varied, [_picked_item(name, item, member) for name, item in zip(_fields(varied), varied, strict=True)]
+    )
 
 
-def _picked_item(item: Any, member: int) -> Any:
+def _picked_item(name: str, item: Any, member: int) -> Any:
     if isinstance(item, tuple):
         return picked(item, member)
-    if isinstance(item, np.ndarray) and item.dtype == np.float64:
-        return item[:, member].copy()
-    return item
+    return item[:, member].copy() if _varies(name, item) else item
 
 
 def _remade(tables: Tables, items: list[Any]) -> Tables:

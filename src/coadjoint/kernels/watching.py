@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
+import ctypes
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.compiling import compiled, inlined
-from coadjoint.kernels.pointers import pointed, shifted
-from coadjoint.kernels.terms import value
+from coadjoint.kernels.library import address, kernels, pointed
+from coadjoint.kernels.loop import state_of
 from coadjoint.program.terms import Terms
 
 TENTHS = 10
@@ -73,109 +72,28 @@ class Report(NamedTuple):
     iterations: NDArray[np.int64]
 
 
-@inlined
-def finite(size: int, x: Any) -> bool:
-    """Return whether every component is finite: 0 times it is 0."""
-    total = 0.0
-    for i in range(size):
-        total += 0.0 * x[i]
-    return total == 0.0
-
-
-@inlined
-def slot_of(schedule: Schedule, k: int) -> int:
-    """Return the place of step k among the saved points, or -1."""
-    if k % schedule.save_every == 0:
-        return k // schedule.save_every
-    if k == schedule.steps:
-        return k // schedule.save_every + 1
-    return -1
-
-
-@inlined
-def value_of(watch: Watch, i: int, x: Any, t: float, room: Any) -> float:
-    """Return invariant i at x; `room` has watch.longest + 1 places."""
-    total = watch.constant[i]
-    for term in range(watch.first[i], watch.first[i + 1]):
-        total += value(watch.terms, watch.addresses, term, x, t, room)
-    return total
-
-
-@inlined
-def record(
-    watch: Watch,
-    saves: Saves,
-    schedule: Schedule,
-    member: int,
-    k: int,
-    slot: int,
-    size: int,
-    x: Any,
-    square: int,
-    group: Any,
-    room: Any,
+def record_start(
+    watch: Any,
+    saves: Any,
+    schedule: Any,
+    state: tuple[NDArray[np.float64], ...],
+    crew: tuple[int, int],
+    stride: int = 0,
 ) -> None:
-    """Note the deviations of the invariants at the finished state of step k, and save it where it has a slot.
+    """Save the initial state of the members crew[0] to crew[1] - 1, and the values that deviations are measured from.
 
-    `watch` and `saves` come as pointers, `x` and `group` have `size` and `square` components, `room` watch.longest + 1
-    places.
+    `state` is that of `coadjoint.kernels.loop.state_of`. With a stride the constants differ by member, from crew[0] on.
     """
-    t = schedule.t0 + k * schedule.h
-    tenth = (k - 1) * TENTHS // schedule.steps if k > 0 else 0
-    for i in range(watch.size):
-        now = value_of(watch, i, x, t, room)
-        place = member * watch.size + i
-        if k == 0:
-            saves.first[place] = now
-        elif watch.period[i] > 0.0:
-            now += watch.period[i] * math.floor((saves.last[place] - now) / watch.period[i] + 0.5)
-        saves.last[place] = now
-        deviation = abs(now - saves.first[place])
-        bin = (member * TENTHS + tenth) * watch.size + i
-        if not deviation <= saves.worst[bin]:
-            saves.worst[bin] = deviation
-        if slot >= 0:
-            saves.values[(slot * saves.members + member) * watch.size + i] = now
-    if slot >= 0:
-        here = slot * saves.members + member
-        for i in range(size):
-            saves.x[here * size + i] = x[i]
-        for i in range(square):
-            saves.group[here * square + i] = group[i]
+    given = [pointed(table) for table in (watch, saves, schedule, state_of(state))]
+    kernels().watch_start(
+        *(ctypes.byref(table) for table in given), *(ctypes.c_int64(number) for number in (*crew, stride))
+    )
 
 
-@compiled
-def record_start(watch: Watch, saves: Saves, schedule: Schedule, momenta: Any, groups: Any) -> None:
-    """Save the initial state of every member, and the values that deviations are measured from."""
-    room = np.empty(watch.longest + 1)
-    size, square = momenta.shape[1], groups.shape[1]
-    watch_at, saves_at, x, group = pointed((watch, saves, momenta, groups))
-    for member in range(momenta.shape[0]):
-        record(
-            watch_at,
-            saves_at,
-            schedule,
-            member,
-            0,
-            0,
-            size,
-            shifted(x, member * size),
-            square,
-            shifted(group, member * square),
-            pointed(room),
-        )
-
-
-@compiled
-def values_along(watch: Watch, points: Any, times: Any, out: Any) -> None:
-    """Fill out (K, members, I) with functions at the saved points (K, members, n)."""
-    room = np.empty(watch.longest + 1)
-    count, members, size = points.shape
-    watch_at, x, values = pointed((watch, points, out))
-    for slot in range(count):
-        for member in range(members):
-            here = slot * members + member
-            for i in range(watch.size):
-                values[here * watch.size + i] = value_of(
-                    watch_at, i, shifted(x, here * size), times[slot], pointed(room)
-                )
+def values_along(watch: Any, points: NDArray[np.float64], times: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """Fill out (K, members, I) with functions at the saved points (K, members, n), at K times."""
+    x, t = np.ascontiguousarray(points, dtype=np.float64), np.ascontiguousarray(times, dtype=np.float64)
+    table = pointed(watch)
+    kernels().watch_values(
+        ctypes.byref(table), address(x), address(t), *(ctypes.c_int64(size) for size in x.shape), address(out)
+    )

@@ -174,3 +174,47 @@ def radau(stages: int, number: Number = float) -> Collocation:
     [[0.416666666667, -0.083333333333], [0.75, 0.25]]
     """
     return _in_floats(stages, True) if number is float else _radau(stages, number)
+
+
+FURTHEST = 9
+"""Legendre polynomials are continued up to this degree: at the end of the next step they are about 6^degree."""
+
+
+@functools.lru_cache(maxsize=64)
+def extrapolation(stages: int, ratio: float) -> NDArray[np.float64]:
+    """Return E with x + sum_j E_ij L_j the polynomial of a Gauss step continued to the nodes of the next one.
+
+    E_ij is the integral of l_j / b_j from 1 to 1 + ratio c_i, in units of the old step, with the sum for l_j of
+    `_collocation` cut off at degree `FURTHEST`.
+
+    Parameters
+    ----------
+    stages : int
+        Number of stages s.
+    ratio : float
+        Length of the next step in units of the old one; negative for a step back.
+
+    Returns
+    -------
+    (s, s) array
+
+    Examples
+    --------
+    One stage: the slope of the old step goes on for half of the new one.
+
+    >>> extrapolation(1, 1.0).tolist()
+    [[0.5]]
+    """
+    with decimal.localcontext(decimal.Context(prec=DIGITS)):
+        roots = [2 * c - 1 for c in _gauss(stages, decimal.Decimal).nodes]
+        values = [_legendre(stages, z) for z in roots]
+        result = np.zeros((stages, stages))
+        for i in range(stages):
+            z = 1 + decimal.Decimal(ratio) * (1 + roots[i])
+            ahead = _legendre(stages, z)
+            for j in range(stages):
+                top = min(stages, FURTHEST + 1)
+                total = sum((values[j][k] * (ahead[k + 1] - ahead[k - 1]) for k in range(1, top)), z - 1)
+                result[i, j] = float(total / 2)
+    result.flags.writeable = False
+    return result

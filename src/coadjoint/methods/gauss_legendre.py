@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.methods.base import Properties, System, has_quadratic_energy
-from coadjoint.methods.gauss_coefficients import gauss_legendre
+from coadjoint.methods.gauss_coefficients import extrapolation, gauss_legendre
 from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod, settle
 from coadjoint.methods.stages import Coefficients, Step
 from coadjoint.program.numbers import Number
@@ -128,6 +129,20 @@ class GaussLegendre(RungeKuttaMethod):
         Coefficients
         """
         return gauss_tableau(self.stages, number)
+
+    def forecast(self, ratio: float) -> NDArray[np.float64]:
+        """Return the matrix that continues the polynomial of the substep before.
+
+        Parameters
+        ----------
+        ratio : float
+            Length of the substep in units of the one before it.
+
+        Returns
+        -------
+        (s, s) array
+        """
+        return extrapolation(self.stages, ratio)
 
     def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
         """Return the slopes L_j = h b_j f(x + sum_k mu_jk L_k), and dL_j = h b_j f'(X_j) dX_j.

@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.kernels.actions import add
-from coadjoint.kernels.arithmetic import fma
-from coadjoint.kernels.field import energy, slope
-from coadjoint.kernels.linear_solve import factorize, substitute
-from coadjoint.kernels.pointers import shifted
-from coadjoint.kernels.stagnation import FAILED, GO_ON, restage, verdict
-from coadjoint.kernels.stepping import EVALUATIONS, ITERATIONS, RESIDUAL, ROOM, UNDEFINED, step_function
-from coadjoint.kernels.watching import DONE, NOT_CONVERGED, OVERFLOW
 from coadjoint.methods.base import Properties, System
 from coadjoint.methods.gauss_coefficients import radau
 from coadjoint.methods.gauss_legendre import whole_number
 from coadjoint.methods.runge_kutta import settle
 from coadjoint.methods.stages import Coefficients, Step, begin, linear_solve
-from coadjoint.methods.step_method import StepMethod
+from coadjoint.methods.step_method import UNDEFINED, StepMethod
 from coadjoint.program.numbers import Number
 
 NO_MULTIPLIER = (
@@ -103,19 +94,14 @@ class RadauEnergy(StepMethod):
         return Properties(poisson=False, energy=True, casimirs="none", attitude="none")
 
     @property
-    def compiled_step(self) -> Any:
-        """The compiled step."""
-        return _compiled_step()
+    def compiled_step(self) -> str:
+        """The step in ``radau_energy.cpp``."""
+        return "radau_energy"
 
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
         """Return s, and the weights b and mu one after the other."""
         _, weights, mu = radau(self.stages)
         return [self.stages], [*weights, *mu.ravel()]
-
-    def room(self, system: System) -> int:
-        """Return how many numbers the compiled step needs room for: what `_radau_step` lays out, in its order."""
-        s, n = self.stages, system.dim
-        return 2 * s * n + 5 * n + 1 + s * (s + 3) + (n * n if system.algebra is None else 0)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, read in NumPy for any number type.
@@ -216,86 +202,3 @@ class RadauEnergy(StepMethod):
     def _tableau(self, number: Number = float) -> Coefficients:
         nodes, weights, mu = radau(self.stages, number)
         return Coefficients(nodes, weights, mu, np.array([number(1)] * self.stages))
-
-
-class _Room(NamedTuple):
-    """Room for `restage`."""
-
-    change: Any
-    least: Any
-
-
-def _radau_step(tables: Any, x: Any, dx: Any, group: Any, dgroup: Any, t: float, h: float, room: Any) -> int:
-    """Take one step: function iteration for the stages, and in each one a Newton iteration for the multipliers."""
-    field, n, s = tables.field, tables.field.size, tables.integers[0]
-    mu = shifted(tables.numbers, s)
-    points = shifted(room, ROOM)
-    slopes = shifted(points, s * n)
-    work = _Room(shifted(slopes, s * n), shifted(slopes, s * n + n))
-    u = shifted(work.least, n)
-    rows, arguments = shifted(u, n), shifted(u, 2 * n)
-    matrix = shifted(arguments, n + 1)
-    excess = shifted(matrix, s * s)
-    multipliers, pivots, structure = shifted(excess, s), shifted(excess, 2 * s), shifted(excess, 3 * s)
-    wanted = energy(field, tables.values, x, t, arguments)
-    for q in range(s * n):
-        points[q] = x[q % n]
-    for j in range(s):
-        multipliers[j] = 0.0
-    for c in range(n):
-        work.least[c] = np.inf
-    passed, quiet, first, orientation = 0, 0, 0.0, 0.0
-    while True:
-        crossed = False
-        for i in range(s):
-            X, L = shifted(points, i * n), shifted(slopes, i * n)
-            slope(field, X, u, X, t, True, L, rows, arguments, structure)
-            for c in range(n):
-                L[c] = fma(h * tables.numbers[i], L[c], multipliers[i] * X[c])
-            for j in range(s):
-                total = 0.0
-                for c in range(n):
-                    total = fma(u[c], points[j * n + c], total)
-                matrix[i * s + j] = mu[i * s + j] * total
-                if i == j:
-                    orientation = total if passed == 0 else orientation
-                    crossed = crossed or not total * orientation > 0.0
-        for i in range(s):
-            for c in range(n):
-                total = dx[c]
-                for j in range(s):
-                    total = fma(mu[i * s + j], slopes[j * n + c], total)
-                u[c] = x[c] + total
-            excess[i] = wanted - energy(field, tables.values, u, t, arguments)
-        passed += 1
-        room[EVALUATIONS], room[ITERATIONS] = s * passed, passed
-        if not factorize(matrix, s, pivots):
-            room[RESIDUAL] = np.nan
-            return UNDEFINED
-        substitute(matrix, s, pivots, excess, 1)
-        for j in range(s):
-            multipliers[j] += excess[j]
-            for c in range(n):
-                slopes[j * n + c] = fma(excess[j], points[j * n + c], slopes[j * n + c])
-        largest, size, falling = restage(mu, s, 0, s, n, x, dx, slopes, points, work)
-        first = largest if passed == 1 else first
-        result, quiet = verdict(passed, first, largest, size, falling, quiet)
-        room[RESIDUAL] = largest
-        if result == FAILED:
-            return OVERFLOW if passed == 1 and not largest - largest == 0.0 else NOT_CONVERGED
-        if result != GO_ON:
-            if crossed:
-                room[RESIDUAL] = np.nan
-                return UNDEFINED
-            break
-    for c in range(n):
-        total = 0.0
-        for j in range(s):
-            total += slopes[j * n + c]
-        add(x, dx, c, total, True)
-    return DONE
-
-
-@functools.cache
-def _compiled_step() -> Any:
-    return step_function(_radau_step)

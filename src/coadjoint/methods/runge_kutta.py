@@ -41,6 +41,21 @@ class RungeKuttaMethod(Method):
         """How many iterations come before the output, or before the linear system; implicit schemes do not say."""
         return 0
 
+    def forecast(self, ratio: float) -> NDArray[np.float64]:
+        """Return the matrix E of the starting values X_i = x + sum_j E_ij L_j, L the slopes of the substep before.
+
+        Parameters
+        ----------
+        ratio : float
+            Length of the substep in units of the one before it.
+
+        Returns
+        -------
+        (s, s) array
+            Zero, so that X_i = x, unless the scheme knows better; only implicit ones are asked.
+        """
+        return np.zeros_like(self.coefficients().mix)
+
     @abstractmethod
     def coefficients(self, number: Number = float) -> Coefficients:
         """Return the tableau.

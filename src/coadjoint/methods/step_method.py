@@ -11,16 +11,20 @@ from numpy.typing import NDArray
 from coadjoint.methods.base import Method, System
 
 
-class StepMethod(Method):
-    """A scheme with a step of its own, in its own file: compiled, and read in NumPy.
+UNDEFINED = 3
+"""Status of a step that its scheme does not define; the scheme's `failures` says why."""
 
-    The compiled step is made by `coadjoint.kernels.stepping.step_function`, which says what it is given.
+
+class StepMethod(Method):
+    """A scheme with a step of its own, in its own files: NAME.cpp beside NAME.py, compiled, and read in NumPy.
+
+    The C++ file derives from ``StepScheme`` of ``step_scheme.hpp``, which says what it is given.
     """
 
     @property
     @abstractmethod
-    def compiled_step(self) -> Any:
-        """The compiled step."""
+    def compiled_step(self) -> str:
+        """The name that the C++ file gives to the step, by ``STEP_SCHEME``."""
 
     @abstractmethod
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
@@ -29,20 +33,6 @@ class StepMethod(Method):
         Returns
         -------
         integers, numbers : sequences
-        """
-
-    @abstractmethod
-    def room(self, system: System) -> int:
-        """Return how many numbers the compiled step needs room for.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-
-        Returns
-        -------
-        int
         """
 
     @abstractmethod

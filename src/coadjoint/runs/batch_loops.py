@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
+from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,26 +13,27 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.base import FlowMethod, Method
 from coadjoint.program.decompose import decompose_all
-from coadjoint.runs.loops import Crew, Work, start_of_loop, unshifted_groups
+from coadjoint.runs.loops import BLOCK, Crew, Work, start_of_loop, unshifted_groups
 from coadjoint.runs.prepare import Prepared, loop_of
 from coadjoint.runs.start import Representation, Start
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-# So many members to a worker in a round: an interrupt waits for them, and each of them costs a call from Python.
-MEMBERS_IN_A_ROUND = 8
+# So many crews to a worker in a round: an interrupt waits for them, and each of them costs a call from Python.
+CREWS_IN_A_ROUND = 8
 
 
 class Group(NamedTuple):
     """Members with tables of one structure: `members` are their places in the batch, ascending.
 
-    `tables` and `watch` are those of the first, with each array of constants (count,) become (count, members).
+    `tables` and `watch` are those of the first, with each array of constants (count,) become (count, stride).
     """
 
     members: NDArray[np.int64]
     advance: Callable[..., None]
     tables: Any
     watch: Any
+    stride: int
 
 
 class BatchLoops:
@@ -73,41 +76,28 @@ class BatchLoops:
         self._keep = ([found.keep for found in prepared], [watch.keep for watch in watches])
         self._first = np.cumsum([0] + [len(group.members) for group in self.groups])
         self._record_start = record_start
+        self.memory = max(found.memory for found in prepared)
 
     def work(self, crew: Crew) -> Work:
-        """Return what advances a crew of one member."""
-        from coadjoint.kernels.varied_tables import picked
+        """Return what advances a crew within a group."""
+        number = int(np.searchsorted(self._first, crew[0], side="right")) - 1
+        group, base = self.groups[number], int(self._first[number])
+        return Work(partial(group.advance, stride=group.stride, base=base), group.tables, group.watch)
 
-        group, column = self._place(crew[0])
-        return Work(group.advance, picked(group.tables, column), picked(group.watch, column))
-
-    def _place(self, member: int) -> tuple[Group, int]:
-        number = int(np.searchsorted(self._first, member, side="right")) - 1
-        return self.groups[number], member - int(self._first[number])
-
-    def record_start(self, saves: Any, schedule: Any, momenta: NDArray[Any], groups: NDArray[Any]) -> None:
+    def record_start(self, saves: Any, schedule: Any, state: tuple[NDArray[np.float64], ...]) -> None:
         """Save the initial states, and the values that deviations are measured from."""
-        from coadjoint.kernels.varied_tables import picked
-
-        for m in range(len(momenta)):
-            group, column = self._place(m)
-            # The first saved point of one member is contiguous, and a run of one.
-            own = slice(m, m + 1)
-            first = saves._replace(
-                members=1,
-                x=saves.x[:1, own],
-                group=saves.group[:1, own],
-                values=saves.values[:1, own],
-                worst=saves.worst[own],
-                first=saves.first[own],
-                last=saves.last[own],
-            )
-            self._record_start(picked(group.watch, column), first, schedule, momenta[own], groups[own])
+        for group, (first, last) in zip(self.groups, pairwise(self._first.tolist()), strict=True):
+            self._record_start(group.watch, saves, schedule, state, (first, last), group.stride)
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
-        """Return rounds of crews of one member each."""
-        size = MEMBERS_IN_A_ROUND * workers
-        return [[(m, m + 1) for m in range(a, min(a + size, members))] for a in range(0, members, size)]
+        """Return rounds of crews, each within a group and of whole blocks of lanes."""
+        crews: list[Crew] = []
+        for first, last in pairwise(self._first.tolist()):
+            blocks = -(-(last - first) // BLOCK)
+            edges = [min(last, first + blocks * w // workers * BLOCK) for w in range(workers + 1)]
+            crews += [crew for crew in pairwise(edges) if crew[0] < crew[1]]
+        size = CREWS_IN_A_ROUND * workers
+        return [crews[a : a + size] for a in range(0, len(crews), size)]
 
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the group elements that the loops start from."""
@@ -147,6 +137,7 @@ def groups_of(prepared: Sequence[Prepared], watches: Sequence[Any]) -> list[Grou
     >>> [group.members.tolist() for group in groups_of(own, [watch_tables(b, b.casimirs).tables for b in bodies])]
     [[0, 1, 2]]
     """
+    from coadjoint.kernels.library import pointed
     from coadjoint.kernels.varied_tables import stacked, structure_of
 
     found: dict[Hashable, list[int]] = {}
@@ -156,8 +147,9 @@ def groups_of(prepared: Sequence[Prepared], watches: Sequence[Any]) -> list[Grou
         Group(
             np.array(members, dtype=np.int64),
             prepared[members[0]].advance,
-            stacked([prepared[m].tables for m in members]),
-            stacked([watches[m] for m in members]),
+            pointed(stacked([prepared[m].tables for m in members])),
+            pointed(stacked([watches[m] for m in members])),
+            -(-len(members) // BLOCK) * BLOCK,
         )
         for members in found.values()
     ]

@@ -38,7 +38,11 @@ class Loops(Protocol):
     def order(self) -> NDArray[np.int64] | None:
         """In which order a run holds the members, where that is not the order in which they were given."""
 
-    def record_start(self, saves: Any, schedule: Any, momenta: NDArray[Any], groups: NDArray[Any]) -> None:
+    @property
+    def memory(self) -> int:
+        """How many numbers a member remembers from step to step."""
+
+    def record_start(self, saves: Any, schedule: Any, state: tuple[NDArray[np.float64], ...]) -> None:
         """Save the initial states, and the values that deviations are measured from."""
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
@@ -72,7 +76,6 @@ class SystemLoops:
     order: NDArray[np.int64] | None = None
 
     def __init__(self, system: System, method: Method, h: float, representation: Representation) -> None:
-        from coadjoint.kernels import flow
         from coadjoint.kernels.library import pointed
         from coadjoint.kernels.tables import watch_tables
         from coadjoint.kernels.watching import record_start
@@ -80,15 +83,14 @@ class SystemLoops:
         prepared, watch = loop_of(system, method, h, representation), watch_tables(system, system.casimirs)
         self._system, self._shift = system, prepared.shift
         self._keep = (prepared.keep, watch.keep)
-        self._record_start, self._watch = record_start, watch.tables
-        self._work = Work(prepared.advance, prepared.tables, watch.tables)
-        if prepared.advance is flow.advance:
-            # As C structures once, not at each call.
-            self._work = Work(flow.advance, pointed(prepared.tables), pointed(watch.tables))
+        self._record_start = record_start
+        # As C structures once, not at each call.
+        self._work = Work(prepared.advance, pointed(prepared.tables), pointed(watch.tables))
+        self.memory = prepared.memory
 
-    def record_start(self, saves: Any, schedule: Any, momenta: NDArray[Any], groups: NDArray[Any]) -> None:
+    def record_start(self, saves: Any, schedule: Any, state: tuple[NDArray[np.float64], ...]) -> None:
         """Save the initial states, and the values that deviations are measured from."""
-        self._record_start(self._watch, saves, schedule, momenta, groups)
+        self._record_start(self._work.watch, saves, schedule, state, (0, len(state[0])))
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return one round, of a crew for each worker; what the kernels advance side by side stays together."""

@@ -21,13 +21,14 @@ class Prepared:
     """A compiled loop with its tables.
 
     `keep` holds the machine code of user functions alive; `shift` is what was taken off the Hamiltonian, Casimirs and
-    factors, and turns the group element at output.
+    factors, and turns the group element at output; `memory` is how many numbers a member remembers from step to step.
     """
 
     advance: Callable[..., None]
     tables: Any
     keep: tuple[Any, ...]
     shift: tuple[tuple[Polynomial, float], ...] = ()
+    memory: int = 0
 
 
 def loop_of(system: System, method: Method, h: float, representation: NDArray[Any] | str | None) -> Prepared:
@@ -70,7 +71,8 @@ def loop_of(system: System, method: Method, h: float, representation: NDArray[An
         from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 
         found = runge_kutta_tables(system, innermost, representation, method.fractions)
-        return Prepared(runge_kutta.advance, found.tables, found.keep)
+        memory = runge_kutta.memory_of(found.tables)
+        return Prepared(runge_kutta.advance, found.tables, found.keep, memory=memory)
     if isinstance(innermost, StepMethod):
         from coadjoint.kernels import stepping
         from coadjoint.kernels.step_tables import step_tables

@@ -52,11 +52,12 @@ class Run:
         held = slice(None) if loops.order is None else loops.order
         # Group elements are held transposed.
         groups = np.swapaxes(loops.started(start.groups)[held], 1, 2).reshape(members, square).copy()
-        self.state = (start.momenta[held].copy(), np.zeros((members, size)), groups, np.zeros((members, square)))
+        momenta, memory = start.momenta[held].copy(), _blank(members, loops.memory)
+        self.state = (momenta, np.zeros((members, size)), groups, np.zeros((members, square)), memory)
         counts = np.zeros((4, members), dtype=np.int64)
         self.report = Report(counts[0], counts[1], _blank(members), counts[2], counts[3])
         self.seconds = 0.0
-        loops.record_start(self.saves, self.schedule, self.state[0], self.state[2])
+        loops.record_start(self.saves, self.schedule, self.state)
 
     def advance(self, workers: int, progress: bool) -> None:
         """Take all steps: round after round, each in chunks between which an interrupt is heard."""

@@ -4,19 +4,7 @@
 #include <optional>
 
 #include "actions.hpp"
-#include "watching.hpp"
-
-// Constants that differ by member: `stride` of them side by side for each place of a table, the lanes from `first`.
-struct Varied {
-    int64_t stride, first;
-    template <class A>
-    INLINE A number_at(const double* from, int64_t place) const {
-        return load<A>(from + place * stride + first);
-    }
-    INLINE int64_t address(const int64_t* from, int64_t place, int lane) const {
-        return from[place * stride + first + lane];
-    }
-};
+#include "crew.hpp"
 
 // Room for the angles of a part and for the calls of user functions.
 template <class A>
@@ -68,12 +56,6 @@ NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first
                     const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
     for (uint32_t r = first; r < last; ++r) apply_row<care, carry>(tables, constants, r, x, group, t, h, room);
 }
-
-// The members of a call: positions first to last - 1 of a crew; state, schedule and report are those of all members.
-struct Crew {
-    const int64_t* members;
-    int64_t first, last;
-};
 
 struct Loop {
     const FlowTables& tables;
@@ -307,10 +289,6 @@ void follow_together(const Loop& loop, const ConstantsFrom& constants_from, cons
         if (left == 0) break;
     }
 }
-
-constexpr int CROWD = 4 * NATIVE;    // members side by side: four vectors hide each other's latency
-constexpr int64_t WIDEST = 1024;     // dimension up to which lanes of states stay in the cache
-constexpr int64_t FEWEST = 3;        // members that are worth a block of lanes
 
 template <Care care, bool carry>
 void advance_crew(const Loop& loop, const Crew& crew, const Varied* varied) {

@@ -50,7 +50,8 @@ struct Lanes {
 
     INLINE Lanes() = default;
     INLINE Lanes(double value) {
-        for (int k = 0; k < count; ++k) part[k] = Vector{} + value;
+        // Minus zero, which the compiler knows to change nothing; plus zero would change -0.
+        for (int k = 0; k < count; ++k) part[k] = value - Vector{};
     }
     INLINE double operator[](int lane) const { return part[lane / width][lane % width]; }
     INLINE void set(int lane, double value) { part[lane / width][lane % width] = value; }
@@ -81,9 +82,7 @@ struct Lanes {
     INLINE friend bool any(const Mask& mask) {
         Bits together{};
         EACH together |= mask.part[k];
-        int64_t total = 0;
-        for (int lane = 0; lane < width; ++lane) total |= together[lane];
-        return total != 0;
+        return some(together);
     }
     INLINE friend bool all(const Mask& mask) { return !any(!mask); }
     INLINE friend bool at(const Mask& mask, int lane) { return mask.part[lane / width][lane % width] != 0; }
@@ -112,6 +111,18 @@ struct Lanes {
 #undef EACH
 
   private:
+    INLINE static bool some(Bits bits) {
+#if defined(__AVX512F__)
+        if constexpr (width == 8) return _mm512_test_epi64_mask((__m512i)bits, (__m512i)bits) != 0;
+#endif
+#if defined(__AVX2__)
+        if constexpr (width == 4) return _mm256_movemask_pd((__m256d)bits) != 0;
+        if constexpr (width == 2) return _mm_movemask_pd((__m128d)bits) != 0;
+#endif
+        int64_t total = 0;
+        for (int lane = 0; lane < width; ++lane) total |= bits[lane];
+        return total != 0;
+    }
     INLINE static Vector fused(Vector a, Vector b, Vector c) {
 #if defined(__AVX512F__)
         if constexpr (width == 8) return (Vector)_mm512_fmadd_pd((__m512d)a, (__m512d)b, (__m512d)c);

@@ -69,17 +69,29 @@ TABLE(Schedule, SCHEDULE_FIELDS)
 TABLE(Report, REPORT_FIELDS)
 
 #define STATE_FIELDS(_)                                                                                              \
-    _(integer, size) _(integer, square) _(numbers, momenta) _(numbers, errors) _(numbers, groups)                   \
-    _(numbers, group_errors)
+    _(integer, size) _(integer, square) _(integer, remembered) _(numbers, momenta) _(numbers, errors)               \
+    _(numbers, groups) _(numbers, group_errors) _(numbers, memory)
 TABLE(State, STATE_FIELDS)
 
-// Where the constants of a table stand: one for all lanes, or one for each member side by side.
-struct Shared {
-    template <class A>
-    static inline __attribute__((always_inline)) A number_at(const double* from, int64_t place) {
-        return A(from[place]);
-    }
-    static inline __attribute__((always_inline)) int64_t address(const int64_t* from, int64_t place, int) {
-        return from[place];
-    }
-};
+#define FIELD_FIELDS(_)                                                                                              \
+    _(integer, size) _(number, sign) _(indices, first) _(indices, column) _(indices, state) _(numbers, constant)     \
+    _(flag, nonlinear) _(integers, structure) _(Terms, terms) _(integers, addresses) _(integer, longest)
+TABLE(Field, FIELD_FIELDS)
+
+#define GROUP_FIELD_FIELDS(_)                                                                                        \
+    _(integer, size) _(integer, entries) _(indices, element) _(indices, row) _(indices, column) _(numbers, value)
+TABLE(GroupField, GROUP_FIELD_FIELDS)
+
+#define RUNGE_KUTTA_FIELDS(_)                                                                                        \
+    _(Field, field) _(GroupField, group) _(integer, stages) _(integer, substeps) _(integer, solver)                  \
+    _(integer, iterations) _(flag, direct) _(numbers, node) _(numbers, scale) _(numbers, mix) _(numbers, out)        \
+    _(numbers, forecast) _(numbers, quadratic) _(numbers, fraction) _(numbers, moment)
+TABLE(RungeKuttaTables, RUNGE_KUTTA_FIELDS)
+
+#define STEP_FIELDS(_)                                                                                               \
+    _(Field, field) _(integers, values) _(GroupField, group) _(integers, whole) _(numbers, coefficients)
+TABLE(StepTables, STEP_FIELDS)
+
+#define STEPPING_FIELDS(_)                                                                                           \
+    _(integers, step) _(integer, substeps) _(numbers, fraction) _(numbers, moment) _(StepTables, tables)
+TABLE(Stepping, STEPPING_FIELDS)

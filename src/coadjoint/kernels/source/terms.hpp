@@ -1,8 +1,7 @@
 // The verb `angle`: gradients and values of the terms of a table.
 #pragma once
 
-#include "lanes.hpp"
-#include "tables.hpp"
+#include "constants.hpp"
 
 constexpr int LINEAR = 0, POLYNOMIAL = 1;
 
@@ -12,12 +11,15 @@ typedef void (*UserFunction)(const double* y, double t, double* out);
 template <class A, class C>
 void call_function(const C& constants, const int64_t* addresses, int64_t k, const A* y, int64_t count, const A& t,
                    A* out, int64_t results, double* room) {
-    for (int lane = 0; lane < Numbers<A>::lanes; ++lane) {
+    const int used = constants.used(Numbers<A>::lanes);
+    for (int lane = 0; lane < used; ++lane) {
         double *point = room, *result = room + count;
         for (int64_t i = 0; i < count; ++i) point[i] = lane_of(y[i], lane);
         reinterpret_cast<UserFunction>(constants.address(addresses, k, lane))(point, lane_of(t, lane), result);
         for (int64_t i = 0; i < results; ++i) set_lane(out[i], lane, result[i]);
     }
+    for (int lane = used; lane < Numbers<A>::lanes; ++lane)
+        for (int64_t i = 0; i < results; ++i) set_lane(out[i], lane, lane_of(out[i], used - 1));
 }
 
 // x to a whole power by repeated multiplication, in an order that depends on the exponent alone.

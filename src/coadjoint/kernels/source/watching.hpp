@@ -4,23 +4,11 @@
 #include <algorithm>
 #include <vector>
 
+#include "room.hpp"
 #include "terms.hpp"
 
 constexpr int64_t TENTHS = 10;
 constexpr int64_t DONE = 0, NOT_CONVERGED = 1, OVERFLOWED = 2;
-
-// Room of a loop: numbers of any lanes, aligned to them.
-template <class A>
-struct Room {
-    std::vector<char> bytes;
-    A* at;
-
-    explicit Room(int64_t count) : bytes(sizeof(A) * (count + 1) + alignof(A), 0) {
-        at = reinterpret_cast<A*>((reinterpret_cast<uintptr_t>(bytes.data()) + alignof(A) - 1) & ~(alignof(A) - 1));
-    }
-    Room(const Room&) = delete;
-    Room& operator=(const Room&) = delete;
-};
 
 // Whether every component is finite: 0 times it is 0.
 template <class A>

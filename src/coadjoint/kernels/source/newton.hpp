@@ -1,0 +1,61 @@
+// Stages by linear systems for their corrections: simplified Newton, and what is linear from the start.
+#pragma once
+
+#include <limits>
+
+#include "krylov.hpp"
+#include "linear_solve.hpp"
+#include "stagnation.hpp"
+
+constexpr int64_t MOST_CORRECTIONS = 50;
+constexpr double SLUGGISH = 0.25;  // of the correction before: then the factors are renewed
+
+// Correct the points of one trajectory until nothing falls: `evaluate` sets the slopes at the points, `solve` turns the
+// defect, stage after stage, into a correction, and `renew` is called where corrections fall slowly.
+template <class Layout, class Evaluate, class Solve, class Renew>
+NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve solve, Renew renew) {
+    const int64_t s = y.stages, m = y.size;
+    std::vector<double> defect(s * m);
+    std::fill_n(y.least.at, m, std::numeric_limits<double>::infinity());
+    Outcome<double> outcome{false, 0.0, std::numeric_limits<double>::infinity()};
+    double before = std::numeric_limits<double>::infinity();
+    int64_t quiet = 0;
+    for (int64_t passed = 1; passed <= MOST_CORRECTIONS; ++passed) {
+        evaluate();
+        outcome.iterations = double(passed);
+        for (int64_t b = 0; b < y.blocks; ++b)
+            mix_each<Layout>(y.mix + b * s, s, y.slopes.at, m, y.error, [&](int64_t c, const typename Layout::A& sum) {
+                y.change.at[b * m + c] = (Layout::spread(y.base[c]) - y.points.at[b * m + c]) + sum;
+            });
+        for (int64_t i = 0; i < s; ++i)
+            for (int64_t c = 0; c < m; ++c) defect[i * m + c] = Layout::at(y.change.at, m, c, i);
+        if (!solve(defect.data())) return outcome;
+        double largest = 0.0, size = 0.0, spoilt = 0.0;
+        for (int64_t i = 0; i < s; ++i) {
+            double moved = 0.0, extent = 0.0;
+            for (int64_t c = 0; c < m; ++c) {
+                const double change = defect[i * m + c], point = Layout::at(y.points.at, m, c, i) + change;
+                Layout::put(y.points.at, m, c, i, point);
+                Layout::put(y.change.at, m, c, i, absolute(change));
+                moved += absolute(change);
+                extent += absolute(point);
+                spoilt += 0.0 * point;
+            }
+            largest = larger(largest, moved);
+            size = larger(size, extent);
+        }
+        Layout::repeat_last(y.points.at, m, s);
+        Layout::repeat_last(y.change.at, m, s);
+        if (!(spoilt == 0.0)) return outcome;
+        outcome.residual = largest;
+        const bool small = largest <= NOISE * size;
+        quiet = y.falling(true) || !small ? 0 : quiet + 1;
+        if (largest == 0.0 || quiet == 2) {
+            outcome.settled = true;
+            return outcome;
+        }
+        if (!small && largest > SLUGGISH * before && !renew()) return outcome;
+        before = largest;
+    }
+    return outcome;
+}

@@ -1,0 +1,179 @@
+// When is a fixed point iteration done? When its corrections have stopped falling at the level of round-off.
+#pragma once
+
+#include <limits>
+
+#include "stages.hpp"
+
+constexpr int64_t FIRST_TEST = 3;     // early corrections may rise before they fall
+constexpr int64_t MOST = 200;
+constexpr double GROWTH = 0x1p64;     // of the first correction: a correction so much larger will not come back
+constexpr double NOISE = 0x1p-32;     // of the size of a stage: only below it is a correction taken for round-off
+constexpr int64_t LOOK = 16;          // every so many iterations: is it slow?
+constexpr double SLOW = 0x1p-6;       // corrections that fell by less since the last look would take more than MOST
+
+// Stages that solve points = base + (error + sum_j mix_ij slopes_j), `size` components each, and room for the iteration.
+template <class Layout>
+struct Unknowns {
+    typedef typename Layout::A A;
+    typedef typename Layout::V V;
+    const int64_t stages, blocks, size;
+    const typename Layout::Coefficient* mix;
+    V *base = nullptr, *error = nullptr;
+    Room<A> points, slopes, before, kept, change, moved;
+    Room<V> least;
+
+    Unknowns(int64_t stages, int64_t size, const typename Layout::Coefficient* mix)
+        : stages(stages), blocks(Layout::blocks(stages)), size(size), mix(mix), points(blocks * size),
+          slopes(blocks * size), before(blocks * size), kept(Numbers<V>::lanes > 1 ? blocks * size : 0),
+          change(blocks * size), moved(blocks), least(size) {}
+
+    void start_at_base() {
+        for (int64_t b = 0; b < blocks; ++b)
+            for (int64_t c = 0; c < size; ++c) points.at[b * size + c] = Layout::spread(base[c]);
+    }
+
+    // Start where the polynomial through the slopes of the step before leads, except where that is not finite.
+    void start_ahead(const typename Layout::Coefficient* forecast) {
+        A total(0.0);
+        for (int64_t b = 0; b < blocks; ++b)
+            mix_each<Layout>(forecast + b * stages, stages, before.at, size, error, [&](int64_t c, const A& sum) {
+                const A point = Layout::spread(base[c]) + sum;
+                total = total + 0.0 * point;
+                points.at[b * size + c] = point;
+            });
+        const auto sound = Layout::every(total == A(0.0));
+        if (all(sound)) return;
+        if constexpr (Numbers<V>::lanes == 1)
+            start_at_base();
+        else
+            for (int64_t k = 0; k < blocks * size; ++k)
+                points.at[k] = select(sound, points.at[k], base[k % size]);
+    }
+
+    // Set the points of the blocks low to high - 1 from the first `count` slopes, and note how far they moved.
+    INLINE void restage(int64_t low, int64_t high, int64_t count) {
+        for (int64_t b = low; b < high; ++b) {
+            A far(0.0);
+            A *here = points.at + b * size, *changed = change.at + b * size;
+            mix_each<Layout>(mix + b * stages, count, slopes.at, size, error, [&](int64_t c, const A& sum) {
+                const A point = Layout::spread(base[c]) + sum;
+                const A distance = absolute(point - here[c]);
+                here[c] = point;
+                changed[c] = distance;
+                far = far + distance;
+            });
+            moved.at[b] = far;
+        }
+    }
+
+    // The largest size of a stage, summed over its components.
+    V largest_size() const {
+        V result(0.0);
+        for (int64_t b = 0; b < blocks; ++b) {
+            A total(0.0);
+            for (int64_t c = 0; c < size; ++c) total = total + absolute(points.at[b * size + c]);
+            result = larger(result, V(Layout::largest(total)));
+        }
+        return result;
+    }
+
+    // The largest correction of a stage, summed over its components; no number where there is one that is none.
+    V largest_move() const {
+        V result(0.0), spoilt(0.0);
+        for (int64_t b = 0; b < blocks; ++b) {
+            result = larger(result, V(Layout::largest(moved.at[b])));
+            spoilt = spoilt + (Layout::largest(absolute(0.0 * moved.at[b])));
+        }
+        return result + spoilt;
+    }
+
+    // Whether the correction of any component has fallen below all that it has been: components differ in size, and each
+    // is followed until it stops.
+    NOINLINE typename Numbers<V>::Mask falling(const typename Numbers<V>::Mask& where) {
+        auto found = V(0.0) < V(0.0);
+        for (int64_t c = 0; c < size; ++c) {
+            V most(0.0);
+            for (int64_t b = 0; b < blocks; ++b) most = larger(most, V(Layout::largest(change.at[b * size + c])));
+            const auto fell = where & (most < least.at[c]);
+            least.at[c] = select(fell, most, least.at[c]);
+            found = found | fell;
+        }
+        return found;
+    }
+};
+
+template <class V>
+struct Outcome {
+    typename Numbers<V>::Mask settled;
+    V iterations, residual;
+};
+
+// Iterate points = base + mix slopes(points) until every trajectory of `going` has settled or failed; what has settled
+// keeps its slopes. `evaluate` sets the slopes at the points, `keep` is told which lanes settled, to keep more of them.
+//
+// A trajectory has settled when nothing moves, or when for two iterations in a row no component's correction has fallen
+// below all that it was since the corrections became small: one alone can be chance, since corrections turn while they
+// shrink where the iteration has complex eigenvalues. It fails when corrections grow or fall slowly.
+template <class Layout, class Mask, class Evaluate, class Keep>
+INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep) {
+    typedef typename Layout::V V;
+    typedef typename Layout::A A;
+    constexpr bool alone = Numbers<V>::lanes == 1;
+    Outcome<V> outcome{!(V(0.0) == V(0.0)), V(0.0), V(0.0)};
+    V first(0.0), looked(0.0), quiet(0.0), noise = V(NOISE) * y.largest_size();
+    bool noisy = false, kept = false;
+    for (int64_t passed = 1;; ++passed) {
+        evaluate();
+        y.restage(0, y.blocks, y.stages);
+        auto small = V(0.0) == V(0.0);
+        for (int64_t b = 0; b < y.blocks; ++b) small = small & Layout::every(y.moved.at[b] <= Layout::spread(noise));
+        auto ended = going & !(V(0.0) == V(0.0)), failed = ended;
+        if (__builtin_expect(any(going & small), 0)) {
+            auto still = going & small;
+            for (int64_t b = 0; b < y.blocks; ++b) still = still & Layout::every(y.moved.at[b] == A(0.0));
+            if (!noisy) std::fill_n(y.least.at, y.size, V(std::numeric_limits<double>::infinity()));
+            noisy = true;
+            ended = still;
+            if (any(going & small & !still)) {
+                const auto fell = y.falling(going & small);
+                const auto calm = going & small & !fell & (V(double(passed)) > V(double(FIRST_TEST)));
+                quiet = select(calm, quiet + 1.0, V(0.0));
+                ended = ended | (going & (quiet >= V(2.0)));
+            }
+        } else {
+            quiet = V(0.0);
+        }
+        if (__builtin_expect(passed == 1, 0)) {
+            first = looked = y.largest_move();
+            noise = noise + V(NOISE) * first;
+            failed = going & !ended & !(first - first == V(0.0));
+        } else if (__builtin_expect(passed % LOOK == 0, 0)) {
+            const V now = y.largest_move();
+            failed = going & !ended & (!(now <= V(GROWTH) * first) | (!small & !(now <= V(SLOW) * looked)));
+            looked = now;
+            if (passed >= MOST) failed = going & !ended;
+        }
+        const auto over = ended | failed;
+        if (!any(over)) continue;
+        outcome.settled = outcome.settled | ended;
+        outcome.iterations = select(over, V(double(passed)), outcome.iterations);
+        const V move = y.largest_move(), infinite(std::numeric_limits<double>::infinity());
+        outcome.residual = select(over, passed == 1 ? move : select(move - move == V(0.0), move, infinite), outcome.residual);
+        if constexpr (alone) {
+            return outcome;
+        } else {
+            const bool last = !any(going & !over);
+            if (kept || !last) {
+                for (int64_t k = 0; k < y.blocks * y.size; ++k)
+                    y.kept.at[k] = select(over, y.slopes.at[k], y.kept.at[k]);
+                keep(over, last);
+                kept = true;
+            }
+            going = going & !over;
+            if (!last) continue;
+            if (kept) std::swap(y.kept.at, y.slopes.at);
+            return outcome;
+        }
+    }
+}

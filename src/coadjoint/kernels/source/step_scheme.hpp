@@ -1,0 +1,23 @@
+// A scheme that brings one compiled step of its own: a file beside its Python file derives from this and ends with
+// STEP_SCHEME(name, Type); the Python file says the name.
+#pragma once
+
+#include "stagnation.hpp"
+#include "watching.hpp"
+
+constexpr int64_t UNDEFINED = 3;  // status of a step that its scheme does not define
+
+struct StepScheme {
+    double residual = 0.0;  // the last correction of the last step
+    int64_t evaluations = 0, iterations = 0;
+
+    virtual ~StepScheme() = default;
+    // Take one step of length h from time t in place, with what compensated sums owe; return a status. The group element
+    // is transposed.
+    virtual int64_t step(double* x, double* dx, double* group, double* dgroup, double t, double h) = 0;
+};
+
+#define STEP_SCHEME(name, Type)                                                         \
+    EXPORT StepScheme* name##_step(const StepTables& tables, const Own& constants) { \
+        return new Type(tables, constants);                                             \
+    }

@@ -1,0 +1,82 @@
+// A state, or a crowd of them, with the stages of its steps.
+#pragma once
+
+#include "runge_kutta.hpp"
+#include "single.hpp"
+
+template <class Layout, class C>
+struct Traveller {
+    typedef typename Layout::A A;
+    typedef typename Layout::V V;
+    const RungeKuttaTables& tables;
+    const int64_t n, square, s;
+    Stages<Layout, C> stages;
+    Room<V> momentum, element;
+    V *x, *dx, *g, *dg;
+
+    Traveller(const RungeKuttaTables& tables, const C& constants)
+        : tables(tables), n(tables.field.size), square(tables.group.size * tables.group.size), s(tables.stages),
+          stages(tables, constants), momentum(2 * n), element(2 * square), x(momentum.at), dx(x + n), g(element.at),
+          dg(g + square) {
+        stages.p.base = x, stages.p.error = dx, stages.g.base = g, stages.g.error = dg;
+    }
+
+    void add() {
+        add_slopes<Layout>(tables.out, s, stages.p.slopes.at, n, x, dx);
+        if (square > 0) add_slopes<Layout>(tables.out, s, stages.g.slopes.at, square, g, dg);
+    }
+
+    // The slopes of one lane as they are remembered, stage after stage: of the step before, or of this one.
+    void write_slopes(bool before, double* to, int lane) {
+        each_slope(before ? stages.p.before.at : stages.p.slopes.at, before ? stages.g.before.at : stages.g.slopes.at,
+                   [&](A* y, int64_t size, int64_t c, int64_t j) { *to++ = lane_of(V(Layout::at(y, size, c, j)), lane); });
+    }
+    void read_slopes(const double* from, int lane) {
+        each_slope(stages.p.slopes.at, stages.g.slopes.at, [&](A* y, int64_t size, int64_t c, int64_t j) {
+            V value = Layout::at(y, size, c, j);
+            set_lane(value, lane, *from++);
+            Layout::put(y, size, c, j, value);
+        });
+        Layout::repeat_last(stages.p.slopes.at, n, s);
+        Layout::repeat_last(stages.g.slopes.at, square, s);
+    }
+
+  private:
+    template <class Visit>
+    void each_slope(A* slopes, A* group_slopes, Visit visit) {
+        for (int64_t j = 0; j < s; ++j)
+            for (int64_t c = 0; c < n; ++c) visit(slopes, n, c, j);
+        for (int64_t j = 0; j < s; ++j)
+            for (int64_t c = 0; c < square; ++c) visit(group_slopes, square, c, j);
+    }
+};
+
+template <class Layout, class C>
+struct SingleOf final : Single {
+    Traveller<Layout, C> own;
+
+    SingleOf(const RungeKuttaTables& tables, const C& constants) : own(tables, constants) {
+        x = own.x, dx = own.dx, g = own.g, dg = own.dg;
+    }
+    bool solve(double t, double h, int64_t part) override {
+        own.stages.iterations = 0.0;
+        const bool found = own.stages.solve_alone(t, h, part, newton);
+        iterations += int64_t(own.stages.iterations);
+        evaluations += int64_t(own.stages.evaluations());
+        residual = own.stages.residual;
+        return found;
+    }
+    void add() override { own.add(); }
+    void read_slopes(const double* from) override { own.read_slopes(from, 0); }
+    void write_slopes(double* to) override { own.write_slopes(false, to, 0); }
+};
+
+// Stages as lanes where a step has many at once; explicit schemes and the midpoint rule have one at a time.
+template <class C>
+std::unique_ptr<Single> make_single(const RungeKuttaTables& tables, const C& constants) {
+    if (tables.solver == EXPLICIT || tables.stages == 1)
+        return std::make_unique<SingleOf<MemberLanes<double>, C>>(tables, constants);
+    if (tables.stages <= 4) return std::make_unique<SingleOf<StageLanes<4>, C>>(tables, constants);
+    if (tables.stages <= 8) return std::make_unique<SingleOf<StageLanes<8>, C>>(tables, constants);
+    return std::make_unique<SingleOf<StageLanes<16>, C>>(tables, constants);
+}

@@ -1,0 +1,81 @@
+// Radau IIA on the energy surface: function iteration for the stages, and in each one a Newton iteration for the
+// multipliers.
+#include "linear_solve.hpp"
+#include "step_scheme.hpp"
+
+namespace {
+
+typedef MemberLanes<double> Layout;
+
+struct RadauEnergy final : StepScheme {
+    const StepTables& tables;
+    const Own constants;
+    const Field& field;
+    const int64_t n, s;
+    const double *weight, *mu;
+    FieldRoom<double> room;
+    Unknowns<Layout> y;
+    std::vector<double> u, matrix, pivots, excess, multipliers, ones;
+
+    RadauEnergy(const StepTables& tables, const Own& constants)
+        : tables(tables), constants(constants), field(tables.field), n(field.size), s(tables.whole[0]),
+          weight(tables.coefficients), mu(weight + s), room(field), y(s, n, mu), u(n), matrix(s * s), pivots(s),
+          excess(s), multipliers(s), ones(s, 1.0) {}
+
+    int64_t step(double* x, double* dx, double*, double*, double t, double h) override {
+        y.base = x;
+        y.error = dx;
+        y.start_at_base();
+        std::fill(multipliers.begin(), multipliers.end(), 0.0);
+        const double wanted = energy(field, tables.values, constants, x, t, room);
+        double orientation = 0.0;
+        bool crossed = false, singular = false, begun = false;
+        const Outcome<double> outcome = settle(
+            y, true,
+            [&] {
+                crossed = false;
+                for (int64_t i = 0; i < s; ++i) {
+                    const double* X = y.points.at + i * n;
+                    double* L = y.slopes.at + i * n;
+                    gradient(field, constants, X, t, u.data(), room);
+                    product(field, constants, X, u.data(), h * weight[i], L, room);
+                    for (int64_t c = 0; c < n; ++c) L[c] = fma(multipliers[i], X[c], L[c]);
+                    for (int64_t j = 0; j < s; ++j) {
+                        double total = 0.0;
+                        for (int64_t c = 0; c < n; ++c) total = fma(u[c], y.points.at[j * n + c], total);
+                        matrix[i * s + j] = mu[i * s + j] * total;
+                        if (i != j) continue;
+                        if (!begun) orientation = total;
+                        crossed |= !(total * orientation > 0.0);
+                    }
+                }
+                begun = true;
+                for (int64_t i = 0; i < s; ++i) {
+                    mix_each<Layout>(mu + i * s, s, y.slopes.at, n, dx, [&](int64_t c, double sum) { u[c] = x[c] + sum; });
+                    excess[i] = wanted - energy(field, tables.values, constants, u.data(), t, room);
+                }
+                singular = !factorize(matrix.data(), s, pivots.data());
+                substitute(matrix.data(), s, pivots.data(), excess.data(), 1);
+                for (int64_t j = 0; j < s; ++j) {
+                    multipliers[j] += excess[j];
+                    for (int64_t c = 0; c < n; ++c)
+                        y.slopes.at[j * n + c] = fma(excess[j], y.points.at[j * n + c], y.slopes.at[j * n + c]);
+                }
+            },
+            [](bool, bool) {});
+        iterations = int64_t(outcome.iterations);
+        evaluations = s * iterations;
+        residual = outcome.residual;
+        if (singular || (outcome.settled && crossed)) {
+            residual = std::numeric_limits<double>::quiet_NaN();
+            return UNDEFINED;
+        }
+        if (!outcome.settled) return residual == residual ? NOT_CONVERGED : OVERFLOWED;
+        add_slopes<Layout>(ones.data(), s, y.slopes.at, n, x, dx);
+        return DONE;
+    }
+};
+
+}  // namespace
+
+STEP_SCHEME(radau_energy, RadauEnergy)
