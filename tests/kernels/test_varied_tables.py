@@ -5,7 +5,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels.tables import watch_tables
-from coadjoint.kernels.varied_tables import picked, stacked, structure_of
+from coadjoint.kernels.varied_tables import BLOCK, picked, stacked, structure_of
 from coadjoint.runs.batch_loops import groups_of
 from coadjoint.runs.prepare import loop_of
 
@@ -30,6 +30,10 @@ def leaves(tables):
             yield item
 
 
+def varies(one, stack):
+    return isinstance(one, np.ndarray) and stack.shape != one.shape
+
+
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("group", [None, "coadjoint"])
 def test_picking_from_a_stack_gives_the_tables_of_the_member(method, group):
@@ -48,8 +52,9 @@ def test_picking_from_a_stack_gives_the_tables_of_the_member(method, group):
                 continue
             assert one.dtype == other.dtype and one.tobytes() == other.tobytes()
             assert other.flags.c_contiguous and other.flags.writeable
-            if one.dtype == np.float64:
-                assert stack.shape == (*one.shape, len(tables)) and stack.flags.c_contiguous
+            if varies(one, stack):
+                assert stack.shape == (*one.shape, BLOCK) and stack.flags.c_contiguous
+                assert np.array_equal(stack[:, len(tables) :], np.repeat(stack[:, [len(tables) - 1]], BLOCK - 3, axis=1))
                 differing += not np.array_equal(one, stack[..., 0])
     assert differing > 0
 
@@ -57,8 +62,10 @@ def test_picking_from_a_stack_gives_the_tables_of_the_member(method, group):
 def test_structure_is_everything_but_constants():
     system = members()[0]
     two, four = (loop_of(system, co.Splitting(order=order), 0.1, None).tables for order in (2, 4))
-    other_step = loop_of(system, co.Splitting(order=2), 0.2, None).tables
-    assert structure_of(two) == structure_of(other_step) and structure_of(two) != structure_of(four)
+    other = loop_of(members()[1], co.Splitting(order=2), 0.1, None).tables
+    assert structure_of(two) == structure_of(other) and structure_of(two) != structure_of(four)
+    # The coefficients of the scheme are the same for all members.
+    assert structure_of(two) != structure_of(loop_of(system, co.Splitting(order=2), 0.2, None).tables)
     assert structure_of(two) != structure_of(two._replace(compensated=True))
     assert structure_of(two) != structure_of(two._replace(part=two.part + np.uint32(1)))
 
@@ -75,5 +82,5 @@ def test_groups_hold_members_of_one_structure():
     for group in groups:
         for column, m in enumerate(group.members):
             for varied, own in ((group.tables, prepared[m].tables), (group.watch, watches[m])):
-                for one, other in zip(leaves(picked(varied, column)), leaves(own), strict=True):
+                for one, other in zip(leaves(picked(varied.source, column)), leaves(own), strict=True):
                     assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other

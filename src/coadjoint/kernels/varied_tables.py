@@ -13,12 +13,16 @@ Tables = TypeVar("Tables", bound=tuple[Any, ...])
 VARIED = frozenset(
     ("offset", "weight", "coefficient", "constants", "frequency", "constant", "period", "value", "quadratic")
 )
+# The arrays of addresses of compiled functions, which differ by member as well.
+CALLED = frozenset(("addresses", "structure", "values"))
 BLOCK = 32
 """Columns of a stack are a multiple of this, the last ones repeated, so that lanes may read beyond the last member."""
 
 
 def _varies(name: str, item: Any) -> bool:
-    return name in VARIED and isinstance(item, np.ndarray) and item.dtype == np.float64
+    if not isinstance(item, np.ndarray):
+        return False
+    return (name in VARIED and item.dtype == np.float64) or (name in CALLED and item.dtype == np.int64)
 
 
 def _fields(tables: Any) -> Sequence[str]:
@@ -28,7 +32,8 @@ def _fields(tables: Any) -> Sequence[str]:
 def structure_of(tables: Any) -> Hashable:
     """Return everything in tables but their constants: two members with equal structure can share one set of tables.
 
-    Constants are the float64 arrays of a name in `VARIED`; of those the shape is structure.
+    Constants are the float64 arrays of a name in `VARIED` and the addresses of functions; of those the shape and which
+    addresses are zero is structure.
 
     Parameters
     ----------
@@ -52,9 +57,13 @@ def structure_of(tables: Any) -> Hashable:
         return tables.dtype.char, tables.shape, tables.tobytes()
     if isinstance(tables, tuple):
         items = zip(_fields(tables), tables, strict=True)
-        return type(tables), *(item.shape if _varies(name, item) else structure_of(item) for name, item in items)
+        return type(tables), *(_shape_of(item) if _varies(name, item) else structure_of(item) for name, item in items)
     found: Hashable = tables
     return found
+
+
+def _shape_of(item: Any) -> Hashable:
+    return item.shape if item.dtype == np.float64 else (item.shape, (item == 0).tobytes())
 
 
 def stacked(members: Sequence[Tables]) -> Tables:
