@@ -390,28 +390,48 @@ NOINLINE void act_apart(const Action& action, const C& constants, uint32_t run, 
     }
 }
 
+// The runs of a part with a lone angle, one after the other.
+template <Care care, class A, class V, class C>
+NOINLINE void act_in_turn(const Action& action, const C& constants, uint32_t part, double tau, A lone,
+                          Turned<A>& turned, Vectors<V> x) {
+    for (uint32_t run = action.run[part], last = action.run[part + 1]; run < last; ++run) {
+        if (action.kind[run] == ROTATE) {
+            const A w = constants.template number_at<A>(action.constants, action.constant[run]);
+            const uint32_t* index = action.indices + action.place[run];
+            rotate<care>(turned.by(lone * (tau * w), true), index, action.repeat[run], x);
+        } else {
+            act_apart<care>(action, constants, run, tau, &lone, x);
+        }
+    }
+}
+
 // Move vectors by exp(tau sum theta_a D_a) of one part. CORRECTED pays besides what the increment itself owes, so that
-// no rounding keeps its sign. A lone angle stays in its register: one that passes through memory delays the step.
+// no rounding keeps its sign. A lone angle with a single run stays in its registers: what passes through memory delays
+// the step. With `again` the part has just moved other vectors, by the angle in `turned`.
 template <Care care, bool again, class A, class V, class C>
 INLINE void act(const Action& action, const C& constants, uint32_t part, double tau, bool single, A lone,
                 const A* theta, Turned<A>& turned, const Vectors<V>& x) {
-    for (uint32_t run = action.run[part], last = action.run[part + 1]; run < last; ++run) {
-        const int kind = action.kind[run];
-        const uint32_t repeat = action.repeat[run];
+    constexpr bool number = Numbers<V>::lanes == 1;
+    const uint32_t run = action.run[part], last = action.run[part + 1];
+    const bool alone = single && last == run + 1;
+    const int kind = last > run ? action.kind[run] : -1;
+    auto constant = [&](int64_t place) { return constants.template number_at<A>(action.constants, place); };
+    if (__builtin_expect(alone && kind == ROTATE, 1)) {
         const uint32_t* index = action.indices + action.place[run];
-        const int64_t place = action.constant[run];
-        auto constant = [&](int64_t which) { return constants.template number_at<A>(action.constants, which); };
-        if (__builtin_expect(single && kind == ROTATE, 1)) {
-            rotate<care>(turned.by(lone * (tau * constant(place)), again || run > action.run[part]), index, repeat, x);
-        } else if (single && kind == SHEAR) {
-            const A turn = tau * lone;
-            for (uint32_t block = 0; block < repeat; ++block, index += 2)
-                shear<care>(turn * constant(place + block), index, x);
-        } else if (Numbers<A>::lanes == 1 && sizeof(V) == sizeof(A) && single && kind == CUBIC) {
-            cubic<care>(action, constants, run, tau * lone, x);
-        } else {
-            const A apart = lone;
-            act_apart<care>(action, constants, run, tau, single ? &apart : theta + action.angle[run], x);
-        }
+        rotate<care>(turned.by(lone * (tau * constant(action.constant[run])), again), index, action.repeat[run], x);
+    } else if (number && alone && kind == SHEAR) {
+        const A turn = tau * lone;
+        const uint32_t* index = action.indices + action.place[run];
+        for (uint32_t block = 0, repeat = action.repeat[run]; block < repeat; ++block, index += 2)
+            shear<care>(turn * constant(action.constant[run] + block), index, x);
+    } else if (number && alone && kind == CUBIC) {
+        cubic<care>(action, constants, run, tau * lone, x);
+    } else if (single) {
+        Turned<A> apart = turned;
+        act_in_turn<care>(action, constants, part, tau, lone, apart, x);
+        turned = apart;
+    } else {
+        for (uint32_t several = run; several < last; ++several)
+            act_apart<care>(action, constants, several, tau, theta + action.angle[several], x);
     }
 }

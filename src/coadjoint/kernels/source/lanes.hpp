@@ -56,50 +56,64 @@ struct Lanes {
     INLINE double operator[](int lane) const { return part[lane / width][lane % width]; }
     INLINE void set(int lane, double value) { part[lane / width][lane % width] = value; }
 
-#define EACH _Pragma("GCC unroll 16") for (int k = 0; k < count; ++k)
-    INLINE friend Lanes operator+(const Lanes& a, const Lanes& b) { Lanes c; EACH c.part[k] = a.part[k] + b.part[k]; return c; }
-    INLINE friend Lanes operator-(const Lanes& a, const Lanes& b) { Lanes c; EACH c.part[k] = a.part[k] - b.part[k]; return c; }
-    INLINE friend Lanes operator*(const Lanes& a, const Lanes& b) { Lanes c; EACH c.part[k] = a.part[k] * b.part[k]; return c; }
-    INLINE friend Lanes operator/(const Lanes& a, const Lanes& b) { Lanes c; EACH c.part[k] = a.part[k] / b.part[k]; return c; }
-    INLINE friend Lanes operator-(const Lanes& a) { Lanes c; EACH c.part[k] = -a.part[k]; return c; }
+// Written out and not a loop, so that the parts become registers at once.
+#define PART(place, statement)  \
+    {                           \
+        constexpr int k = place; \
+        statement;              \
+    }
+#define EACH(statement)                                                                     \
+    PART(0, statement)                                                                      \
+    if constexpr (count > 1) PART(1, statement)                                             \
+    if constexpr (count > 2) { PART(2, statement) PART(3, statement) }                      \
+    if constexpr (count > 4) { PART(4, statement) PART(5, statement) PART(6, statement) PART(7, statement) }
+    INLINE friend Lanes operator+(const Lanes& a, const Lanes& b) { Lanes c; EACH(c.part[k] = a.part[k] + b.part[k]) return c; }
+    INLINE friend Lanes operator-(const Lanes& a, const Lanes& b) { Lanes c; EACH(c.part[k] = a.part[k] - b.part[k]) return c; }
+    INLINE friend Lanes operator*(const Lanes& a, const Lanes& b) { Lanes c; EACH(c.part[k] = a.part[k] * b.part[k]) return c; }
+    INLINE friend Lanes operator/(const Lanes& a, const Lanes& b) { Lanes c; EACH(c.part[k] = a.part[k] / b.part[k]) return c; }
+    INLINE friend Lanes operator-(const Lanes& a) { Lanes c; EACH(c.part[k] = -a.part[k]) return c; }
     INLINE Lanes& operator+=(const Lanes& b) { return *this = *this + b; }
     INLINE Lanes& operator-=(const Lanes& b) { return *this = *this - b; }
     INLINE Lanes& operator*=(const Lanes& b) { return *this = *this * b; }
-    INLINE friend Mask operator<(const Lanes& a, const Lanes& b) { Mask c; EACH c.part[k] = a.part[k] < b.part[k]; return c; }
-    INLINE friend Mask operator<=(const Lanes& a, const Lanes& b) { Mask c; EACH c.part[k] = a.part[k] <= b.part[k]; return c; }
+    INLINE friend Mask operator<(const Lanes& a, const Lanes& b) { Mask c; EACH(c.part[k] = a.part[k] < b.part[k]) return c; }
+    INLINE friend Mask operator<=(const Lanes& a, const Lanes& b) { Mask c; EACH(c.part[k] = a.part[k] <= b.part[k]) return c; }
     INLINE friend Mask operator>(const Lanes& a, const Lanes& b) { return b < a; }
     INLINE friend Mask operator>=(const Lanes& a, const Lanes& b) { return b <= a; }
-    INLINE friend Mask operator==(const Lanes& a, const Lanes& b) { Mask c; EACH c.part[k] = a.part[k] == b.part[k]; return c; }
-    INLINE friend Mask operator&(const Mask& a, const Mask& b) { Mask c; EACH c.part[k] = a.part[k] & b.part[k]; return c; }
-    INLINE friend Mask operator|(const Mask& a, const Mask& b) { Mask c; EACH c.part[k] = a.part[k] | b.part[k]; return c; }
-    INLINE friend Mask operator!(const Mask& a) { Mask c; EACH c.part[k] = ~a.part[k]; return c; }
+    INLINE friend Mask operator==(const Lanes& a, const Lanes& b) { Mask c; EACH(c.part[k] = a.part[k] == b.part[k]) return c; }
+    INLINE friend Mask operator&(const Mask& a, const Mask& b) { Mask c; EACH(c.part[k] = a.part[k] & b.part[k]) return c; }
+    INLINE friend Mask operator|(const Mask& a, const Mask& b) { Mask c; EACH(c.part[k] = a.part[k] | b.part[k]) return c; }
+    INLINE friend Mask operator!(const Mask& a) { Mask c; EACH(c.part[k] = ~a.part[k]) return c; }
 
     INLINE friend Lanes select(const Mask& where, const Lanes& a, const Lanes& b) {
         Lanes c;
-        EACH c.part[k] = where.part[k] ? a.part[k] : b.part[k];
+        EACH(c.part[k] = where.part[k] ? a.part[k] : b.part[k])
         return c;
     }
     INLINE friend bool any(const Mask& mask) {
-        Bits together{};
-        EACH together |= mask.part[k];
+        Bits together = mask.part[0];
+        EACH(together |= mask.part[k])
         return some(together);
     }
-    INLINE friend bool all(const Mask& mask) { return !any(!mask); }
+    INLINE friend bool all(const Mask& mask) {
+        Bits together = mask.part[0];
+        EACH(together &= mask.part[k])
+        return !some(~together);
+    }
     INLINE friend bool at(const Mask& mask, int lane) { return mask.part[lane / width][lane % width] != 0; }
     INLINE friend Lanes fma(const Lanes& a, const Lanes& b, const Lanes& c) {
         Lanes d;
-        EACH d.part[k] = fused(a.part[k], b.part[k], c.part[k]);
+        EACH(d.part[k] = fused(a.part[k], b.part[k], c.part[k]))
         return d;
     }
     INLINE friend Lanes absolute(const Lanes& a) {
         Lanes b;
-        EACH b.part[k] = (Vector)((Bits)a.part[k] & INT64_MAX);
+        EACH(b.part[k] = (Vector)((Bits)a.part[k] & INT64_MAX))
         return b;
     }
     // The last bits of a number that was rounded to an integer by adding 1.5 * 2^52.
     INLINE friend Mask odd_bit(const Lanes& rounded, int bit, int added) {
         Mask c;
-        EACH c.part[k] = ((((Bits)rounded.part[k] + added) >> bit) & 1) != 0;
+        EACH(c.part[k] = ((((Bits)rounded.part[k] + added) >> bit) & 1) != 0)
         return c;
     }
     template <class Function>
@@ -109,6 +123,7 @@ struct Lanes {
         return b;
     }
 #undef EACH
+#undef PART
 
   private:
     INLINE static bool some(Bits bits) {
