@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from typing import Any
@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.methods.chosen_parts import ChosenParts
-from coadjoint.program.parts import Part
+from coadjoint.program.parts import Part, Parts
 from coadjoint.program.second_order import Samples
 from coadjoint.program.shift import Shift, candidate_shifts, quadratic_casimirs, shifted_terms
+from coadjoint.program.shift_counts import numbers_of_parts
 from coadjoint.program.split import split
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.terms import FunctionTerm, Term
@@ -37,7 +38,7 @@ class Decomposition:
 
     Parameters
     ----------
-    parts : tuple of Part
+    parts : Parts
         The exact flows.
     shift : tuple of (Polynomial, float)
         Quadratic Casimirs C and factors c: the parts add up to H - sum c C.
@@ -45,7 +46,7 @@ class Decomposition:
         What to pass as `parts` to get the same again.
     """
 
-    parts: tuple[Part, ...]
+    parts: Parts
     shift: tuple[tuple[Polynomial, float], ...]
     choice: ChosenParts
 
@@ -103,18 +104,22 @@ def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64], t:
         With its shift and order.
     """
     terms, casimirs = system.hamiltonian.terms(), quadratic_casimirs(system)
-    plain = split(system, "auto")
+    best = split(system, "auto", terms)
     shift: Shift = ()
-    order, least = best_order(system, plain, points, t)
-    fewest = len(plain)
-    for candidate in candidate_shifts(system, plain) if fewest > 1 else ():
+    order, least = best_order(system, best, points, t)
+    candidates = list(candidate_shifts(system, best)) if len(best) > 1 else []
+    # Without points to compare at, only fewer parts count, and many shifts can be told to leave as many.
+    counts = [0] * len(candidates) if len(points) else numbers_of_parts(system, casimirs, candidates)
+    for candidate, count in zip(candidates, counts, strict=True):
+        if count >= len(best):
+            continue
         parts = split(system, "auto", shifted_terms(terms, casimirs, candidate))
-        if len(parts) > fewest:
+        if len(parts) > len(best):
             continue
         own, size = best_order(system, parts, points, t)
-        if len(parts) < fewest or size < least * CLEARLY:
-            shift, order, least, fewest = candidate, own, size, len(parts)
-    return _chosen(system, ChosenParts(order, shift))
+        if len(parts) < len(best) or size < least * CLEARLY:
+            shift, order, least, best = candidate, own, size, parts
+    return _arranged(best, ChosenParts(order, shift), casimirs)
 
 
 def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
@@ -125,8 +130,12 @@ def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
             f"parts orders {len(choice.order)} parts, but {system.name} has {len(parts)} of them; "
             "choose again with Splitting.tuned"
         )
+    return _arranged(parts, choice, casimirs)
+
+
+def _arranged(parts: Parts, choice: ChosenParts, casimirs: Mapping[str, Polynomial]) -> Decomposition:
     taken = tuple((casimirs[name], factor) for name, factor in choice.shift)
-    return Decomposition(tuple(parts[k] for k in choice.order), taken, choice)
+    return Decomposition(parts.take(np.array(choice.order, dtype=np.int64)), taken, choice)
 
 
 def best_order(

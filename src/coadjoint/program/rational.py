@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 from coadjoint.program.actions import Action
 from coadjoint.program.blocks import Kind
 from coadjoint.program.numbers import Number, array_of, convert, roundoff
-from coadjoint.program.parts import LinearShare, Part, PolynomialShare, Share
+from coadjoint.program.parts import LinearShare, Part, Parts, PolynomialShare, Share
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
-def rational_frequencies(
-    system: LiePoissonSystem, parts: Sequence[Part], state: Action, number: Number
-) -> NDArray[Any]:
+def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, number: Number) -> NDArray[Any]:
     """Return the frequency w of every angle that becomes rational, 2/w atan(w angle/2), and 0 for those that stay.
 
     That is the exact flow of another function of l.x, hence Poisson, if the angle is a function of l.x alone. It needs
@@ -27,7 +25,7 @@ def rational_frequencies(
     ----------
     system : LiePoissonSystem
         For messages.
-    parts : sequence of Part
+    parts : Parts
         The parts.
     state : Action
         Their coadjoint action.
@@ -140,7 +138,7 @@ def bent(angle: Any, frequency: Any, atan: Any) -> Any:
     return angle if frequency == 0 else 2 / frequency * atan(frequency * angle / 2)
 
 
-def acts_rationally(action: Action, parts: Sequence[Part], frequency: NDArray[Any]) -> NDArray[np.bool_]:
+def acts_rationally(action: Action, parts: Parts, frequency: NDArray[Any]) -> NDArray[np.bool_]:
     """Return for each part whether its blocks in a representation turn with the frequencies of the coadjoint ones.
 
     Then a rational rotation needs no arc tangent there either.

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.joins import distinct
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.program.parts import Part
+from coadjoint.program.parts import Parts
 from coadjoint.program.squares import complete_squares
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
@@ -19,6 +21,8 @@ Shift = tuple[tuple[str, float], ...]
 
 LARGEST_SINGULAR = 8
 BISECTIONS = 64
+# What a shift leaves of an entry is zero below this many units of round-off of what is added up.
+ROUNDING = 4 * 2.0**-53
 
 
 def quadratic_casimirs(system: LiePoissonSystem) -> dict[str, Polynomial]:
@@ -73,7 +77,7 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, Polynomial], shi
     values = np.concatenate([entry[2] for entry in entries])
     places, where = np.unique(rows * len(term.linear) + columns, return_inverse=True)
     total = np.bincount(where, weights=values)
-    kept = np.abs(total) > 4 * 2.0**-53 * np.bincount(where, weights=np.abs(values))
+    kept = np.abs(total) > ROUNDING * np.bincount(where, weights=np.abs(values))
     rows, columns = np.divmod(places[kept], len(term.linear))
     counts = np.bincount(rows, minlength=len(term.linear))
     indptr = np.concatenate([[0], np.cumsum(counts)])
@@ -81,14 +85,14 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, Polynomial], shi
     return (*terms[:own], changed, *terms[own + 1 :])
 
 
-def candidate_shifts(system: LiePoissonSystem, parts: Sequence[Part]) -> Iterable[Shift]:
+def candidate_shifts(system: LiePoissonSystem, parts: Parts) -> Iterable[Shift]:
     """Yield shifts after which a coordinate, a part, or a completed square may vanish.
 
     Parameters
     ----------
     system : LiePoissonSystem
         The system.
-    parts : sequence of Part
+    parts : Parts
         Its parts without a shift.
 
     Yields
@@ -104,16 +108,18 @@ def candidate_shifts(system: LiePoissonSystem, parts: Sequence[Part]) -> Iterabl
     diagonal = dict(zip(quadratic[0].indices[own].tolist(), quadratic[0].values[own].tolist(), strict=True))
     holders = _holders(casimirs)
     seen: set[Shift] = {()}
-    for part in parts:
+    edges = parts.forms.start[parts.angle]
+    for first, last in pairwise(edges.tolist()):
+        coordinates = distinct(parts.forms.coordinate[first:last]).tolist()
         # All coordinates of a part at once, each by the first Casimir that holds its square: a lattice has one a spin.
         factors: dict[str, float] = {}
-        for coordinate in sorted({i for form, _ in part.forms for i in form}):
+        for coordinate in coordinates:
             for name, entry in holders.get(coordinate, [])[:1]:
                 factors.setdefault(name, diagonal.get(coordinate, 0.0) / entry)
         seen.add(together := tuple((name, factor) for name, factor in sorted(factors.items()) if factor))
         if together:
             yield together
-        for coordinate in sorted({i for form, _ in part.forms for i in form}) if len(casimirs) <= 4 else []:
+        for coordinate in coordinates if len(casimirs) <= 4 else []:
             for name, entry in holders.get(coordinate, []):
                 alone: Shift = ((name, diagonal.get(coordinate, 0.0) / entry),)
                 if alone[0][1] and alone not in seen:

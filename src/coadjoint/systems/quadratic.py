@@ -143,7 +143,7 @@ class Quadratic:
         columns: list[int] = []
         entries: list[Any] = []
         for exponents, coefficient in polynomial.monomials.items():
-            where = [i for i, power in enumerate(exponents) for _ in range(power)]
+            where = _factors(exponents)
             if len(where) == 2:
                 rows += [where[0], where[1]] if where[0] != where[1] else [where[0]]
                 columns += [where[1], where[0]] if where[0] != where[1] else [where[0]]
@@ -239,3 +239,13 @@ class Quadratic:
         linear = self._linear_part(np.zeros(self.dim or 0))
         tail = "" if not linear.any() else f", linear={linear.tolist() if linear.size <= 4 else '...'}"
         return f"Quadratic({shown}{tail})"
+
+
+def _factors(exponents: tuple[int, ...]) -> list[int]:
+    """Return the coordinates of a monomial of degree two or less, a square twice; fast for many coordinates."""
+    if 2 in exponents:
+        return [exponents.index(2)] * 2
+    found: list[int] = []
+    while 1 in exponents[(begin := found[-1] + 1 if found else 0) :]:
+        found.append(exponents.index(1, begin))
+    return found
