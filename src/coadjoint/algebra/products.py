@@ -110,7 +110,8 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     -------
     LieAlgebra
         As from `direct_sum`, with basis names ``e1[1]``, ...; in particular with the Casimirs of every copy up to 2^22
-        exponents (682 copies of so(3)), and without Casimirs above: those of copy a are functions of its coordinates.
+        exponents (682 copies of so(3)), and without Casimirs above: a run would follow every one of them. Those of copy
+        a are functions of its coordinates; give a system the ones to follow by name, as sparse `Quadratic`.
 
     Raises
     ------

@@ -18,7 +18,7 @@ from coadjoint.program.sparse_rows import joined_starts, starts_of
 class BlockTable(NamedTuple):
     """Blocks as columns, angle after angle, in each by the first coordinates; a shear is a block for every entry.
 
-    Block b belongs to angle[b] and has the coordinates indices[begin[b]] and so on, `width` of them, in the order of its
+    Block b belongs to angle[b] and has `width` coordinates from indices[begin[b]] on, in the order of its
     formula. A CUBIC or SERIES block has its entries as compressed sparse rows after them: `width` + 1 starts, and
     `entries` columns. Its constants from constant_begin[b] on are those of its `Block`, then the values of its entries,
     column after column.

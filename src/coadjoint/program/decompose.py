@@ -15,7 +15,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.methods.chosen_parts import ChosenParts
 from coadjoint.program.parts import Part, Parts
 from coadjoint.program.second_order import Samples
-from coadjoint.program.shift import Shift, candidate_shifts, quadratic_casimirs, shifted_terms
+from coadjoint.program.shift import QuadraticCasimir, Shift, candidate_shifts, quadratic_casimirs, shifted_terms
 from coadjoint.program.shift_counts import numbers_of_parts
 from coadjoint.program.split import split
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -107,7 +107,7 @@ def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64], t:
     best = split(system, "auto", terms)
     shift: Shift = ()
     order, least = best_order(system, best, points, t)
-    candidates = list(candidate_shifts(system, best)) if len(best) > 1 else []
+    candidates = list(candidate_shifts(system, best, casimirs)) if len(best) > 1 else []
     # Without points to compare at, only fewer parts count, and many shifts can be told to leave as many.
     counts = [0] * len(candidates) if len(points) else numbers_of_parts(system, casimirs, candidates)
     for candidate, count in zip(candidates, counts, strict=True):
@@ -133,8 +133,8 @@ def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
     return _arranged(parts, choice, casimirs)
 
 
-def _arranged(parts: Parts, choice: ChosenParts, casimirs: Mapping[str, Polynomial]) -> Decomposition:
-    taken = tuple((casimirs[name], factor) for name, factor in choice.shift)
+def _arranged(parts: Parts, choice: ChosenParts, casimirs: Mapping[str, QuadraticCasimir]) -> Decomposition:
+    taken = tuple((casimirs[name].polynomial, factor) for name, factor in choice.shift)
     return Decomposition(parts.take(np.array(choice.order, dtype=np.int64)), taken, choice)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.program.parts import Parts
 from coadjoint.program.squares import complete_squares
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.quadratic import factors_of
 from coadjoint.systems.terms import QuadraticTerm, Term
 
 Shift = tuple[tuple[str, float], ...]
@@ -25,18 +26,44 @@ BISECTIONS = 64
 ROUNDING = 4 * 2.0**-53
 
 
-def quadratic_casimirs(system: LiePoissonSystem) -> dict[str, Polynomial]:
-    """Return the known Casimirs of a system that are homogeneous of degree two, by name."""
-    return {
-        name: casimir
-        for name, casimir in system.casimirs.items()
-        if isinstance(casimir, Polynomial)
-        and casimir.monomials
-        and all(sum(exponents) == 2 for exponents in casimir.monomials)
-    }
+class QuadraticCasimir(NamedTuple):
+    """A Casimir that is homogeneous of degree two, C = x.A x/2, and the entries of A."""
+
+    polynomial: Polynomial
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    values: NDArray[np.float64]
+
+    @property
+    def diagonal(self) -> bool:
+        """Whether A is diagonal."""
+        return bool(np.array_equal(self.rows, self.columns))
 
 
-def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, Polynomial], shift: Shift) -> tuple[Term, ...]:
+def quadratic_casimirs(system: LiePoissonSystem) -> dict[str, QuadraticCasimir]:
+    """Return the known Casimirs of a system that are polynomials, homogeneous of degree two, by name.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> quadratic_casimirs(co.systems.rigid_body(inertia=(1, 2, 3)))["|x|^2"].values
+    array([2., 2., 2.])
+    """
+    found = {}
+    for name, casimir in system.casimirs.items():
+        if isinstance(casimir, Polynomial) and casimir.monomials:
+            pairs = [factors_of(exponents) for exponents in casimir.monomials]
+            if all(len(pair) == 2 for pair in pairs):
+                i, j = np.array(pairs, dtype=np.int64).T
+                values = np.array([float(c) for c in casimir.monomials.values()])
+                apart = i != j
+                rows, columns = np.concatenate([i, j[apart]]), np.concatenate([j, i[apart]])
+                entries = np.concatenate([np.where(apart, values, 2.0 * values), values[apart]])
+                found[name] = QuadraticCasimir(casimir, rows, columns, entries)
+    return found
+
+
+def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir], shift: Shift) -> tuple[Term, ...]:
     """Take multiples of quadratic Casimirs off the quadratic term of a Hamiltonian.
 
     Parameters
@@ -70,9 +97,8 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, Polynomial], shi
     assert isinstance(term, QuadraticTerm)
     entries = [(term.rows, term.indices, term.values)]
     for name, factor in shift:
-        for piece in Quadratic.from_polynomial(casimirs[name]).terms():
-            assert isinstance(piece, QuadraticTerm)
-            entries.append((piece.rows, piece.indices, -factor * piece.values))
+        casimir = casimirs[name]
+        entries.append((casimir.rows, casimir.columns, -factor * casimir.values))
     rows, columns = (np.concatenate([entry[side] for entry in entries]) for side in (0, 1))
     values = np.concatenate([entry[2] for entry in entries])
     places, where = np.unique(rows * len(term.linear) + columns, return_inverse=True)
@@ -85,7 +111,9 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, Polynomial], shi
     return (*terms[:own], changed, *terms[own + 1 :])
 
 
-def candidate_shifts(system: LiePoissonSystem, parts: Parts) -> Iterable[Shift]:
+def candidate_shifts(
+    system: LiePoissonSystem, parts: Parts, casimirs: Mapping[str, QuadraticCasimir]
+) -> Iterable[Shift]:
     """Yield shifts after which a coordinate, a part, or a completed square may vanish.
 
     Parameters
@@ -94,6 +122,8 @@ def candidate_shifts(system: LiePoissonSystem, parts: Parts) -> Iterable[Shift]:
         The system.
     parts : Parts
         Its parts without a shift.
+    casimirs : mapping
+        Name -> quadratic Casimir.
 
     Yields
     ------
@@ -101,7 +131,6 @@ def candidate_shifts(system: LiePoissonSystem, parts: Parts) -> Iterable[Shift]:
         Each at most once.
     """
     quadratic = [term for term in system.hamiltonian.terms() if isinstance(term, QuadraticTerm) and term.piece is None]
-    casimirs = quadratic_casimirs(system)
     if not quadratic or not casimirs:
         return
     own = quadratic[0].rows == quadratic[0].indices
@@ -132,13 +161,13 @@ def candidate_shifts(system: LiePoissonSystem, parts: Parts) -> Iterable[Shift]:
                 yield ((name, factor),)
 
 
-def _holders(casimirs: Mapping[str, Polynomial]) -> dict[int, list[tuple[str, float]]]:
+def _holders(casimirs: Mapping[str, QuadraticCasimir]) -> dict[int, list[tuple[str, float]]]:
     """Return for each coordinate the Casimirs with its square, and the entry of their matrix there."""
     found: dict[int, list[tuple[str, float]]] = {}
     for name, casimir in casimirs.items():
-        for exponents, coefficient in casimir.monomials.items():
-            if 2 in exponents:
-                found.setdefault(exponents.index(2), []).append((name, 2.0 * float(coefficient)))
+        own = casimir.rows == casimir.columns
+        for coordinate, value in zip(casimir.rows[own].tolist(), casimir.values[own].tolist(), strict=True):
+            found.setdefault(coordinate, []).append((name, value))
     return found
 
 
@@ -148,8 +177,10 @@ def _dense(term: QuadraticTerm) -> NDArray[np.float64]:
     return matrix
 
 
-def _dense_of(casimir: Polynomial) -> NDArray[np.float64]:
-    return Quadratic.from_polynomial(casimir).hessian(np.zeros(casimir.dim))
+def _dense_of(casimir: QuadraticCasimir) -> NDArray[np.float64]:
+    matrix = np.zeros((casimir.polynomial.dim,) * 2)
+    matrix[casimir.rows, casimir.columns] = casimir.values
+    return matrix
 
 
 def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) -> tuple[float, ...]:

@@ -7,20 +7,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.program.few_parts import MOST_REORDERED
 from coadjoint.program.first_fit import numbers_of_groups
-from coadjoint.program.shift import ROUNDING, Shift
+from coadjoint.program.shift import ROUNDING, QuadraticCasimir, Shift
 from coadjoint.program.sparse_rows import fresh
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import QuadraticTerm
-
-Diagonal = tuple[NDArray[np.int64], NDArray[np.float64]]
 
 
 def numbers_of_parts(
-    system: LiePoissonSystem, casimirs: Mapping[str, Polynomial], shifts: Sequence[Shift]
+    system: LiePoissonSystem, casimirs: Mapping[str, QuadraticCasimir], shifts: Sequence[Shift]
 ) -> NDArray[np.int64]:
     """Return the number of parts of ``"auto"`` after each shift, or 0 where only making them tells it.
 
@@ -41,8 +37,10 @@ def numbers_of_parts(
     Examples
     --------
     >>> import coadjoint as co
+    >>> from coadjoint.program.shift import quadratic_casimirs
     >>> body = co.LiePoissonSystem(co.algebras.so(12), co.Quadratic(np.arange(1.0, 67.0)))
-    >>> numbers_of_parts(body, body.casimirs, [(), (("|x|^2", 0.5),), (("|x|^2", 0.25),)]).tolist()
+    >>> shifts = [(), (("|x|^2", 0.5),), (("|x|^2", 0.25),)]
+    >>> numbers_of_parts(body, quadratic_casimirs(body), shifts).tolist()
     [15, 14, 15]
     """
     unknown = np.zeros(len(shifts), dtype=np.int64)
@@ -50,8 +48,8 @@ def numbers_of_parts(
     term = terms[0]
     if not shifts or len(terms) > 1 or not isinstance(term, QuadraticTerm) or term.piece is not None:
         return unknown
-    diagonals = {name: _diagonal(casimirs[name]) for name in {name for shift in shifts for name, _ in shift}}
-    if np.any(term.rows != term.indices) or None in diagonals.values():
+    used = {name for shift in shifts for name, _ in shift}
+    if np.any(term.rows != term.indices) or not all(casimirs[name].diagonal for name in used):
         return unknown
     own = np.zeros(system.dim)
     own[term.indices] = term.values
@@ -59,19 +57,12 @@ def numbers_of_parts(
     for number, shift in enumerate(shifts):
         total, size = own.copy(), np.abs(own)
         for name, factor in shift:
-            places, values = diagonals[name] or (np.zeros(0, dtype=np.int64), np.zeros(0))
-            total[places] -= factor * values
-            size[places] += np.abs(factor * values)
+            casimir = casimirs[name]
+            total[casimir.rows] -= factor * casimir.values
+            size[casimir.rows] += np.abs(factor * casimir.values)
         present[:, number] = (np.abs(total) > ROUNDING * size) | (term.linear != 0)
     i, j, _, _ = system.algebra.triples
     pairs = fresh(i, j)
     enough = np.flatnonzero(np.count_nonzero(present, axis=0) > MOST_REORDERED)
     unknown[enough] = numbers_of_groups(system.dim, i[pairs], j[pairs], present[:, enough])
     return unknown
-
-
-def _diagonal(casimir: Polynomial) -> Diagonal | None:
-    """Return the entries of the matrix of a quadratic form, or None where it is not diagonal."""
-    term = Quadratic.from_polynomial(casimir).terms()[0]
-    assert isinstance(term, QuadraticTerm)
-    return (term.indices, term.values) if np.array_equal(term.rows, term.indices) else None

@@ -119,6 +119,12 @@ class TermTable:
         else:
             self.add_function(term)
 
+    def add_used_rows(self, term: QuadraticTerm) -> None:
+        """Add a quadratic term by its rows that are not zero: for its value, which may be of a few coordinates."""
+        rows = np.flatnonzero((term.linear != 0) | (np.diff(term.indptr) > 0))
+        own = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values).take(rows)
+        self.add_linear(rows, term.linear[rows], own.start, own.coordinate, own.value)
+
     def table(self, number: Number = float) -> Terms:
         """Return the table with its constants in the given number type."""
         lengths = _joined(self._length, np.int64)

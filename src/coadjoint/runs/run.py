@@ -21,6 +21,7 @@ from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.runs.unshift import unshifted
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.user_functions import takes_time
 
 # Between two calls of the compiled loop the interpreter can show progress and hear an interrupt.
@@ -205,13 +206,13 @@ def _observables(
     if not isinstance(observe, Mapping) or not all(isinstance(name, str) for name in observe):
         raise TypeError(f"observe is {observe!r}; it must map names to Polynomials or functions of x")
     for name, given in observe.items():
-        if not isinstance(given, Polynomial | Invariant) and not callable(given):
-            raise TypeError(f"observe[{name!r}] is {given!r}; it must be a Polynomial or a function of x")
+        if not isinstance(given, Polynomial | Quadratic | Invariant) and not callable(given):
+            raise TypeError(f"observe[{name!r}] is {given!r}; it must be a Polynomial or a function of x, or a Quadratic")
         value = _value_at(given, name, x0)
         if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
             raise TypeError(f"observe[{name!r}] returns {value!r} at the start; it must return one real number")
     wrapped = {
-        name: given if isinstance(given, Polynomial | Invariant) else Invariant(given)
+        name: given if isinstance(given, Polynomial | Quadratic | Invariant) else Invariant(given)
         for name, given in observe.items()
     }
     compiled = watch_tables(system, wrapped)
@@ -227,7 +228,7 @@ def _observables(
 def _value_at(given: Any, name: str, x0: NDArray[np.float64]) -> Any:
     """Return a quantity at the start; NaN where it is not defined there, which the run then says of it as well."""
     try:
-        return 0.0 if isinstance(given, Polynomial) or takes_time(given, name) else given(x0)
+        return 0.0 if isinstance(given, Polynomial | Quadratic) or takes_time(given, name) else given(x0)
     except (ArithmeticError, ValueError, OSError):
         return float("nan")
 

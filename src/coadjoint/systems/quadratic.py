@@ -143,7 +143,7 @@ class Quadratic:
         columns: list[int] = []
         entries: list[Any] = []
         for exponents, coefficient in polynomial.monomials.items():
-            where = _factors(exponents)
+            where = factors_of(exponents)
             if len(where) == 2:
                 rows += [where[0], where[1]] if where[0] != where[1] else [where[0]]
                 columns += [where[1], where[0]] if where[0] != where[1] else [where[0]]
@@ -241,11 +241,18 @@ class Quadratic:
         return f"Quadratic({shown}{tail})"
 
 
-def _factors(exponents: tuple[int, ...]) -> list[int]:
-    """Return the coordinates of a monomial of degree two or less, a square twice; fast for many coordinates."""
-    if 2 in exponents:
-        return [exponents.index(2)] * 2
+def factors_of(exponents: tuple[int, ...]) -> list[int]:
+    """Return the coordinates in a monomial, each as often as its exponent; fast for low degrees and many coordinates.
+
+    Examples
+    --------
+    >>> factors_of((0, 1, 2)), factors_of((0, 0, 0))
+    ([1, 2, 2], [])
+    """
     found: list[int] = []
-    while 1 in exponents[(begin := found[-1] + 1 if found else 0) :]:
-        found.append(exponents.index(1, begin))
-    return found
+    for degree in range(1, max(exponents) + 1):
+        place = -1
+        for _ in range(exponents.count(degree)):
+            place = exponents.index(degree, place + 1)
+            found += [place] * degree
+    return sorted(found)
