@@ -207,7 +207,7 @@ def _observables(
         raise TypeError(f"observe is {observe!r}; it must map names to Polynomials or functions of x")
     for name, given in observe.items():
         if not isinstance(given, Polynomial | Quadratic | Invariant) and not callable(given):
-            raise TypeError(f"observe[{name!r}] is {given!r}; it must be a Polynomial or a function of x, or a Quadratic")
+            raise TypeError(f"observe[{name!r}] is {given!r}; it must be a Polynomial or a function, or a Quadratic")
         value = _value_at(given, name, x0)
         if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
             raise TypeError(f"observe[{name!r}] returns {value!r} at the start; it must return one real number")
