@@ -1,6 +1,6 @@
 """Every benchmark and the machine as Markdown: printed, and written to benchmarks/report.md.
 
-python benchmarks/run_all.py [--steps N] [--rounds R] [--without automatic_parts large_algebras]
+python benchmarks/run_all.py [--steps N] [--rounds R] [--without automatic_parts large_algebras cost_curves]
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import platform
 import subprocess
 
 import automatic_parts
+import cost_curves
 import first_result
 import large_algebras
 import numba
@@ -46,7 +47,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="all benchmarks, as Markdown")
     parser.add_argument("--steps", type=int, default=10_000_000)
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--without", nargs="+", choices=["automatic_parts", "large_algebras"], default=[])
+    parser.add_argument(
+        "--without", nargs="+", choices=["automatic_parts", "large_algebras", "cost_curves"], default=[]
+    )
     given = parser.parse_args()
     build("rigid_body")  # no compiler: say so before anything is measured
     tables = [
@@ -60,6 +63,10 @@ def main() -> None:
         tables.append(automatic_parts.table(automatic_parts.measure(timed, given.rounds)))
     if "large_algebras" not in given.without:
         tables.append(large_algebras.table(large_algebras.measure()))
+    if "cost_curves" not in given.without:
+        curves = cost_curves.measure()
+        cost_curves.draw(curves, HERE / "cost_curves.png")
+        tables.append(cost_curves.table(curves))
     report = "# Benchmarks\n\n" + "\n\n".join(tables) + "\n"
     (HERE / "report.md").write_text(report)
     print(report)

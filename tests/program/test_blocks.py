@@ -6,7 +6,8 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.program.blocks import Kind, blocks_of
+from coadjoint.program.block_table import blocks_of
+from coadjoint.program.blocks import Kind
 from coadjoint.program.reading import Reading
 from coadjoint.program.table import build_program
 
