@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,10 @@ from numpy.typing import NDArray
 from coadjoint.algebra.joins import Integers, chunks, expand, groups
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.parts import Parts
+from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
 from coadjoint.program.sparse_rows import fresh, order_by, starts_of, sums
+
+Pairs = tuple[Integers, Integers]
 
 # Forms are looked up in a dense table up to this many entries.
 LARGEST_TABLE = 1 << 22
@@ -32,7 +36,7 @@ class Commutation:
         self._algebra = algebra
 
     @property
-    def pattern(self) -> tuple[Integers, Integers]:
+    def pattern(self) -> Pairs:
         """Which coordinates commute: equal for algebras that differ in the sizes of their constants alone."""
         return self._algebra.neighbours()
 
@@ -52,19 +56,16 @@ class Commutation:
         found[both[(both == label[j]) & (both >= 0)]] = True
         return found
 
-    def clashes(self, parts: Parts, by_coordinates: bool = False) -> tuple[Integers, Integers]:
-        """Return the pairs of parts that do not commute, the first number below the second.
+    def touching(self, parts: Parts) -> Pairs:
+        """Return the pairs of parts (first <= second) with coordinates that do not commute, even if the forms do."""
+        if max(len(parts.offset), self._algebra.dim) > LARGEST_PATTERN:
+            return self._touching(parts)
+        where = (parts.forms.start, parts.forms.coordinate, parts.angle)
+        return _remembered_touching(Pattern((self, parts), *where, *self.pattern))
 
-        Parameters
-        ----------
-        parts : Parts
-            The parts.
-        by_coordinates : bool
-            Take for a clash that coordinates of them do not commute, even if the forms do, within a part as well.
-        """
-        first, second = self._touching(parts)
-        if by_coordinates:
-            return first, second
+    def clashes(self, parts: Parts, touching: Pairs) -> Pairs:
+        """Return those of the pairs of parts that touch which do not commute, the first number below the second."""
+        first, second = touching
         apart = first != second
         first, second = first[apart], second[apart]
         several = np.add.reduceat(np.diff(parts.forms.start) > 1, parts.angle[:-1]) > 0 if len(parts) else np.zeros(0)
@@ -75,8 +76,7 @@ class Commutation:
         settled[open_] = ~self._forms_commute(parts, first[open_], second[open_])
         return first[settled], second[settled]
 
-    def _touching(self, parts: Parts) -> tuple[Integers, Integers]:
-        """Return the pairs of parts (first <= second) with coordinates that do not commute, or all pairs if many."""
+    def _touching(self, parts: Parts) -> Pairs:
         count, size = len(parts), self._algebra.dim
         i, j, _, _ = self._algebra.triples
         begins = fresh(i, j)
@@ -127,6 +127,12 @@ class Commutation:
         return commute
 
 
+@lru_cache(maxsize=1024)
+def _remembered_touching(pattern: Pattern[tuple[Commutation, Parts]]) -> Pairs:
+    commutation, parts = pattern.given
+    return commutation._touching(parts)
+
+
 class _Lookup:
     """The value of forms at coordinates, zero where a form has none."""
 
@@ -147,14 +153,14 @@ class _Lookup:
         return self._value[np.where(found, place, -1)]
 
 
-def _pairs(start: Integers, holder: Integers, i: Integers, j: Integers) -> tuple[Integers, Integers]:
+def _pairs(start: Integers, holder: Integers, i: Integers, j: Integers) -> Pairs:
     """Return every pair of a holder of i with a holder of j."""
     row, one = expand(start[i], start[i + 1])
     again, other = expand(start[j[row]], start[j[row] + 1])
     return holder[one[again]], holder[other]
 
 
-def _without_repeats(first: NDArray[Any], second: NDArray[Any]) -> tuple[Integers, Integers]:
+def _without_repeats(first: NDArray[Any], second: NDArray[Any]) -> Pairs:
     order = order_by(first, second)
     first, second = first[order].astype(np.int64), second[order].astype(np.int64)
     kept = fresh(first, second)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from coadjoint.algebra.joins import Integers
-from coadjoint.program.commutation import Commutation
+from coadjoint.program.commutation import Commutation, Pairs
 from coadjoint.program.first_fit import first_fit
 from coadjoint.program.parts import Parts
+from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
 
 # Larger sets of parts are joined in one order alone: a lattice has thousands, and comes in a good one.
 MOST_REORDERED = 64
@@ -32,16 +35,27 @@ def few_parts(parts: Parts, commutation: Commutation) -> Parts:
     """
     if not len(parts):
         return parts
-    clashes = commutation.clashes(parts)
-    best = first_fit(len(parts), *clashes)
-    if best.max() > 1 and len(parts) <= MOST_REORDERED:
-        one, other = commutation.clashes(parts, by_coordinates=True)
-        ends = np.concatenate([one, other[one != other]])
-        number = np.bincount(ends, minlength=len(parts))
+    touching = commutation.touching(parts)
+    clashes = commutation.clashes(parts, touching)
+    if len(parts) > LARGEST_PATTERN:
+        return parts.joined(_few_groups(len(parts), clashes, touching))
+    return parts.joined(_remembered_groups(len(parts), Pattern((clashes, touching), *clashes, *touching)))
+
+
+@lru_cache(maxsize=1024)
+def _remembered_groups(count: int, pairs: Pattern[tuple[Pairs, Pairs]]) -> Integers:
+    return _few_groups(count, *pairs.given)
+
+
+def _few_groups(count: int, clashes: Pairs, touching: Pairs) -> Integers:
+    best = first_fit(count, *clashes)
+    if best.max() > 1 and count <= MOST_REORDERED:
+        one, other = touching
+        number = np.bincount(np.concatenate([one, other[one != other]]), minlength=count)
         for sign in (-1, 1):
             found = _in_order(np.argsort(sign * number, kind="stable"), *clashes)
             best = found if found.max() < best.max() else best
-    return parts.joined(best)
+    return best
 
 
 def _in_order(order: Integers, first: Integers, second: Integers) -> Integers:

@@ -75,14 +75,9 @@ def _sets(term: QuadraticTerm, commutation: Commutation, apart: bool) -> tuple[I
 def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
     """Return one part for each set of coordinates, its angles the rows of M."""
     row = np.append(np.flatnonzero(fresh(label)), len(members))
-    return Parts.linear(SparseRows.units(members), *angle_rules(term, members), row)
-
-
-def angle_rules(term: QuadraticTerm, coordinates: Integers) -> tuple[NDArray[Any], SparseRows]:
-    """Return offsets and weights of the derivatives of a term with respect to coordinates."""
     matrix = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values)
-    whole = len(coordinates) == len(term.linear) and np.all(np.diff(coordinates) == 1)
-    return term.linear[coordinates], matrix if whole else matrix.take(coordinates)
+    weights = matrix if len(members) == len(term.linear) and np.all(np.diff(members) == 1) else matrix.take(members)
+    return Parts.linear(SparseRows.units(members), term.linear[members], weights, row)
 
 
 def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tuple[Parts, Integers]:

@@ -97,7 +97,9 @@ def joined_starts(pieces: Sequence[NDArray[Any]]) -> Integers:
     >>> joined_starts([np.array([0, 2, 3]), np.array([0, 4])]).tolist()
     [0, 2, 3, 7]
     """
-    return starts_of(np.concatenate([np.zeros(0, dtype=np.int64), *(np.diff(piece) for piece in pieces)]))
+    ends = starts_of([int(piece[-1]) for piece in pieces])
+    rows = np.repeat(ends[:-1], [len(piece) - 1 for piece in pieces])
+    return np.concatenate([np.zeros(1, dtype=np.int64), rows + np.concatenate([piece[1:] for piece in pieces])])
 
 
 def is_ordered(*keys: NDArray[Any]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -15,7 +16,7 @@ from coadjoint.program.commutation import Commutation
 from coadjoint.program.few_parts import few_parts
 from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
-from coadjoint.program.quadratic_atoms import angle_rules, coupled_atoms, quadratic_atoms
+from coadjoint.program.quadratic_atoms import coupled_atoms, quadratic_atoms
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
@@ -71,13 +72,16 @@ def _parts_by_pattern(terms: Sequence[Term], commutation: Commutation) -> Parts 
     model = _parts_of_pattern(Pattern((term, commutation), *where, *commutation.pattern))
     if model is None:
         return None
-    return model.with_rules(*angle_rules(term, model.forms.coordinate.astype(np.int64)))
+    places = model.weights
+    return model.with_rules(term.linear[model.forms.coordinate], places._replace(value=term.values[places.value]))
 
 
 @lru_cache(maxsize=1024)
 def _parts_of_pattern(pattern: Pattern[tuple[QuadraticTerm, Commutation]]) -> Parts | None:
+    """Return the parts with the places of their weights among the values of the term."""
     term, commutation = pattern.given
-    atoms = coupled_atoms(term, commutation)
+    places: Any = np.arange(len(term.values))
+    atoms = coupled_atoms(replace(term, values=places), commutation)
     return None if atoms is None else few_parts(_sorted(atoms), commutation)
 
 
