@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, overload
 
 import numpy as np
@@ -13,16 +14,6 @@ from coadjoint.algebra.joins import Integers, expand
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.program.sparse_rows import SparseRows, fresh, joined_starts, starts_of
 from coadjoint.systems.terms import FunctionTerm
-
-
-@dataclass(frozen=True)
-class LinearShare:
-    """Angles offset_a + weight_a . x, one for each of the forms of the share (sparse rows)."""
-
-    offset: NDArray[Any]
-    indptr: NDArray[Any]
-    columns: NDArray[Any]
-    weights: NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -40,24 +31,17 @@ class FunctionShare:
     term: FunctionTerm
 
 
-Share = LinearShare | PolynomialShare | FunctionShare
-
-
 @dataclass(frozen=True)
 class Part:
-    """One exact flow: commuting forms l_a and the shares that give dH/d(l_a.x), in the same order.
+    """The commuting forms of one exact flow, to be shown.
 
     Parameters
     ----------
     forms : tuple of (coordinates, values)
-        The linear forms, sparse.
-    shares : tuple of Share
-        Their angle rules.
+        The linear forms l_a, sparse.
     """
 
     forms: tuple[tuple[tuple[int, ...], tuple[Any, ...]], ...]
-    shares: tuple[Share, ...]
-    timed: bool = field(default=False)
 
 
 class Parts(Sequence[Part]):
@@ -193,24 +177,7 @@ class Parts(Sequence[Part]):
         if isinstance(index, slice):
             return tuple(self[p] for p in range(len(self))[index])
         p = range(len(self))[index]
-        shares = range(int(self.share[p]), int(self.share[p + 1]))
-        angles = range(int(self.row[shares.start]), int(self.row[shares.stop]))
-        forms = tuple(
-            (tuple(self.forms.coordinate[a:b].tolist()), tuple(self.forms.value[a:b].tolist()))
-            for a, b in zip(
-                self.forms.start[angles.start : angles.stop], self.forms.start[angles.start + 1 :], strict=False
-            )
-        )
-        return Part(forms, tuple(self._share(s) for s in shares), bool(self.timed[p]))
-
-    def _share(self, s: int) -> Share:
-        if s in self.special:
-            return self.special[s]
-        first, last = int(self.row[s]), int(self.row[s + 1])
-        begin, end = int(self.weights.start[first]), int(self.weights.start[last])
-        return LinearShare(
-            self.offset[first:last],
-            self.weights.start[first : last + 1] - begin,
-            self.weights.coordinate[begin:end],
-            self.weights.value[begin:end],
-        )
+        first, last = self.row[self.share[p : p + 2]]
+        edges = pairwise(self.forms.start[first : last + 1].tolist())
+        coordinate, value = self.forms.coordinate, self.forms.value
+        return Part(tuple((tuple(coordinate[a:b].tolist()), tuple(value[a:b].tolist())) for a, b in edges))
