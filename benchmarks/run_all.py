@@ -1,6 +1,6 @@
-"""Every benchmark and the machine as Markdown: printed, and written to benchmarks/report.md.
+"""Every benchmark and the machine as Markdown: printed, and written with its figures to benchmarks/report/.
 
-python benchmarks/run_all.py [--steps N] [--rounds R] [--without automatic_parts large_algebras ensembles ...]
+python benchmarks/run_all.py [--without cost_curves ...]
 """
 
 from __future__ import annotations
@@ -9,18 +9,25 @@ import argparse
 import os
 import platform
 import subprocess
+import sys
+import time
 
-import automatic_parts
-import ensembles
-import first_result
-import large_algebras
-import numba
 import numpy
-import one_trajectory
-import work_against_precision
 from c_programs import FLAGS, HERE, build
 
-LONG = ["automatic_parts", "large_algebras", "ensembles", "work_against_precision"]
+SECTIONS = {
+    "one_trajectory": "One trajectory",
+    "large_trajectories": "Large systems",
+    "ensembles": "Ensembles",
+    "gauss_legendre": "Gauss-Legendre",
+    "round_off": "Round-off",
+    "work_against_precision": "Work against precision",
+    "automatic_parts": "Automatic parts",
+    "first_result": "The first result",
+    "cost_curves": "Cost curves",
+    "large_algebras": "Large algebras",
+}
+REPORT = HERE / "report"
 
 
 def first_line(*command: str) -> str:
@@ -41,36 +48,38 @@ def machine() -> str:
         ("processor", processor()),
         ("cores", str(os.cpu_count())),
         ("compiler", f"{first_line('gcc', '--version')}, {' '.join(FLAGS)}"),
-        ("Python, Numba, NumPy", f"{platform.python_version()}, {numba.__version__}, {numpy.__version__}"),
+        ("Python, NumPy", f"{platform.python_version()}, {numpy.__version__}"),
     ]
     return "\n".join(["| machine | |", "|---|---|", *(f"| {what} | {value} |" for what, value in rows)])
 
 
+def section(name: str) -> tuple[str, bool]:
+    """Run one benchmark in a process of its own, so that none warms or slows the next."""
+    begun = time.perf_counter()
+    done = subprocess.run([sys.executable, str(HERE / f"{name}.py")], capture_output=True, text=True)
+    print(f"{name}: {time.perf_counter() - begun:.0f} s", file=sys.stderr, flush=True)
+    found = done.stdout.strip() if done.returncode == 0 else f"failed: {done.stderr.strip().splitlines()[-1]}"
+    figure = HERE / "build" / f"{name}.png"
+    if figure.exists() and figure.stat().st_mtime > time.time() - (time.perf_counter() - begun) - 1:
+        (REPORT / figure.name).write_bytes(figure.read_bytes())
+        found += f"\n\n![{SECTIONS[name]}]({figure.name})"
+    return f"## {SECTIONS[name]}\n\n{found}", done.returncode == 0
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="all benchmarks, as Markdown")
-    parser.add_argument("--steps", type=int, default=10_000_000)
-    parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--without", nargs="+", choices=LONG, default=[])
+    parser.add_argument("--without", nargs="+", choices=SECTIONS, default=[])
     given = parser.parse_args()
     build("rigid_body")  # no compiler: say so before anything is measured
-    tables = [
-        machine(),
-        one_trajectory.table(one_trajectory.measure(given.steps, given.rounds, list("abcde"))),
-        first_result.table(first_result.measure(given.rounds, cold=True)),
-    ]
-    if "automatic_parts" not in given.without:
-        # errors and steps follow from the ratio of two costs: a tenth of the steps is enough for that
-        timed = max(1, given.steps // 10)
-        tables.append(automatic_parts.table(automatic_parts.measure(timed, given.rounds)))
-    if "large_algebras" not in given.without:
-        tables.append(large_algebras.table(large_algebras.measure()))
-    if "ensembles" not in given.without:
-        tables.append(ensembles.table(ensembles.measure(100_000, given.rounds)))
-    if "work_against_precision" not in given.without:
-        tables.append(work_against_precision.table(work_against_precision.measure(3, work_against_precision.NAMES)))
-    report = "# Benchmarks\n\n" + "\n\n".join(tables) + "\n"
-    (HERE / "report.md").write_text(report)
+    REPORT.mkdir(exist_ok=True)
+    begun = time.perf_counter()
+    found = [section(name) for name in SECTIONS if name not in given.without]
+    took = f"Measured in {(time.perf_counter() - begun) / 60:.0f} minutes."
+    report = "\n\n".join(["# Benchmarks", machine(), took, *(text for text, _ in found)]) + "\n"
+    (REPORT / "report.md").write_text(report)
     print(report)
+    if not all(good for _, good in found):
+        raise SystemExit(1)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,8 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.program.blocks import Kind, blocks_of
+from coadjoint.program.block_table import blocks_of
+from coadjoint.program.blocks import Kind
 from coadjoint.program.reading import Reading
 from coadjoint.program.table import build_program
 
@@ -113,6 +114,22 @@ def test_kind_of_a_matrix(name):
 def test_kinds_of_an_algebra(name):
     algebra, kinds = ALGEBRAS[name]
     assert set().union(*(kinds_of(reading_of(algebra, i)) for i in range(algebra.dim))) == kinds
+
+
+@pytest.mark.parametrize("name", ["so(4)", "so(5)", "so(8)", "e(3)"])
+def test_rotations_of_either_sense_share_a_run(name):
+    """(0, w; -w, 0) on i, j is (0, -w; w, 0) on j, i: a frequency is positive, and one constant serves all blocks."""
+    algebra = co.algebras.get(name)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(np.arange(1.0, algebra.dim + 1)))
+    state = build_program(system, co.Splitting(parts="coordinates")).state
+    assert len(state.kind) == algebra.dim
+    turning = state.kind == Kind.ROTATE
+    assert np.all(state.constants[state.constant[turning]] == 1.0)
+    senses = set()
+    for place, repeat in zip(state.place[turning].tolist(), state.repeat[turning].tolist(), strict=True):
+        first, second = state.indices[place : place + 2 * repeat].reshape(-1, 2).astype(int).T
+        senses |= set(np.sign(second - first).tolist())
+    assert senses == {-1, 1}
 
 
 def test_generators_of_semisimple_algebras_in_other_bases_are_cubic():

@@ -280,7 +280,7 @@ def test_a_piece_is_kept_whole():
 
 def test_only_parts_with_a_function_of_time_are_timed():
     parts = split(system("separable on sl(2)"), "coordinates")
-    assert [part.timed for part in parts] == [False, True]
+    assert parts.timed.tolist() == [False, True]
 
 
 def test_a_constant_hamiltonian_moves_nothing():

@@ -72,8 +72,8 @@ def antisymmetric(triples: Triples, dim: int, names: Sequence[str], complete: bo
     )
     allowed = allowed[order[starts]] if order.size else allowed
     low, high, k = low[order[starts]], high[order[starts]], k[order[starts]]
-    both = np.ones(low.size, dtype=bool)
-    if not complete:
+    both = np.full(low.size, complete)
+    if not complete and not forward.all():
         pairs = (i * dim + j)[forward], (j * dim + i)[~forward]
         both = np.isin(low * dim + high, np.intersect1d(*pairs))
     wrong = np.flatnonzero(both & (np.abs(0.5 * ahead + 0.5 * behind) > 0.5 * allowed))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,20 @@ def groups(*keys: Integers) -> tuple[Integers, Integers]:
     for key in keys:
         fresh[1:] |= np.diff(key[order]) != 0
     return order, np.flatnonzero(fresh).astype(np.int64)
+
+
+def distinct(values: NDArray[Any]) -> NDArray[Any]:
+    """Return the different values, sorted; by sorting, which for millions of integers is faster than by hashing.
+
+    Examples
+    --------
+    >>> distinct(np.array([3, 1, 3])).tolist()
+    [1, 3]
+    """
+    ordered = np.sort(values)
+    new = np.ones(ordered.size, dtype=bool)
+    np.not_equal(ordered[1:], ordered[:-1], out=new[1:])
+    return ordered[new]
 
 
 def expand(starts: Integers, stops: Integers) -> tuple[Integers, Integers]:

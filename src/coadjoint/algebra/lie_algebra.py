@@ -77,22 +77,37 @@ class LieAlgebra(Structure):
         representation: Any = None,
         casimirs: Mapping[str, Any] | None = None,
     ) -> None:
-        self._dim, given, complete = read_constants(constants, dim)
-        self._basis = read_basis(basis, self._dim)
+        size, given, complete = read_constants(constants, dim)
+        names = read_basis(basis, size)
         if name is not None and not isinstance(name, str):
             raise TypeError(f"name of a Lie algebra must be a string, not {name!r}")
-        self._name = name
-        triples = antisymmetric(given, self._dim, self._basis, complete)
-        check_jacobi(triples, self._dim, self._basis)
-        for column in triples:
-            column.flags.writeable = False
-        self._triples = triples
+        triples = antisymmetric(given, size, names, complete)
+        check_jacobi(triples, size, names)
         if casimirs is not None and not isinstance(casimirs, Mapping):
             raise TypeError(f"casimirs must be a mapping from names to functions, not {type(casimirs).__name__}")
-        self._casimirs = dict(casimirs or {})
-        self._representation = (
-            None if representation is None else check_representation(representation, triples, self._dim, self._basis)
-        )
+        rho = None if representation is None else check_representation(representation, triples, size, names)
+        self._keep(triples, size, names, name, rho, casimirs or {})
+
+    def _keep(
+        self,
+        triples: Triples,
+        dim: int,
+        basis: tuple[str, ...],
+        name: str | None,
+        representation: Floats | None,
+        casimirs: Mapping[str, Any],
+    ) -> None:
+        for column in (*triples, *(() if representation is None else (representation,))):
+            column.flags.writeable = False
+        self._triples, self._dim, self._basis, self._name = triples, dim, basis, name
+        self._representation, self._casimirs = representation, dict(casimirs)
+
+    @classmethod
+    def _proved(cls, *everything: Any) -> LieAlgebra:
+        """Build from what is right by construction, sorted and unique, without checking it again; see `_keep`."""
+        algebra = cls.__new__(cls)
+        algebra._keep(*everything)
+        return algebra
 
     @classmethod
     def from_brackets(

@@ -110,7 +110,8 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     -------
     LieAlgebra
         As from `direct_sum`, with basis names ``e1[1]``, ...; in particular with the Casimirs of every copy up to 2^22
-        exponents (682 copies of so(3)), and without Casimirs above: those of copy a are functions of its coordinates.
+        exponents (682 copies of so(3)), and without Casimirs above: a run would follow every one of them. Those of copy
+        a are functions of its coordinates; give a system the ones to follow by name, as sparse `Quadratic`.
 
     Raises
     ------
@@ -133,13 +134,14 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     size = 0 if g.representation is None else g.representation.shape[1]
     fits = g.representation is not None and g.dim * count * (size * count) ** 2 <= LARGEST
     summands = [g] * count if _written([g], count) else []
-    return LieAlgebra(
+    # The identities of every copy are those of g, which were checked; millions of them need not be checked again.
+    return LieAlgebra._proved(
         Triples(i, j, k, np.tile(c, count)),
-        dim=g.dim * count,
-        basis=[f"{label}[{number}]" for number in range(1, count + 1) for label in g.basis],
-        name=f"{count} {g.name or 'g'}",
-        representation=_block_diagonal([g.representation] * count) if fits else None,
-        casimirs=_of_summands(summands, [a * g.dim for a in range(count)] + [g.dim * count]),
+        g.dim * count,
+        tuple(f"{label}[{number}]" for number in range(1, count + 1) for label in g.basis),
+        f"{count} {g.name or 'g'}",
+        _block_diagonal([g.representation] * count) if fits else None,
+        _of_summands(summands, [a * g.dim for a in range(count)] + [g.dim * count]),
     )
 
 

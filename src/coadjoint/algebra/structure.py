@@ -150,8 +150,16 @@ class Structure:
         return matrix
 
     @cached_property
-    def _actions(self) -> tuple[Integers, Triples]:
-        """The entries (i, row, column, value) of every D_{e_i}, sorted, and where each i begins."""
+    def actions(self) -> tuple[Integers, Triples]:
+        """Where the entries of each D_{e_i} begin, and all entries (i, row, column, value), sorted; read-only.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> start, every = co.LieAlgebra([(0, 1, 1, 2.0)], dim=2).actions
+        >>> start.tolist(), every.c.tolist()
+        ([0, 1, 2], [-2.0, 2.0])
+        """
         return actions(self._triples, self._dim)
 
     def coadjoint_entries(self, u: Any) -> tuple[Integers, Integers, NDArray[Any]]:
@@ -195,7 +203,7 @@ class Structure:
             vector, _ = self._vector(u, "u")
             indices = np.flatnonzero(vector != 0).astype(np.int64)
             coefficients = vector[indices]
-        return coadjoint_entries(*self._actions, indices, coefficients)
+        return coadjoint_entries(*self.actions, indices, coefficients)
 
     def structure_operator(self, x: Any) -> LinearOperator:
         """Return J(x) as a SciPy linear operator that holds no n x n array; for large n.

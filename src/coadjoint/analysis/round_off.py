@@ -115,7 +115,8 @@ def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
         invariant = solution.system.casimirs.get(name)
         size = np.max(np.abs(values), axis=0)
         if isinstance(invariant, Polynomial):
-            terms = Polynomial({e: abs(c) for e, c in invariant.monomials.items()})
+            sizes: dict[tuple[int, ...], Any] = {e: abs(c) for e, c in invariant.monomials.items()}
+            terms = Polynomial(sizes)
             size = np.array([float(terms(np.abs(x))) for x in solution.x[0]])
         found[name] = random_walk((values - values[0]) / size, early)
     return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ from coadjoint.program.rational import acts_rationally
 from coadjoint.program.table import Program
 from coadjoint.program.terms import LINEAR, TermTable
 from coadjoint.systems.hamiltonian import as_hamiltonian
+from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
 from coadjoint.systems.user_functions import takes_time
 
@@ -100,9 +100,10 @@ def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
     rows = program.rows
     edges = program.terms.row[program.share]
     lone = (np.diff(edges) == 1) & (np.diff(program.share) == 1) & (program.terms.kind[program.share[:-1]] == LINEAR)
-    rational = np.array([np.any(program.frequency[a:b] != 0) for a, b in pairwise(edges)], dtype=bool)
+    turning = np.concatenate([[0], np.cumsum(program.frequency != 0)])
+    rational = np.diff(turning[edges]) > 0
     agree = np.zeros_like(rational)
-    if program.group is not None:
+    if program.group is not None and np.any(rational):
         agree = rational & acts_rationally(group, program.parts, program.frequency)
     tables = FlowTables(
         int(np.max(np.diff(edges), initial=1)),
@@ -140,7 +141,7 @@ def watch_tables(system: Any, invariants: Mapping[str, Any]) -> Compiled:
     system : LiePoissonSystem or PoissonSystem
         Its Hamiltonian is the first invariant.
     invariants : mapping
-        Name -> `Polynomial` or `Invariant`.
+        Name -> `Polynomial`, `Quadratic` or `Invariant`. A quadratic one costs what it has nonzero entries.
 
     Returns
     -------
@@ -158,13 +159,16 @@ def watch_tables(system: Any, invariants: Mapping[str, Any]) -> Compiled:
     def add(hamiltonian: Any) -> float:
         offset = 0.0
         for term in hamiltonian.terms():
-            table.add(term)
+            if isinstance(term, QuadraticTerm):
+                table.add_used_rows(term)
+            else:
+                table.add(term)
             offset += float(term.constant) if isinstance(term, QuadraticTerm) else 0.0
         return offset
 
     end("the energy", add(system.hamiltonian), 0.0)
     for name, invariant in invariants.items():
-        if isinstance(invariant, Polynomial):
+        if isinstance(invariant, Polynomial | Quadratic):
             end(name, add(as_hamiltonian(invariant, system.dim)), 0.0)
         else:
             table.add_function(function_of_all(invariant, system.dim))

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.program.blocks import Block, Entries, Kind, blocks_of
-from coadjoint.program.numbers import Number, array_of, convert, roundoff
-from coadjoint.program.parts import Part
+from coadjoint.algebra.joins import Integers, expand
+from coadjoint.program.block_table import BlockTable, block_table, joined_tables
+from coadjoint.program.blocks import Kind
+from coadjoint.program.generators import BasisMatrices
+from coadjoint.program.layers import layers
+from coadjoint.program.numbers import Number, array_of, roundoff
+from coadjoint.program.parts import Parts
+from coadjoint.program.sparse_rows import fresh, order_by, starts_of
 
 
 class Action(NamedTuple):
@@ -40,55 +42,14 @@ class Action(NamedTuple):
     constants: NDArray[Any]
 
 
-class BasisMatrices:
-    """One sparse matrix for each basis element of the algebra, combined linearly on request."""
-
-    def __init__(self, size: int, count: int, basis: NDArray[Any], rows: Any, columns: Any, values: Any) -> None:
-        order = np.lexsort((columns, rows, basis))
-        self.size = size
-        self._start = np.searchsorted(basis[order], np.arange(count + 1))
-        self._rows, self._columns, self._values = rows[order], columns[order], values[order]
-
-    @classmethod
-    def coadjoint(cls, algebra: LieAlgebra) -> BasisMatrices:
-        """Return D_i with J(x) e_i = D_i x: the action on momenta, (D_i)_jk = c_ji^k."""
-        i, j, k, c = algebra.triples
-        basis, rows = np.concatenate([j, i]), np.concatenate([i, j])
-        return cls(algebra.dim, algebra.dim, basis, rows, np.concatenate([k, k]), np.concatenate([c, -c]))
-
-    @classmethod
-    def on_group(cls, algebra: LieAlgebra, representation: NDArray[Any] | None) -> BasisMatrices:
-        """Return -rho_i^T (-D_i^T where None is given): the action on the rows of a group element, g' = -g rho."""
-        if representation is None:
-            plain = cls.coadjoint(algebra)
-            basis = np.repeat(np.arange(algebra.dim), np.diff(plain._start))
-            return cls(algebra.dim, algebra.dim, basis, plain._columns, plain._rows, -plain._values)
-        basis, rows, columns = np.nonzero(representation)
-        return cls(representation.shape[1], algebra.dim, basis, columns, rows, -representation[basis, rows, columns])
-
-    def combination(self, form: tuple[Sequence[int], Sequence[Any]], number: Number) -> Entries:
-        """Return sum_i form_i D_i; entries that cancel up to rounding are dropped."""
-        total: Entries = {}
-        size: dict[tuple[int, int], Any] = {}
-        for i, factor in zip(*form, strict=True):
-            weight = convert(number, factor)
-            for entry in range(self._start[i], self._start[i + 1]):
-                key = (int(self._rows[entry]), int(self._columns[entry]))
-                term = weight * convert(number, self._values[entry])
-                total[key] = total.get(key, 0) + term
-                size[key] = size.get(key, 0) + abs(term)
-        u = roundoff(number)
-        return {key: value for key, value in total.items() if abs(value) > 4 * u * size[key]}
-
-
-def build_action(matrices: BasisMatrices, parts: Iterable[Part], number: Number = float) -> Action:
+def build_action(matrices: BasisMatrices, parts: Parts, number: Number = float) -> Action:
     """Classify the generators of every part and lay them out in runs.
 
     Parameters
     ----------
     matrices : BasisMatrices
         The representation.
-    parts : iterable of Part
+    parts : Parts
         Their forms name the generators; the order of the forms is the order of the angles.
     number : callable
         Number type of the constants.
@@ -98,132 +59,142 @@ def build_action(matrices: BasisMatrices, parts: Iterable[Part], number: Number 
     Action
         The table.
     """
-    layout = _Layout()
-    for part in parts:
-        blocks = [blocks_of(matrices.combination(form, number), roundoff(number)) for form in part.forms]
-        groups = [
-            group for angle, level in enumerate(_levels(blocks)) for group in _groups(angle, level, blocks[angle])
-        ]
-        for chain in _chains(groups):
-            layout.add_run(chain)
-        layout.end_part()
-    return layout.action(matrices.size, number)
+    tables = [block_table(some, roundoff(number)) for some in matrices.combinations(parts.forms, number)]
+    if not tables:
+        return _empty(matrices.size, len(parts), number)
+    blocks = joined_tables(tables)
+    part_of_angle = parts.part_of_angle
+    level = _levels(blocks, part_of_angle)
+    groups, blocks = _groups(blocks, part_of_angle, level)
+    return _laid_out(matrices.size, blocks, groups, parts)
 
 
-class _Group(NamedTuple):
-    """Blocks of one kind that share an angle (and their constants, unless they are shears)."""
+class _Groups(NamedTuple):
+    """Blocks of one kind that share an angle (and their constants, unless they are shears), in the order of the table;
+    group g has the blocks block[g] to block[g + 1], and begins a run where it does not continue the one before.
+    """
 
-    angle: int
-    level: int
-    rank: int
-    blocks: tuple[Block, ...]
-
-    @property
-    def shape(self) -> tuple[Kind, int]:
-        return self.blocks[0].kind, len(self.blocks)
+    part: Integers
+    angle: Integers
+    block: Integers
+    begins: NDArray[np.bool_]
 
 
-def _levels(blocks: Sequence[Sequence[Block]]) -> list[int]:
+def _levels(blocks: BlockTable, part_of_angle: Integers) -> Integers:
     """Return a level for each angle: generators of one level have no coordinate in common, and one level follows the
     other.
 
     The generators of a part commute, but a single block of one need not commute with a single block of another that it
     overlaps.
     """
-    reached: dict[int, int] = {}
-    levels = []
-    for own in blocks:
-        coordinates = {k for block in own for k in block.coordinates}
-        level = max((reached[k] + 1 for k in coordinates if k in reached), default=0)
-        reached.update(dict.fromkeys(coordinates, level))
-        levels.append(level)
-    return levels
+    angle = np.repeat(blocks.angle, blocks.width)
+    _, place = expand(blocks.begin[:-1], blocks.begin[:-1] + blocks.width)
+    coordinate, part = blocks.indices[place], part_of_angle[angle]
+    order = order_by(part, coordinate)
+    angle, first = angle[order], fresh(part[order], coordinate[order])
+    again = np.flatnonzero(~first[1:] & (angle[1:] != angle[:-1]))
+    if not len(again):
+        return np.zeros(len(part_of_angle), dtype=np.int64)
+    return layers(len(part_of_angle), angle[again], angle[again + 1])
 
 
-def _groups(angle: int, level: int, blocks: Iterable[Block]) -> Iterable[_Group]:
-    alike: dict[Any, list[Block]] = {}
-    for place, block in enumerate(blocks):
-        shared: Any = block.constants
-        if block.kind == Kind.SHEAR:
-            shared = ()
-        elif block.kind in (Kind.CUBIC, Kind.SERIES):
-            shared = place
-        alike.setdefault((block.kind, shared), []).append(block)
-    ranks: dict[tuple[Kind, int], int] = {}
-    for members in alike.values():
-        shape = (members[0].kind, len(members))
-        ranks[shape] = rank = ranks.get(shape, -1) + 1
-        yield _Group(angle, level, rank, tuple(members))
+def _alike(blocks: BlockTable) -> Integers:
+    """Return equal numbers for blocks of one kind that may share a group: shears, and equal constants."""
+    shared = np.zeros(len(blocks.kind), dtype=np.int64)
+    apart = blocks.entries > 0
+    shared[apart] = np.flatnonzero(apart)
+    for kind, count in ((Kind.SCALE, 1), (Kind.ROTATE, 1), (Kind.PLANE, 4)):
+        own = np.flatnonzero(blocks.kind == kind)
+        for column in range(count):
+            values, number = np.unique(blocks.constants[blocks.constant_begin[own] + column], return_inverse=True)
+            _, shared[own] = np.unique(shared[own] * len(values) + number, return_inverse=True)
+    return shared
 
 
-def _chains(groups: Iterable[_Group]) -> Iterable[list[_Group]]:
-    """Join groups of one shape whose angles follow each other; within a level no blocks share coordinates."""
-    chain: list[_Group] = []
-    for group in sorted(groups, key=lambda g: (g.level, g.shape, g.rank, g.angle)):
-        last = chain[-1] if chain else None
-        follows = last and (group.level, group.shape, group.angle) == (last.level, last.shape, last.angle + 1)
-        if follows and group.shape[0] not in (Kind.CUBIC, Kind.SERIES):
-            chain.append(group)
-            continue
-        if chain:
-            yield chain
-        chain = [group]
-    if chain:
-        yield chain
+def _groups(blocks: BlockTable, part_of_angle: Integers, level: Integers) -> tuple[_Groups, BlockTable]:
+    """Form groups and order them, so that groups of one shape whose angles follow each other become one run.
+
+    Within a level no blocks share coordinates.
+    """
+    shared = _alike(blocks)
+    order = order_by(blocks.angle, blocks.kind, shared)
+    member = np.arange(len(blocks.angle))[order]
+    begins = np.flatnonzero(fresh(blocks.angle[member], blocks.kind[member], shared[member]))
+    leader = member[begins]
+    count, kind, angle = np.diff(np.append(begins, len(member))), blocks.kind[leader], blocks.angle[leader]
+    rank = _ranks(angle, kind, count, leader)
+    part, height = part_of_angle[angle], level[angle]
+    order = np.arange(len(leader))[order_by(part, height, kind, count, rank, angle)]
+    part, height, angle, begins = part[order], height[order], angle[order], begins[order]
+    kind, count = kind[order], count[order]
+    new = fresh(part, height, kind, count)
+    new[1:] |= angle[1:] != angle[:-1] + 1
+    new |= (kind == Kind.CUBIC) | (kind == Kind.SERIES)
+    chosen = member[expand(begins, begins + count)[1]]
+    sorted_ = bool(np.all(chosen[1:] > chosen[:-1]))
+    return _Groups(part, angle, starts_of(count), new), blocks if sorted_ else blocks.take(chosen)
 
 
-class _Layout:
-    """Collects the columns of an action."""
+def _ranks(angle: Integers, kind: NDArray[np.uint8], count: Integers, leader: Integers) -> Integers:
+    """Number the groups of one angle and shape, in the order of their first blocks."""
+    order = np.arange(len(angle))[order_by(angle, kind, count, leader)]
+    first = fresh(angle[order], kind[order], count[order])
+    place = np.arange(len(order))
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = place - np.maximum.accumulate(np.where(first, place, 0))
+    return rank
 
-    def __init__(self) -> None:
-        self.run = [0]
-        self.rows: list[tuple[int, ...]] = []
-        self.indices: list[int] = []
-        self.constants: list[Any] = []
 
-    def add_run(self, chain: Sequence[_Group]) -> None:
-        first = chain[0].blocks[0]
-        start = (len(self.indices), len(self.constants))
-        for group in chain:
-            for block in group.blocks:
-                self.indices.extend(block.coordinates)
-            alike = group.blocks if first.kind == Kind.SHEAR else group.blocks[:1]
-            for block in alike:
-                self.constants.extend(block.constants)
-        if first.entries:
-            rows = [entry[0] for entry in first.entries]
-            self.indices.extend(bisect_left(rows, row) for row in range(len(first.coordinates) + 1))
-            self.indices.extend(entry[1] for entry in first.entries)
-            for item in range(2, len(first.entries[0])):
-                self.constants.extend(entry[item] for entry in first.entries)
-        self.rows.append(
-            (first.kind, len(chain), len(chain[0].blocks), chain[0].angle, *start)
-            + (len(first.coordinates), len(first.entries), first.degree)
-        )
+def _laid_out(size: int, blocks: BlockTable, groups: _Groups, parts: Parts) -> Action:
+    first = np.flatnonzero(groups.begins)
+    leader = groups.block[first]
+    kind = blocks.kind
+    # Blocks of one group but shears share their constants: those of the first are kept.
+    kept = (kind == Kind.SHEAR) | (kind == Kind.CUBIC) | (kind == Kind.SERIES)
+    kept[groups.block[:-1]] = True
+    length = np.where(kept, np.diff(blocks.constant_begin), 0)
+    constants = blocks.constants if kept.all() else blocks.constants[np.repeat(kept, np.diff(blocks.constant_begin))]
+    part = groups.part[first]
 
-    def end_part(self) -> None:
-        self.run.append(len(self.rows))
+    def column(values: Any) -> NDArray[np.uint32]:
+        return np.ascontiguousarray(values, dtype=np.uint32)
 
-    def action(self, size: int, number: Number) -> Action:
-        columns = np.array(self.rows, dtype=np.uint32).reshape(-1, 9).T.copy()
-        kind, angles, repeat, angle, place, constant, width, entries, degree = columns
-        return Action(
-            size=size,
-            run=np.array(self.run, dtype=np.uint32),
-            kind=kind.astype(np.uint8),
-            angles=angles,
-            repeat=repeat,
-            angle=angle,
-            place=place,
-            constant=constant,
-            width=width,
-            entries=entries,
-            degree=degree,
-            indices=np.array(self.indices, dtype=np.uint32),
-            constants=array_of(number, self.constants),
-        )
+    return Action(
+        size=size,
+        run=column(np.searchsorted(part, np.arange(len(parts) + 1))),
+        kind=kind[leader],
+        angles=column(np.diff(np.append(first, len(groups.angle)))),
+        repeat=column(np.diff(groups.block)[first]),
+        angle=column(groups.angle[first] - parts.angle[part]),
+        place=column(blocks.begin[leader]),
+        constant=column(starts_of(length)[leader]),
+        width=blocks.width[leader],
+        entries=blocks.entries[leader],
+        degree=blocks.degree[leader],
+        indices=blocks.indices,
+        constants=constants,
+    )
 
 
 def empty_action() -> Action:
     """Return the action on nothing: no group element is carried."""
-    return _Layout().action(0, float)
+    return _empty(0, 0, float)
+
+
+def _empty(size: int, parts: int, number: Number) -> Action:
+    none, kind = np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.uint8)
+    return Action(
+        size,
+        np.zeros(parts + 1, dtype=np.uint32),
+        kind,
+        none,
+        none,
+        none,
+        none,
+        none,
+        none,
+        none,
+        none,
+        none,
+        array_of(number, []),
+    )

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.methods.chosen_parts import ChosenParts
 from coadjoint.program.order_of_parts import CLEARLY, best_orders
-from coadjoint.program.parts import Part
-from coadjoint.program.shift import Shift, candidate_shifts, quadratic_casimirs, shifted_terms
+from coadjoint.program.parts import Parts
+from coadjoint.program.shift import QuadraticCasimir, Shift, candidate_shifts, quadratic_casimirs, shifted_terms
+from coadjoint.program.shift_counts import numbers_of_parts
 from coadjoint.program.split import split
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
@@ -33,7 +34,7 @@ class Decomposition:
 
     Parameters
     ----------
-    parts : tuple of Part
+    parts : Parts
         The exact flows.
     shift : tuple of (Polynomial, float)
         Quadratic Casimirs C and factors c: the parts add up to H - sum c C.
@@ -41,7 +42,7 @@ class Decomposition:
         What to pass as `parts` to get the same again.
     """
 
-    parts: tuple[Part, ...]
+    parts: Parts
     shift: tuple[tuple[Polynomial, float], ...]
     choice: ChosenParts
 
@@ -98,7 +99,7 @@ _FOUND: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
 
 class _Candidate(NamedTuple):
     shift: Shift
-    parts: tuple[Part, ...]
+    parts: Parts
 
 
 def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64], t: float = 0.0) -> Decomposition:
@@ -140,7 +141,7 @@ def best_decompositions(
     list of Decomposition
         Each one the same as for its system alone.
     """
-    candidates = [_candidates(system) for system in systems]
+    candidates = [_candidates(system, len(points) > 0) for system in systems]
     pairs = [(system, one.parts) for system, own in zip(systems, candidates, strict=True) for one in own]
     orders = iter(best_orders(pairs, points, t))
     result = []
@@ -154,15 +155,23 @@ def best_decompositions(
     return result
 
 
-def _candidates(system: LiePoissonSystem) -> list[_Candidate]:
-    """Return the parts after every shift that leaves the fewest of them."""
+def _candidates(system: LiePoissonSystem, comparing: bool) -> list[_Candidate]:
+    """Return the parts after every shift that leaves the fewest of them; of the first one where nothing is compared."""
     terms, casimirs = system.hamiltonian.terms(), quadratic_casimirs(system)
-    plain = split(system, "auto")
-    found = [_Candidate((), plain)]
-    for shift in candidate_shifts(system, plain) if len(plain) > 1 else ():
-        found.append(_Candidate(shift, split(system, "auto", shifted_terms(terms, casimirs, shift))))
-    fewest = min(len(candidate.parts) for candidate in found)
-    return [candidate for candidate in found if len(candidate.parts) == fewest]
+    found = [_Candidate((), split(system, "auto", terms))]
+    fewest = len(found[0].parts)
+    shifts = list(candidate_shifts(system, found[0].parts, casimirs)) if fewest > 1 else []
+    # Of many shifts of a large system it can be told that they leave as many.
+    counts = [0] * len(shifts) if comparing else numbers_of_parts(system, casimirs, shifts)
+    for shift, count in zip(shifts, counts, strict=True):
+        if count >= fewest:
+            continue
+        parts = split(system, "auto", shifted_terms(terms, casimirs, shift))
+        if len(parts) < fewest:
+            found, fewest = [], len(parts)
+        if not found or (comparing and len(parts) == fewest):
+            found.append(_Candidate(shift, parts))
+    return found
 
 
 def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
@@ -176,9 +185,9 @@ def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
     return _decomposition(parts, casimirs, choice)
 
 
-def _decomposition(parts: Sequence[Part], casimirs: Mapping[str, Polynomial], choice: ChosenParts) -> Decomposition:
-    taken = tuple((casimirs[name], factor) for name, factor in choice.shift)
-    return Decomposition(tuple(parts[k] for k in choice.order), taken, choice)
+def _decomposition(parts: Parts, casimirs: Mapping[str, QuadraticCasimir], choice: ChosenParts) -> Decomposition:
+    taken = tuple((casimirs[name].polynomial, factor) for name, factor in choice.shift)
+    return Decomposition(parts.take(np.array(choice.order, dtype=np.int64)), taken, choice)
 
 
 @lru_cache(maxsize=32)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.program.blocks import TAYLOR_DEGREE, Block, Kind, blocks_of
+from coadjoint.program.block_table import blocks_of
+from coadjoint.program.blocks import TAYLOR_DEGREE, Block, Kind
 
 UNIT = 2.0**-53
 

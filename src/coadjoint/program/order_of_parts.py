@@ -8,7 +8,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.program.parts import Part
+from coadjoint.program.parts import Parts
 from coadjoint.program.second_order import Samples
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.terms import FunctionTerm, QuadraticTerm, Term
@@ -21,7 +21,7 @@ CLEARLY = 1.0 - 1e-9
 
 
 def best_order(
-    system: LiePoissonSystem, parts: Sequence[Part], points: NDArray[np.float64], t: float = 0.0
+    system: LiePoissonSystem, parts: Parts, points: NDArray[np.float64], t: float = 0.0
 ) -> tuple[tuple[int, ...], float]:
     """Return the order of the parts with the smallest root mean square of the h^2 term at some points, and that size.
 
@@ -29,7 +29,7 @@ def best_order(
     ----------
     system : LiePoissonSystem
         The system.
-    parts : sequence of Part
+    parts : Parts
         At most five are permuted in every way, up to eight are moved one by one while that helps, and more keep
         their order.
     points : ndarray, shape (k, n)
@@ -48,7 +48,7 @@ def best_order(
 
 
 def best_orders(
-    pairs: Sequence[tuple[LiePoissonSystem, Sequence[Part]]], points: NDArray[np.float64], t: float = 0.0
+    pairs: Sequence[tuple[LiePoissonSystem, Parts]], points: NDArray[np.float64], t: float = 0.0
 ) -> list[tuple[tuple[int, ...], float]]:
     """Return `best_order` of several systems of one dimension, each with its parts."""
     result = [(tuple(range(len(parts))), 0.0) for _, parts in pairs]

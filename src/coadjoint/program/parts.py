@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.joins import Integers, expand
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.program.sparse_rows import SparseRows, fresh, joined_starts, starts_of
 from coadjoint.systems.terms import FunctionTerm
-
-
-@dataclass(frozen=True)
-class LinearShare:
-    """Angles offset_a + weight_a . x, one for each of the forms of the share (sparse rows)."""
-
-    offset: NDArray[Any]
-    indptr: NDArray[Any]
-    columns: NDArray[Any]
-    weights: NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -39,134 +31,153 @@ class FunctionShare:
     term: FunctionTerm
 
 
-Share = LinearShare | PolynomialShare | FunctionShare
-
-
 @dataclass(frozen=True)
 class Part:
-    """One exact flow: commuting forms l_a and the shares that give dH/d(l_a.x), in the same order.
+    """The commuting forms of one exact flow, to be shown.
 
     Parameters
     ----------
     forms : tuple of (coordinates, values)
-        The linear forms, sparse.
-    shares : tuple of Share
-        Their angle rules.
+        The linear forms l_a, sparse.
     """
 
     forms: tuple[tuple[tuple[int, ...], tuple[Any, ...]], ...]
-    shares: tuple[Share, ...]
-    timed: bool = field(default=False)
 
 
-def unit_forms(coordinates: Iterable[int]) -> tuple[tuple[tuple[int, ...], tuple[Any, ...]], ...]:
-    """Return the forms x_i for the given coordinates."""
-    return tuple(((int(i),), (1,)) for i in coordinates)
+class Parts(Sequence[Part]):
+    """Parts as columns: for many of them, or of many angles. An item is a `Part`, made when it is asked for.
 
-
-class Commutation:
-    """Which coordinates and forms of an algebra commute."""
-
-    def __init__(self, algebra: LieAlgebra) -> None:
-        self._algebra = algebra
-        self._indptr, self._indices = algebra.neighbours()
-
-    @property
-    def key(self) -> tuple[bytes, bytes]:
-        """Which coordinates commute: equal for algebras that differ in the sizes of their constants alone."""
-        return self._indptr.tobytes(), self._indices.tobytes()
-
-    def neighbours(self, i: int) -> NDArray[Any]:
-        """Return the coordinates that do not commute with coordinate i."""
-        return self._indices[self._indptr[i] : self._indptr[i + 1]]
-
-    def first_clash(self, coordinates: Iterable[int]) -> tuple[int, int] | None:
-        """Return two of the coordinates whose basis elements do not commute, or None."""
-        chosen = set(coordinates)
-        for i in sorted(chosen):
-            for j in self.neighbours(i):
-                if int(j) in chosen:
-                    return i, int(j)
-        return None
-
-    def forms_commute(self, first: Part, second: Part) -> bool:
-        """Return whether every form of one part commutes with every form of the other, up to rounding of the forms."""
-        return all(self._commute(f, g) for f in first.forms for g in second.forms)
-
-    def _commute(self, f: Any, g: Any) -> bool:
-        i, j, k, c = self._algebra.triples
-        u, v = self._dense(f), self._dense(g)
-        terms, swapped = c * u[i] * v[j], c * u[j] * v[i]
-        bracket = np.bincount(k, weights=terms - swapped, minlength=self._algebra.dim)
-        size = np.bincount(k, weights=abs(terms) + abs(swapped), minlength=self._algebra.dim)
-        return bool(np.all(np.abs(bracket) <= 16 * 2.0**-53 * size))
-
-    def _dense(self, form: tuple[Sequence[int], Sequence[Any]]) -> NDArray[np.float64]:
-        coordinates, values = form
-        dense = np.zeros(self._algebra.dim)
-        dense[list(coordinates)] = [float(value) for value in values]
-        return dense
-
-
-# Larger sets of parts are joined in one order alone: a lattice has thousands, and comes in a good one.
-MOST_REORDERED = 64
-
-
-def few_parts(parts: Sequence[Part], commutation: Commutation) -> tuple[Part, ...]:
-    """Join parts that commute: few, in a fixed order, not always the fewest (a clique cover is NP-hard).
-
-    First fit in the given order and, where that leaves more than two, in the orders of most and of fewest clashes.
+    Part p has the shares share[p] to share[p + 1], share s the angles row[s] to row[s + 1], and every angle one form.
 
     Parameters
     ----------
-    parts : sequence of Part
-        Sorted by their first coordinates.
-    commutation : Commutation
-        Of the algebra.
-
-    Returns
-    -------
-    tuple of Part
-        Sorted by their first coordinates.
+    forms : SparseRows
+        The forms l_a of all angles.
+    offset : ndarray, shape (angles,)
+        The angle rule of linear shares is offset + weights . x.
+    weights : SparseRows
+        One row for each angle, empty for those of other shares.
+    row : ndarray of int64, shape (shares + 1,)
+        Where the angles of each share begin.
+    special : mapping of int to PolynomialShare or FunctionShare
+        The shares that are not linear.
+    share : ndarray of int64, shape (parts + 1,)
+        Where the shares of each part begin.
+    timed : ndarray of bool, shape (parts,)
+        Which parts depend on time.
     """
-    best = _first_fit(range(len(parts)), parts, commutation)
-    if 2 < len(best) and len(parts) <= MOST_REORDERED:
-        own = [{i for form, _ in part.forms for i in form} for part in parts]
-        near = [{int(j) for i in mine for j in commutation.neighbours(i)} for mine in own]
-        clashes = [sum(not mine.isdisjoint(other) for other in own) for mine in near]
-        for sign in (-1, 1):
-            found = _first_fit(sorted(range(len(parts)), key=lambda k: (sign * clashes[k], k)), parts, commutation)
-            best = found if len(found) < len(best) else best
-    return tuple(joined([parts[k] for k in group]) for group in sorted(sorted(group) for group in best))
 
+    def __init__(
+        self,
+        forms: SparseRows,
+        offset: NDArray[Any],
+        weights: SparseRows,
+        row: Integers,
+        special: Mapping[int, PolynomialShare | FunctionShare],
+        share: Integers,
+        timed: NDArray[np.bool_],
+    ) -> None:
+        self.forms, self.offset, self.weights = forms, offset, weights
+        self.row, self.special, self.share, self.timed = row, special, share, timed
 
-def _first_fit(order: Iterable[int], parts: Sequence[Part], commutation: Commutation) -> list[list[int]]:
-    groups: list[list[int]] = []
-    coordinates: list[set[int]] = []
-    for k in order:
-        ours = {i for form, _ in parts[k].forms for i in form}
-        near = {int(j) for i in ours for j in commutation.neighbours(i)}
-        for group, theirs in zip(groups, coordinates, strict=True):
-            if near.isdisjoint(theirs) or _combined_commute(parts[k], [parts[m] for m in group], commutation):
-                group.append(k)
-                theirs |= ours
-                break
-        else:
-            groups.append([k])
-            coordinates.append(ours)
-    return groups
+    @classmethod
+    def linear(cls, forms: SparseRows, offset: NDArray[Any], weights: SparseRows, row: Integers) -> Parts:
+        """Return parts of one linear share each, which have the angles row[p] to row[p + 1]."""
+        count = len(row) - 1
+        return cls(forms, offset, weights, row, {}, np.arange(count + 1), np.zeros(count, dtype=bool))
 
+    @classmethod
+    def single(cls, share: PolynomialShare | FunctionShare, coordinates: Sequence[int], timed: bool = False) -> Parts:
+        """Return one part of one share that is not linear."""
+        size, ends = len(coordinates), np.array([0, 1])
+        forms = SparseRows.units(np.array(coordinates, dtype=np.int64))
+        return cls(forms, np.zeros(size), SparseRows.empty(size), size * ends, {0: share}, ends, np.array([timed]))
 
-def _combined_commute(part: Part, group: list[Part], commutation: Commutation) -> bool:
-    """Coordinates that do not commute settle it, unless forms of several coordinates cancel them."""
-    single = all(len(form) == 1 for member in (part, *group) for form, _ in member.forms)
-    return not single and all(commutation.forms_commute(part, member) for member in group)
+    @classmethod
+    def concatenate(cls, pieces: Sequence[Parts]) -> Parts:
+        """Return the parts of all pieces, one after the other."""
+        if len(pieces) == 1:
+            return pieces[0]
+        if not pieces:
+            return cls.linear(SparseRows.empty(0), np.zeros(0), SparseRows.empty(0), np.zeros(1, dtype=np.int64))
+        shares = np.cumsum([0] + [len(piece.row) - 1 for piece in pieces]).tolist()
+        return cls(
+            SparseRows.concatenate([piece.forms for piece in pieces]),
+            np.concatenate([piece.offset for piece in pieces]),
+            SparseRows.concatenate([piece.weights for piece in pieces]),
+            joined_starts([piece.row for piece in pieces]),
+            {
+                first + s: share
+                for first, piece in zip(shares, pieces, strict=False)
+                for s, share in piece.special.items()
+            },
+            joined_starts([piece.share for piece in pieces]),
+            np.concatenate([piece.timed for piece in pieces]),
+        )
 
+    def with_rules(self, offset: NDArray[Any], weights: SparseRows) -> Parts:
+        """Return the same forms with other angles."""
+        return Parts(self.forms, offset, weights, self.row, self.special, self.share, self.timed)
 
-def joined(parts: Sequence[Part]) -> Part:
-    """Return several parts as one; their forms must commute."""
-    return Part(
-        tuple(form for part in parts for form in part.forms),
-        tuple(share for part in parts for share in part.shares),
-        any(part.timed for part in parts),
-    )
+    def __len__(self) -> int:
+        return len(self.timed)
+
+    @property
+    def angle(self) -> Integers:
+        """Where the angles of each part begin, shape (parts + 1,)."""
+        return self.row[self.share]
+
+    @property
+    def part_of_angle(self) -> Integers:
+        """The part of each angle."""
+        return np.repeat(np.arange(len(self)), np.diff(self.angle))
+
+    @property
+    def first_coordinate(self) -> NDArray[np.uint32]:
+        """The smallest coordinate in the forms of each part, which must have one."""
+        return np.minimum.reduceat(self.forms.coordinate, self.forms.start[self.angle[:-1]])
+
+    def take(self, chosen: NDArray[Any]) -> Parts:
+        """Return the chosen parts, each at most once, in the order given."""
+        if np.array_equal(chosen, np.arange(len(self))):
+            return self
+        first, last = self.share[chosen], self.share[chosen + 1]
+        _, shares = expand(first, last)
+        begin, end = self.row[shares], self.row[shares + 1]
+        _, angles = expand(begin, end)
+        place = dict(zip(shares.tolist(), range(len(shares)), strict=True)) if self.special else {}
+        return Parts(
+            self.forms.take(angles),
+            self.offset[angles],
+            self.weights.take(angles),
+            starts_of(end - begin),
+            {place[s]: share for s, share in self.special.items() if s in place},
+            starts_of(last - first),
+            self.timed[chosen],
+        )
+
+    def joined(self, label: NDArray[Any]) -> Parts:
+        """Return the parts with equal labels as one, which must commute; in the order of their first members."""
+        first = np.full(int(label.max(initial=-1)) + 1, len(self))
+        np.minimum.at(first, label, np.arange(len(self)))
+        order = np.argsort(first[label], kind="stable")
+        moved, group = self.take(order), first[label][order]
+        begins = np.flatnonzero(fresh(group))
+        timed = np.logical_or.reduceat(moved.timed, begins) if len(begins) else moved.timed
+        share = np.append(moved.share[begins], moved.share[-1])
+        return Parts(moved.forms, moved.offset, moved.weights, moved.row, moved.special, share, timed)
+
+    @overload
+    def __getitem__(self, index: int) -> Part: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Part]: ...
+
+    def __getitem__(self, index: int | slice) -> Part | Sequence[Part]:
+        if isinstance(index, slice):
+            return tuple(self[p] for p in range(len(self))[index])
+        p = range(len(self))[index]
+        first, last = self.row[self.share[p : p + 2]]
+        edges = pairwise(self.forms.start[first : last + 1].tolist())
+        coordinate, value = self.forms.coordinate, self.forms.value
+        return Part(tuple((tuple(coordinate[a:b].tolist()), tuple(value[a:b].tolist())) for a, b in edges))

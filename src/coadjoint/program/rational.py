@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action
 from coadjoint.program.blocks import Kind
-from coadjoint.program.numbers import Number, array_of, convert, roundoff
-from coadjoint.program.parts import LinearShare, Part, PolynomialShare, Share
+from coadjoint.program.numbers import Number, array_of, roundoff
+from coadjoint.program.parts import Parts, PolynomialShare
+from coadjoint.program.sparse_rows import SparseRows, starts_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
-def rational_frequencies(
-    system: LiePoissonSystem, parts: Sequence[Part], state: Action, number: Number
-) -> NDArray[Any]:
+def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, number: Number) -> NDArray[Any]:
     """Return the frequency w of every angle that becomes rational, 2/w atan(w angle/2), and 0 for those that stay.
 
     That is the exact flow of another function of l.x, hence Poisson, if the angle is a function of l.x alone. It needs
@@ -27,7 +25,7 @@ def rational_frequencies(
     ----------
     system : LiePoissonSystem
         For messages.
-    parts : sequence of Part
+    parts : Parts
         The parts.
     state : Action
         Their coadjoint action.
@@ -52,87 +50,81 @@ def rational_frequencies(
     >>> build_program(body, co.Splitting(rotation="rational", parts="coordinates")).frequency
     array([1., 1., 1.])
     """
-    found: list[Any] = []
-    for p, part in enumerate(parts):
-        own = _frequencies_of(state, p, len(part.forms))
-        coupled = [flag for share, forms in _shares_with_forms(part) for flag in _coupled(share, forms)]
-        for form, several, alone in zip(part.forms, own, coupled, strict=True):
-            frequency, reason = _single(several, number), ""
-            if frequency is None:
-                reason = "is neither nilpotent nor a rotation of a single frequency"
-            elif frequency != 0 and alone:
-                reason = "is a rotation by an angle that depends on more than itself"
-            if reason:
-                name = " + ".join(system.algebra.basis[i] for i in form[0])
-                raise ValueError(
-                    f'rotation="rational" would not be a Poisson map for {system.name}: the flow along {name} '
-                    f'{reason}; take rotation="exact"'
-                )
-            found.append(frequency)
-    return array_of(number, found)
+    least, largest, known, _ = _frequencies(state, parts, number)
+    known = known & np.asarray(largest - least <= 64 * roundoff(number) * largest, dtype=bool)
+    turning = known & np.asarray(largest != 0, dtype=bool)
+    wrong = np.flatnonzero(~known | (turning & _coupled(parts)))
+    if len(wrong):
+        entries = slice(*parts.forms.start[[wrong[0], wrong[0] + 1]])
+        name = " + ".join(system.algebra.basis[i] for i in parts.forms.coordinate[entries])
+        reason = "is a rotation by an angle that depends on more than itself"
+        if not known[wrong[0]]:
+            reason = "is neither nilpotent nor a rotation of a single frequency"
+        raise ValueError(
+            f'rotation="rational" would not be a Poisson map for {system.name}: the flow along {name} '
+            f'{reason}; take rotation="exact"'
+        )
+    return largest
 
 
-def _frequencies_of(action: Action, part: int, angles: int) -> list[list[Any]]:
-    """Return for each angle the frequencies of its blocks: 0 where nilpotent, None for what is no rotation."""
-    found: list[list[Any]] = [[] for _ in range(angles)]
-    for run in range(action.run[part], action.run[part + 1]):
-        kind, constant = action.kind[run], int(action.constant[run])
-        for q in range(action.angles[run]):
-            first: Any = action.constants[constant + (q if kind == Kind.ROTATE else 0)]
-            frequency = None
-            if kind == Kind.ROTATE:
-                frequency = first
-            elif kind == Kind.CUBIC and first < 0:
-                frequency = action.constants[constant + 1]
-            elif kind == Kind.SHEAR or (kind == Kind.SERIES and first == 0):
-                frequency = 0 * first
-            found[int(action.angle[run]) + q].append(frequency)
-    return found
+class _Frequencies(NamedTuple):
+    """The least and the largest frequency of the blocks of each angle, 0 where they are nilpotent; whether all of them
+    are nilpotent or rotations; and whether there are any.
+    """
+
+    least: NDArray[Any]
+    largest: NDArray[Any]
+    known: NDArray[np.bool_]
+    acting: NDArray[np.bool_]
 
 
-def _single(frequencies: list[Any], number: Number) -> Any:
-    """Return the frequency that all blocks share up to rounding of D^3 = -w^2 D, or None."""
-    if not frequencies:
-        return convert(number, 0)
-    if any(frequency is None for frequency in frequencies):
-        return None
-    least, largest = min(frequencies), max(frequencies)
-    return largest if largest - least <= 64 * roundoff(number) * largest else None
+def _frequencies(action: Action, parts: Parts, number: Number) -> _Frequencies:
+    run = np.repeat(np.arange(len(action.kind)), action.angles)
+    q = np.arange(len(run)) - np.repeat(starts_of(action.angles)[:-1], action.angles)
+    part = np.repeat(np.arange(len(parts)), np.diff(action.run))[run]
+    angle, kind = parts.angle[part] + action.angle[run] + q, action.kind[run]
+    place = action.constant[run].astype(np.int64)
+    turns = kind == Kind.ROTATE
+    first = action.constants[place + np.where(turns, q, 0)]
+    cubic = (kind == Kind.CUBIC) & np.asarray(first < 0, dtype=bool)
+    nilpotent = (kind == Kind.SHEAR) | ((kind == Kind.SERIES) & np.asarray(first == 0, dtype=bool))
+    frequency = np.where(turns, first, 0 * first)
+    frequency[cubic] = action.constants[place[cubic] + 1]
+    known, acting = np.ones(len(parts.offset), dtype=bool), np.zeros(len(parts.offset), dtype=bool)
+    acting[angle] = True
+    known[angle[~(turns | cubic | nilpotent)]] = False
+    largest = array_of(number, np.zeros(len(parts.offset), dtype=np.int64))
+    np.maximum.at(largest, angle, frequency)
+    least = largest.copy()
+    np.minimum.at(least, angle, frequency)
+    return _Frequencies(least, largest, known, acting)
 
 
-def _shares_with_forms(part: Part) -> Any:
-    start = 0
-    for share in part.shares:
-        if isinstance(share, LinearShare):
-            count = len(share.offset)
+def _coupled(parts: Parts) -> NDArray[np.bool_]:
+    """Return for each angle whether it depends on more than its own form."""
+    coupled = ~_along(parts.forms, parts.weights)
+    for s, share in parts.special.items():
+        angles = slice(int(parts.row[s]), int(parts.row[s + 1]))
+        if isinstance(share, PolynomialShare):
+            mixed = [e for e in share.polynomial.monomials if sum(1 for power in e if power) > 1]
+            coupled[angles] = [any(e[i] for e in mixed) for i in share.coordinates]
         else:
-            count = len(share.coordinates if isinstance(share, PolynomialShare) else share.term.coordinates)
-        yield share, part.forms[start : start + count]
-        start += count
+            coupled[angles] = angles.stop - angles.start > 1
+    return coupled
 
 
-def _coupled(share: Share, forms: Sequence[Any]) -> list[bool]:
-    """Return for each angle of a share whether it depends on more than its own form."""
-    if isinstance(share, LinearShare):
-        return [not _along(share, row, form) for row, form in enumerate(forms)]
-    if isinstance(share, PolynomialShare):
-        mixed = [e for e in share.polynomial.monomials if sum(1 for power in e if power) > 1]
-        return [any(e[i] for e in mixed) for i in share.coordinates]
-    return [len(forms) > 1] * len(forms)
-
-
-def _along(share: LinearShare, row: int, form: tuple[Sequence[int], Sequence[Any]]) -> bool:
-    """Return whether the weights of a row are a multiple of its form, up to the rounding of the products."""
-    entries = range(int(share.indptr[row]), int(share.indptr[row + 1]))
-    weights = {int(share.columns[e]): share.weights[e] for e in entries if share.weights[e] != 0}
-    values = {int(i): value for i, value in zip(*form, strict=True) if value != 0}
-    if not weights:
-        return True
-    if weights.keys() != values.keys():
-        return False
-    first = next(iter(values))
-    products = [(weights[i] * values[first], weights[first] * values[i]) for i in values]
-    return all(abs(a - b) <= 8 * 2.0**-53 * abs(a) for a, b in products)
+def _along(forms: SparseRows, weights: SparseRows) -> NDArray[np.bool_]:
+    """Return whether the weights of each angle are a multiple of its form, up to the rounding of the products."""
+    length = np.diff(weights.start)
+    along = np.asarray((length == 0) | (length == np.diff(forms.start)))
+    same = np.flatnonzero(along & (length > 0))
+    form, weight = forms.take(same), weights.take(same)
+    first = form.start[:-1][form.owner]
+    one, other = weight.value * form.value[first], weight.value[first] * form.value
+    agree = np.asarray(abs(one - other) <= 8 * 2.0**-53 * abs(one), dtype=bool)
+    agree &= form.coordinate == weight.coordinate
+    along[same[form.owner[~agree]]] = False
+    return along
 
 
 def bent(angle: Any, frequency: Any, atan: Any) -> Any:
@@ -140,15 +132,13 @@ def bent(angle: Any, frequency: Any, atan: Any) -> Any:
     return angle if frequency == 0 else 2 / frequency * atan(frequency * angle / 2)
 
 
-def acts_rationally(action: Action, parts: Sequence[Part], frequency: NDArray[Any]) -> NDArray[np.bool_]:
+def acts_rationally(action: Action, parts: Parts, frequency: NDArray[Any]) -> NDArray[np.bool_]:
     """Return for each part whether its blocks in a representation turn with the frequencies of the coadjoint ones.
 
     Then a rational rotation needs no arc tangent there either.
     """
+    least, largest, known, acting = _frequencies(action, parts, float)
+    apart = np.maximum(np.abs(least - frequency), np.abs(largest - frequency))
     agree = np.ones(len(parts), dtype=bool)
-    start = 0
-    for p, part in enumerate(parts):
-        for several, w in zip(_frequencies_of(action, p, len(part.forms)), frequency[start:], strict=False):
-            agree[p] &= all(own is not None and abs(own - w) <= 64 * 2.0**-53 * abs(w) for own in several)
-        start += len(part.forms)
+    agree[parts.part_of_angle[acting & ~(known & (apart <= 64 * 2.0**-53 * np.abs(frequency)))]] = False
     return agree

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import islice
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.joins import expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.program.parts import FunctionShare, LinearShare, Part, PolynomialShare
+from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.terms import derivative_of
 
 Floats = NDArray[np.float64]
@@ -23,55 +23,42 @@ class Jet(NamedTuple):
     hessian: Floats
 
 
-def part_jet(part: Part, x: Floats, t: float) -> Jet:
-    """Return gradient and Hessian of a part's piece of the Hamiltonian at x.
+def part_jets(parts: Parts, points: Floats, t: float = 0.0) -> Jet:
+    """Return gradients and Hessians of the pieces of the Hamiltonian that belong to parts, at points.
 
     Parameters
     ----------
-    part : Part
-        Its forms l_a and shares.
-    x : ndarray, shape (n,)
-        Momentum.
+    parts : Parts
+        Their forms l_a and angle rules.
+    points : ndarray, shape (k, n)
+        Momenta.
     t : float
         Time.
 
     Returns
     -------
     Jet
-        sum_a l_a theta_a, and its derivative.
+        sum_a l_a theta_a of each part, (parts, k, n), and its derivative, (parts, k, n, n); or 1 for k there, where all
+        of them are constant.
     """
-    found = _jets([[part]], np.asarray(x, dtype=np.float64)[None], t)
-    return Jet(found.gradient[0, 0, 0], found.hessian[0, 0, 0])
-
-
-def _jets(sets: Sequence[Sequence[Part]], points: Floats, t: float) -> Jet:
-    """Return gradients (sets, parts, k, n) and Hessians (sets, parts, k, n, n), or 1 for k where all are constant."""
-    shape = (len(sets), len(sets[0]))
     count, n = points.shape
-    constant, bent = np.zeros((*shape, 1, n)), np.zeros((*shape, 1, n, n))
-    others = []
-    for s, parts in enumerate(sets):
-        for p, part in enumerate(parts):
-            forms: Iterator[Any] = iter(part.forms)
-            for share in part.shares:
-                if isinstance(share, LinearShare):
-                    edges, weights = share.indptr.tolist(), np.asarray(share.weights, dtype=np.float64)
-                    for a, offset in enumerate(share.offset.tolist()):
-                        row = slice(edges[a], edges[a + 1])
-                        for i, value in zip(*next(forms), strict=True):
-                            constant[s, p, 0, i] += float(value) * float(offset)
-                            bent[s, p, 0, i, share.columns[row]] += float(value) * weights[row]
-                else:
-                    own = share.term.coordinates if isinstance(share, FunctionShare) else np.array(share.coordinates)
-                    others.append((s, p, share, own))
-                    forms = islice(forms, len(own), None)
+    constant, bent = np.zeros((len(parts), 1, n)), np.zeros((len(parts), 1, n, n))
+    forms, weights, part = parts.forms, parts.weights, parts.part_of_angle
+    angle, value = forms.owner, forms.value.astype(np.float64)
+    place: Any = (part[angle], 0, forms.coordinate)
+    np.add.at(constant, place, value * parts.offset[angle].astype(np.float64))
+    entry, at = expand(weights.start[angle], weights.start[angle + 1])
+    place = (part[angle[entry]], 0, forms.coordinate[entry], weights.coordinate[at])
+    np.add.at(bent, place, value[entry] * weights.value[at].astype(np.float64))
     gradient = constant + _applied(bent, points)
-    hessian = np.repeat(bent, count, axis=2) if others else bent
-    for s, p, share, own in others:
+    hessian = np.repeat(bent, count, axis=1) if parts.special else bent
+    for s, share in parts.special.items():
+        own = share.term.coordinates if isinstance(share, FunctionShare) else np.array(share.coordinates)
+        p = part[parts.row[s]]
         for k, x in enumerate(points):
             slope, curvature = _own_jet(share, own, x, t)
-            gradient[s, p, k, own] += slope
-            hessian[s, p, k][np.ix_(own, own)] += curvature
+            gradient[p, k, own] += slope
+            hessian[p, k][np.ix_(own, own)] += curvature
     return Jet(gradient, hessian)
 
 
@@ -102,7 +89,7 @@ class Samples:
     ----------
     algebras : sequence of LieAlgebra
         Of each set; the bracket is {F, G} = (grad F)^T J(x) grad G. The same brackets are not zero in all of them.
-    sets : sequence of sequence of Part
+    sets : sequence of Parts
         The pieces, equally many in each set.
     points : ndarray, shape (k, n)
         Where.
@@ -115,10 +102,10 @@ class Samples:
         If a user function was given without second derivatives.
     """
 
-    def __init__(
-        self, algebras: Sequence[LieAlgebra], sets: Sequence[Sequence[Part]], points: Floats, t: float = 0.0
-    ) -> None:
-        self._gradients, self._hessians = _jets(sets, points, t)
+    def __init__(self, algebras: Sequence[LieAlgebra], sets: Sequence[Parts], points: Floats, t: float = 0.0) -> None:
+        every = part_jets(Parts.concatenate(sets), points, t)
+        shape = (len(sets), len(sets[0]))
+        self._gradients, self._hessians = (jet.reshape(*shape, *jet.shape[1:]) for jet in every)
         count, n = points.shape
         self._i, self._j, self._k, _ = algebras[0].triples
         self._c = np.array([algebra.triples.c for algebra in algebras]).reshape(len(sets), 1, 1, -1)
@@ -174,14 +161,14 @@ class Samples:
         return result
 
 
-def second_order_term(algebra: LieAlgebra, parts: Sequence[Part], points: Floats, t: float = 0.0) -> Floats:
+def second_order_term(algebra: LieAlgebra, parts: Parts, points: Floats, t: float = 0.0) -> Floats:
     """Return H2 of parts in their order at points; see `Samples`.
 
     Parameters
     ----------
     algebra : LieAlgebra
         The algebra.
-    parts : sequence of Part
+    parts : Parts
         In the order of a forward sweep.
     points : ndarray, shape (k, n)
         Where.

@@ -4,36 +4,82 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.joins import distinct
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.program.parts import Part
+from coadjoint.program.parts import Parts
+from coadjoint.program.pattern import LARGEST_PATTERN
 from coadjoint.program.pencil import singular_factors
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.quadratic import factors_of
 from coadjoint.systems.terms import QuadraticTerm, Term
 
 Shift = tuple[tuple[str, float], ...]
 
 LARGEST_SINGULAR = 8
 LARGEST_DENSE = 32  # coordinates: up to here a sum over all n^2 entries is quicker than to sort those that are not zero
+# What a shift leaves of an entry is zero below this many units of round-off of what is added up.
+ROUNDING = 4 * 2.0**-53
 
 
-def quadratic_casimirs(system: LiePoissonSystem) -> dict[str, Polynomial]:
-    """Return the known Casimirs of a system that are homogeneous of degree two, by name."""
-    return {
-        name: casimir
-        for name, casimir in system.casimirs.items()
-        if isinstance(casimir, Polynomial)
-        and casimir.monomials
-        and all(sum(exponents) == 2 for exponents in casimir.monomials)
-    }
+class QuadraticCasimir(NamedTuple):
+    """A Casimir that is homogeneous of degree two, C = x.A x/2, and the entries of A."""
+
+    polynomial: Polynomial
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    values: NDArray[np.float64]
+
+    @property
+    def diagonal(self) -> bool:
+        """Whether A is diagonal."""
+        return bool(np.array_equal(self.rows, self.columns))
 
 
-def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, Polynomial], shift: Shift) -> tuple[Term, ...]:
+def quadratic_casimirs(system: LiePoissonSystem) -> dict[str, QuadraticCasimir]:
+    """Return the known Casimirs of a system that are polynomials, homogeneous of degree two, by name.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> quadratic_casimirs(co.systems.rigid_body(inertia=(1, 2, 3)))["|x|^2"].values
+    array([2., 2., 2.])
+    """
+    found = {}
+    for name, casimir in system.casimirs.items():
+        if isinstance(casimir, Polynomial):
+            entries = (_remembered_entries if casimir.dim <= LARGEST_PATTERN else _entries)(casimir)
+            if entries is not None:
+                found[name] = QuadraticCasimir(casimir, *entries)
+    return found
+
+
+Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
+
+
+def _entries(casimir: Polynomial) -> Entries | None:
+    """Return rows, columns and values of A; None where a polynomial is not homogeneous of degree two."""
+    monomials = casimir.monomials
+    pairs = [factors_of(exponents) for exponents in monomials]
+    if not pairs or any(len(pair) != 2 for pair in pairs):
+        return None
+    i, j = np.array(pairs, dtype=np.int64).T
+    values = np.array([float(c) for c in monomials.values()])
+    apart = i != j
+    rows, columns = np.concatenate([i, j[apart]]), np.concatenate([j, i[apart]])
+    return rows, columns, np.concatenate([np.where(apart, values, 2.0 * values), values[apart]])
+
+
+# A scan over constants takes off the same Casimir again and again.
+_remembered_entries = lru_cache(maxsize=256)(_entries)
+
+
+def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir], shift: Shift) -> tuple[Term, ...]:
     """Take multiples of quadratic Casimirs off the quadratic term of a Hamiltonian.
 
     Parameters
@@ -67,8 +113,8 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, Polynomial], shi
     assert isinstance(term, QuadraticTerm)
     entries = [(term.rows, term.indices, term.values)]
     for name, factor in shift:
-        piece = _term_of(casimirs[name])
-        entries.append((piece.rows, piece.indices, -factor * piece.values))
+        casimir = casimirs[name]
+        entries.append((casimir.rows, casimir.columns, -factor * casimir.values))
     rows, columns = (np.concatenate([entry[side] for entry in entries]) for side in (0, 1))
     values = np.concatenate([entry[2] for entry in entries])
     n = len(term.linear)
@@ -76,30 +122,26 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, Polynomial], shi
     if cells is None:
         cells, flat = np.unique(flat, return_inverse=True)
     total: NDArray[Any] = np.bincount(flat, weights=values, minlength=len(cells))
-    kept = np.abs(total) > 4 * 2.0**-53 * np.bincount(flat, weights=np.abs(values), minlength=len(cells))
+    kept = np.abs(total) > ROUNDING * np.bincount(flat, weights=np.abs(values), minlength=len(cells))
     rows, columns = np.divmod(cells[kept], n)
     indptr = np.searchsorted(rows, np.arange(n + 1))
     changed = QuadraticTerm(indptr, columns, total[kept], term.linear, term.constant)
     return (*terms[:own], changed, *terms[own + 1 :])
 
 
-# A scan over constants takes off the same Casimir again and again.
-@lru_cache(maxsize=256)
-def _term_of(casimir: Polynomial) -> QuadraticTerm:
-    (term,) = Quadratic.from_polynomial(casimir).terms()
-    assert isinstance(term, QuadraticTerm)
-    return term
-
-
-def candidate_shifts(system: LiePoissonSystem, parts: Sequence[Part]) -> Iterable[Shift]:
+def candidate_shifts(
+    system: LiePoissonSystem, parts: Parts, casimirs: Mapping[str, QuadraticCasimir]
+) -> Iterable[Shift]:
     """Yield shifts after which a coordinate, a part, or a completed square may vanish.
 
     Parameters
     ----------
     system : LiePoissonSystem
         The system.
-    parts : sequence of Part
+    parts : Parts
         Its parts without a shift.
+    casimirs : mapping
+        Name -> quadratic Casimir.
 
     Yields
     ------
@@ -107,23 +149,24 @@ def candidate_shifts(system: LiePoissonSystem, parts: Sequence[Part]) -> Iterabl
         Each at most once.
     """
     quadratic = [term for term in system.hamiltonian.terms() if isinstance(term, QuadraticTerm) and term.piece is None]
-    casimirs = quadratic_casimirs(system)
     if not quadratic or not casimirs:
         return
     own = quadratic[0].rows == quadratic[0].indices
     diagonal = dict(zip(quadratic[0].indices[own].tolist(), quadratic[0].values[own].tolist(), strict=True))
     holders = _holders(casimirs)
     seen: set[Shift] = {()}
-    for part in parts:
+    edges = parts.forms.start[parts.angle]
+    for first, last in pairwise(edges.tolist()):
+        coordinates = distinct(parts.forms.coordinate[first:last]).tolist()
         # All coordinates of a part at once, each by the first Casimir that holds its square: a lattice has one a spin.
         factors: dict[str, float] = {}
-        for coordinate in sorted({i for form, _ in part.forms for i in form}):
+        for coordinate in coordinates:
             for name, entry in holders.get(coordinate, [])[:1]:
                 factors.setdefault(name, diagonal.get(coordinate, 0.0) / entry)
         seen.add(together := tuple((name, factor) for name, factor in sorted(factors.items()) if factor))
         if together:
             yield together
-        for coordinate in sorted({i for form, _ in part.forms for i in form}) if len(casimirs) <= 4 else []:
+        for coordinate in coordinates if len(casimirs) <= 4 else []:
             for name, entry in holders.get(coordinate, []):
                 alone: Shift = ((name, diagonal.get(coordinate, 0.0) / entry),)
                 if alone[0][1] and alone not in seen:
@@ -131,22 +174,24 @@ def candidate_shifts(system: LiePoissonSystem, parts: Sequence[Part]) -> Iterabl
                     yield alone
     if len(casimirs) == 1 and system.dim <= LARGEST_SINGULAR:
         ((name, casimir),) = casimirs.items()
-        for factor in singular_factors(_dense(quadratic[0]), _dense(_term_of(casimir))):
+        term = quadratic[0]
+        matrices = (term.rows, term.indices, term.values), casimir[1:]
+        for factor in singular_factors(*(_dense(system.dim, *entries) for entries in matrices)):
             if ((name, factor),) not in seen:
                 yield ((name, factor),)
 
 
-def _holders(casimirs: Mapping[str, Polynomial]) -> dict[int, list[tuple[str, float]]]:
+def _holders(casimirs: Mapping[str, QuadraticCasimir]) -> dict[int, list[tuple[str, float]]]:
     """Return for each coordinate the Casimirs with its square, and the entry of their matrix there."""
     found: dict[int, list[tuple[str, float]]] = {}
     for name, casimir in casimirs.items():
-        for exponents, coefficient in casimir.monomials.items():
-            if 2 in exponents:
-                found.setdefault(exponents.index(2), []).append((name, 2.0 * float(coefficient)))
+        own = casimir.rows == casimir.columns
+        for coordinate, value in zip(casimir.rows[own].tolist(), casimir.values[own].tolist(), strict=True):
+            found.setdefault(coordinate, []).append((name, value))
     return found
 
 
-def _dense(term: QuadraticTerm) -> NDArray[np.float64]:
-    matrix = np.zeros((len(term.linear),) * 2)
-    matrix[term.rows, term.indices] = term.values
+def _dense(n: int, rows: NDArray[Any], columns: NDArray[Any], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    matrix = np.zeros((n, n))
+    matrix[rows, columns] = values
     return matrix

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -68,8 +69,8 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
     free = np.ones(size, dtype=bool)
     while free.any():
         places = np.flatnonzero(free)
-        best = places[_first_largest(np.abs(residual[places, places]))]
-        flat = _first_largest(np.abs(residual[np.ix_(places, places)]).ravel())
+        best = places[np.argmax(np.abs(residual[places, places]))]
+        flat = int(np.argmax(np.abs(residual[np.ix_(places, places)])))
         row, column = places[flat // len(places)], places[flat % len(places)]
         largest = abs(residual[row, column])
         if largest <= floor:
@@ -83,7 +84,8 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
             weights.append(weight)
         residual[list(pivots), :] = residual[:, list(pivots)] = 0 * residual[0, 0]
         free[list(pivots)] = False
-        betas.extend(_split_linear(b, [form for form, _ in new], pivots))
+        at = list(pivots)
+        betas.extend(split_linear(b[at], [form[at] for form, _ in new]))
         for form, beta in zip(forms[-len(new) :], betas[-len(new) :], strict=True):
             b = b - beta * form
         b[list(pivots)] = 0 * b[0]
@@ -95,10 +97,6 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
         betas.append(b[k])
     stacked = np.array(forms, dtype=b.dtype).reshape(len(forms), size)
     return Squares(stacked, np.array(weights, dtype=b.dtype), np.array(betas, dtype=b.dtype))
-
-
-def _first_largest(sizes: NDArray[Any]) -> int:
-    return max(range(len(sizes)), key=lambda k: (sizes[k], -k))
 
 
 def _square(residual: NDArray[Any], i: int) -> list[tuple[NDArray[Any], Any]]:
@@ -118,12 +116,16 @@ def _pair(residual: NDArray[Any], i: int, j: int) -> list[tuple[NDArray[Any], An
     return [(first, size), (rest / rest[j], rest[j])]
 
 
-def _split_linear(b: NDArray[Any], forms: list[NDArray[Any]], pivots: tuple[int, ...]) -> list[Any]:
-    """Return beta with sum beta_r l_r equal to b at the pivots; later forms vanish there."""
-    if len(pivots) == 1:
-        return [b[pivots[0]] / forms[0][pivots[0]]]
-    plus, minus = (forms[0][p] for p in pivots), (forms[1][p] for p in pivots)
-    (p0, p1), (m0, m1) = plus, minus
+def split_linear(b: Any, forms: Sequence[Any]) -> list[Any]:
+    """Return beta with sum beta_r l_r equal to b at the one or two pivots, all given there; later forms vanish there.
+
+    Examples
+    --------
+    >>> split_linear([3.0, 1.0], [[1.0, 1.0], [-1.0, 1.0]])
+    [2.0, -1.0]
+    """
+    if len(forms) == 1:
+        return [b[0] / forms[0][0]]
+    (p0, p1), (m0, m1), (b0, b1) = *forms, b
     determinant = p0 * m1 - p1 * m0
-    b0, b1 = (b[p] for p in pivots)
     return [(b0 * m1 - b1 * m0) / determinant, (p0 * b1 - p1 * b0) / determinant]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.program.numbers import Number, array_of
+from coadjoint.program.sparse_rows import SparseRows, starts_of
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
 
 LINEAR, POLYNOMIAL, FUNCTION = 0, 1, 2
@@ -43,9 +44,9 @@ class TermTable:
 
     def __init__(self) -> None:
         self.functions: dict[int, FunctionTerm] = {}
-        self._kind: list[int] = []
-        self._rows: list[int] = [0]
-        self._monomials: list[int] = [0]
+        self._kind: list[NDArray[Any]] = []
+        self._rows: list[NDArray[Any]] = [np.zeros(1, dtype=np.int64)]
+        self._monomials: list[NDArray[Any]] = [np.zeros(1, dtype=np.int64)]
         self._target: list[NDArray[Any]] = []
         self._offset: list[NDArray[Any]] = []
         self._length: list[NDArray[Any]] = []
@@ -57,17 +58,29 @@ class TermTable:
         self._exponent: list[int] = []
 
     def __len__(self) -> int:
-        return len(self._kind)
+        return sum(map(len, self._kind))
 
     def _add_rows(self, kind: int, target: NDArray[Any], offset: Any, indptr: Any, column: Any, weight: Any) -> None:
-        self._kind.append(kind)
-        self._rows.append(self._rows[-1] + len(target))
+        self._kind.append(np.array([kind]))
+        self._rows.append(self._rows[-1][-1:] + len(target))
         self._target.append(np.asarray(target))
         self._offset.append(np.asarray(offset))
         self._length.append(np.diff(indptr))
         self._column.append(np.asarray(column))
         self._weight.append(np.asarray(weight))
-        self._monomials.append(len(self._coefficient))
+        self._monomials.append(np.array([len(self._coefficient)]))
+
+    def add_linear_terms(self, row: Any, offset: NDArray[Any], weights: SparseRows) -> None:
+        """Add several terms at once, term k with the rows row[k] to row[k + 1], all with the target 0."""
+        count, last = len(row) - 1, self._rows[-1][-1]
+        self._kind.append(np.full(count, LINEAR))
+        self._rows.append(last + np.asarray(row[1:]) - row[0])
+        self._monomials.append(np.full(count, len(self._coefficient)))
+        self._target.append(np.zeros(len(offset), dtype=np.uint32))
+        self._offset.append(offset)
+        self._length.append(np.diff(weights.start))
+        self._column.append(weights.coordinate)
+        self._weight.append(weights.value)
 
     def add_linear(self, target: Any, offset: Any, indptr: Any, column: Any, weight: Any) -> None:
         """Add rows offset + weight . x in compressed sparse form."""
@@ -81,7 +94,7 @@ class TermTable:
 
     def add_polynomial(self, coordinates: Sequence[int], polynomial: Polynomial) -> None:
         """Add a polynomial that depends on the given coordinates only (constant monomials have no gradient)."""
-        place = {coordinate: self._rows[-1] + k for k, coordinate in enumerate(coordinates)}
+        place = {coordinate: int(self._rows[-1][-1]) + k for k, coordinate in enumerate(coordinates)}
         for exponents, coefficient in polynomial.monomials.items():
             present = [(k, e) for k, e in enumerate(exponents) if e]
             self._coefficient.append(coefficient)
@@ -106,19 +119,25 @@ class TermTable:
         else:
             self.add_function(term)
 
+    def add_used_rows(self, term: QuadraticTerm) -> None:
+        """Add a quadratic term by its rows that are not zero: for its value, which may be of a few coordinates."""
+        rows = np.flatnonzero((term.linear != 0) | (np.diff(term.indptr) > 0))
+        own = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values).take(rows)
+        self.add_linear(rows, term.linear[rows], own.start, own.coordinate, own.value)
+
     def table(self, number: Number = float) -> Terms:
         """Return the table with its constants in the given number type."""
         lengths = _joined(self._length, np.int64)
         return Terms(
             size=len(self),
-            kind=np.array(self._kind, dtype=np.uint8),
-            row=np.array(self._rows, dtype=np.uint32),
+            kind=_joined(self._kind, np.uint8),
+            row=_joined(self._rows, np.uint32),
             target=_joined(self._target, np.uint32),
             offset=array_of(number, _joined(self._offset, None)),
-            entry=np.concatenate([[0], np.cumsum(lengths)]).astype(np.uint32),
+            entry=starts_of(lengths).astype(np.uint32),
             column=_joined(self._column, np.uint32),
             weight=array_of(number, _joined(self._weight, None)),
-            monomial=np.array(self._monomials, dtype=np.uint32),
+            monomial=_joined(self._monomials, np.uint32),
             coefficient=array_of(number, self._coefficient),
             factor=np.array(self._factor, dtype=np.uint32),
             factor_row=np.array(self._factor_row, dtype=np.uint32),
@@ -127,7 +146,7 @@ class TermTable:
 
 
 def _joined(pieces: list[NDArray[Any]], dtype: Any) -> NDArray[Any]:
-    joined = np.concatenate(pieces) if pieces else np.zeros(0)
+    joined = pieces[0] if len(pieces) == 1 else np.concatenate([np.zeros(0, dtype=dtype or np.float64), *pieces])
     return joined if dtype is None else np.ascontiguousarray(joined, dtype=dtype)
 
 

@@ -50,7 +50,7 @@ def integrate(
     watch : bool
         Follow the energy and every Casimir over every step; otherwise over the saved points.
     observe : mapping, optional
-        Name -> `Polynomial` or function of x: further quantities, evaluated at the saved points.
+        Name -> `Polynomial`, `Quadratic` or function of x: further quantities, evaluated at the saved points.
     threads : int, optional
         Threads for the members of an ensemble; None is one for each core.
     progress : bool

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.methods.base import System
+from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.user_functions import takes_time
 
 
@@ -22,7 +23,7 @@ class Observed:
     system : LiePoissonSystem or PoissonSystem
         For the number of coordinates.
     observe : mapping
-        Name -> `Polynomial` or function of x.
+        Name -> `Polynomial`, `Quadratic` or function of x.
     x0 : ndarray, shape (n,)
         A state; there a function must return one real number.
 
@@ -41,7 +42,7 @@ class Observed:
             if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
                 raise TypeError(f"observe[{name!r}] returns {value!r} at the start; it must return one real number")
         self._names = list(observe)
-        kinds = (Polynomial, Invariant)
+        kinds = (Polynomial, Quadratic, Invariant)
         wrapped = {name: given if isinstance(given, kinds) else Invariant(given) for name, given in observe.items()}
         self._compiled, self._values_along = watch_tables(system, wrapped), values_along
 
@@ -59,7 +60,7 @@ def check_observe(observe: Any) -> dict[str, Any]:
     Parameters
     ----------
     observe : mapping
-        Name -> `Polynomial` or function of x.
+        Name -> `Polynomial`, `Quadratic` or function of x.
 
     Returns
     -------
@@ -73,14 +74,14 @@ def check_observe(observe: Any) -> dict[str, Any]:
     if not isinstance(observe, Mapping) or not all(isinstance(name, str) for name in observe):
         raise TypeError(f"observe is {observe!r}; it must map names to Polynomials or functions of x")
     for name, given in observe.items():
-        if not isinstance(given, Polynomial | Invariant) and not callable(given):
-            raise TypeError(f"observe[{name!r}] is {given!r}; it must be a Polynomial or a function of x")
+        if not isinstance(given, Polynomial | Quadratic | Invariant) and not callable(given):
+            raise TypeError(f"observe[{name!r}] is {given!r}; it must be a Polynomial or a function, or a Quadratic")
     return dict(observe)
 
 
 def _value_at(given: Any, name: str, x0: NDArray[np.float64]) -> Any:
     """Return a quantity at the start; NaN where it is not defined there, which the run then says of it as well."""
     try:
-        return 0.0 if isinstance(given, Polynomial) or takes_time(given, name) else given(x0)
+        return 0.0 if isinstance(given, Polynomial | Quadratic) or takes_time(given, name) else given(x0)
     except (ArithmeticError, ValueError, OSError):
         return float("nan")

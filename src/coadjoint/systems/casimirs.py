@@ -13,7 +13,9 @@ import numpy.typing as npt
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.systems.points import UNIT_ROUNDOFF
+from coadjoint.systems.points import UNIT_ROUNDOFF, scatter
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.terms import QuadraticTerm
 from coadjoint.systems.user_functions import sample_points
 
 # A system looks for Casimirs by itself where that takes a fraction of a second: monomials times constants a coordinate.
@@ -29,7 +31,7 @@ def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size
     Parameters
     ----------
     casimirs : mapping
-        Name to `Polynomial`, `Invariant` or function of x.
+        Name to `Polynomial`, `Quadratic`, `Invariant` or function of x.
     n : int
         Dimension of the system.
     product : callable
@@ -40,7 +42,7 @@ def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size
     Returns
     -------
     dict
-        Name to `Polynomial` or `Invariant`.
+        Name to `Polynomial`, `Quadratic` or `Invariant`.
 
     Raises
     ------
@@ -57,15 +59,20 @@ def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size
     if not isinstance(casimirs, Mapping):
         raise TypeError(f"casimirs is a {type(casimirs).__name__}; give a mapping from name to Polynomial or Invariant")
     result: dict[str, Any] = {}
+    casimir: Polynomial | Quadratic | Invariant
     for name, given in casimirs.items():
         if name == "energy":
             raise ValueError("a Casimir is called 'energy', which is the name of the Hamiltonian; give it another")
         if isinstance(given, Polynomial | Invariant):
             casimir = given
+        elif isinstance(given, Quadratic):
+            casimir = given.bind(n)
         elif callable(given):
             casimir = Invariant(given)
         else:
-            raise TypeError(f"the Casimir {name!r} is {given!r}; give a Polynomial, an Invariant or a function of x")
+            raise TypeError(
+                f"the Casimir {name!r} is {given!r}; give a Polynomial, a Quadratic, an Invariant or a function of x"
+            )
         if isinstance(casimir, Polynomial) and casimir.dim != n:
             raise ValueError(f"the Casimir {name!r} has {casimir.dim} variables but the system has dimension {n}")
         if casimir.gradient is not None:
@@ -122,7 +129,7 @@ def _search_size(dim: int, degree: int, constants: int) -> float:
     return math.comb(dim + degree - 1, degree) * max(1.0, constants / dim)
 
 
-def _check(name: str, casimir: Polynomial | Invariant, n: int, product: Product, size: Product) -> None:
+def _check(name: str, casimir: Polynomial | Quadratic | Invariant, n: int, product: Product, size: Product) -> None:
     gradient: Any = casimir.gradient
     for x in sample_points(n):
         with np.errstate(all="ignore"):
@@ -136,6 +143,11 @@ def _check(name: str, casimir: Polynomial | Invariant, n: int, product: Product,
             absolute = Polynomial(monomials, dim=n)
             bound = np.asarray(absolute.gradient(np.abs(x)), dtype=np.float64)
             operations = 64 + 2 * n + len(casimir.monomials) + casimir.degree
+        elif isinstance(casimir, Quadratic):
+            (term,) = casimir.terms()
+            assert isinstance(term, QuadraticTerm)
+            bound = scatter(term.rows, np.abs(term.values * x[term.indices]), n) + np.abs(term.linear)
+            operations = 64 + 2 * n + len(term.values)
         else:
             bound, operations = np.abs(slope), 2**20
         defect = np.abs(product(x, slope))

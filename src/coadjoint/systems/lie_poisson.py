@@ -33,8 +33,10 @@ class LiePoissonSystem:
     sign : {+1, -1}
         +1: the convention of Reich (1993), right-invariant systems. -1: left-invariant (body) systems.
     casimirs : mapping, optional
-        Name to `Polynomial`, `Invariant` or function of x. By default those known of the algebra, or
-        found quickly.
+        Name to `Polynomial`, `Quadratic`, `Invariant` or function of x. By default those known of the algebra, or
+        found quickly. All of them are followed in every run; so `copies` of an algebra know none above 2^22 exponents
+        (682 copies of so(3)): give those that you want to follow by name, as sparse `Quadratic` where they have few of
+        many coordinates.
     representation : (n, d, d), optional
         Matrices of the basis for the group element, ``g' = -sign g rho(grad H)``. By default that of the algebra.
     name : str, optional
@@ -147,7 +149,7 @@ class LiePoissonSystem:
 
     @property
     def casimirs(self) -> dict[str, Any]:
-        """Name to `Polynomial` or `Invariant` (a copy)."""
+        """Name to `Polynomial`, `Quadratic` or `Invariant` (a copy); none where they are too many, see `copies`."""
         if self._casimirs is None:
             object.__setattr__(self, "_casimirs", dict(casimirs_of(self.algebra)))
         return dict(self._casimirs or {})

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.joins import distinct
 from coadjoint.systems.points import UNIT_ROUNDOFF
 
 
@@ -50,7 +51,7 @@ def check_symmetric(n: int, rows: npt.NDArray[Any], columns: npt.NDArray[Any], v
     """Refuse an asymmetry beyond 64 u of the largest entry, the round-off of a computed symmetric matrix."""
     above, below = rows < columns, rows > columns
     upper, lower = rows[above] * n + columns[above], columns[below] * n + rows[below]
-    places = np.union1d(upper, lower)
+    places = distinct(np.concatenate([upper, lower]))
     first, second = np.zeros(places.size), np.zeros(places.size)
     first[np.searchsorted(places, upper)] = values[above]
     second[np.searchsorted(places, lower)] = values[below]

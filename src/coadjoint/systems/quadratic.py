@@ -144,7 +144,7 @@ class Quadratic:
         columns: list[int] = []
         entries: list[Any] = []
         for exponents, coefficient in polynomial.monomials.items():
-            where = [i for i, power in enumerate(exponents) for _ in range(power)]
+            where = factors_of(exponents)
             if len(where) == 2:
                 rows += [where[0], where[1]] if where[0] != where[1] else [where[0]]
                 columns += [where[1], where[0]] if where[0] != where[1] else [where[0]]
@@ -244,3 +244,20 @@ class Quadratic:
         linear = self._linear_part(np.zeros(self.dim or 0))
         tail = "" if not linear.any() else f", linear={linear.tolist() if linear.size <= 4 else '...'}"
         return f"Quadratic({shown}{tail})"
+
+
+def factors_of(exponents: tuple[int, ...]) -> list[int]:
+    """Return the coordinates in a monomial, each as often as its exponent; fast for low degrees and many coordinates.
+
+    Examples
+    --------
+    >>> factors_of((0, 1, 2)), factors_of((0, 0, 0))
+    ([1, 2, 2], [])
+    """
+    found: list[int] = []
+    for degree in range(1, max(exponents) + 1):
+        place = -1
+        for _ in range(exponents.count(degree)):
+            place = exponents.index(degree, place + 1)
+            found += [place] * degree
+    return sorted(found)

@@ -1,0 +1,268 @@
+"""The blocks of many generators at once: their connected sets of coordinates, and the kind of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.joins import Integers, expand
+from coadjoint.program.blocks import CUBIC_HEADER, Block, Kind, larger_block
+from coadjoint.program.components import Components, components_of
+from coadjoint.program.generators import Generators
+from coadjoint.program.sparse_rows import joined_starts, starts_of
+
+
+class BlockTable(NamedTuple):
+    """Blocks as columns, angle after angle, in each by the first coordinates; a shear is a block for every entry.
+
+    Block b belongs to angle[b] and has `width` coordinates from indices[begin[b]] on, in the order of its
+    formula. A CUBIC or SERIES block has its entries as compressed sparse rows after them: `width` + 1 starts, and
+    `entries` columns. Its constants from constant_begin[b] on are those of its `Block`, then the values of its entries,
+    column after column.
+    """
+
+    angle: Integers
+    kind: NDArray[np.uint8]
+    width: NDArray[np.uint32]
+    entries: NDArray[np.uint32]
+    degree: NDArray[np.uint32]
+    begin: Integers
+    indices: NDArray[np.uint32]
+    constant_begin: Integers
+    constants: NDArray[Any]
+
+    def take(self, chosen: NDArray[Any]) -> BlockTable:
+        """Return the chosen blocks, in the order given."""
+        index = expand(self.begin[chosen], self.begin[chosen + 1])[1]
+        constant = expand(self.constant_begin[chosen], self.constant_begin[chosen + 1])[1]
+        return self._replace(
+            **{name: getattr(self, name)[chosen] for name in ALIKE},
+            begin=starts_of(np.diff(self.begin)[chosen]),
+            indices=self.indices[index],
+            constant_begin=starts_of(np.diff(self.constant_begin)[chosen]),
+            constants=self.constants[constant],
+        )
+
+
+# The columns with one entry for each block.
+ALIKE = ("angle", "kind", "width", "entries", "degree")
+
+
+def joined_tables(tables: Sequence[BlockTable]) -> BlockTable:
+    """Return the blocks of several tables, one after the other."""
+    if len(tables) == 1:
+        return tables[0]
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(table, name) for table in tables]) for name in (*ALIKE, "indices", "constants")
+    }
+    for name in ("begin", "constant_begin"):
+        joined[name] = joined_starts([getattr(table, name) for table in tables])
+    return BlockTable(**joined)
+
+
+def block_table(generators: Generators, u: Any) -> BlockTable:
+    """Take generators apart into blocks.
+
+    Parameters
+    ----------
+    generators : Generators
+        Their nonzero entries, sorted.
+    u : number
+        Unit round-off of the number type, for the tests that are up to rounding.
+
+    Returns
+    -------
+    BlockTable
+        In the order of the angles.
+    """
+    sets, sheared, depth = components_of(generators)
+    width = sets.width
+    found = [
+        (np.flatnonzero(mask), make)
+        for mask, make in (
+            (sheared, _shears),
+            (~sheared & (width == 1), _scales),
+            (~sheared & (width == 2), _planes),
+            (
+                (width > 2) & ~sheared & (depth >= 0),
+                lambda own: _series(own, depth[(width > 2) & ~sheared & (depth >= 0)]),
+            ),
+            ((width > 2) & ~sheared & (depth < 0), lambda own: _larger(own, u)),
+        )
+    ]
+    tables, owners = [], []
+    for chosen, make in found:
+        if len(chosen):
+            own = sets.take(chosen) if len(chosen) < len(width) else sets
+            tables.append(make(own))
+            owners.append(np.repeat(chosen, own.lengths) if make is _shears else chosen)
+    if not tables:
+        return _empty(generators.value)
+    table = joined_tables(tables)
+    return table if len(tables) == 1 else table.take(np.argsort(np.concatenate(owners), kind="stable"))
+
+
+def _empty(value: NDArray[Any]) -> BlockTable:
+    none, start = np.zeros(0, dtype=np.int64), np.zeros(1, dtype=np.int64)
+    return _table(none, np.zeros(0, dtype=np.uint8), none, none, start, none, start, value[:0])
+
+
+def _table(
+    angle: Integers,
+    kind: Any,
+    width: Any,
+    degree: Any,
+    begin: Integers,
+    index: Any,
+    constant_begin: Any,
+    constants: Any,
+) -> BlockTable:
+    """Make a table; what an index list is longer than its coordinates are the starts and columns of its entries."""
+    size = len(angle)
+    widths = np.broadcast_to(width, size).astype(np.uint32)
+    lengths = np.diff(begin) - widths
+    return BlockTable(
+        angle,
+        np.broadcast_to(kind, size).astype(np.uint8),
+        widths,
+        np.where(lengths > 0, lengths - widths - 1, 0).astype(np.uint32),
+        np.broadcast_to(degree, size).astype(np.uint32),
+        begin,
+        index.astype(np.uint32),
+        constant_begin,
+        constants,
+    )
+
+
+def _shears(sets: Components) -> BlockTable:
+    ends = np.arange(len(sets.value) + 1)
+    low = sets.low[:-1][sets.owner]
+    index = np.stack([sets.member[low + sets.row], sets.member[low + sets.column]], axis=1).ravel()
+    return _table(sets.angle[sets.owner], Kind.SHEAR, 2, 0, 2 * ends, index, ends, sets.value)
+
+
+def _scales(sets: Components) -> BlockTable:
+    return _table(sets.angle, Kind.SCALE, 1, 0, sets.low, sets.member, sets.first, sets.value)
+
+
+def _planes(sets: Components) -> BlockTable:
+    """Return the ROTATE and PLANE blocks of two coordinates."""
+    matrix = np.repeat(0 * sets.value[sets.first[:-1]], 4).reshape(-1, 2, 2)
+    matrix[sets.owner, sets.row, sets.column] = sets.value
+    (a, b), (c, d) = matrix[:, 0].T, matrix[:, 1].T
+    turns = np.asarray((a == 0) & (d == 0) & (b == -c), dtype=bool)
+    members = sets.member.reshape(-1, 2)
+    reversed_ = turns & np.asarray(c < 0, dtype=bool)
+    members = np.where(reversed_[:, None], members[:, ::-1], members)
+    constants = np.stack([(a + d) / 2, (a - d) / 2, b, c], axis=1)
+    constants[turns, 0] = abs(c[turns])
+    kept = np.ones(constants.shape, dtype=bool)
+    kept[turns, 1:] = False
+    kinds = np.where(turns, Kind.ROTATE, Kind.PLANE)
+    return _table(sets.angle, kinds, 2, 0, sets.low, members.ravel(), starts_of(np.where(turns, 1, 4)), constants[kept])
+
+
+def _series(sets: Components, depth: Integers) -> BlockTable:
+    """Return the SERIES blocks of nilpotent patterns, finite sums."""
+    width, count, size = sets.width, sets.lengths, len(sets.angle)
+    begin = starts_of(2 * width + 1 + count)
+    index = np.empty(begin[-1], dtype=np.int64)
+    starts = begin[:-1]
+    member_place = np.arange(len(sets.member)) + np.repeat(starts - sets.low[:-1], width)
+    index[member_place] = sets.member
+    in_row = np.bincount(sets.low[sets.owner] + sets.row, minlength=len(sets.member))
+    index[member_place + np.repeat(width, width)] = np.cumsum(in_row) - in_row - np.repeat(sets.first[:-1], width)
+    index[starts + 2 * width] = count
+    entry_place = np.arange(len(sets.column)) + np.repeat(starts + 2 * width + 1 - sets.first[:-1], count)
+    index[entry_place] = sets.column
+    constant_begin = starts_of(count + 1)
+    constants = np.empty(constant_begin[-1], dtype=sets.value.dtype)
+    constants[constant_begin[:-1]] = 0 * sets.value[sets.first[:-1]]
+    constants[np.arange(len(sets.value)) + sets.owner + 1] = sets.value
+    return _table(sets.angle, np.full(size, Kind.SERIES), width, depth, begin, index, constant_begin, constants)
+
+
+def _larger(sets: Components, u: Any) -> BlockTable:
+    """Return the blocks of patterns with cycles; a lattice has equal ones at every site, which are classified once."""
+    known: dict[Any, int] = {}
+    models: list[Block] = []
+    which = np.empty(len(sets.angle), dtype=np.int64)
+    width = sets.width.tolist()
+    for s, (first, last) in enumerate(zip(sets.first[:-1].tolist(), sets.first[1:].tolist(), strict=True)):
+        row, column, value = sets.row[first:last], sets.column[first:last], sets.value[first:last]
+        same = tuple(value) if value.dtype == object else value.tobytes()
+        key = (width[s], row.tobytes(), column.tobytes(), same)
+        if key not in known:
+            local = tuple(zip(row.tolist(), column.tolist(), value.tolist(), strict=True))
+            known[key] = len(models)
+            models.append(larger_block(width[s], local, u))
+        which[s] = known[key]
+    tails = [_tail(model) for model in models]
+    flat = [_flat_constants(model) for model in models]
+    begin = starts_of(sets.width + np.array([len(tail) for tail in tails])[which])
+    constant_begin = starts_of(np.array([len(constants) for constants in flat])[which])
+    index = np.empty(begin[-1], dtype=np.int64)
+    constants = np.empty(constant_begin[-1], dtype=sets.value.dtype)
+    for number, model in enumerate(models):
+        own = np.flatnonzero(which == number)
+        place, size = begin[own][:, None], len(model.coordinates)
+        index[place + np.arange(size)] = sets.member[sets.low[own][:, None] + np.arange(size)]
+        index[place + size + np.arange(len(tails[number]))] = tails[number]
+        constants[constant_begin[own][:, None] + np.arange(len(flat[number]))] = flat[number]
+    kinds, degrees = (np.array([getattr(model, name) for model in models])[which] for name in ("kind", "degree"))
+    return _table(sets.angle, kinds, sets.width, degrees, begin, index, constant_begin, constants)
+
+
+def _tail(block: Block) -> list[int]:
+    """Return what follows the coordinates of a block: where its rows begin, and the columns."""
+    count = np.bincount([entry[0] for entry in block.entries], minlength=len(block.coordinates))
+    return [*starts_of(count).tolist(), *(entry[1] for entry in block.entries)]
+
+
+def _flat_constants(block: Block) -> list[Any]:
+    columns = zip(*(entry[2:] for entry in block.entries), strict=True)
+    return [*block.constants, *(value for column in columns for value in column)]
+
+
+def blocks_of(entries: Mapping[tuple[int, int], Any], u: Any) -> list[Block]:
+    """Take one sparse matrix D apart into blocks.
+
+    Parameters
+    ----------
+    entries : mapping
+        (row, column) -> nonzero value.
+    u : number
+        Unit round-off of the number type, for the tests that are up to rounding.
+
+    Returns
+    -------
+    list of Block
+        In the order of their first coordinates; a shear is one block for each of its entries.
+
+    Examples
+    --------
+    >>> [block.kind.name for block in blocks_of({(0, 1): -1.0, (1, 0): 1.0, (2, 3): 5.0}, 2.0**-53)]
+    ['ROTATE', 'SHEAR']
+    """
+    keys = sorted(entries)
+    given = [entries[key] for key in keys]
+    values = np.array(given, dtype=np.float64 if all(isinstance(value, float) for value in given) else object)
+    row, column = np.array(keys, dtype=np.int64).reshape(-1, 2).T
+    table = block_table(Generators(np.zeros(len(keys), dtype=np.int64), row, column, values), u)
+    return [_block(table, b) for b in range(len(table.angle))]
+
+
+def _block(table: BlockTable, b: int) -> Block:
+    kind, width, count = Kind(int(table.kind[b])), int(table.width[b]), int(table.entries[b])
+    index = table.indices[table.begin[b] : table.begin[b + 1]].tolist()
+    constants = table.constants[table.constant_begin[b] : table.constant_begin[b + 1]].tolist()
+    if not count:
+        return Block(kind, tuple(index), tuple(constants))
+    rows = np.repeat(np.arange(width), np.diff(index[width : 2 * width + 1])).tolist()
+    header = CUBIC_HEADER if kind == Kind.CUBIC else 1
+    values = [constants[first : first + count] for first in range(header, len(constants), count)]
+    entries = tuple(zip(rows, index[2 * width + 1 :], *values, strict=True))
+    return Block(kind, tuple(index[:width]), tuple(constants[:header]), entries, int(table.degree[b]))

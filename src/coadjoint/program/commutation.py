@@ -1,0 +1,167 @@
+"""Which coordinates, and which parts, of a system commute?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.joins import Integers, chunks, expand, groups
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.program.parts import Parts
+from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
+from coadjoint.program.sparse_rows import fresh, order_by, starts_of, sums
+
+Pairs = tuple[Integers, Integers]
+
+# Forms are looked up in a dense table up to this many entries.
+LARGEST_TABLE = 1 << 22
+# A bracket of two forms is zero where it is below this many units of round-off of its products.
+BRACKET_ROUNDOFF = 16 * 2.0**-53
+
+
+class Commutation:
+    """Which coordinates and parts of an algebra commute.
+
+    Parameters
+    ----------
+    algebra : LieAlgebra
+        The algebra.
+    """
+
+    def __init__(self, algebra: LieAlgebra) -> None:
+        self._algebra = algebra
+
+    @property
+    def pattern(self) -> Pairs:
+        """Which coordinates commute: equal for algebras that differ in the sizes of their constants alone."""
+        return self._algebra.neighbours()
+
+    def first_clash(self, coordinates: Iterable[int]) -> tuple[int, int] | None:
+        """Return two of the coordinates whose basis elements do not commute, or None."""
+        inside = np.zeros(self._algebra.dim, dtype=bool)
+        inside[list(coordinates)] = True
+        i, j, _, _ = self._algebra.triples
+        clash = np.flatnonzero(inside[i] & inside[j])
+        return (int(i[clash[0]]), int(j[clash[0]])) if clash.size else None
+
+    def clashing(self, label: Integers) -> NDArray[np.bool_]:
+        """Return for each label whether two of the coordinates that have it do not commute; none has a negative one."""
+        i, j, _, _ = self._algebra.triples
+        found = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
+        both = label[i]
+        found[both[(both == label[j]) & (both >= 0)]] = True
+        return found
+
+    def touching(self, parts: Parts) -> Pairs:
+        """Return the pairs of parts (first <= second) with coordinates that do not commute, even if the forms do."""
+        if max(len(parts.offset), self._algebra.dim) > LARGEST_PATTERN:
+            return self._touching(parts)
+        where = (parts.forms.start, parts.forms.coordinate, parts.angle)
+        return _remembered_touching(Pattern((self, parts), *where, *self.pattern))
+
+    def clashes(self, parts: Parts, touching: Pairs) -> Pairs:
+        """Return those of the pairs of parts that touch which do not commute, the first number below the second."""
+        first, second = touching
+        apart = first != second
+        first, second = first[apart], second[apart]
+        several = np.add.reduceat(np.diff(parts.forms.start) > 1, parts.angle[:-1]) > 0 if len(parts) else np.zeros(0)
+        open_ = np.flatnonzero(several[first] | several[second])
+        if not len(open_):
+            return first, second
+        settled = np.ones(len(first), dtype=bool)
+        settled[open_] = ~self._forms_commute(parts, first[open_], second[open_])
+        return first[settled], second[settled]
+
+    def _touching(self, parts: Parts) -> Pairs:
+        count, size = len(parts), self._algebra.dim
+        i, j, _, _ = self._algebra.triples
+        begins = fresh(i, j)
+        i, j = i[begins], j[begins]
+        part, coordinate = _without_repeats(parts.part_of_angle[parts.forms.owner], parts.forms.coordinate)
+        order = order_by(coordinate)
+        held = np.bincount(coordinate, minlength=size)
+        start, holder = starts_of(held), part[order]
+        if int(held[i] @ held[j]) > count * (count + 1) // 2:
+            touching = np.zeros((count, count), dtype=bool)
+            for pair in chunks(np.arange(len(i)), held[i] * held[j]):
+                one, other = _pairs(start, holder, i[pair], j[pair])
+                touching[np.minimum(one, other), np.maximum(one, other)] = True
+            first, second = np.nonzero(touching)
+            return first.astype(np.int64), second.astype(np.int64)
+        one, other = _pairs(start, holder, i, j)
+        return _without_repeats(np.minimum(one, other), np.maximum(one, other))
+
+    def _forms_commute(self, parts: Parts, first: Integers, second: Integers) -> NDArray[np.bool_]:
+        """Return for pairs of parts whether every form of one commutes with every form of the other, to rounding."""
+        angle, forms, size = parts.angle, parts.forms, self._algebra.dim
+        count = np.diff(angle)
+        pair, place = expand(np.zeros(len(first), dtype=np.int64), count[first] * count[second])
+        f = angle[first[pair]] + place // count[second[pair]]
+        g = angle[second[pair]] + place % count[second[pair]]
+        values = forms.value.astype(np.float64)
+        lookup = _Lookup(forms.start, forms.coordinate.astype(np.int64), values, size)
+        start, every = self._algebra.actions
+        cost = np.diff(start)[forms.coordinate]
+        costs = np.diff(np.concatenate([[0], np.cumsum(cost)])[forms.start])[f]
+        commute = np.ones(len(first), dtype=bool)
+        for part in chunks(np.arange(len(f)), costs):
+            own, entry = expand(forms.start[f[part]], forms.start[f[part] + 1])
+            i = forms.coordinate[entry].astype(np.int64)
+            row, at = expand(start[i], start[i + 1])
+            which = own[row]
+            product = values[entry][row] * every.c[at] * lookup(g[part][which], every.j[at])
+            used = product != 0
+            which, k, product = which[used], every.k[at][used], product[used]
+            order, begins = groups(which, k)
+            if not len(order):
+                continue
+            marks = np.zeros(len(order), dtype=bool)
+            marks[begins] = True
+            bracket, bound = sums(product[order], marks), sums(np.abs(product[order]), marks)
+            wrong = np.abs(bracket) > BRACKET_ROUNDOFF * bound
+            commute[pair[part][which[order[begins]][wrong]]] = False
+        return commute
+
+
+@lru_cache(maxsize=1024)
+def _remembered_touching(pattern: Pattern[tuple[Commutation, Parts]]) -> Pairs:
+    commutation, parts = pattern.given
+    return commutation._touching(parts)
+
+
+class _Lookup:
+    """The value of forms at coordinates, zero where a form has none."""
+
+    def __init__(self, start: Integers, coordinate: Integers, value: NDArray[np.float64], size: int) -> None:
+        owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
+        self._size, self._table, self._value = size, None, np.append(value, 0.0)
+        if (len(start) - 1) * size <= LARGEST_TABLE:
+            self._table = np.zeros((len(start) - 1, size))
+            self._table[owner, coordinate] = value
+        self._key = owner * size + coordinate
+
+    def __call__(self, form: Integers, coordinate: Integers) -> NDArray[np.float64]:
+        if self._table is not None:
+            return self._table[form, coordinate]
+        key = form * self._size + coordinate
+        place = np.searchsorted(self._key, key)
+        found = self._key[np.minimum(place, len(self._key) - 1)] == key
+        return self._value[np.where(found, place, -1)]
+
+
+def _pairs(start: Integers, holder: Integers, i: Integers, j: Integers) -> Pairs:
+    """Return every pair of a holder of i with a holder of j."""
+    row, one = expand(start[i], start[i + 1])
+    again, other = expand(start[j[row]], start[j[row] + 1])
+    return holder[one[again]], holder[other]
+
+
+def _without_repeats(first: NDArray[Any], second: NDArray[Any]) -> Pairs:
+    order = order_by(first, second)
+    first, second = first[order].astype(np.int64), second[order].astype(np.int64)
+    kept = fresh(first, second)
+    return first[kept], second[kept]

@@ -1,0 +1,66 @@
+"""How few parts? Parts that commute are joined."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from coadjoint.algebra.joins import Integers
+from coadjoint.program.commutation import Commutation, Pairs
+from coadjoint.program.first_fit import first_fit
+from coadjoint.program.parts import Parts
+from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
+
+# Larger sets of parts are joined in one order alone: a lattice has thousands, and comes in a good one.
+MOST_REORDERED = 64
+
+
+def few_parts(parts: Parts, commutation: Commutation) -> Parts:
+    """Join parts that commute: few, in a fixed order, not always the fewest (a clique cover is NP-hard).
+
+    First fit in the given order and, where that leaves more than two, in the orders of most and of fewest clashes.
+
+    Parameters
+    ----------
+    parts : Parts
+        Sorted by their first coordinates.
+    commutation : Commutation
+        Of the algebra.
+
+    Returns
+    -------
+    Parts
+        Sorted by their first coordinates.
+    """
+    if not len(parts):
+        return parts
+    touching = commutation.touching(parts)
+    clashes = commutation.clashes(parts, touching)
+    if len(parts) > LARGEST_PATTERN:
+        return parts.joined(_few_groups(len(parts), clashes, touching))
+    return parts.joined(_remembered_groups(len(parts), Pattern((clashes, touching), *clashes, *touching)))
+
+
+@lru_cache(maxsize=1024)
+def _remembered_groups(count: int, pairs: Pattern[tuple[Pairs, Pairs]]) -> Integers:
+    return _few_groups(count, *pairs.given)
+
+
+def _few_groups(count: int, clashes: Pairs, touching: Pairs) -> Integers:
+    best = first_fit(count, *clashes)
+    if best.max() > 1 and count <= MOST_REORDERED:
+        one, other = touching
+        number = np.bincount(np.concatenate([one, other[one != other]]), minlength=count)
+        for sign in (-1, 1):
+            found = _in_order(np.argsort(sign * number, kind="stable"), *clashes)
+            best = found if found.max() < best.max() else best
+    return best
+
+
+def _in_order(order: Integers, first: Integers, second: Integers) -> Integers:
+    """Return the groups of first fit where the parts come in the given order."""
+    place = np.argsort(order)
+    low, high = np.minimum(place[first], place[second]), np.maximum(place[first], place[second])
+    found = first_fit(len(order), low, high)
+    return np.asarray(found[place])

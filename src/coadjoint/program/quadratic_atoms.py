@@ -1,0 +1,120 @@
+"""The smallest parts of a quadratic Hamiltonian: commuting coordinates that it couples, and completed squares."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.connected import connected
+from coadjoint.algebra.joins import Integers
+from coadjoint.program.commutation import Commutation
+from coadjoint.program.parts import Parts
+from coadjoint.program.sparse_rows import SparseRows, fresh, order_by, starts_of
+from coadjoint.program.sparse_squares import SparseSquares, sparse_squares
+from coadjoint.systems.terms import QuadraticTerm
+
+
+def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, apart: bool) -> Parts:
+    """Take a quadratic term apart.
+
+    Parameters
+    ----------
+    term : QuadraticTerm
+        linear.x + x.M.x/2.
+    commutation : Commutation
+        Of the algebra.
+    apart : bool
+        Complete the square of coordinates that are coupled even if they commute.
+
+    Returns
+    -------
+    Parts
+        By the first coordinate of each connected set of coupled ones; each part has one share.
+    """
+    label, members, squared = _sets(term, commutation, apart)
+    plain = members[~squared[label[members]]]
+    found = [_coupled(term, plain, label[plain])]
+    owner = [label[plain][fresh(label[plain])]]
+    if np.any(squared):
+        squares, cluster = _square_atoms(term, members[squared[label[members]]], label)
+        found, owner = [*found, squares], [*owner, cluster]
+    return Parts.concatenate(found).take(np.argsort(np.concatenate(owner), kind="stable"))
+
+
+def coupled_atoms(term: QuadraticTerm, commutation: Commutation) -> Parts | None:
+    """Return `quadratic_atoms` where all coordinates that are coupled commute, and None where not.
+
+    Then no entry decides on the parts, but only which are zero, and every angle is that of one coordinate.
+    """
+    label, members, squared = _sets(term, commutation, apart=False)
+    return None if np.any(squared) else _coupled(term, members, label[members])
+
+
+def _sets(term: QuadraticTerm, commutation: Commutation, apart: bool) -> tuple[Integers, Integers, NDArray[np.bool_]]:
+    """Return the label of the connected set of each coordinate, -1 where there is none; the coordinates that have one,
+    set after set; and for each label whether squares are to be completed.
+    """
+    rows = term.rows
+    above = rows < term.indices
+    label = connected(len(term.linear), rows[above], term.indices[above])
+    used = term.linear != 0
+    used[rows] = True
+    label[~used] = -1
+    members = np.flatnonzero(used)
+    members = members[order_by(label[members])]
+    size = np.bincount(label[members], minlength=1)
+    squared = size > 1
+    if not apart:
+        squared = squared & commutation.clashing(label)[: len(size)]
+    return label, members, squared
+
+
+def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
+    """Return one part for each set of coordinates, its angles the rows of M."""
+    row = np.append(np.flatnonzero(fresh(label)), len(members))
+    matrix = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values)
+    weights = matrix if len(members) == len(term.linear) and np.all(np.diff(members) == 1) else matrix.take(members)
+    return Parts.linear(SparseRows.units(members), term.linear[members], weights, row)
+
+
+def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tuple[Parts, Integers]:
+    """Return one part for each completed square, and the label of the set that it belongs to."""
+    ends = np.append(np.flatnonzero(fresh(label[members])), len(members))
+    place = np.zeros(len(term.linear), dtype=np.int64)
+    place[members] = np.arange(len(members)) - np.repeat(ends[:-1], np.diff(ends))
+    matrix = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values).take(members)
+    local, linear = place[matrix.coordinate], term.linear[members]
+    known: dict[Any, SparseSquares] = {}
+    squares: list[SparseSquares] = []
+    for first, last in pairwise(ends.tolist()):
+        start, entries = matrix.start[first : last + 1], slice(*matrix.start[[first, last]])
+        own = SparseRows(start - start[0], local[entries].astype(np.uint32), matrix.value[entries])
+        # A lattice repeats itself: equal sets of coordinates have equal squares.
+        key = tuple(column.tobytes() for column in (*own, linear[first:last]))
+        if key not in known:
+            known[key] = _without_rounding(sparse_squares(own, linear[first:last]), own.value)
+        squares.append(known[key])
+    counts = np.array([len(found.weights) for found in squares])
+    forms = SparseRows.concatenate([found.forms for found in squares])
+    shift = np.repeat(ends[:-1], [len(found.forms.value) for found in squares])
+    forms = forms._replace(coordinate=members[forms.coordinate + shift].astype(np.uint32))
+    factor = np.concatenate([found.weights for found in squares])
+    used = factor != 0
+    rule = forms.take(np.flatnonzero(used))
+    lengths = np.where(used, np.diff(forms.start), 0)
+    weights = SparseRows(starts_of(lengths), rule.coordinate, np.repeat(factor[used], np.diff(rule.start)) * rule.value)
+    offset = np.concatenate([found.linear for found in squares])
+    return Parts.linear(forms, offset, weights, np.arange(len(factor) + 1)), np.repeat(
+        label[members[ends[:-1]]], counts
+    )
+
+
+def _without_rounding(squares: SparseSquares, entries: NDArray[np.float64]) -> SparseSquares:
+    """Leave out squares below the rounding of the entries, which a Casimir shift made vanish."""
+    floor = 8 * 2.0**-53 * np.max(np.abs(entries))
+    largest = np.maximum.reduceat(np.abs(squares.forms.value), squares.forms.start[:-1])
+    kept = np.flatnonzero((squares.linear != 0) | (np.abs(squares.weights) * largest**2 > floor))
+    return SparseSquares(squares.forms.take(kept), squares.weights[kept], squares.linear[kept])

@@ -1,0 +1,160 @@
+"""Sparse rows: many short lists of (coordinate, value) end to end, and how rows are taken from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.joins import Integers, expand
+
+
+class SparseRows(NamedTuple):
+    """Row r has the entries start[r] to start[r + 1]: linear forms, or the weights of angles.
+
+    Parameters
+    ----------
+    start : ndarray of int64, shape (rows + 1,)
+        Where each row begins.
+    coordinate : ndarray of uint32, shape (entries,)
+        Ascending in each row.
+    value : ndarray, shape (entries,)
+        float64, or objects (fractions).
+
+    Examples
+    --------
+    >>> rows = SparseRows.of_lists([[0, 2], [1]], [[1.0, 5.0], [2.0]])
+    >>> rows.take(np.array([1, 0])).value
+    array([2., 1., 5.])
+    """
+
+    start: Integers
+    coordinate: NDArray[np.uint32]
+    value: NDArray[Any]
+
+    @classmethod
+    def of_lists(cls, coordinates: Sequence[Sequence[int]], values: Sequence[Sequence[Any]]) -> SparseRows:
+        """Return rows given one by one; fractions among the values make all of them objects."""
+        start = starts_of([len(row) for row in coordinates])
+        flat = [value for row in values for value in row]
+        found = np.array(flat, dtype=np.float64 if all(isinstance(value, float) for value in flat) else object)
+        return cls(start, np.array([i for row in coordinates for i in row], dtype=np.uint32), found)
+
+    @classmethod
+    def units(cls, coordinates: NDArray[Any]) -> SparseRows:
+        """Return one row for each coordinate, with the value one."""
+        size = len(coordinates)
+        return cls(np.arange(size + 1), coordinates.astype(np.uint32), np.ones(size))
+
+    @classmethod
+    def empty(cls, count: int) -> SparseRows:
+        """Return rows without entries."""
+        return cls(np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.uint32), np.zeros(0))
+
+    @classmethod
+    def concatenate(cls, pieces: Sequence[SparseRows]) -> SparseRows:
+        """Return the rows of all pieces, one after the other."""
+        if len(pieces) == 1:
+            return pieces[0]
+        return cls(
+            joined_starts([piece.start for piece in pieces]),
+            np.concatenate([piece.coordinate for piece in pieces]),
+            np.concatenate([piece.value for piece in pieces]),
+        )
+
+    @property
+    def owner(self) -> Integers:
+        """The row of each entry."""
+        return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
+
+    def take(self, rows: NDArray[Any]) -> SparseRows:
+        """Return the chosen rows, in the order given."""
+        first, last = self.start[rows], self.start[rows + 1]
+        _, places = expand(first, last)
+        return SparseRows(starts_of(last - first), self.coordinate[places], self.value[places])
+
+
+def starts_of(counts: Any) -> Integers:
+    """Return where lists of these lengths begin, end to end, and where the last one ends.
+
+    Examples
+    --------
+    >>> starts_of([2, 0, 3]).tolist()
+    [0, 2, 2, 5]
+    """
+    start = np.zeros(len(counts) + 1, dtype=np.int64)
+    np.cumsum(counts, out=start[1:])
+    return start
+
+
+def joined_starts(pieces: Sequence[NDArray[Any]]) -> Integers:
+    """Return the starts of tables that are put end to end.
+
+    Examples
+    --------
+    >>> joined_starts([np.array([0, 2, 3]), np.array([0, 4])]).tolist()
+    [0, 2, 3, 7]
+    """
+    ends = starts_of([int(piece[-1]) for piece in pieces])
+    rows = np.repeat(ends[:-1], [len(piece) - 1 for piece in pieces])
+    return np.concatenate([np.zeros(1, dtype=np.int64), rows + np.concatenate([piece[1:] for piece in pieces])])
+
+
+def is_ordered(*keys: NDArray[Any]) -> bool:
+    """Return whether rows are sorted by several keys, the first the most significant.
+
+    Examples
+    --------
+    >>> is_ordered(np.array([0, 0, 1]), np.array([3, 4, 0])), is_ordered(np.array([0, 0]), np.array([4, 3]))
+    (True, False)
+    """
+    tied: Any = True
+    for key in keys:
+        if np.any(tied & (key[1:] < key[:-1])):
+            return False
+        tied = tied & (key[1:] == key[:-1])
+    return True
+
+
+def order_by(*keys: NDArray[Any]) -> Integers | slice:
+    """Return the stable order by several keys; the slice of everything where they are sorted already.
+
+    Examples
+    --------
+    >>> order_by(np.array([1, 0, 1]), np.array([5, 7, 4])).tolist(), order_by(np.array([1, 2]))
+    ([1, 2, 0], slice(None, None, None))
+    """
+    return slice(None) if is_ordered(*keys) else np.lexsort(keys[::-1]).astype(np.int64)
+
+
+def fresh(*keys: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return where sorted rows differ from the row before; the first row does.
+
+    Examples
+    --------
+    >>> fresh(np.array([0, 0, 1]), np.array([3, 3, 3])).tolist()
+    [True, False, True]
+    """
+    new = np.zeros(len(keys[0]), dtype=bool)
+    new[:1] = True
+    for key in keys:
+        new[1:] |= np.asarray(key[1:] != key[:-1], dtype=bool)
+    return new
+
+
+def sums(values: NDArray[Any], first: NDArray[np.bool_]) -> NDArray[Any]:
+    """Return the sums of consecutive values, each added up from left to right, where `first` marks the beginnings.
+
+    Examples
+    --------
+    >>> sums(np.array([1.0, 2.0, 4.0]), np.array([True, False, True]))
+    array([3., 4.])
+    """
+    if values.dtype == object:
+        return np.add.reduceat(values, np.flatnonzero(first)) if len(values) else values
+    if np.all(first):
+        return values
+    # Unlike reduceat, bincount adds in order whatever the length of the sum.
+    return np.bincount(np.cumsum(first) - 1, weights=values)

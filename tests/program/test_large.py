@@ -1,0 +1,240 @@
+"""Large systems: the tables are those of a plain construction, and their cost grows with what is not zero."""
+
+import sys
+import tracemalloc
+
+import numpy as np
+import pytest
+from plain_building import plain_action, plain_first_fit
+from scipy.sparse import block_diag, diags_array, random_array
+
+import coadjoint as co
+from coadjoint.program import quadratic_atoms
+from coadjoint.program.first_fit import first_fit, numbers_of_groups
+from coadjoint.program.layers import layers
+from coadjoint.program.shift import candidate_shifts, quadratic_casimirs, shifted_terms
+from coadjoint.program.shift_counts import numbers_of_parts
+from coadjoint.program.sparse_rows import SparseRows
+from coadjoint.program.sparse_squares import sparse_squares
+from coadjoint.program.split import split
+from coadjoint.program.squares import complete_squares
+from coadjoint.program.table import build_program
+
+SO3 = co.algebras.so(3)
+
+
+def full(n, seed):
+    draw = np.random.default_rng(seed).standard_normal((n, n))
+    return draw + draw.T
+
+
+def chain(count, site=(1.0, 0.5, 0.25), coupling=(0.1, 0.1, 0.2)):
+    bonds = np.tile(coupling, count)[3:]
+    return co.Quadratic(diags_array([np.tile(np.array(site), count), bonds, bonds], offsets=[0, 3, -3]))
+
+
+def spins(count, **options):
+    return co.LiePoissonSystem(co.algebras.copies(SO3, count), chain(count, **options))
+
+
+def twisted(count):
+    """Couplings of x with the y of the neighbour, which makes one connected set of noncommuting coordinates."""
+    M = diags_array([np.zeros(3 * count), np.tile([0.3, 0, 0], count)[: 3 * count - 4]], offsets=[0, 4]).tocsr()
+    return co.LiePoissonSystem(co.algebras.copies(SO3, count), co.Quadratic(M + M.T, linear=np.ones(3 * count)))
+
+
+def nilpotent(n, seed=0):
+    random, half = np.random.default_rng(seed), n // 2
+    first, second = np.sort(random.integers(0, half, (2 * n, 2)), axis=1).T
+    rows = np.unique(np.stack([first, second, random.integers(half, n, 2 * n)], axis=1)[first < second], axis=0)
+    return co.LieAlgebra(np.column_stack([rows, random.standard_normal(len(rows))]), dim=n)
+
+
+def filiform(n):
+    """[e_0, e_i] = e_(i+1): generators with long nilpotent chains."""
+    return co.LieAlgebra([(0, i, i + 1, 1.0) for i in range(1, n - 1)], dim=n)
+
+
+SYSTEMS = {
+    "chain": lambda: spins(40),
+    "Heisenberg": lambda: spins(30, site=(0.0, 0.0, 0.0), coupling=(1.0, 1.0, 1.0)),
+    "twisted chain": lambda: twisted(12),
+    "full sites": lambda: co.LiePoissonSystem(
+        co.algebras.copies(SO3, 9), co.Quadratic(block_diag([full(3, k % 2) for k in range(9)]).tocsr())
+    ),
+    "so(9) diagonal": lambda: co.LiePoissonSystem(co.algebras.so(9), co.Quadratic(np.arange(1.0, 37.0))),
+    "so(5) full": lambda: co.LiePoissonSystem(co.algebras.so(5), co.Quadratic(full(10, 1))),
+    "e(3) full": lambda: co.LiePoissonSystem(co.algebras.get("e(3)"), co.Quadratic(full(6, 2))),
+    "sl(3)": lambda: co.LiePoissonSystem(co.algebras.sl(3), co.Quadratic(np.arange(1.0, 9.0))),
+    "A5,13": lambda: co.LiePoissonSystem(
+        co.algebras.get("A5,13", a=0.5, p=0.25, s=2.0), co.Quadratic(np.arange(1.0, 6.0))
+    ),
+    "nilpotent": lambda: co.LiePoissonSystem(nilpotent(60), co.Quadratic(np.arange(1.0, 61.0))),
+    "nilpotent, M sparse": lambda: co.LiePoissonSystem(
+        nilpotent(60),
+        co.Quadratic((lambda A: A + A.T)(random_array((60, 60), density=0.02, rng=np.random.default_rng(3)))),
+    ),
+    "filiform": lambda: co.LiePoissonSystem(filiform(12), co.Quadratic(full(12, 4))),
+    "sum": lambda: co.LiePoissonSystem(
+        co.algebras.direct_sum(SO3, co.algebras.get("e(3)"), co.algebras.so(4)), co.Quadratic(np.arange(1.0, 16.0))
+    ),
+}
+
+
+@pytest.mark.parametrize("choice", ["auto", "coordinates"])
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_action_is_that_of_a_plain_construction(name, choice):
+    system = SYSTEMS[name]()
+    program = build_program(system, co.Splitting(parts=choice))
+    for column, expected in plain_action(system.algebra, program.parts).items():
+        assert getattr(program.state, column).tolist() == expected, column
+
+
+def test_first_fit_is_greedy_whatever_the_number_of_groups():
+    random = np.random.default_rng(7)
+    for count, pairs in ((30, 40), (90, 3000), (150, 10_500)):
+        first, second = np.unique(np.sort(random.integers(0, count, (pairs, 2)), axis=1), axis=0).T
+        first, second = first[first < second], second[first < second]
+        assert first_fit(count, first, second).tolist() == plain_first_fit(count, first, second)
+        present = random.uniform(size=(count, 5)) < 0.8
+        expected = [max(plain_first_fit(count, first, second, case)) + 1 for case in present.T]
+        assert numbers_of_groups(count, first, second, present).tolist() == expected
+    every = np.array([(i, j) for j in range(140) for i in range(j)]).T
+    assert first_fit(140, *every).tolist() == list(range(140))
+
+
+def test_layers_are_longest_paths():
+    random = np.random.default_rng(2)
+    edges = np.sort(random.integers(0, 50, (120, 2)), axis=1)
+    edges = edges[edges[:, 0] < edges[:, 1]]
+    longest = [0] * 50
+    for a, b in sorted(edges.tolist(), key=lambda edge: edge[1]):
+        longest[b] = max(longest[b], longest[a] + 1)
+    assert layers(50, *edges.T).tolist() == longest
+
+
+def sparse(matrix):
+    rows = [np.flatnonzero(row) for row in matrix]
+    values = [row[own].tolist() for row, own in zip(matrix, rows, strict=True)]
+    return SparseRows.of_lists([own.tolist() for own in rows], values)
+
+
+@pytest.mark.parametrize("hollow", [False, True])
+def test_sparse_squares_are_bit_for_bit_the_dense_ones(hollow):
+    random = np.random.default_rng(5)
+    A = random_array((40, 40), density=0.04, rng=random).toarray()
+    matrix = A + A.T + (0.0 if hollow else 1.0) * np.diag(random.uniform(-1.0, 1.0, 40))
+    for given in (matrix, chain(20).hessian(np.zeros(60)), twisted(10).hamiltonian.hessian(np.zeros(30))):
+        linear = np.where(random.uniform(size=len(given)) < 0.5, 1.0, 0.0)
+        found, expected = sparse_squares(sparse(given), linear), complete_squares(given, linear)
+        forms = np.zeros_like(expected.forms)
+        forms[found.forms.owner, found.forms.coordinate] = found.forms.value
+        assert np.count_nonzero(given) < 16 * len(given)  # else both were dense
+        assert np.array_equal(forms, expected.forms)
+        assert np.array_equal(found.weights, expected.weights) and np.array_equal(found.linear, expected.linear)
+
+
+def test_shifts_are_counted_as_they_are_made():
+    M = np.round(np.random.default_rng(1).uniform(0.0, 2.0, 78) * 4) / 4
+    system = co.LiePoissonSystem(co.algebras.so(13), co.Quadratic(M))
+    terms, casimirs, plain = system.hamiltonian.terms(), quadratic_casimirs(system), split(system)
+    shifts = list(candidate_shifts(system, plain, casimirs))
+    counts = numbers_of_parts(system, casimirs, shifts).tolist()
+    made = [split(system, "auto", shifted_terms(terms, casimirs, shift)) for shift in shifts]
+    assert len(set(counts) - {0}) > 1
+    assert all(count in (0, len(parts)) for count, parts in zip(counts, made, strict=True))
+
+
+def calls(make):
+    """Count the calls of functions, Python's and built-in ones, while a program is built."""
+    system, counted = make(), 0
+
+    def count(frame, event, argument):
+        nonlocal counted
+        counted += event in ("call", "c_call")
+
+    build_program(make(), co.Splitting())  # nothing is loaded for the first time while counting
+    sys.setprofile(count)
+    try:
+        build_program(system, co.Splitting())
+    finally:
+        sys.setprofile(None)
+    return counted
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda n: spins(n),
+        lambda n: co.LiePoissonSystem(co.algebras.copies(SO3, n), co.Quadratic(np.tile([1.0, 0.5, 0.25], n))),
+        lambda n: co.LiePoissonSystem(nilpotent(3 * n), co.Quadratic(np.ones(3 * n))),
+    ],
+    ids=["chain", "bodies", "nilpotent"],
+)
+def test_no_python_runs_for_each_coordinate(make):
+    """Sixteen times as many coordinates take about as many calls: the loops are those of layers, not of coordinates."""
+    small, large = (calls(lambda n=n: make(n)) for n in (700, 11_200))
+    assert large < 1.5 * small
+
+
+@pytest.mark.parametrize("choice", ["auto", "coordinates"])
+def test_memory_grows_with_the_number_of_spins(choice):
+    def peak(count):
+        algebra, H = co.algebras.copies(SO3, count), co.Quadratic(np.tile([1.0, 0.5, 0.25], count))
+        tracemalloc.start()
+        build_program(co.LiePoissonSystem(algebra, H), co.Splitting(parts=choice))
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most
+
+    assert peak(16_000) < 4.4 * peak(4000)
+
+
+def test_tables_are_lean():
+    program = build_program(spins(2000), co.Splitting())
+    n = 6000
+    state, terms = program.state, program.terms
+    assert len(state.kind) == 3  # one run for each part
+    assert len(state.indices) == 2 * n and len(state.constants) == n
+    assert len(terms.column) == 3 * n - 6 and len(terms.kind) == 3
+    whole = [column for table in (state, terms) for column in table if isinstance(column, np.ndarray)]
+    assert {column.dtype for column in whole} <= {np.dtype(kind) for kind in ("uint8", "uint32", "float64")}
+    # indices 2, constants 1, target, offset, entry 1 each, 3 columns and weights: nothing is held twice
+    assert sum(column.nbytes for column in whole) <= (2 * 4 + 8 + 4 + 8 + 4 + 3 * (4 + 8)) * n + 1000
+
+
+def test_equal_sites_are_solved_once(monkeypatch):
+    solved = []
+    monkeypatch.setattr(quadratic_atoms, "sparse_squares", lambda *given: solved.append(1) or sparse_squares(*given))
+    sites = block_diag([full(3, k % 2) for k in range(50)]).tocsr()
+    system = co.LiePoissonSystem(co.algebras.copies(SO3, 50), co.Quadratic(sites))
+    assert len(split(system, "coordinates")) == 150
+    assert len(solved) == 2
+
+
+def test_casimirs_of_many_copies_are_followed_by_name():
+    count = 3000
+    algebra = co.algebras.copies(SO3, count)
+    assert co.LiePoissonSystem(algebra, chain(count)).casimirs == {}
+    first = diags_array(np.r_[np.ones(3), np.zeros(3 * count - 3)]).tocsr()
+    first.eliminate_zeros()
+    named = {"spin 1": co.Quadratic(first), "all": co.Quadratic(1.0)}
+    system = co.LiePoissonSystem(algebra, chain(count), casimirs=named)
+    x0 = np.random.default_rng(0).standard_normal(3 * count)
+    observe = {"half of spin 1": co.Quadratic(0.5 * first)}
+    sol = co.integrate(system, x0, (0.0, 1.0), 0.1, observe=observe)
+    assert sol.casimirs["spin 1"][0] == pytest.approx(0.5 * x0[:3] @ x0[:3], rel=4 * 2.0**-53)
+    # ten steps of five rotations each may change a length by some roundings of each
+    assert sol.drift()["spin 1"] < 200 * 2.0**-53 * (x0[:3] @ x0[:3])
+    assert sol.drift()["all"] < 200 * 2.0**-53 * (x0 @ x0)
+    assert np.array_equal(2 * sol.observed["half of spin 1"], sol.casimirs["spin 1"])
+    with pytest.raises(ValueError, match="'x1' is not a Casimir"):
+        co.LiePoissonSystem(SO3, co.Quadratic(1.0), casimirs={"x1": co.Quadratic([1.0, 0.0, 0.0])})
+
+
+def test_a_watched_quadratic_form_costs_what_it_has_entries():
+    from coadjoint.kernels.tables import watch_tables
+
+    system = spins(50)
+    watch = watch_tables(system, system.casimirs).tables
+    assert np.diff(watch.terms.row).tolist() == [150] + [3] * 50
