@@ -9,16 +9,16 @@
 
 constexpr int64_t MOST_CORRECTIONS = 50;
 constexpr double SLUGGISH = 0.25;  // of the correction before: then the factors are renewed
+constexpr double SETTLING = 0x1p-40;  // of the size of the stages: below it what falls no further is round-off
 
-// Correct the points of one trajectory until nothing falls: `evaluate` sets the slopes at the points, `solve` turns the
+// Correct the points of one trajectory until corrections, which Newton's method more than halves, do so no longer: `evaluate` sets the slopes at the points, `solve` turns the
 // defect, stage after stage, into a correction, and `renew` is called where corrections fall slowly.
 template <class Layout, class Evaluate, class Solve, class Renew>
 NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve solve, Renew renew) {
     const int64_t s = y.stages, m = y.size;
     std::vector<double> defect(s * m);
-    std::fill_n(y.least.at, m, std::numeric_limits<double>::infinity());
     Outcome<double> outcome{false, 0.0, std::numeric_limits<double>::infinity()};
-    double before = std::numeric_limits<double>::infinity();
+    double before = std::numeric_limits<double>::infinity(), least = before;
     int64_t quiet = 0;
     for (int64_t passed = 1; passed <= MOST_CORRECTIONS; ++passed) {
         evaluate();
@@ -36,7 +36,6 @@ NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve s
             for (int64_t c = 0; c < m; ++c) {
                 const double change = defect[i * m + c], point = Layout::at(y.points.at, m, c, i) + change;
                 Layout::put(y.points.at, m, c, i, point);
-                Layout::put(y.change.at, m, c, i, absolute(change));
                 moved += absolute(change);
                 extent += absolute(point);
                 spoilt += 0.0 * point;
@@ -45,11 +44,11 @@ NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve s
             size = larger(size, extent);
         }
         Layout::repeat_last(y.points.at, m, s);
-        Layout::repeat_last(y.change.at, m, s);
         if (!(spoilt == 0.0)) return outcome;
         outcome.residual = largest;
-        const bool small = largest <= NOISE * size;
-        quiet = y.falling(true) || !small ? 0 : quiet + 1;
+        const bool small = largest <= SETTLING * size;
+        quiet = largest <= 0.5 * least || !small ? 0 : quiet + 1;
+        least = smaller(least, largest);
         if (largest == 0.0 || quiet == 2) {
             outcome.settled = true;
             return outcome;

@@ -208,7 +208,7 @@ struct Stages {
             evaluate<freeze>(0, blocks);
         }
         iterations = iterations + double(REFINED - 1);
-        residual = V(0.0);
+        residual = select(going, V(0.0), V(std::numeric_limits<double>::infinity()));
         return going;
     }
 

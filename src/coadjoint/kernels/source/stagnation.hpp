@@ -12,6 +12,10 @@ constexpr double NOISE = 0x1p-32;     // of the size of a stage: only below it i
 constexpr int64_t LOOK = 16;          // every so many iterations: is it slow?
 constexpr double SLOW = 0x1p-6;       // corrections that fell by less since the last look would take more than MOST
 
+// For how many iterations nothing may have fallen: few can be chance, since corrections turn while they shrink where the
+// iteration has complex eigenvalues, and the more slowly they shrink the longer that lasts.
+INLINE double quiet_enough(int64_t passed) { return double(passed < 12 ? 2 : passed / 4); }
+
 // Stages that solve points = base + (error + sum_j mix_ij slopes_j), `size` components each, and room for the iteration.
 template <class Layout>
 struct Unknowns {
@@ -89,12 +93,15 @@ struct Unknowns {
     }
 
     // Whether the correction of any component has fallen below all that it has been: components differ in size, and each
-    // is followed until it stops.
+    // is followed until it stops. One unit in the last place is nothing: of many components one would always fall.
     NOINLINE typename Numbers<V>::Mask falling(const typename Numbers<V>::Mask& where) {
         auto found = V(0.0) < V(0.0);
         for (int64_t c = 0; c < size; ++c) {
             V most(0.0);
-            for (int64_t b = 0; b < blocks; ++b) most = larger(most, V(Layout::largest(change.at[b * size + c])));
+            for (int64_t b = 0; b < blocks; ++b) {
+                const A own = change.at[b * size + c], unit = A(0x1p-52) * absolute(points.at[b * size + c]);
+                most = larger(most, V(Layout::largest(select(own <= unit, A(0.0), own))));
+            }
             const auto fell = where & (most < least.at[c]);
             least.at[c] = select(fell, most, least.at[c]);
             found = found | fell;
@@ -112,9 +119,8 @@ struct Outcome {
 // Iterate points = base + mix slopes(points) until every trajectory of `going` has settled or failed; what has settled
 // keeps its slopes. `evaluate` sets the slopes at the points, `keep` is told which lanes settled, to keep more of them.
 //
-// A trajectory has settled when nothing moves, or when for two iterations in a row no component's correction has fallen
-// below all that it was since the corrections became small: one alone can be chance, since corrections turn while they
-// shrink where the iteration has complex eigenvalues. It fails when corrections grow or fall slowly.
+// A trajectory has settled when nothing moves, or when for some iterations in a row no component's correction has fallen
+// below all that it was since the corrections became small. It fails when corrections grow or fall slowly.
 template <class Layout, class Mask, class Evaluate, class Keep>
 INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep) {
     typedef typename Layout::V V;
@@ -139,7 +145,7 @@ INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep
                 const auto fell = y.falling(going & small);
                 const auto calm = going & small & !fell & (V(double(passed)) > V(double(FIRST_TEST)));
                 quiet = select(calm, quiet + 1.0, V(0.0));
-                ended = ended | (going & (quiet >= V(2.0)));
+                ended = ended | (going & (quiet >= V(quiet_enough(passed))));
             }
         } else {
             quiet = V(0.0);
