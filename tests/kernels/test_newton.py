@@ -9,6 +9,8 @@ from scipy.optimize import root
 from test_runge_kutta import spin_chain, systems
 
 import coadjoint as co
+from coadjoint.kernels import couplings
+from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 
 U = 2.0**-53
 
@@ -55,19 +57,10 @@ def test_a_stiff_system_against_30_digits():
     x = np.array([1.0, 0.5, -0.75, 0.5, 1.0, -0.25])
     method, h, steps = co.GaussLegendre(2), 0.1, 5
     run = co.integrate(system, x, (0.0, steps * h), h, method)
-    node, scale, mix, _ = method.coefficients(mpmath.mpf)
     with mpmath.workdps(30):
         exact = np.array([mpmath.mpf(float(v)) for v in x], dtype=object)
-        for k in range(steps):
-            guess = [*run.x[k], *run.x[k + 1]]
-
-            def defect(*flat, start=exact):
-                X = np.array(flat, dtype=object).reshape(2, 6)
-                L = np.stack([mpmath.mpf(h) * b * system.vector_field(y) for y, b in zip(X, scale, strict=True)])
-                return list((X - start - mix @ L).ravel())
-
-            X = np.array(list(mpmath.findroot(defect, guess, tol=1e-50)), dtype=object).reshape(2, 6)
-            exact = exact + sum(mpmath.mpf(h) * b * system.vector_field(y) for y, b in zip(X, scale, strict=True))
+        for _ in range(steps):
+            exact = exact + stages_by_newton(system, method, exact, h, mpmath.mpf)[1].sum(axis=0)
         error = max(abs(float(a) - b) for a, b in zip(exact, run.x[-1], strict=True))
     # each step rounds h f, of size 20, and a later one amplifies that by at most its condition, here below 20
     assert error < steps * 20 * 20 * 8 * U
@@ -75,9 +68,13 @@ def test_a_stiff_system_against_30_digits():
     assert max(run.drift().values()) < 6 * 4 * 6 * U * 200 * np.sqrt(steps)
 
 
-def test_large_systems_take_newton_without_a_matrix():
+@pytest.mark.parametrize("banded", [True, False])
+def test_large_systems_take_newton_by_a_band_or_without_a_matrix(banded, monkeypatch):
     """120 spins, 360 coordinates and 720 unknowns: h f' is about 6."""
     system, x0 = spin_chain(120)
+    if not banded:
+        monkeypatch.setattr(couplings, "WIDEST", 0)
+    assert (runge_kutta_tables(system, co.GaussLegendre(2)).tables.band >= 0) == banded
     method, h = co.GaussLegendre(2), 2.0
     run = co.integrate(system, x0, (0.0, 10 * h), h, method)
     expected = x0
@@ -89,18 +86,21 @@ def test_large_systems_take_newton_without_a_matrix():
     assert run.drift()["S"] < 6 * 4 * 360 * U * np.sqrt(10)
 
 
-def stages_by_newton(system, method, x, h):
-    """Dense Newton iterations in NumPy."""
-    _, scale, mix, _ = method.coefficients()
+def stages_by_newton(system, method, x, h, number=float):
+    """Newton iterations in NumPy, their defects in any number type."""
+    _, scale, mix, _ = method.coefficients(number)
     s, n = scale.size, x.size
-    X = np.tile(x, (s, 1))
-    for _ in range(30):
-        L = np.stack([h * b * system.vector_field(y) for y, b in zip(X, scale, strict=True)])
-        W = [h * b * system.jacobian(y) for y, b in zip(X, scale, strict=True)]
-        J = np.eye(s * n) - np.block([[mix[i, j] * W[j] for j in range(s)] for i in range(s)])
-        change = np.linalg.solve(J, (x + mix @ L - X).ravel())
-        X = X + change.reshape(s, n)
-        if np.max(np.abs(change)) < 1e-13:
+    X = np.stack([x] * s)
+    lengths = [number(h) * b for b in scale]
+    for _ in range(50):
+        L = np.stack([length * system.vector_field(y) for y, length in zip(X, lengths, strict=True)])
+        W = [float(length) * system.jacobian(y.astype(float)) for y, length in zip(X, lengths, strict=True)]
+        J = np.eye(s * n) - np.block([[float(mix[i, j]) * W[j] for j in range(s)] for i in range(s)])
+        defect = (x + mix @ L - X).ravel()
+        size = float(np.max(np.abs(defect)))
+        change = np.linalg.solve(J, (defect / (size or 1.0)).astype(float))
+        X = X + change.reshape(s, n) * size
+        if size < (1e-13 if number is float else 1e-25):
             return X, L
     raise AssertionError("Newton's method in NumPy did not converge")
 

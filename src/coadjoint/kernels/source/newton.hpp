@@ -3,6 +3,7 @@
 
 #include <limits>
 
+#include "banded.hpp"
 #include "krylov.hpp"
 #include "linear_solve.hpp"
 #include "stagnation.hpp"
