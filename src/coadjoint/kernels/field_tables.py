@@ -49,9 +49,7 @@ def field_of(system: System) -> tuple[Field, Kept]:
     i, j, k, c = (none, none, none, np.zeros(0)) if system.algebra is None else system.algebra.triples
     # Both orders of every pair, row by row, and within a row as they are listed.
     order = np.argsort(np.stack([i, j], axis=1).ravel(), kind="stable")
-    row, column, state, constant = (
-        np.stack(pair, axis=1).ravel()[order] for pair in ((i, j), (j, i), (k, k), (c, -c))
-    )
+    row, column, state, constant = (np.stack(pair, axis=1).ravel()[order] for pair in ((i, j), (j, i), (k, k), (c, -c)))
     structure = none
     if system.algebra is None:
         from coadjoint.kernels.functions import CompiledFunction

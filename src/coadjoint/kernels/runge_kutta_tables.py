@@ -63,7 +63,8 @@ def runge_kutta_tables(
     dense = np.zeros((0, 0))
     if direct and solver == STRUCTURE:
         dense = np.asarray(system.hamiltonian.hessian(np.zeros(system.dim)), dtype=np.float64)
-    large = solver in (STRUCTURE, GRADIENT) and not direct or solver == IMPLICIT and node.size * system.dim > LARGEST_DENSE
+    most = LARGEST_DENSE if solver == IMPLICIT else LARGEST_DIRECT
+    large = solver in (STRUCTURE, GRADIENT, IMPLICIT) and not direct and node.size * system.dim > most
     band, position = narrow_band(system, node.size, method.solver) if large else NO_BAND
     fraction, moment = substeps(fractions)
     tables = RungeKuttaTables(

@@ -13,9 +13,11 @@ constexpr double SLUGGISH = 0.25;  // of the correction before: then the factors
 constexpr double SETTLING = 0x1p-40;  // of the size of the stages: below it what falls no further is round-off
 
 // Correct the points of one trajectory until corrections, which Newton's method more than halves, do so no longer: `evaluate` sets the slopes at the points, `solve` turns the
-// defect, stage after stage, into a correction, and `renew` is called where corrections fall slowly.
+// defect, stage after stage, into a correction, and `renew` is called where corrections fall slowly. With `enough` it is
+// done after so many of them: what is linear is solved by the first, and refined by the second.
 template <class Layout, class Evaluate, class Solve, class Renew>
-NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve solve, Renew renew) {
+NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve solve, Renew renew,
+                                 int64_t enough = 0) {
     const int64_t s = y.stages, m = y.size;
     std::vector<double> defect(s * m);
     Outcome<double> outcome{false, 0.0, std::numeric_limits<double>::infinity()};
@@ -47,6 +49,11 @@ NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve s
         Layout::repeat_last(y.points.at, m, s);
         if (!(spoilt == 0.0)) return outcome;
         outcome.residual = largest;
+        if (passed == enough) {
+            evaluate();
+            outcome.settled = true;
+            return outcome;
+        }
         const bool small = largest <= SETTLING * size;
         quiet = largest <= 0.5 * least || !small ? 0 : quiet + 1;
         least = smaller(least, largest);
@@ -54,7 +61,7 @@ NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve s
             outcome.settled = true;
             return outcome;
         }
-        if (!small && largest > SLUGGISH * before && !renew()) return outcome;
+        if (enough == 0 && !small && largest > SLUGGISH * before && !renew()) return outcome;
         before = largest;
     }
     return outcome;

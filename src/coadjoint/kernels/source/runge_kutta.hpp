@@ -86,36 +86,33 @@ struct Stages {
         return tables.solver == EXPLICIT ? group_one_by_one(found) : tables.direct ? group_direct(found) : settle_group(found);
     }
 
-    // The same, and where that fails by other means, one after the other: from the base instead of ahead, by linear
-    // systems instead of iterating. `newton` counts the steps that are still to begin with these.
+    // The same, and where that fails by other means, one after the other: from the base instead of ahead, by Newton's
+    // method or linear systems instead of iterating. `newton` counts the steps that are still to begin with these.
     bool solve_alone(double t, double h, int64_t part, double& newton) {
         if (tables.solver != IMPLICIT) {
             if (solve(t, h, part, true)) return true;
             return tables.solver >= STRUCTURE && !tables.direct && linear_by_systems();
         }
+        begin(t, h);
+        remember();
         bool found = false;
-        if (!(newton >= 1.0)) {
-            begin(t, h);
-            remember();
-            p.start_ahead(forecast.at + part * blocks * s);
+        if (newton >= 1.0) {
+            newton -= 1.0;
+        } else {
+            const bool ahead = all(p.start_ahead(forecast.at + part * blocks * s));
             found = settle_momentum(true);
-            if (!found) {
+            if (!found && ahead) {
                 p.start_at_base();
                 found = settle_momentum(true);
             }
             newton = found ? 0.0 : STEPS_OF_NEWTON;
-        } else {
-            begin(t, h);
-            remember();
-            newton -= 1.0;
-            p.start_ahead(forecast.at + part * blocks * s);
-            found = by_newton();
         }
         if (!found) {
-            p.start_at_base();
             const double earlier = residual;
+            p.start_at_base();
             found = by_newton();
-            if (!found && !(residual - residual == 0.0)) residual = earlier;
+            if (!found && all(p.start_ahead(forecast.at + part * blocks * s))) found = by_newton();
+            if (!found && earlier != earlier) residual = earlier;
         }
         if (!found || d == 0) return found;
         g.start_ahead(forecast.at + part * blocks * s);
@@ -377,7 +374,7 @@ struct Stages {
                 for (int64_t c = 0; c < n; ++c) r[i * n + c] = sides[tables.position[c] * s + i];
             return true;
         };
-        return taken(correct(p, evaluate, solve, [&] { return stale = true; }));
+        return taken(correct(p, evaluate, solve, [&] { return stale = true; }, tables.solver >= STRUCTURE ? REFINED - 1 : 0));
     }
 
     // Without a matrix: `multiply` applies the derivative of the slopes to changes of the points.

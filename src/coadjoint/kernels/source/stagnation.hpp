@@ -37,8 +37,9 @@ struct Unknowns {
             for (int64_t c = 0; c < size; ++c) points.at[b * size + c] = Layout::spread(base[c]);
     }
 
-    // Start where the polynomial through the slopes of the step before leads, except where that is not finite.
-    void start_ahead(const typename Layout::Coefficient* forecast) {
+    // Start where the polynomial through the slopes of the step before leads, except where that is not finite; returns
+    // where it is.
+    auto start_ahead(const typename Layout::Coefficient* forecast) {
         A total(0.0);
         for (int64_t b = 0; b < blocks; ++b)
             mix_each<Layout>(forecast + b * stages, stages, before.at, size, error, [&](int64_t c, const A& sum) {
@@ -47,12 +48,13 @@ struct Unknowns {
                 points.at[b * size + c] = point;
             });
         const auto sound = Layout::every(total == A(0.0));
-        if (all(sound)) return;
+        if (all(sound)) return sound;
         if constexpr (Numbers<V>::lanes == 1)
             start_at_base();
         else
             for (int64_t k = 0; k < blocks * size; ++k)
                 points.at[k] = select(sound, points.at[k], base[k % size]);
+        return sound;
     }
 
     // Set the points of the blocks low to high - 1 from the first `count` slopes, and note how far they moved.
