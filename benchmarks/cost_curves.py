@@ -232,7 +232,7 @@ def draw(results: list[tuple[Family, list[Row]]], path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description="cost of steps and of their preparation against size")
     parser.add_argument("--largest", type=int, default=LARGEST, help="no more copies, dimensions or members than this")
-    parser.add_argument("--figure", type=Path, default=HERE / "cost_curves.png")
+    parser.add_argument("--figure", type=Path, default=HERE / "build" / "cost_curves.png")
     given = parser.parse_args()
     results = measure(given.largest)
     draw(results, given.figure)

@@ -2,7 +2,7 @@
 
 python benchmarks/work_against_precision.py [--rounds R] [--only body top kovalevskaya so4 toda spins]
 
-Written to build/: work_precision.json, work_precision.png; the tables are printed.
+Written to build/: work_precision.json, work_against_precision.png; the tables are printed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def measure(rounds: int, only: Sequence[str]) -> dict[str, Any]:
         measured["problems"][problem.name] = scan.measure(problem, solvers, rounds)
         print(f"{problem.name}: {time.perf_counter() - begun:.0f} s", file=sys.stderr)
     (HERE / "build" / "work_precision.json").write_text(json.dumps(measured, indent=1))
-    figure.draw(measured, HERE / "build" / "work_precision.png")
+    figure.draw(measured, HERE / "build" / "work_against_precision.png")
     return measured
 
 

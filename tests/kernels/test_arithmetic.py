@@ -1,39 +1,32 @@
 """Elementary arithmetic of the kernels against 50 digits, over every magnitude and at the awkward places."""
 
+import ctypes
 import math
 
 import mpmath
-import numba
 import numpy as np
 import pytest
 
-from coadjoint.kernels.arithmetic import entire_pair, fma, sine_and_cosine_minus_one
+from coadjoint.kernels.library import address, kernels
 
 U = 2.0**-53
 
 
-@numba.njit
-def rotations(angles, out):
-    for k in range(angles.size):
-        out[k, 0], out[k, 1] = sine_and_cosine_minus_one(angles[k])
-
-
-@numba.njit
-def hyperbolics(arguments, out):
-    for k in range(arguments.size):
-        out[k, 0], out[k, 1] = entire_pair(arguments[k])
-
-
-@numba.njit
-def fused(a, b, c):
-    return fma(a, b, c)
-
-
-def tabulated(function, values):
+def tabulated(what, values):
+    """Return pairs of numbers by the compiled functions: 0, sine and cosine minus one; 1, their hyperbolic kin."""
     values = np.array(values, dtype=float)
     out = np.empty((values.size, 2))
-    function(values, out)
+    kernels().probe_pairs(ctypes.c_int64(what), address(values), ctypes.c_int64(values.size), address(out))
     return out
+
+
+rotations, hyperbolics = 0, 1
+
+
+def fused(a, b, c):
+    probe = kernels().probe_fma
+    probe.restype = ctypes.c_double
+    return probe(*(ctypes.c_double(number) for number in (a, b, c)))
 
 
 def around_multiples_of_half_pi():

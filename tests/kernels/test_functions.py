@@ -2,6 +2,8 @@
 
 import ctypes
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -82,22 +84,19 @@ def systems_with_functions():
         yield co.LiePoissonSystem(algebra, co.Polynomial({(4, *[0] * (algebra.dim - 1)): 1.0}))
 
 
-def test_one_compiled_loop_serves_every_system():
-    """Other dimensions, algebras, Hamiltonians, schemes, members, attitudes: the loop is compiled for one signature."""
-    from coadjoint.kernels import flow, watching
+WITHOUT_FUNCTIONS = """
+import sys
+import coadjoint as co
+body = co.systems.rigid_body((1, 2, 3))
+for method in (co.Splitting(), co.GaussLegendre(2), co.RadauEnergy(2)):
+    co.integrate(body, (0.8, 0.5, 0.6), (0, 0.5), 0.1, method)
+print("numba" in sys.modules)
+"""
 
-    for s in systems_with_functions():
-        x0 = np.linspace(0.1, 0.6, s.dim)
-        co.integrate(s, x0, (0, 0.2), 0.1, co.Splitting(order=1))
-        options = {
-            "watch": False,
-            "attitude": "coadjoint",
-            "observe": {"x1": co.Polynomial({(1, *[0] * (s.dim - 1)): 1})},
-        }
-        co.integrate(s, [x0, -x0], (0, -0.2), 0.1, co.Splitting(order=2, compensated=True), **options)
-    assert len(flow.advance.signatures) == 1
-    assert len(watching.record_start.signatures) == 1
-    assert len(watching.values_along.signatures) == 1
+
+def test_numba_is_loaded_for_functions_of_the_user_alone():
+    done = subprocess.run([sys.executable, "-c", WITHOUT_FUNCTIONS], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
 
 
 def test_functions_of_the_standard_library_and_of_numpy_serve():

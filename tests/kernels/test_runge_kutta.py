@@ -343,9 +343,10 @@ def spin_chain(spins):
 
 
 def test_no_convergence_is_reported_with_step_time_and_residual():
-    system, x0 = systems()["so(4)"]
+    """The equation of the midpoint has no solution here: Newton's method does not find one either."""
+    system, x0 = systems()["sl(2)"]
     with pytest.raises(co.IntegrationError, match="did not converge") as caught:
-        co.integrate(system, x0, (0.0, 40.0), 4.0, co.GaussLegendre(2))
+        co.integrate(system, x0, (0.0, 40.0), 4.0, co.GaussLegendre(1))
     error = caught.value
     assert (error.step, error.time) == (1, 0.0)
     assert error.residual > 1e-3

@@ -1,14 +1,14 @@
 """Rational rotations, tan(phi/2) := half the angle: Poisson where they are offered, refused elsewhere by name."""
 
+import ctypes
 import math
 
 import mpmath
-import numba
 import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.arithmetic import rational_angle, rational_rotation, shortfall
+from coadjoint.kernels.library import address, kernels
 from coadjoint.program.reading import Reading
 from coadjoint.program.table import build_program
 
@@ -44,12 +44,15 @@ METHODS = {
 }
 
 
-@numba.njit
 def tabulated(angles, out):
-    for k in range(angles.size):
-        out[k, 0], out[k, 1] = rational_rotation(angles[k])
-        out[k, 2] = rational_angle(angles[k], 1.5)
-        out[k, 3] = shortfall(out[k, 0], -out[k, 1], 1.0)
+    pairs = np.empty((angles.size, 2))
+    kernels().probe_pairs(ctypes.c_int64(2), address(angles), ctypes.c_int64(angles.size), address(pairs))
+    out[:, :2] = pairs
+    angle, short = kernels().probe_rational_angle, kernels().probe_shortfall
+    angle.restype = short.restype = ctypes.c_double
+    for k, (sine, lowered) in enumerate(pairs.tolist()):
+        out[k, 2] = angle(ctypes.c_double(angles[k]), ctypes.c_double(1.5))
+        out[k, 3] = short(*(ctypes.c_double(number) for number in (sine, -lowered, 1.0)))
 
 
 def test_arithmetic():

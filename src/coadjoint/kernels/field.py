@@ -13,9 +13,9 @@ from coadjoint.program.terms import Terms
 class Field(NamedTuple):
     """The field x' = sign * J(x) grad H(x, t) in `size` coordinates.
 
-    On a Lie algebra row i of J has the entries first[i] to first[i + 1], each a nonzero structure constant: `constant` =
-    sign * c_ij^k with j = `column`, k = `state`; where `nonlinear`, `structure` holds the address of the compiled
-    function x -> J(x). `longest` is the most rows of a term of H.
+    On a Lie algebra row i of J has the entries first[i] to first[i + 1], each a nonzero structure constant:
+    `constant` = sign * c_ij^k with j = `column`, k = `state`; where `nonlinear`, `structure` holds the address of the
+    compiled function x -> J(x). `longest` is the most rows of a term of H.
     """
 
     size: int

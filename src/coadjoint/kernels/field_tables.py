@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import accumulate
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.field import Field, GroupField
-from coadjoint.kernels.functions import CompiledFunction
 from coadjoint.kernels.tables import addresses_of
 from coadjoint.methods.base import System
 from coadjoint.program.terms import TermTable
 
-Kept = tuple[CompiledFunction, ...]
+if TYPE_CHECKING:
+    from coadjoint.kernels.functions import CompiledFunction
+
+Kept = tuple["CompiledFunction", ...]
 
 
 def field_of(system: System) -> tuple[Field, Kept]:
@@ -47,11 +49,11 @@ def field_of(system: System) -> tuple[Field, Kept]:
     i, j, k, c = (none, none, none, np.zeros(0)) if system.algebra is None else system.algebra.triples
     # Both orders of every pair, row by row, and within a row as they are listed.
     order = np.argsort(np.stack([i, j], axis=1).ravel(), kind="stable")
-    row, column, state, constant = (
-        np.stack(pair, axis=1).ravel()[order] for pair in ((i, j), (j, i), (k, k), (c, -c))
-    )
+    row, column, state, constant = (np.stack(pair, axis=1).ravel()[order] for pair in ((i, j), (j, i), (k, k), (c, -c)))
     structure = none
     if system.algebra is None:
+        from coadjoint.kernels.functions import CompiledFunction
+
         n = system.dim
         compiled = CompiledFunction(
             system.structure_function, n, n * n, scalar=False, flat=True, timed=False, what="the structure matrix"

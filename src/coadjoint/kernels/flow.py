@@ -51,7 +51,7 @@ def advance(
 ) -> None:
     """Take the steps k0 + 1 to k1 for the members crew[0] to crew[1] - 1.
 
-    Tables come as they are or `pointed`; `state` is that of `coadjoint.kernels.loop.state_of`, unfinished between calls:
-    the outer flow of a step is merged with the next one, and *finish* acts on a copy.
+    Tables come as they are or `pointed`; `state` is that of `coadjoint.kernels.loop.state_of`, unfinished between
+    calls: the outer flow of a step is merged with the next one, and *finish* acts on a copy.
     """
     take_steps("flow_advance", tables, watch, saves, schedule, state, crew, k0, k1, report, stride, base)

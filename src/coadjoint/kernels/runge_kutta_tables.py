@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.couplings import NO_BAND, narrow_band
 from coadjoint.kernels.field_tables import field_of, group_of, substeps
 from coadjoint.kernels.runge_kutta import EXPLICIT, GRADIENT, IMPLICIT, ITERATED, STRUCTURE, RungeKuttaTables
 from coadjoint.kernels.tables import Compiled
@@ -22,6 +23,7 @@ SOLVERS = {
     "gradient": GRADIENT,
 }
 LARGEST_DIRECT = 160  # unknowns: above, iterating costs less than LU factors, and their square is not stored
+LARGEST_DENSE = 200  # unknowns of Newton's method by a dense matrix, as `runge_kutta.hpp` has it
 
 
 def runge_kutta_tables(
@@ -61,6 +63,9 @@ def runge_kutta_tables(
     dense = np.zeros((0, 0))
     if direct and solver == STRUCTURE:
         dense = np.asarray(system.hamiltonian.hessian(np.zeros(system.dim)), dtype=np.float64)
+    most = LARGEST_DENSE if solver == IMPLICIT else LARGEST_DIRECT
+    large = solver in (STRUCTURE, GRADIENT, IMPLICIT) and not direct and node.size * system.dim > most
+    band, position = narrow_band(system, node.size, method.solver) if large else NO_BAND
     fraction, moment = substeps(fractions)
     tables = RungeKuttaTables(
         field,
@@ -76,6 +81,8 @@ def runge_kutta_tables(
         _flat(out),
         _flat(np.stack([method.forecast(ratio) for ratio in _ratios(fractions)])),
         _flat(dense),
+        band,
+        position,
         fraction,
         moment,
     )

@@ -13,6 +13,7 @@ from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import take_steps
 from coadjoint.methods.step_method import UNDEFINED as UNDEFINED
 
+
 class StepTables(NamedTuple):
     """What a step reads: the field, the compiled values of the terms of H, the group equation, and coefficients."""
 

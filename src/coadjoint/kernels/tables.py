@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.kernels.flow import FlowTables
-from coadjoint.kernels.functions import CompiledFunction
 from coadjoint.kernels.watching import Watch
 from coadjoint.program.actions import Action, empty_action
 from coadjoint.program.blocks import Kind
@@ -22,6 +21,9 @@ from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
 from coadjoint.systems.user_functions import takes_time
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.functions import CompiledFunction
 
 
 RATIONAL = 8
@@ -58,7 +60,12 @@ def addresses_of(
     keep : tuple of CompiledFunction
         The owners of the machine code.
     """
-    addresses, keep = np.zeros(count, dtype=np.int64), []
+    addresses = np.zeros(count, dtype=np.int64)
+    keep: list[CompiledFunction] = []
+    if not functions:
+        return addresses, ()
+    from coadjoint.kernels.functions import CompiledFunction
+
     for k, term in functions.items():
         size = len(term.coordinates)
         function = getattr(term, which)

@@ -77,16 +77,17 @@ def record_start(
     saves: Any,
     schedule: Any,
     state: tuple[NDArray[np.float64], ...],
-    crew: tuple[int, int],
+    crew: tuple[int, int] | None = None,
     stride: int = 0,
 ) -> None:
-    """Save the initial state of the members crew[0] to crew[1] - 1, and the values that deviations are measured from.
+    """Save the initial state of the members crew[0] to crew[1] - 1 (of all), and what deviations are measured from.
 
     `state` is that of `coadjoint.kernels.loop.state_of`. With a stride the constants differ by member, from crew[0] on.
     """
     given = [pointed(table) for table in (watch, saves, schedule, state_of(state))]
+    first, last = crew or (0, len(state[0]))
     kernels().watch_start(
-        *(ctypes.byref(table) for table in given), *(ctypes.c_int64(number) for number in (*crew, stride))
+        *(ctypes.byref(table) for table in given), *(ctypes.c_int64(number) for number in (first, last, stride))
     )
 
 

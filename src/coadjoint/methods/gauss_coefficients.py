@@ -101,12 +101,16 @@ def _refuse_fractions(stages: int, number: Number) -> None:
         )
 
 
-def _gauss(stages: int, number: Number) -> Collocation:
-    _refuse_fractions(stages, number)
+def _gauss_roots(stages: int, number: Number) -> list[Any]:
     guesses = np.polynomial.legendre.leggauss(stages)[0].tolist()
     below = [_root(stages, False, number(z)) for z in guesses[: stages // 2]]
     middle = [number(0)] if stages % 2 else []
-    return _collocation([*below, *middle, *(-z for z in reversed(below))])
+    return [*below, *middle, *(-z for z in reversed(below))]
+
+
+def _gauss(stages: int, number: Number) -> Collocation:
+    _refuse_fractions(stages, number)
+    return _collocation(_gauss_roots(stages, number))
 
 
 def _radau(stages: int, number: Number) -> Collocation:
@@ -206,14 +210,14 @@ def extrapolation(stages: int, ratio: float) -> NDArray[np.float64]:
     [[0.5]]
     """
     with decimal.localcontext(decimal.Context(prec=DIGITS)):
-        roots = [2 * c - 1 for c in _gauss(stages, decimal.Decimal).nodes]
+        roots = _gauss_roots(stages, decimal.Decimal)
+        top = min(stages, FURTHEST + 1)
         values = [_legendre(stages, z) for z in roots]
         result = np.zeros((stages, stages))
         for i in range(stages):
             z = 1 + decimal.Decimal(ratio) * (1 + roots[i])
             ahead = _legendre(stages, z)
             for j in range(stages):
-                top = min(stages, FURTHEST + 1)
                 total = sum((values[j][k] * (ahead[k + 1] - ahead[k - 1]) for k in range(1, top)), z - 1)
                 result[i, j] = float(total / 2)
     result.flags.writeable = False

@@ -198,7 +198,7 @@ def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDA
             falling = least is None or bool(np.any(change < least))
             least = change if least is None else np.minimum(change, least)
             quiet = quiet + 1 if iteration > 3 and not falling and largest <= 2**21 * unit * size else 0
-            if quiet == 2:
+            if quiet >= max(2, iteration // 4):  # the more slowly corrections shrink, the longer they may turn
                 return slopes
     residual = float(largest) if largest is not None else float("nan")
     raise IntegrationError(

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.base import Method, System
 
-
 UNDEFINED = 3
 """Status of a step that its scheme does not define; the scheme's `failures` says why."""
 

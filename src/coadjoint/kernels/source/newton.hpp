@@ -3,22 +3,25 @@
 
 #include <limits>
 
+#include "banded.hpp"
 #include "krylov.hpp"
 #include "linear_solve.hpp"
 #include "stagnation.hpp"
 
 constexpr int64_t MOST_CORRECTIONS = 50;
 constexpr double SLUGGISH = 0.25;  // of the correction before: then the factors are renewed
+constexpr double SETTLING = 0x1p-40;  // of the size of the stages: below it what falls no further is round-off
 
-// Correct the points of one trajectory until nothing falls: `evaluate` sets the slopes at the points, `solve` turns the
-// defect, stage after stage, into a correction, and `renew` is called where corrections fall slowly.
+// Correct the points of one trajectory until corrections, which Newton's method more than halves, do so no longer: `evaluate` sets the slopes at the points, `solve` turns the
+// defect, stage after stage, into a correction, and `renew` is called where corrections fall slowly. With `enough` it is
+// done after so many of them: what is linear is solved by the first, and refined by the second.
 template <class Layout, class Evaluate, class Solve, class Renew>
-NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve solve, Renew renew) {
+NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve solve, Renew renew,
+                                 int64_t enough = 0) {
     const int64_t s = y.stages, m = y.size;
     std::vector<double> defect(s * m);
-    std::fill_n(y.least.at, m, std::numeric_limits<double>::infinity());
     Outcome<double> outcome{false, 0.0, std::numeric_limits<double>::infinity()};
-    double before = std::numeric_limits<double>::infinity();
+    double before = std::numeric_limits<double>::infinity(), least = before;
     int64_t quiet = 0;
     for (int64_t passed = 1; passed <= MOST_CORRECTIONS; ++passed) {
         evaluate();
@@ -36,7 +39,6 @@ NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve s
             for (int64_t c = 0; c < m; ++c) {
                 const double change = defect[i * m + c], point = Layout::at(y.points.at, m, c, i) + change;
                 Layout::put(y.points.at, m, c, i, point);
-                Layout::put(y.change.at, m, c, i, absolute(change));
                 moved += absolute(change);
                 extent += absolute(point);
                 spoilt += 0.0 * point;
@@ -45,16 +47,21 @@ NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve s
             size = larger(size, extent);
         }
         Layout::repeat_last(y.points.at, m, s);
-        Layout::repeat_last(y.change.at, m, s);
         if (!(spoilt == 0.0)) return outcome;
         outcome.residual = largest;
-        const bool small = largest <= NOISE * size;
-        quiet = y.falling(true) || !small ? 0 : quiet + 1;
+        if (passed == enough) {
+            evaluate();
+            outcome.settled = true;
+            return outcome;
+        }
+        const bool small = largest <= SETTLING * size;
+        quiet = largest <= 0.5 * least || !small ? 0 : quiet + 1;
+        least = smaller(least, largest);
         if (largest == 0.0 || quiet == 2) {
             outcome.settled = true;
             return outcome;
         }
-        if (!small && largest > SLUGGISH * before && !renew()) return outcome;
+        if (enough == 0 && !small && largest > SLUGGISH * before && !renew()) return outcome;
         before = largest;
     }
     return outcome;

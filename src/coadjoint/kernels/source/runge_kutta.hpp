@@ -86,36 +86,33 @@ struct Stages {
         return tables.solver == EXPLICIT ? group_one_by_one(found) : tables.direct ? group_direct(found) : settle_group(found);
     }
 
-    // The same, and where that fails by other means, one after the other: from the base instead of ahead, by linear
-    // systems instead of iterating. `newton` counts the steps that are still to begin with these.
+    // The same, and where that fails by other means, one after the other: from the base instead of ahead, by Newton's
+    // method or linear systems instead of iterating. `newton` counts the steps that are still to begin with these.
     bool solve_alone(double t, double h, int64_t part, double& newton) {
         if (tables.solver != IMPLICIT) {
             if (solve(t, h, part, true)) return true;
-            return tables.solver >= STRUCTURE && !tables.direct && linear_by_krylov();
+            return tables.solver >= STRUCTURE && !tables.direct && linear_by_systems();
         }
+        begin(t, h);
+        remember();
         bool found = false;
-        if (!(newton >= 1.0)) {
-            begin(t, h);
-            remember();
-            p.start_ahead(forecast.at + part * blocks * s);
+        if (newton >= 1.0) {
+            newton -= 1.0;
+        } else {
+            const bool ahead = all(p.start_ahead(forecast.at + part * blocks * s));
             found = settle_momentum(true);
-            if (!found) {
+            if (!found && ahead) {
                 p.start_at_base();
                 found = settle_momentum(true);
             }
             newton = found ? 0.0 : STEPS_OF_NEWTON;
-        } else {
-            begin(t, h);
-            remember();
-            newton -= 1.0;
-            p.start_ahead(forecast.at + part * blocks * s);
-            found = by_newton();
         }
         if (!found) {
-            p.start_at_base();
             const double earlier = residual;
+            p.start_at_base();
             found = by_newton();
-            if (!found && !(residual - residual == 0.0)) residual = earlier;
+            if (!found && all(p.start_ahead(forecast.at + part * blocks * s))) found = by_newton();
+            if (!found && earlier != earlier) residual = earlier;
         }
         if (!found || d == 0) return found;
         g.start_ahead(forecast.at + part * blocks * s);
@@ -208,7 +205,7 @@ struct Stages {
             evaluate<freeze>(0, blocks);
         }
         iterations = iterations + double(REFINED - 1);
-        residual = V(0.0);
+        residual = select(going, V(0.0), V(std::numeric_limits<double>::infinity()));
         return going;
     }
 
@@ -315,7 +312,7 @@ struct Stages {
         if constexpr (alone) {
             const int64_t size = s * n;
             if (size > LARGEST_DENSE)
-                return by_krylov(p, [&] { evaluate_all(); }, [&](LinearRoom<A>& own, const A* v, A* out) {
+                return by_systems([&] { evaluate_all(); }, [&](LinearRoom<A>& own, const A* v, A* out) {
                     for (int64_t b = 0; b < blocks; ++b)
                         jacobian_times(field, Layout::constants(constants, b, s), p.points.at + b * n,
                                        gradients.at + b * n, v + b * n, times.at[b], lengths.at[b], out + b * n,
@@ -330,7 +327,57 @@ struct Stages {
         return false;
     }
 
-    // Linear systems without a matrix: `multiply` applies the derivative of the slopes to changes of the points.
+    // Large linear systems for the momentum: `multiply` applies the derivative of the slopes to changes of the points.
+    template <class Evaluate, class Multiply>
+    bool by_systems(Evaluate evaluate, Multiply multiply) {
+        return tables.band >= 0 ? by_band(evaluate, multiply) : by_krylov(p, evaluate, multiply);
+    }
+
+    // By factors, where coordinates that are coupled are near to each other in the order `position`. Columns that no row
+    // shares are found by one multiplication.
+    template <class Evaluate, class Multiply>
+    bool by_band(Evaluate evaluate, Multiply multiply) {
+        const int64_t band = tables.band, groups = std::min(n, 2 * band + 1);
+        LinearRoom<A> own(field, 0, blocks, n);
+        Banded matrix(s * n, s * (band + 1) - 1);
+        std::vector<int64_t> coordinate(n);
+        std::vector<double> sides(s * n);
+        for (int64_t c = 0; c < n; ++c) coordinate[tables.position[c]] = c;
+        bool stale = true;
+        auto factors = [&] {
+            std::fill(matrix.entries.begin(), matrix.entries.end(), 0.0);
+            for (int64_t k = 0; k < s * n; ++k) matrix.at(k, k) = 1.0;
+            for (int64_t start = 0; start < groups; ++start) {
+                std::fill_n(own.forth.at, blocks * n, A(0.0));
+                for (int64_t place = start; place < n; place += groups)
+                    for (int64_t b = 0; b < blocks; ++b) own.forth.at[b * n + coordinate[place]] = A(1.0);
+                multiply(own, own.forth.at, own.back.at);
+                for (int64_t place = start; place < n; place += groups)
+                    for (int64_t row = std::max<int64_t>(0, place - band); row < std::min(n, place + band + 1); ++row)
+                        for (int64_t j = 0; j < s; ++j) {
+                            const double entry = Layout::at(own.back.at, n, coordinate[row], j);
+                            for (int64_t i = 0; i < s; ++i) {
+                                double& here = matrix.at(row * s + i, place * s + j);
+                                here = fma(-tables.mix[i * s + j], entry, here);
+                            }
+                        }
+            }
+            stale = false;
+            return matrix.factorize();
+        };
+        auto solve = [&](double* r) {
+            if (stale && !factors()) return false;
+            for (int64_t i = 0; i < s; ++i)
+                for (int64_t c = 0; c < n; ++c) sides[tables.position[c] * s + i] = r[i * n + c];
+            matrix.solve(sides.data());
+            for (int64_t i = 0; i < s; ++i)
+                for (int64_t c = 0; c < n; ++c) r[i * n + c] = sides[tables.position[c] * s + i];
+            return true;
+        };
+        return taken(correct(p, evaluate, solve, [&] { return stale = true; }, tables.solver >= STRUCTURE ? REFINED - 1 : 0));
+    }
+
+    // Without a matrix: `multiply` applies the derivative of the slopes to changes of the points.
     template <class Evaluate, class Multiply>
     bool by_krylov(Unknowns<Layout>& y, Evaluate evaluate, Multiply multiply) {
         const int64_t m = y.size;
@@ -349,12 +396,12 @@ struct Stages {
         return taken(correct(y, evaluate, [&](double* r) { return own.krylov.solve(r, operate); }, [] { return true; }));
     }
 
-    NOINLINE bool linear_by_krylov() {
+    NOINLINE bool linear_by_systems() {
         if constexpr (alone) {
             std::copy_n(frozen.at, blocks * n, p.points.at);
             bool found;
             if (tables.solver == STRUCTURE)
-                found = by_krylov(p, [&] { evaluate<STRUCTURE>(0, blocks); }, [&](LinearRoom<A>& own, const A* v, A* out) {
+                found = by_systems([&] { evaluate<STRUCTURE>(0, blocks); }, [&](LinearRoom<A>& own, const A* v, A* out) {
                     for (int64_t b = 0; b < blocks; ++b) {
                         const auto& here = Layout::constants(constants, b, s);
                         hessian_times(field, here, frozen.at + b * n, v + b * n, times.at[b], own.sloping.gradient.at,
@@ -363,7 +410,7 @@ struct Stages {
                     }
                 });
             else
-                found = by_krylov(p, [&] { evaluate<GRADIENT>(0, blocks); }, [&](LinearRoom<A>&, const A* v, A* out) {
+                found = by_systems([&] { evaluate<GRADIENT>(0, blocks); }, [&](LinearRoom<A>&, const A* v, A* out) {
                     for (int64_t b = 0; b < blocks; ++b)
                         product(field, Layout::constants(constants, b, s), v + b * n, gradients.at + b * n, lengths.at[b],
                                 out + b * n, room);

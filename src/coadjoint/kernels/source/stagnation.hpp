@@ -12,6 +12,10 @@ constexpr double NOISE = 0x1p-32;     // of the size of a stage: only below it i
 constexpr int64_t LOOK = 16;          // every so many iterations: is it slow?
 constexpr double SLOW = 0x1p-6;       // corrections that fell by less since the last look would take more than MOST
 
+// For how many iterations nothing may have fallen: few can be chance, since corrections turn while they shrink where the
+// iteration has complex eigenvalues, and the more slowly they shrink the longer that lasts.
+INLINE double quiet_enough(int64_t passed) { return double(passed < 12 ? 2 : passed / 4); }
+
 // Stages that solve points = base + (error + sum_j mix_ij slopes_j), `size` components each, and room for the iteration.
 template <class Layout>
 struct Unknowns {
@@ -33,8 +37,9 @@ struct Unknowns {
             for (int64_t c = 0; c < size; ++c) points.at[b * size + c] = Layout::spread(base[c]);
     }
 
-    // Start where the polynomial through the slopes of the step before leads, except where that is not finite.
-    void start_ahead(const typename Layout::Coefficient* forecast) {
+    // Start where the polynomial through the slopes of the step before leads, except where that is not finite; returns
+    // where it is.
+    auto start_ahead(const typename Layout::Coefficient* forecast) {
         A total(0.0);
         for (int64_t b = 0; b < blocks; ++b)
             mix_each<Layout>(forecast + b * stages, stages, before.at, size, error, [&](int64_t c, const A& sum) {
@@ -43,12 +48,13 @@ struct Unknowns {
                 points.at[b * size + c] = point;
             });
         const auto sound = Layout::every(total == A(0.0));
-        if (all(sound)) return;
+        if (all(sound)) return sound;
         if constexpr (Numbers<V>::lanes == 1)
             start_at_base();
         else
             for (int64_t k = 0; k < blocks * size; ++k)
                 points.at[k] = select(sound, points.at[k], base[k % size]);
+        return sound;
     }
 
     // Set the points of the blocks low to high - 1 from the first `count` slopes, and note how far they moved.
@@ -89,12 +95,15 @@ struct Unknowns {
     }
 
     // Whether the correction of any component has fallen below all that it has been: components differ in size, and each
-    // is followed until it stops.
+    // is followed until it stops. One unit in the last place is nothing: of many components one would always fall.
     NOINLINE typename Numbers<V>::Mask falling(const typename Numbers<V>::Mask& where) {
         auto found = V(0.0) < V(0.0);
         for (int64_t c = 0; c < size; ++c) {
             V most(0.0);
-            for (int64_t b = 0; b < blocks; ++b) most = larger(most, V(Layout::largest(change.at[b * size + c])));
+            for (int64_t b = 0; b < blocks; ++b) {
+                const A own = change.at[b * size + c], unit = A(0x1p-52) * absolute(points.at[b * size + c]);
+                most = larger(most, V(Layout::largest(select(own <= unit, A(0.0), own))));
+            }
             const auto fell = where & (most < least.at[c]);
             least.at[c] = select(fell, most, least.at[c]);
             found = found | fell;
@@ -112,9 +121,8 @@ struct Outcome {
 // Iterate points = base + mix slopes(points) until every trajectory of `going` has settled or failed; what has settled
 // keeps its slopes. `evaluate` sets the slopes at the points, `keep` is told which lanes settled, to keep more of them.
 //
-// A trajectory has settled when nothing moves, or when for two iterations in a row no component's correction has fallen
-// below all that it was since the corrections became small: one alone can be chance, since corrections turn while they
-// shrink where the iteration has complex eigenvalues. It fails when corrections grow or fall slowly.
+// A trajectory has settled when nothing moves, or when for some iterations in a row no component's correction has fallen
+// below all that it was since the corrections became small. It fails when corrections grow or fall slowly.
 template <class Layout, class Mask, class Evaluate, class Keep>
 INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep) {
     typedef typename Layout::V V;
@@ -139,7 +147,7 @@ INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep
                 const auto fell = y.falling(going & small);
                 const auto calm = going & small & !fell & (V(double(passed)) > V(double(FIRST_TEST)));
                 quiet = select(calm, quiet + 1.0, V(0.0));
-                ended = ended | (going & (quiet >= V(2.0)));
+                ended = ended | (going & (quiet >= V(quiet_enough(passed))));
             }
         } else {
             quiet = V(0.0);

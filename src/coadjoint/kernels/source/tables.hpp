@@ -85,7 +85,8 @@ TABLE(GroupField, GROUP_FIELD_FIELDS)
 #define RUNGE_KUTTA_FIELDS(_)                                                                                        \
     _(Field, field) _(GroupField, group) _(integer, stages) _(integer, substeps) _(integer, solver)                  \
     _(integer, iterations) _(flag, direct) _(numbers, node) _(numbers, scale) _(numbers, mix) _(numbers, out)        \
-    _(numbers, forecast) _(numbers, quadratic) _(numbers, fraction) _(numbers, moment)
+    _(numbers, forecast) _(numbers, quadratic) _(integer, band) _(indices, position) _(numbers, fraction)            \
+    _(numbers, moment)
 TABLE(RungeKuttaTables, RUNGE_KUTTA_FIELDS)
 
 #define STEP_FIELDS(_)                                                                                               \

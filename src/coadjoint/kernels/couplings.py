@@ -1,0 +1,91 @@
+"""Which coordinates of a large system are coupled, and an order in which those stand near to each other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.methods.base import System
+from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
+
+WIDEST = 48  # diagonals on either side: each unknown costs two multiplications with all pairs of them
+MOST_NUMBERS = 2**25  # that the factors may hold
+MOST_COUPLINGS = 64  # per coordinate, on average: more are no band
+
+NO_BAND: tuple[int, NDArray[np.uint32]] = (-1, np.zeros(0, dtype=np.uint32))
+
+
+def narrow_band(system: System, stages: int, solver: str) -> tuple[int, NDArray[np.uint32]]:
+    """Return how far coupled coordinates stand apart at most, and where each stands.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    stages : int
+        Unknowns of a coordinate: its stages, next to each other.
+    solver : {"implicit", "structure", "gradient"}
+        Whether the whole Jacobian sign (D_u + J(x) H'') is meant, J(x) H'' or D_u.
+
+    Returns
+    -------
+    band : int
+        -1 if there is no order with a narrow band.
+    position : ndarray of uint32, shape (n,)
+        Place of each coordinate, by the algorithm of Cuthill and McKee, reversed.
+    """
+    if system.algebra is None:
+        return NO_BAND
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    n = system.dim
+    i, j, k, _ = system.algebra.triples
+    pattern = coo_array((n, n)).tocsr()
+    if solver != "structure":
+        pattern = pattern + _pattern(n, np.concatenate([i, j]), np.concatenate([k, k]))
+    if solver != "gradient":
+        bends = _hessian(system, n)
+        if bends is None:
+            return NO_BAND
+        pattern = pattern + _pattern(n, np.concatenate([i, j]), np.concatenate([j, i])) @ bends
+    if pattern.nnz > MOST_COUPLINGS * n:
+        return NO_BAND
+    both = (pattern + pattern.T).tocsr()
+    order = reverse_cuthill_mckee(both, symmetric_mode=True)
+    position = np.empty(n, dtype=np.uint32)
+    position[order] = np.arange(n, dtype=np.uint32)
+    rows, columns = both.nonzero()
+    band = int(np.max(np.abs(position[rows].astype(np.int64) - position[columns].astype(np.int64)), initial=0))
+    reach = stages * (band + 1) - 1
+    fits = reach <= WIDEST and stages * n * (3 * reach + 1) <= MOST_NUMBERS
+    return (band, position) if fits else NO_BAND
+
+
+def _pattern(n: int, rows: Any, columns: Any) -> Any:
+    from scipy.sparse import coo_array
+
+    return coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n)).tocsr()
+
+
+def _hessian(system: System, n: int) -> Any:
+    """Return which second derivatives of the Hamiltonian may not vanish; None if they are too many."""
+    rows: list[Any] = [np.zeros(0, dtype=np.int64)]
+    columns: list[Any] = [np.zeros(0, dtype=np.int64)]
+    for term in system.hamiltonian.terms():
+        if isinstance(term, QuadraticTerm):
+            rows.append(np.repeat(np.arange(n), np.diff(term.indptr)))
+            columns.append(np.asarray(term.indices))
+            continue
+        groups: list[Any] = []
+        if isinstance(term, PolynomialTerm):
+            groups = [np.flatnonzero(exponents) for exponents in term.polynomial.monomials]
+        elif isinstance(term, FunctionTerm):
+            groups = [np.asarray(term.coordinates)]
+        if sum(len(group) ** 2 for group in groups) > MOST_COUPLINGS * n:
+            return None
+        rows.extend(np.repeat(group, len(group)) for group in groups)
+        columns.extend(np.tile(group, len(group)) for group in groups)
+    return _pattern(n, np.concatenate(rows), np.concatenate(columns))

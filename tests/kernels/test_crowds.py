@@ -1,0 +1,138 @@
+"""Members of a crowd are lanes, and a trajectory alone has its stages as lanes: both have the same bits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_runge_kutta import SCHEMES, served, systems
+
+import coadjoint as co
+from runs import run
+
+MEMBERS = 35  # a whole block of lanes on every processor, and some that are left
+METHODS = (
+    *SCHEMES,
+    co.GaussLegendre(4),
+    co.GaussLegendre(8),
+    co.GaussLegendre(20),
+    co.Composition(co.GaussLegendre(2), (1.3, -1.6, 1.3)),
+)
+
+
+def some_states(x0, members=MEMBERS, spread=0.3):
+    return x0 * (1 + spread * np.random.default_rng(0).standard_normal((members, len(x0))))
+
+
+@pytest.mark.parametrize("name", list(systems()))
+@pytest.mark.parametrize("method", METHODS, ids=repr)
+def test_members_have_the_bits_that_they_have_alone(name, method):
+    system, x0 = systems()[name]
+    if not served(method, system):
+        with pytest.raises(ValueError, match="take"):
+            method.properties(system)
+        return
+    kind = method.properties(system).attitude
+    how = {"attitude": "coadjoint" if system.algebra is not None and kind != "none" else False}
+    states, h = some_states(x0), 0.02 if name in ("A3,7", "driven") else 0.1
+    crowd = co.integrate(system, states, (0.0, 12 * h), h, method, threads=1, **how)
+    runs = [co.integrate(system, x, (0.0, 12 * h), h, method, **how) for x in states]
+    for i, alone in enumerate(runs):
+        assert np.array_equal(alone.x, crowd.x[:, i])
+        assert np.array_equal(alone.energy, crowd.energy[:, i])
+        assert how["attitude"] is False or np.array_equal(alone.attitude, crowd.attitude[:, i])
+    assert sum(alone.stats.iterations for alone in runs) == crowd.stats.iterations
+    assert sum(alone.stats.evaluations for alone in runs) == crowd.stats.evaluations
+
+
+@pytest.mark.parametrize("method", [co.GaussLegendre(1), co.GaussLegendre(3)], ids=repr)
+def test_members_that_need_newton_or_fail_have_the_bits_that_they_have_alone(method):
+    """Large steps on a noncompact orbit: some settle, some take Newton's method, some have no solution."""
+    system, x0 = systems()["driven"]
+    states, h, steps = some_states(x0), 0.25, 8
+    state, saves, report = run([system], method, states, h, steps)
+    ends = [run([system], method, states[i : i + 1], h, steps) for i in range(MEMBERS)]
+    assert 3 < np.count_nonzero(report.status) < MEMBERS - 3
+    for i, (alone, saved, reported) in enumerate(ends):
+        for name in ("status", "step", "iterations", "evaluations"):
+            assert getattr(report, name)[i] == getattr(reported, name)[0], (i, name)
+        assert np.array_equal(report.residual[i], reported.residual[0], equal_nan=True)
+        assert all(np.array_equal(a[i], b[0], equal_nan=True) for a, b in zip(state, alone, strict=True))
+        assert np.array_equal(saves.worst[i], saved.worst[0])
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        co.GaussLegendre(3),
+        co.ModifiedGaussLegendre(2),
+        co.ModifiedGaussLegendre(2, freeze="gradient"),
+        co.IteratedGaussLegendre(2),
+        co.ExplicitRungeKutta("rk4"),
+    ],
+    ids=repr,
+)
+@pytest.mark.parametrize("h", [0.1, 2.5])
+def test_members_with_constants_of_their_own(method, h):
+    """With the larger step some of them take Newton's method."""
+    inertias = np.random.default_rng(4).uniform(0.5, 2.0, (MEMBERS, 3))
+    bodies = [co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1 / inertia)) for inertia in inertias]
+    representation = "coadjoint" if method.properties(bodies[0]).attitude != "none" else None
+    states = some_states(np.array([1.0, 2.0, 0.5]))
+    state, saves, _ = run(bodies, method, states, h, 10, representation=representation)
+    for i, body in enumerate(bodies):
+        alone, saved, _ = run([body], method, states[i : i + 1], h, 10, representation=representation)
+        assert all(np.array_equal(a[i], b[0], equal_nan=True) for a, b in zip(state, alone, strict=True))
+        # what is watched has the constants of a member as well, from its start on
+        assert np.array_equal(saves.values[1, i], saved.values[1, 0])
+
+
+CUTS = (1, 2, 7, 40)
+
+
+@pytest.mark.parametrize("members", [1, 5])
+@pytest.mark.parametrize(
+    "method", [co.GaussLegendre(2), co.GaussLegendre(8), co.ModifiedGaussLegendre(2, freeze="gradient")], ids=repr
+)
+def test_cut_and_resumed_runs_have_the_same_bits(method, members):
+    """What is kept between calls is all there is: copied, and handed to a loop that knows nothing else."""
+    system, x0 = systems()["top"]
+    states = some_states(x0, members)
+    for how in ({}, {"fractions": (1.3, -1.6, 1.3)}):
+        whole, _, _ = run([system], method, states, 0.1, 60, representation="coadjoint", **how)
+        cut, _, _ = run([system], method, states, 0.1, 60, representation="coadjoint", cuts=CUTS, **how)
+        resumed, _, _ = run(
+            [system],
+            method,
+            states,
+            0.1,
+            60,
+            representation="coadjoint",
+            cuts=CUTS,
+            keep=lambda state: tuple(array.copy() for array in state),
+            **how,
+        )
+        assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(whole, cut, strict=True))
+        assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(whole, resumed, strict=True))
+
+
+def test_the_memory_matters():
+    """The control: a run that forgets its slopes between calls comes to the same states, but with more iterations."""
+    system, x0 = systems()["top"]
+    method, states = co.GaussLegendre(8), x0[None]
+
+    def forgetful(state):
+        return (*state[:4], np.full_like(state[4], np.nan))
+
+    whole, _, one = run([system], method, states, 0.1, 60)
+    other, _, two = run([system], method, states, 0.1, 60, cuts=tuple(range(1, 60)), keep=forgetful)
+    assert np.max(np.abs(whole[0] - other[0])) < 1e-12
+    assert one.iterations[0] < 0.75 * two.iterations[0]
+
+
+def test_a_stepper_that_failed_serves_again():
+    system, x0 = systems()["driven"]
+    step = co.stepper(system, co.GaussLegendre(3), 0.5)
+    before = step(0.1 * x0)
+    with pytest.raises(co.IntegrationError):
+        step(100.0 * x0)
+    assert np.array_equal(step(0.1 * x0), before)
