@@ -37,7 +37,9 @@ _HOME = {
     "ModifiedGaussLegendre": "coadjoint.methods.modified_gauss_legendre",
     "RadauEnergy": "coadjoint.methods.radau_energy",
     "Splitting": "coadjoint.methods.splitting",
+    "Choice": "coadjoint.runs.accuracy",
     "Solution": "coadjoint.runs.solution",
+    "choose": "coadjoint.runs.accuracy",
     "integrate": "coadjoint.runs.integrate",
     "stepper": "coadjoint.runs.stepper",
 }
@@ -64,6 +66,8 @@ if TYPE_CHECKING:
     from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
     from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy
     from coadjoint.methods.splitting import Splitting as Splitting
+    from coadjoint.runs.accuracy import Choice as Choice
+    from coadjoint.runs.accuracy import choose as choose
     from coadjoint.runs.integrate import integrate as integrate
     from coadjoint.runs.solution import Solution as Solution
     from coadjoint.runs.stepper import stepper as stepper

@@ -10,6 +10,7 @@ import numpy as np
 
 from coadjoint.methods.base import Method, System
 from coadjoint.methods.splitting import Splitting
+from coadjoint.runs.accuracy import choose
 from coadjoint.runs.run import Run
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import start_of
@@ -20,9 +21,10 @@ def integrate(
     system: System,
     x0: Any,
     t_span: tuple[float, float],
-    step: float,
+    step: float | None = None,
     method: Method | None = None,
     *,
+    accuracy: float | None = None,
     save_every: int = 1,
     attitude: Any = False,
     watch: bool = True,
@@ -30,7 +32,7 @@ def integrate(
     threads: int | None = None,
     progress: bool = False,
 ) -> Solution:
-    """Integrate a system at a constant step.
+    """Integrate a system at a constant step, given or chosen for a wanted accuracy.
 
     No Python runs between saved points. The same inputs give the same bits, whatever `save_every`, `watch`, `threads`,
     and whether a member runs alone or with others.
@@ -43,10 +45,13 @@ def integrate(
         Initial momentum, or one for each member of an ensemble.
     t_span : (float, float)
         Start and end; backward where the end lies before the start. A whole number of steps.
-    step : float
-        Size of a step, positive; used as given.
+    step : float, optional
+        Size of a step, positive; used as given. Either this or `accuracy`.
     method : Method, optional
-        The scheme; `Splitting()` of order 2 if None.
+        The scheme; None is `Splitting()` of order 2, or with `accuracy` the one that `choose` chooses.
+    accuracy : float, optional
+        Wanted error of the momentum at the end, relative to its largest size on the way; the step (and the scheme) are
+        then chosen by `choose`, the same for the same inputs.
     save_every : int
         Keep every k-th step (the start and the end always); nothing else is held in memory.
     attitude : bool, "coadjoint", or array_like
@@ -83,13 +88,28 @@ def integrate(
     array([ 0.,  5., 10., 15., 20., 25., 30., 35., 40., 45., 50.])
     >>> sol.drift()["energy"] < 1e-14
     True
+
+    Without a step, but with the accuracy that is wanted:
+
+    >>> sol = co.integrate(top, (0.0, 1.0, 0.01), t_span=(0, 50), accuracy=1e-8)
+    >>> exact = top.exact((0.0, 1.0, 0.01), 50.0)
+    >>> bool(np.linalg.norm(sol.x[-1] - exact) < 1e-8)
+    True
     """
-    scheme = Splitting() if method is None else method
-    if not isinstance(scheme, Method):
+    if method is not None and not isinstance(method, Method):
         raise TypeError(f"method is {method!r}; it must be a scheme such as Splitting(order=2)")
+    if (step is None) == (accuracy is None):
+        given = "neither" if step is None else "both"
+        raise TypeError(
+            f"integrate was given {given} of step and accuracy; give step=, or accuracy= to have the step chosen"
+        )
+    scheme, size = method or Splitting(), step
+    if accuracy is not None:
+        choice = choose(system, x0, t_span, accuracy, attitude=attitude, methods=method)
+        scheme, size = choice.method, choice.step
     if not isinstance(watch, bool | np.bool_):
         raise TypeError(f"watch is {watch!r}; it must be True or False")
-    times = times_of(t_span, step, save_every)
+    times = times_of(t_span, size, save_every)
     start = start_of(system, scheme, x0, attitude)
     workers = _workers(threads, len(start.momenta))
     run = Run(system, scheme, times, start, bool(watch), observe or {})

@@ -31,14 +31,22 @@ class Run:
     """Arrays of one run and the compiled loop that fills them."""
 
     def __init__(
-        self, system: System, method: Method, times: Times, start: Start, watch: bool, observe: Mapping[str, Any]
+        self,
+        system: System,
+        method: Method,
+        times: Times,
+        start: Start,
+        watch: bool,
+        observe: Mapping[str, Any],
+        casimirs: Mapping[str, Any] | None = None,
     ) -> None:
         from coadjoint.kernels.tables import watch_tables
 
         self.system, self.method, self.watching = system, method, watch
-        self.names = ["energy", *system.casimirs]
+        followed = system.casimirs if casimirs is None else casimirs
+        self.names = ["energy", *followed]
         self.prepared = prepare(system, method, times.h, start.representation)
-        self.watch = watch_tables(system, system.casimirs)
+        self.watch = watch_tables(system, followed)
         self.observed = _observables(system, observe, start.momenta[0]) if observe else None
         self.restart(times, start)
 
