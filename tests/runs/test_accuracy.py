@@ -194,9 +194,7 @@ def test_rounding_is_told_from_the_model_within_a_factor():
         )
         found = np.linalg.norm(plain - kept, axis=1) / np.linalg.norm(states, axis=1)
         rows = build_program(BODY, co.Splitting(order=4)).rows.section
-        expected = roundoff(
-            pilot := Pilot(BODY, states, 0.0, span), round(span / step), int(rows[2] - rows[1]), False, 1.0
-        )
-        assert pilot.windows == 1.0
+        pilot = Pilot(BODY, states, 0.0, span)
+        expected = roundoff(pilot, round(span / step), int(rows[2] - rows[1]), False, pilot.windows)
         # Not below what is there, and above the root mean square by no more than it takes to be on the safe side.
         assert np.max(found) <= expected <= 50 * math.sqrt(np.mean(found**2))

@@ -132,7 +132,7 @@ def written_out() -> dict[str, Written]:
 
 
 STAGES = 9
-ENOUGH = 1e-14
+ENOUGH = 1e-16
 DIGITS = 30
 # Extended precision where the machine has it, a hundred times faster; its rounding, 5e-20 a hundredfold in each of some
 # hundred steps, stays far below what is enough.

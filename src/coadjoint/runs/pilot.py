@@ -28,7 +28,7 @@ FEW = 12
 # A step of the reference is right when two of half its size agree with it so far.
 SETTLED = 2.0**-40
 # Steps of the reference in a window, in dimension 16 or less; in proportion fewer above, but at least POINTS / 5.
-WINDOW_STEPS = 480
+WINDOW_STEPS = 240
 # A change of the start, relative to the size of the motion, whose growth is followed.
 NUDGE = 2.0**-30
 LOST = 0.1
@@ -80,6 +80,10 @@ class Pilot:
         # At rest everything is zero, and any size will do.
         found = np.max(np.linalg.norm(self.reference, axis=2), axis=0)
         self.size = np.where(found > 0.0, found, 1.0)
+        # One change may be small by chance: another number of steps shows rounding once more.
+        again = self.run(REFERENCE, self.reference_steps + self.points)
+        if not np.any(again.report.status):
+            change = np.maximum(change, np.max(np.linalg.norm(again.saves.x - self.reference, axis=2), axis=0))
         self.noise = float(np.max(change / self.size))
         self.sensitivity = self._sensitivity()
         self.speed = self._speed()

@@ -9,11 +9,11 @@ from coadjoint.runs.pilot import UNIT_ROUNDOFF, Pilot
 # In units of u. Each flow rounds the momentum without bias by so much, as Casimirs of so(3) and e(3) show after 10^7
 # steps; Gauss methods, which keep quadratic invariants and round their slopes alone, by less.
 FLOW_WALK = 0.5
-GAUSS_WALK = 0.05
+GAUSS_WALK = 0.1
 # The most that flows were seen to round to one side: Casimirs of so(3) with a full M.
 FLOW_BIAS = 7e-4
-# The last refinement of the reference shows its own rounding, once. No scheme was seen to have more than so many times
-# that where it exceeds the model, which is where the motion is chaotic.
+# The last refinements of the reference show its own rounding, a few times. No scheme was seen to have more than so many
+# times that where it exceeds the model, which is where the motion is chaotic.
 NOISE = 4.0
 # The coefficients of a composition are rounded, each on its own: a clock that is wrong by the root of their number.
 COEFFICIENTS = 3.0
