@@ -40,6 +40,8 @@ _HOME = {
     "PreparedRun": "coadjoint.runs.prepared_run",
     "Solution": "coadjoint.runs.solution",
     "batch": "coadjoint.systems.batch",
+    "Choice": "coadjoint.runs.accuracy",
+    "choose": "coadjoint.runs.accuracy",
     "integrate": "coadjoint.runs.integrate",
     "prepare": "coadjoint.runs.prepared_run",
     "stepper": "coadjoint.runs.stepper",
@@ -67,6 +69,8 @@ if TYPE_CHECKING:
     from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
     from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy
     from coadjoint.methods.splitting import Splitting as Splitting
+    from coadjoint.runs.accuracy import Choice as Choice
+    from coadjoint.runs.accuracy import choose as choose
     from coadjoint.runs.integrate import integrate as integrate
     from coadjoint.runs.prepared_run import PreparedRun as PreparedRun
     from coadjoint.runs.prepared_run import prepare as prepare

@@ -54,7 +54,9 @@ def test_picking_from_a_stack_gives_the_tables_of_the_member(method, group):
             assert other.flags.c_contiguous and other.flags.writeable
             if varies(one, stack):
                 assert stack.shape == (*one.shape, BLOCK) and stack.flags.c_contiguous
-                assert np.array_equal(stack[:, len(tables) :], np.repeat(stack[:, [len(tables) - 1]], BLOCK - 3, axis=1))
+                assert np.array_equal(
+                    stack[:, len(tables) :], np.repeat(stack[:, [len(tables) - 1]], BLOCK - 3, axis=1)
+                )
                 differing += not np.array_equal(one, stack[..., 0])
     assert differing > 0
 

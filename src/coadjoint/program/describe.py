@@ -115,15 +115,23 @@ def describe(system: LiePoissonSystem, method: FlowMethod) -> Description:
 
 def _part(system: LiePoissonSystem, program: Program, number: int, part: Part) -> PartDescription:
     blocks: Counter[str] = Counter()
-    multiplications, functions = _share_work(program, number)
     action = program.state
     for run in range(action.run[number], action.run[number + 1]):
-        kind = Kind(int(action.kind[run]))
-        angles, repeat = int(action.angles[run]), int(action.repeat[run])
-        blocks[kind.name] += angles * repeat
-        multiplications += angles * repeat * _block_work(action, run, kind)
-        functions += 0 if kind in (Kind.SHEAR, Kind.SERIES) else angles
+        blocks[Kind(int(action.kind[run])).name] += int(action.angles[run]) * int(action.repeat[run])
+    acting, shares = action_work(action, number), share_work(program, number)
+    multiplications, functions = acting[0] + shares[0], acting[1] + shares[1]
     return PartDescription(tuple(_name(system, form) for form in part.forms), dict(blocks), multiplications, functions)
+
+
+def action_work(action: Action, number: int) -> tuple[int, int]:
+    """Return the multiplications, and the sines and the like, of the action of one part on one vector."""
+    multiplications, functions = 0, 0
+    for run in range(action.run[number], action.run[number + 1]):
+        kind = Kind(int(action.kind[run]))
+        angles = int(action.angles[run])
+        multiplications += angles * int(action.repeat[run]) * _block_work(action, run, kind)
+        functions += 0 if kind in (Kind.SHEAR, Kind.SERIES) else angles
+    return multiplications, functions
 
 
 def _block_work(action: Action, run: int, kind: Kind) -> int:
@@ -132,7 +140,8 @@ def _block_work(action: Action, run: int, kind: Kind) -> int:
     return int(action.entries[run]) * (2 if kind == Kind.CUBIC else int(action.degree[run]))
 
 
-def _share_work(program: Program, number: int) -> tuple[int, int]:
+def share_work(program: Program, number: int) -> tuple[int, int]:
+    """Return the multiplications, and the calls of functions, that the angles of one part take."""
     terms, multiplications, functions = program.terms, 0, 0
     for term in range(program.share[number], program.share[number + 1]):
         rows = range(terms.row[term], terms.row[term + 1])

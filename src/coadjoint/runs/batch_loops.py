@@ -76,6 +76,7 @@ class BatchLoops:
         self._keep = ([found.keep for found in prepared], [watch.keep for watch in watches])
         self._first = np.cumsum([0] + [len(group.members) for group in self.groups])
         self._record_start = record_start
+        self.names = ["energy", *names]
         self.memory = max(found.memory for found in prepared)
 
     def work(self, crew: Crew) -> Work:

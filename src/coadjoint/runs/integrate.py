@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from coadjoint.methods.base import Method, System
+from coadjoint.runs.accuracy import choose
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.batch import Batch
@@ -15,9 +16,10 @@ def integrate(
     system: System | Batch,
     x0: Any,
     t_span: tuple[float, float],
-    step: float,
+    step: float | None = None,
     method: Method | None = None,
     *,
+    accuracy: float | None = None,
     save_every: int = 1,
     attitude: Any = False,
     watch: bool = True,
@@ -25,7 +27,9 @@ def integrate(
     threads: int | None = None,
     progress: bool = False,
 ) -> Solution:
-    """Integrate a system at a constant step; `prepare` sets it up once for many calls.
+    """Integrate a system at a constant step, given or chosen for a wanted accuracy.
+
+    `prepare` sets a run up once for many calls.
 
     No Python runs between saved points. The same inputs give the same bits, whatever `save_every`, `watch`, `threads`,
     and whether a member runs alone or with others.
@@ -38,10 +42,13 @@ def integrate(
         Initial momentum, or one for each member of an ensemble; (n,) is shared by all members of a batch.
     t_span : (float, float)
         Start and end; backward where the end lies before the start. A whole number of steps.
-    step : float
-        Size of a step, positive; used as given.
+    step : float, optional
+        Size of a step, positive; used as given. Either this or `accuracy`.
     method : Method, optional
-        The scheme; `Splitting()` of order 2 if None.
+        The scheme; None is `Splitting()` of order 2, or with `accuracy` the one that `choose` chooses.
+    accuracy : float, optional
+        Wanted error of the momentum at the end, relative to its largest size on the way; the step (and the scheme) are
+        then chosen by `choose`, the same for the same inputs.
     save_every : int
         Keep every k-th step (the start and the end always); nothing else is held in memory.
     attitude : bool, "coadjoint", or array_like
@@ -78,6 +85,27 @@ def integrate(
     array([ 0.,  5., 10., 15., 20., 25., 30., 35., 40., 45., 50.])
     >>> sol.drift()["energy"] < 1e-14
     True
+
+    Without a step, but with the accuracy that is wanted:
+
+    >>> sol = co.integrate(top, (0.0, 1.0, 0.01), t_span=(0, 50), accuracy=1e-8)
+    >>> import numpy as np
+    >>> exact = top.exact((0.0, 1.0, 0.01), 50.0)
+    >>> bool(np.linalg.norm(sol.x[-1] - exact) < 1e-8)
+    True
     """
+    if method is not None and not isinstance(method, Method):
+        raise TypeError(f"method is {method!r}; it must be a scheme such as Splitting(order=2)")
+    if (step is None) == (accuracy is None):
+        given = "neither" if step is None else "both"
+        raise TypeError(
+            f"integrate was given {given} of step and accuracy; give step=, or accuracy= to have the step chosen"
+        )
+    if accuracy is not None:
+        if isinstance(system, Batch):
+            raise TypeError("accuracy chooses the step for one system, and this is a batch; choose for a member")
+        choice = choose(system, x0, t_span, accuracy, attitude=attitude, methods=method)
+        method, step = choice.method, choice.step
+    assert step is not None
     ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads)
     return ready.run(x0, t_span, save_every, progress=progress)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
 
@@ -39,6 +39,10 @@ class Loops(Protocol):
         """In which order a run holds the members, where that is not the order in which they were given."""
 
     @property
+    def names(self) -> list[str]:
+        """The invariants that are followed, the energy first."""
+
+    @property
     def memory(self) -> int:
         """How many numbers a member remembers from step to step."""
 
@@ -71,16 +75,27 @@ class SystemLoops:
         Step, negative for backward.
     representation : ndarray of shape (n, d, d), "coadjoint", or None
         What the group element is carried in.
+    casimirs : mapping, optional
+        The invariants that are followed beside the energy; None is all Casimirs of the system.
     """
 
     order: NDArray[np.int64] | None = None
 
-    def __init__(self, system: System, method: Method, h: float, representation: Representation) -> None:
+    def __init__(
+        self,
+        system: System,
+        method: Method,
+        h: float,
+        representation: Representation,
+        casimirs: Mapping[str, Any] | None = None,
+    ) -> None:
         from coadjoint.kernels.library import pointed
         from coadjoint.kernels.tables import watch_tables
         from coadjoint.kernels.watching import record_start
 
-        prepared, watch = loop_of(system, method, h, representation), watch_tables(system, system.casimirs)
+        followed = system.casimirs if casimirs is None else casimirs
+        prepared, watch = loop_of(system, method, h, representation), watch_tables(system, followed)
+        self.names = ["energy", *followed]
         self._system, self._shift = system, prepared.shift
         self._keep = (prepared.keep, watch.keep)
         self._record_start = record_start

@@ -34,7 +34,7 @@ class Run:
 
         self.system, self.method, self.loops = system, method, loops
         self.times, self.start, self.watching = times, start, watching
-        self.names = ["energy", *(system[0] if isinstance(system, Batch) else system).casimirs]
+        self.names = loops.names
         self.saved = times.saved
         members, size = start.momenta.shape
         square = start.groups.shape[1] ** 2

@@ -61,7 +61,7 @@ def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
     >>> times_of((0.0, 1.0), 0.25, 1).steps
     4
     """
-    ends = [_finite(end, "t_span") for end in _pair(t_span)]
+    ends = span_of(t_span)
     size = checked_step(step)
     if not is_positive_whole(save_every):
         raise ValueError(f"save_every is {save_every!r}; it must be a positive whole number of steps")
@@ -79,7 +79,7 @@ def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
         )
     if steps and math.ulp(max(map(abs, ends))) > size / 4:
         raise ValueError(
-            f"step {size!r} is too small beside the times {ends}: neighbouring ones would be the same number; "
+            f"step {size!r} is too small beside the times {list(ends)}: neighbouring ones would be the same number; "
             "shift t_span towards zero"
         )
     return Times(ends[0], math.copysign(size, span), steps, min(int(save_every), max(1, steps)))
@@ -91,6 +91,18 @@ def checked_step(step: Any) -> float:
     if size <= 0.0:
         raise ValueError(f"step is {size!r}; it must be positive (the direction comes from t_span)")
     return size
+
+
+def span_of(t_span: Any) -> tuple[float, float]:
+    """Return the start and the end of a run, checked.
+
+    Examples
+    --------
+    >>> span_of([0, 2])
+    (0.0, 2.0)
+    """
+    first, last = _pair(t_span)
+    return _finite(first, "t_span"), _finite(last, "t_span")
 
 
 def is_positive_whole(value: Any) -> bool:

@@ -1,0 +1,96 @@
+"""Which schemes can serve a system, and what does a step of each cost?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from coadjoint.methods.base import FlowMethod, Method, System
+from coadjoint.methods.composition import Composition
+from coadjoint.methods.splitting import Splitting
+from coadjoint.program.table import Program, build_program
+from coadjoint.runs.pilot import Trial
+from coadjoint.runs.start import start_of
+from coadjoint.runs.work import step_work
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A scheme that serves a system, with its table if it is made of flows."""
+
+    system: System
+    method: Method
+    program: Program | None
+    group: Any
+    free: bool
+
+    @property
+    def summed_exactly(self) -> bool:
+        """Whether the momentum is summed with compensation: always, but in splittings."""
+        return not isinstance(self.method, FlowMethod) or self.program is None or bool(self.method.compensated)
+
+    @property
+    def flows(self) -> int:
+        """Flows of a step; none in other schemes."""
+        return 0 if self.program is None else int(self.program.rows.section[2] - self.program.rows.section[1])
+
+    def cost(self, trial: Trial) -> float:
+        """Return the cost of one step, in rotations."""
+        return step_work(self.system, self.method, self.program, trial.iterations, trial.evaluations, self.group)
+
+    def compensated(self) -> Candidate | None:
+        """Return the same splitting summed with compensation; None where that was not left open."""
+        if not self.free or not isinstance(self.method, Splitting) or self.method.compensated is not None:
+            return None
+        return replace(self, method=replace(self.method, compensated=True))
+
+
+def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, strict: bool) -> list[Candidate]:
+    """Return the schemes that serve a system and carry what is asked for.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        What moves.
+    schemes : sequence of Method
+        To be looked at, in order.
+    x0, attitude
+        As for `integrate`.
+    strict : bool
+        Whether a scheme that does not serve is refused, rather than left out.
+
+    Returns
+    -------
+    list of Candidate
+        At least one.
+
+    Raises
+    ------
+    ValueError, TypeError
+        What a scheme said, if it is refused, or if none is left.
+    """
+    found: list[Candidate] = []
+    refusal: Exception | None = None
+    for method in schemes:
+        try:
+            found.append(_candidate(system, method, x0, attitude, free=not strict or len(schemes) > 1))
+        except (ValueError, TypeError) as error:
+            if strict:
+                raise
+            refusal = refusal or error
+    if not found and refusal is not None:
+        raise refusal
+    return found
+
+
+def _candidate(system: System, method: Method, x0: Any, attitude: Any, free: bool) -> Candidate:
+    group = start_of(system, method, x0, attitude).representation
+    method.properties(system)
+    innermost = method.innermost if isinstance(method, Composition) else method
+    program = None
+    if isinstance(method, FlowMethod) and isinstance(innermost, FlowMethod):
+        assert isinstance(system, LiePoissonSystem)
+        program = build_program(system, method, group=group)
+    return Candidate(system, method, program, group, free)
