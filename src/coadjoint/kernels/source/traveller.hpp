@@ -72,12 +72,5 @@ struct SingleOf final : Single {
     void write_slopes(double* to) override { own.write_slopes(false, to, 0); }
 };
 
-// Stages as lanes where a step has many at once; explicit schemes and the midpoint rule have one at a time.
-template <class C>
-std::unique_ptr<Single> make_single(const RungeKuttaTables& tables, const C& constants) {
-    if (tables.solver == EXPLICIT || tables.stages == 1)
-        return std::make_unique<SingleOf<MemberLanes<double>, C>>(tables, constants);
-    if (tables.stages <= 4) return std::make_unique<SingleOf<StageLanes<4>, C>>(tables, constants);
-    if (tables.stages <= 8) return std::make_unique<SingleOf<StageLanes<8>, C>>(tables, constants);
-    return std::make_unique<SingleOf<StageLanes<16>, C>>(tables, constants);
-}
+// Stages are lanes where a step has many at once; explicit schemes and the midpoint rule have one at a time.
+INLINE bool one_at_a_time(const RungeKuttaTables& tables) { return tables.solver == EXPLICIT || tables.stages == 1; }
