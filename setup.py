@@ -16,6 +16,7 @@ FLAGS = [
     "-O3",
     "-ffp-contract=off",
     "-fno-math-errno",
+    "-g0",
     "-fvisibility=hidden",
     "-Wno-psabi",
     "-Wno-ignored-attributes",

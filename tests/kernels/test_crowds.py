@@ -44,6 +44,16 @@ def test_members_have_the_bits_that_they_have_alone(name, method):
     assert sum(alone.stats.evaluations for alone in runs) == crowd.stats.evaluations
 
 
+@pytest.mark.parametrize("stages", [2, 3, 4, 5, 7, 8, 9, 12, 16, 17, 33])
+@pytest.mark.parametrize("name", ["top", "quartic", "driven"])
+def test_stages_as_lanes_are_the_plain_reading(name, stages):
+    """Blocks of 4, 8 and 16 lanes, full and not: both round n products in each of the s stages, times h |f'| < 1."""
+    system, x = systems()[name]
+    method = co.GaussLegendre(stages)
+    found, expected = co.stepper(system, method, 0.125)(x, 0.75), method.step(system, x, 0.75, 0.125)
+    assert np.max(np.abs(found - expected)) <= 8 * len(x) * 2.0**-53 * np.max(np.abs(x))
+
+
 @pytest.mark.parametrize("method", [co.GaussLegendre(1), co.GaussLegendre(3)], ids=repr)
 def test_members_that_need_newton_or_fail_have_the_bits_that_they_have_alone(method):
     """Large steps on a noncompact orbit: some settle, some take Newton's method, some have no solution."""

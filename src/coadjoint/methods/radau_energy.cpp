@@ -29,7 +29,7 @@ struct RadauEnergy final : StepScheme {
         std::fill(multipliers.begin(), multipliers.end(), 0.0);
         const double wanted = energy(field, tables.values, constants, x, t, room);
         double orientation = 0.0;
-        bool crossed = false, singular = false, begun = false;
+        bool crossed = false, undefined = false, begun = false;
         const Outcome<double> outcome = settle(
             y, true,
             [&] {
@@ -51,10 +51,13 @@ struct RadauEnergy final : StepScheme {
                 }
                 begun = true;
                 for (int64_t i = 0; i < s; ++i) {
-                    mix_each<Layout>(mu + i * s, s, y.slopes.at, n, dx, [&](int64_t c, double sum) { u[c] = x[c] + sum; });
+                    mix_each<Layout>(mu + i * s, s, y.slopes.at, n, dx,
+                                     [&](int64_t c, double sum) { u[c] = x[c] + sum; });
                     excess[i] = wanted - energy(field, tables.values, constants, u.data(), t, room);
                 }
-                singular = !factorize(matrix.data(), s, pivots.data());
+                // Where the iteration has overflowed before, it is not the multiplier that is undefined.
+                const bool sound = finite(s * s, matrix.data());
+                undefined |= !factorize(matrix.data(), s, pivots.data()) && sound;
                 substitute(matrix.data(), s, pivots.data(), excess.data(), 1);
                 for (int64_t j = 0; j < s; ++j) {
                     multipliers[j] += excess[j];
@@ -66,7 +69,7 @@ struct RadauEnergy final : StepScheme {
         iterations = int64_t(outcome.iterations);
         evaluations = s * iterations;
         residual = outcome.residual;
-        if (singular || (outcome.settled && crossed)) {
+        if (undefined || (outcome.settled && crossed)) {
             residual = std::numeric_limits<double>::quiet_NaN();
             return UNDEFINED;
         }

@@ -100,7 +100,7 @@ struct Together {
     const RungeKuttaLoop& loop;
     const C constants;
     const int64_t *members, count;
-    Traveller<MemberLanes<A>, C> crowd;
+    Traveller<MemberLanes<A>, Stages<MemberLanes<A>, C>> crowd;
     std::unique_ptr<Single> single[lanes];
     int64_t going[lanes] = {}, left = 0;
     double newton[lanes] = {};

@@ -6,17 +6,17 @@
 #include "stages.hpp"
 
 constexpr int64_t FIRST_TEST = 3;     // early corrections may rise before they fall
-constexpr int64_t MOST = 200;
+constexpr int64_t MOST = 192;
 constexpr double GROWTH = 0x1p64;     // of the first correction: a correction so much larger will not come back
-constexpr double NOISE = 0x1p-32;     // of the size of a stage: only below it is a correction taken for round-off
+constexpr double NOISE = 0x1p-32;     // of the size of the stages: only below it may a correction be round-off
 constexpr int64_t LOOK = 16;          // every so many iterations: is it slow?
-constexpr double SLOW = 0x1p-6;       // corrections that fell by less since the last look would take more than MOST
+constexpr double SLOW = 0x1p-6;       // a fall by less since the last look would take more than MOST iterations
 
 // For how many iterations nothing may have fallen: few can be chance, since corrections turn while they shrink where the
 // iteration has complex eigenvalues, and the more slowly they shrink the longer that lasts.
 INLINE double quiet_enough(int64_t passed) { return double(passed < 12 ? 2 : passed / 4); }
 
-// Stages that solve points = base + (error + sum_j mix_ij slopes_j), `size` components each, and room for the iteration.
+// Stages that solve points = base + (error + sum_j mix_ij slopes_j), `size` components each, and room for iterating.
 template <class Layout>
 struct Unknowns {
     typedef typename Layout::A A;
@@ -158,7 +158,8 @@ INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep
             failed = going & !ended & !(first - first == V(0.0));
         } else if (__builtin_expect(passed % LOOK == 0, 0)) {
             const V now = y.largest_move();
-            failed = going & !ended & (!(now <= V(GROWTH) * first) | (!small & !(now <= V(SLOW) * looked)));
+            const auto bounded = now <= V(GROWTH) * first, fast = now <= V(SLOW) * looked;
+            failed = going & !ended & !(bounded & (small | fast));
             looked = now;
             if (passed >= MOST) failed = going & !ended;
         }
@@ -167,7 +168,8 @@ INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep
         outcome.settled = outcome.settled | ended;
         outcome.iterations = select(over, V(double(passed)), outcome.iterations);
         const V move = y.largest_move(), infinite(std::numeric_limits<double>::infinity());
-        outcome.residual = select(over, passed == 1 ? move : select(move - move == V(0.0), move, infinite), outcome.residual);
+        const V last_move = passed == 1 ? move : select(move - move == V(0.0), move, infinite);
+        outcome.residual = select(over, last_move, outcome.residual);
         if constexpr (alone) {
             return outcome;
         } else {

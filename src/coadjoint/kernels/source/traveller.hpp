@@ -1,19 +1,20 @@
 // A state, or a crowd of them, with the stages of its steps.
 #pragma once
 
-#include "runge_kutta.hpp"
 #include "single.hpp"
+#include "single_stages.hpp"
 
-template <class Layout, class C>
+template <class Layout, class AllStages>
 struct Traveller {
     typedef typename Layout::A A;
     typedef typename Layout::V V;
     const RungeKuttaTables& tables;
     const int64_t n, square, s;
-    Stages<Layout, C> stages;
+    AllStages stages;
     Room<V> momentum, element;
     V *x, *dx, *g, *dg;
 
+    template <class C>
     Traveller(const RungeKuttaTables& tables, const C& constants)
         : tables(tables), n(tables.field.size), square(tables.group.size * tables.group.size), s(tables.stages),
           stages(tables, constants), momentum(2 * n), element(2 * square), x(momentum.at), dx(x + n), g(element.at),
@@ -53,7 +54,7 @@ struct Traveller {
 
 template <class Layout, class C>
 struct SingleOf final : Single {
-    Traveller<Layout, C> own;
+    Traveller<Layout, SingleStages<Layout, C>> own;
 
     SingleOf(const RungeKuttaTables& tables, const C& constants) : own(tables, constants) {
         x = own.x, dx = own.dx, g = own.g, dg = own.dg;
@@ -71,12 +72,5 @@ struct SingleOf final : Single {
     void write_slopes(double* to) override { own.write_slopes(false, to, 0); }
 };
 
-// Stages as lanes where a step has many at once; explicit schemes and the midpoint rule have one at a time.
-template <class C>
-std::unique_ptr<Single> make_single(const RungeKuttaTables& tables, const C& constants) {
-    if (tables.solver == EXPLICIT || tables.stages == 1)
-        return std::make_unique<SingleOf<MemberLanes<double>, C>>(tables, constants);
-    if (tables.stages <= 4) return std::make_unique<SingleOf<StageLanes<4>, C>>(tables, constants);
-    if (tables.stages <= 8) return std::make_unique<SingleOf<StageLanes<8>, C>>(tables, constants);
-    return std::make_unique<SingleOf<StageLanes<16>, C>>(tables, constants);
-}
+// Stages are lanes where a step has many at once; explicit schemes and the midpoint rule have one at a time.
+INLINE bool one_at_a_time(const RungeKuttaTables& tables) { return tables.solver == EXPLICIT || tables.stages == 1; }
