@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.invariant import Invariant
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,8 @@ def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
     Returns
     -------
     dict
-        Name -> `RandomWalk`, relative to the sum of the absolute terms of the invariant (of its value, where it is not
-        a polynomial).
+        Name -> `RandomWalk`, relative to abs(gradient) abs(x) at the start: what a relative change of x could do; of an
+        invariant given as a function to its largest value.
 
     Raises
     ------
@@ -112,11 +112,9 @@ def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
         raise ValueError("round-off is judged over an ensemble, and the solution has one trajectory; give x0 members")
     found = {}
     for name, values in {"energy": solution.energy, **solution.casimirs}.items():
-        invariant = solution.system.casimirs.get(name)
         size = np.max(np.abs(values), axis=0)
-        if isinstance(invariant, Polynomial):
-            sizes: dict[tuple[int, ...], Any] = {e: abs(c) for e, c in invariant.monomials.items()}
-            terms = Polynomial(sizes)
-            size = np.array([float(terms(np.abs(x))) for x in solution.x[0]])
+        invariant = solution.system.hamiltonian if name == "energy" else solution.system.casimirs[name]
+        if not isinstance(invariant, Invariant):
+            size = np.array([np.linalg.norm(invariant.gradient(x)) * np.linalg.norm(x) for x in solution.x[0]])
         found[name] = random_walk((values - values[0]) / size, early)
     return found

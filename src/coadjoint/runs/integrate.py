@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from coadjoint.methods.base import Method, System
-from coadjoint.runs.accuracy import choose
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.batch import Batch
@@ -104,6 +103,8 @@ def integrate(
     if accuracy is not None:
         if isinstance(system, Batch):
             raise TypeError("accuracy chooses the step for one system, and this is a batch; choose for a member")
+        from coadjoint.runs.accuracy import choose
+
         choice = choose(system, x0, t_span, accuracy, attitude=attitude, methods=method)
         method, step = choice.method, choice.step
     assert step is not None
