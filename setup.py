@@ -13,7 +13,6 @@ KERNELS = "src/coadjoint/kernels/source"
 # No contraction and no fast-math: the bits of a run must not depend on the compiler's choices.
 FLAGS = [
     "-std=c++17",
-    "-O3",
     "-ffp-contract=off",
     "-fno-math-errno",
     "-g0",
@@ -21,15 +20,20 @@ FLAGS = [
     "-Wno-psabi",
     "-Wno-ignored-attributes",
 ]
-# For x86-64 a library for each level, by the end of its name.
-LEVELS = {"v1": "x86-64", "v3": "x86-64-v3", "v4": "x86-64-v4"}
+# For x86-64 a library for each level, by the end of its name. Without fused products in hardware each is a call, and
+# more than -O1 makes the library longer to build and hardly faster.
+LEVELS = {
+    "v1": ["-O1", "-march=x86-64"],
+    "v3": ["-O3", "-march=x86-64-v3", "-mprefer-vector-width=512"],
+    "v4": ["-O3", "-march=x86-64-v4", "-mprefer-vector-width=512"],
+}
 
 
 def kernels(level: str | None) -> Extension:
     """Return the library of kernels for one of the levels; None for what the compiler makes by default."""
     name = "_kernels" if level is None else f"_kernels_{level}"
     sources = [*glob(f"{KERNELS}/*.cpp"), *glob("src/coadjoint/methods/*.cpp")]
-    tuning = [] if level is None else [f"-march={LEVELS[level]}", "-mprefer-vector-width=512", "-mtune=generic"]
+    tuning = ["-O3"] if level is None else [*LEVELS[level], "-mtune=generic"]
     return Extension(
         f"coadjoint.kernels.{name}",
         sorted(source for source in sources if not source.endswith("processor.cpp")),

@@ -153,6 +153,10 @@ struct Lanes {
         if constexpr (width == 4) return (Vector)_mm256_fmadd_pd((__m256d)a, (__m256d)b, (__m256d)c);
         if constexpr (width == 2) return (Vector)_mm_fmadd_pd((__m128d)a, (__m128d)b, (__m128d)c);
 #endif
+        return fused_by_lane(a, b, c);
+    }
+    // Without the instruction each lane is a call: not many times in every loop.
+    NOINLINE static Vector fused_by_lane(Vector a, Vector b, Vector c) {
         Vector d{};
         for (int lane = 0; lane < width; ++lane) d[lane] = __builtin_fma(a[lane], b[lane], c[lane]);
         return d;
