@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import importlib.machinery
+import os
 import platform
 from pathlib import Path
 from typing import Any
@@ -21,39 +22,54 @@ ARRAYS: dict[str, Any] = {
 }
 
 
-def _path(name: str) -> Path | None:
-    folder = Path(__file__).parent
-    for suffix in importlib.machinery.EXTENSION_SUFFIXES:
-        if (folder / f"{name}{suffix}").exists():
-            return folder / f"{name}{suffix}"
-    return None
+# Levels of the x86-64 instructions that the kernels are built for: AVX-512, AVX2, and what every processor has.
+LEVELS = (4, 3, 1)
+FOLDER = Path(__file__).parent
 
 
 def _load(name: str) -> ctypes.CDLL:
-    found = _path(name)
-    if found is None:
+    found = [path for suffix in importlib.machinery.EXTENSION_SUFFIXES if (path := FOLDER / f"{name}{suffix}").exists()]
+    if not found:
         raise ImportError(
-            f"the compiled kernels ({name}) are missing from {Path(__file__).parent}: install the package "
+            f"the compiled kernels ({name}) are missing from {FOLDER}: install the package "
             "with a C++ compiler at hand, for instance by `pip install --force-reinstall coadjoint`"
         )
-    return ctypes.CDLL(str(found))
+    try:
+        return ctypes.CDLL(str(found[0]))
+    except OSError as error:
+        raise ImportError(
+            f"the compiled kernels {found[0]} cannot be loaded ({error}): build them again on this machine, for "
+            "instance by `pip install --force-reinstall --no-binary coadjoint coadjoint`"
+        ) from error
+
+
+def processor_level() -> int | None:
+    """Return the highest of `LEVELS` that this processor has, or None where it is no x86-64."""
+    if platform.machine().lower() not in ("x86_64", "amd64"):
+        return None
+    return int(_load("_processor").processor_level())
 
 
 @functools.cache
 def kernels() -> ctypes.CDLL:
-    """Return the library of kernels for this processor.
+    """Return the library of kernels for this processor, on x86-64 the one of the highest level that it has.
+
+    All levels give the same bits; the environment variable ``COADJOINT_LEVEL`` (v1, v3 or v4), read when the library is
+    first used, asks for a lower one, so that they can be compared.
 
     Raises
     ------
     ImportError
-        It was not built, or the processor has no vector instructions that it was built for.
+        It was not built or cannot be loaded, or ``COADJOINT_LEVEL`` is none that the processor has.
     """
-    if platform.machine().lower() not in ("x86_64", "amd64"):
+    highest = processor_level()
+    if highest is None:
         return _load("_kernels")
-    level = _load("_processor").processor_level()
-    if level == 0:
-        raise ImportError("this processor has no AVX2 with fused multiply-add, which the kernels are built for")
-    return _load(f"_kernels_v{level}")
+    level = os.environ.get("COADJOINT_LEVEL", f"v{highest}")
+    usable = [f"v{known}" for known in LEVELS if known <= highest]
+    if level not in usable:
+        raise ImportError(f"COADJOINT_LEVEL is {level!r}, but this processor can use {', '.join(usable)}")
+    return _load(f"_kernels_{level}")
 
 
 @functools.cache
@@ -89,21 +105,26 @@ def pointed(table: Any) -> Any:
     ------
     TypeError
         An array has another type or layout.
+    ImportError
+        The library has no such table.
     """
     if isinstance(table, ctypes.Structure):
         return table
-    kind = structures()[type(table).__name__]
+    name = type(table).__name__
+    kind = structures().get(name)
+    if kind is None:
+        raise ImportError(f"the compiled kernels have no table {name}: they are of another version, build them again")
     filled = kind()
-    for name, token in zip((name for name, _ in kind._fields_), kind.kinds, strict=True):
-        value = getattr(table, name)
+    for field, token in zip((field for field, _ in kind._fields_), kind.kinds, strict=True):
+        value = getattr(table, field)
         if token in SCALARS:
-            setattr(filled, name, value)
+            setattr(filled, field, value)
         elif token in ARRAYS:
             if value.dtype != ARRAYS[token] or not value.flags.c_contiguous:
-                raise TypeError(f"{type(table).__name__}.{name} is {value.dtype}, not a contiguous {ARRAYS[token]}")
-            setattr(filled, name, value.ctypes.data)
+                raise TypeError(f"{name}.{field} is {value.dtype}, not a contiguous {ARRAYS[token]}")
+            setattr(filled, field, value.ctypes.data)
         else:
-            setattr(filled, name, pointed(value))
+            setattr(filled, field, pointed(value))
     filled.source = table
     return filled
 

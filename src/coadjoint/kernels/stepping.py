@@ -38,7 +38,7 @@ class Stepping(NamedTuple):
 
 
 def step_address(name: str) -> int:
-    """Return the address of the step that a scheme brings, by the name that its C++ file gives it (`COADJOINT_STEP`).
+    """Return the address of the step that a scheme brings, by the name that its C++ file gives it (`STEP_SCHEME`).
 
     Raises
     ------

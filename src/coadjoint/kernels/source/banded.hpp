@@ -1,7 +1,9 @@
 // Large linear systems with a narrow band: LU factors with partial pivoting.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "lanes.hpp"
@@ -42,11 +44,13 @@ struct Banded {
     void solve(double* right) {
         for (int64_t k = 0; k < size; ++k) {
             std::swap(right[k], right[pivots[k]]);
-            for (int64_t i = k + 1; i < std::min(size, k + reach + 1); ++i) right[i] = fma(-at(i, k), right[k], right[i]);
+            for (int64_t i = k + 1; i < std::min(size, k + reach + 1); ++i)
+                right[i] = fma(-at(i, k), right[k], right[i]);
         }
         for (int64_t k = size - 1; k >= 0; --k) {
             right[k] /= at(k, k);
-            for (int64_t i = std::max<int64_t>(0, k - 2 * reach); i < k; ++i) right[i] = fma(-at(i, k), right[k], right[i]);
+            for (int64_t i = std::max<int64_t>(0, k - 2 * reach); i < k; ++i)
+                right[i] = fma(-at(i, k), right[k], right[i]);
         }
     }
 };

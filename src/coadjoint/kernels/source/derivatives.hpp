@@ -1,10 +1,10 @@
-// Derivatives of the field in a direction: exact for LINEAR and POLYNOMIAL terms and for structure constants, by central
-// differences for functions of the user.
+// Derivatives of the field in a direction: exact for LINEAR and POLYNOMIAL terms and for structure constants, by
+// central differences for functions of the user.
 #pragma once
 
 #include "field.hpp"
 
-constexpr double DIFFERENCE = 0x1p-17;  // about the cube root of the unit round-off: half of the digits and more are right
+constexpr double DIFFERENCE = 0x1p-17;  // about the cube root of the unit round-off: most digits are right
 
 // The step of a difference at y in the direction v: relative to the size of y; zero where v is zero.
 template <class A>
@@ -57,9 +57,11 @@ NOINLINE void hessian_times(const Field& field, const C& constants, const A* x, 
                 for (uint32_t first = low; first < high; ++first)
                     for (uint32_t second = low; second < high; ++second) {
                         A product = constants.template number_at<A>(terms.coefficient, monomial);
-                        for (uint32_t factor = low; factor < high; ++factor)
+                        for (uint32_t factor = low; factor < high; ++factor) {
+                            const int order = (factor == first) + (factor == second);
                             product *= factor_derivative(x[terms.target[terms.factor_row[factor]]],
-                                                         terms.exponent[factor], (factor == first) + (factor == second));
+                                                         terms.exponent[factor], order);
+                        }
                         out[terms.target[terms.factor_row[first]]] +=
                             product * v[terms.target[terms.factor_row[second]]];
                     }

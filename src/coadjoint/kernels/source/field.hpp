@@ -83,7 +83,8 @@ NOINLINE void structure_times_matrix(const Field& field, const C& constants, con
             for (int64_t j = 0; j < n; ++j) add_row(j, factor * A(field.sign) * room.matrix.at[i * n + j]);
         else
             for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
-                add_row(field.column[q], factor * constants.template number_at<A>(field.constant, q) * x[field.state[q]]);
+                add_row(field.column[q],
+                        factor * constants.template number_at<A>(field.constant, q) * x[field.state[q]]);
     }
 }
 

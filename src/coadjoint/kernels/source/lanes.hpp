@@ -67,21 +67,27 @@ struct Lanes {
     if constexpr (count > 1) PART(1, statement)                                             \
     if constexpr (count > 2) { PART(2, statement) PART(3, statement) }                      \
     if constexpr (count > 4) { PART(4, statement) PART(5, statement) PART(6, statement) PART(7, statement) }
-    INLINE friend Lanes operator+(const Lanes& a, const Lanes& b) { Lanes c; EACH(c.part[k] = a.part[k] + b.part[k]) return c; }
-    INLINE friend Lanes operator-(const Lanes& a, const Lanes& b) { Lanes c; EACH(c.part[k] = a.part[k] - b.part[k]) return c; }
-    INLINE friend Lanes operator*(const Lanes& a, const Lanes& b) { Lanes c; EACH(c.part[k] = a.part[k] * b.part[k]) return c; }
-    INLINE friend Lanes operator/(const Lanes& a, const Lanes& b) { Lanes c; EACH(c.part[k] = a.part[k] / b.part[k]) return c; }
+#define BINARY(Result, Given, symbol)                                      \
+    INLINE friend Result operator symbol(const Given& a, const Given& b) { \
+        Result c;                                                          \
+        EACH(c.part[k] = a.part[k] symbol b.part[k])                       \
+        return c;                                                          \
+    }
+    BINARY(Lanes, Lanes, +)
+    BINARY(Lanes, Lanes, -)
+    BINARY(Lanes, Lanes, *)
+    BINARY(Lanes, Lanes, /)
+    BINARY(Mask, Lanes, <)
+    BINARY(Mask, Lanes, <=)
+    BINARY(Mask, Lanes, ==)
+    BINARY(Mask, Mask, &)
+    BINARY(Mask, Mask, |)
     INLINE friend Lanes operator-(const Lanes& a) { Lanes c; EACH(c.part[k] = -a.part[k]) return c; }
     INLINE Lanes& operator+=(const Lanes& b) { return *this = *this + b; }
     INLINE Lanes& operator-=(const Lanes& b) { return *this = *this - b; }
     INLINE Lanes& operator*=(const Lanes& b) { return *this = *this * b; }
-    INLINE friend Mask operator<(const Lanes& a, const Lanes& b) { Mask c; EACH(c.part[k] = a.part[k] < b.part[k]) return c; }
-    INLINE friend Mask operator<=(const Lanes& a, const Lanes& b) { Mask c; EACH(c.part[k] = a.part[k] <= b.part[k]) return c; }
     INLINE friend Mask operator>(const Lanes& a, const Lanes& b) { return b < a; }
     INLINE friend Mask operator>=(const Lanes& a, const Lanes& b) { return b <= a; }
-    INLINE friend Mask operator==(const Lanes& a, const Lanes& b) { Mask c; EACH(c.part[k] = a.part[k] == b.part[k]) return c; }
-    INLINE friend Mask operator&(const Mask& a, const Mask& b) { Mask c; EACH(c.part[k] = a.part[k] & b.part[k]) return c; }
-    INLINE friend Mask operator|(const Mask& a, const Mask& b) { Mask c; EACH(c.part[k] = a.part[k] | b.part[k]) return c; }
     INLINE friend Mask operator!(const Mask& a) { Mask c; EACH(c.part[k] = ~a.part[k]) return c; }
 
     INLINE friend Lanes select(const Mask& where, const Lanes& a, const Lanes& b) {
@@ -128,6 +134,7 @@ struct Lanes {
         for (int lane = 0; lane < N; ++lane) b.set(lane, function(a[lane]));
         return b;
     }
+#undef BINARY
 #undef EACH
 #undef PART
 
@@ -152,6 +159,10 @@ struct Lanes {
         if constexpr (width == 4) return (Vector)_mm256_fmadd_pd((__m256d)a, (__m256d)b, (__m256d)c);
         if constexpr (width == 2) return (Vector)_mm_fmadd_pd((__m128d)a, (__m128d)b, (__m128d)c);
 #endif
+        return fused_by_lane(a, b, c);
+    }
+    // Without the instruction each lane is a call: not many times in every loop.
+    NOINLINE static Vector fused_by_lane(Vector a, Vector b, Vector c) {
         Vector d{};
         for (int lane = 0; lane < width; ++lane) d[lane] = __builtin_fma(a[lane], b[lane], c[lane]);
         return d;

@@ -29,8 +29,8 @@ EXPORT double probe_fma(double a, double b, double c) { return fma(a, b, c); }
 EXPORT double probe_rational_angle(double phi, double frequency) { return rational_angle(phi, frequency); }
 EXPORT double probe_shortfall(double s, double c, double square) { return shortfall(s, c, square); }
 
-// Solve a dense system for `count` right-hand sides, side by side; 0 where the matrix is singular or no number. The same
-// system in every lane must give the same bits: else -1.
+// Solve a dense system for `count` right-hand sides, side by side; 0 where the matrix is singular or no number. The
+// same system in every lane must give the same bits: else -1.
 EXPORT int64_t probe_solve(double* matrix, int64_t size, double* right, int64_t count) {
     typedef Lanes<4> Four;
     std::vector<double> pivots(size);

@@ -12,8 +12,8 @@ constexpr double NOISE = 0x1p-32;     // of the size of the stages: only below i
 constexpr int64_t LOOK = 16;          // every so many iterations: is it slow?
 constexpr double SLOW = 0x1p-6;       // a fall by less since the last look would take more than MOST iterations
 
-// For how many iterations nothing may have fallen: few can be chance, since corrections turn while they shrink where the
-// iteration has complex eigenvalues, and the more slowly they shrink the longer that lasts.
+// For how many iterations nothing may have fallen: few can be chance, since corrections turn while they shrink where
+// the iteration has complex eigenvalues, and the more slowly they shrink the longer that lasts.
 INLINE double quiet_enough(int64_t passed) { return double(passed < 12 ? 2 : passed / 4); }
 
 // Stages that solve points = base + (error + sum_j mix_ij slopes_j), `size` components each, and room for iterating.
@@ -94,8 +94,8 @@ struct Unknowns {
         return result + spoilt;
     }
 
-    // Whether the correction of any component has fallen below all that it has been: components differ in size, and each
-    // is followed until it stops. One unit in the last place is nothing: of many components one would always fall.
+    // Whether the correction of any component has fallen below all that it has been: components differ in size, and
+    // each is followed until it stops. One unit in the last place is nothing: of many components one would always fall.
     NOINLINE typename Numbers<V>::Mask falling(const typename Numbers<V>::Mask& where) {
         auto found = V(0.0) < V(0.0);
         for (int64_t c = 0; c < size; ++c) {
@@ -121,8 +121,8 @@ struct Outcome {
 // Iterate points = base + mix slopes(points) until every trajectory of `going` has settled or failed; what has settled
 // keeps its slopes. `evaluate` sets the slopes at the points, `keep` is told which lanes settled, to keep more of them.
 //
-// A trajectory has settled when nothing moves, or when for some iterations in a row no component's correction has fallen
-// below all that it was since the corrections became small. It fails when corrections grow or fall slowly.
+// A trajectory has settled when nothing moves, or when for some iterations in a row no component's correction has
+// fallen below all that it was since the corrections became small. It fails when corrections grow or fall slowly.
 template <class Layout, class Mask, class Evaluate, class Keep>
 INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep) {
     typedef typename Layout::V V;

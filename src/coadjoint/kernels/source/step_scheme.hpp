@@ -12,12 +12,12 @@ struct StepScheme {
     int64_t evaluations = 0, iterations = 0;
 
     virtual ~StepScheme() = default;
-    // Take one step of length h from time t in place, with what compensated sums owe; return a status. The group element
-    // is transposed.
+    // Take one step of length h from time t in place, with what compensated sums owe; return a status. The group
+    // element is transposed.
     virtual int64_t step(double* x, double* dx, double* group, double* dgroup, double t, double h) = 0;
 };
 
-#define STEP_SCHEME(name, Type)                                                         \
+#define STEP_SCHEME(name, Type)                                                      \
     EXPORT StepScheme* name##_step(const StepTables& tables, const Own& constants) { \
-        return new Type(tables, constants);                                             \
+        return new Type(tables, constants);                                          \
     }

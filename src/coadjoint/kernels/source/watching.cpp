@@ -22,11 +22,12 @@ EXPORT void watch_start(const Watch* watch, const Saves* saves, const Schedule* 
 
 // Fill out (points, members, I) with functions at saved points (points, members, n).
 EXPORT void watch_values(const Watch* watch, const double* x, const double* times, int64_t points, int64_t members,
-                  int64_t size, double* out) {
+                         int64_t size, double* out) {
     std::vector<double> y(watch->longest + 1), room(2 * watch->longest + 2);
     for (int64_t here = 0; here < points * members; ++here)
         for (int64_t i = 0; i < watch->size; ++i)
-            out[here * watch->size + i] = value_of(*watch, Shared{}, i, x + here * size, times[here / members], y.data(), room.data());
+            out[here * watch->size + i] = value_of(*watch, Shared{}, i, x + here * size, times[here / members],
+                                                   y.data(), room.data());
 }
 
 EXPORT const char* table_fields() {

@@ -42,6 +42,11 @@ NOINLINE A value_of(const Watch& watch, const C& constants, int64_t i, const A* 
     return total;
 }
 
+// A value of a multivalued invariant, moved by whole periods next to the value before.
+INLINE double unwrapped(double now, double last, double period) {
+    return now + period * std::floor((last - now) / period + 0.5);
+}
+
 // Note the value of invariant i of a member at step k, where it has come from the values of the steps before.
 INLINE void note_value(const Saves& saves, int64_t count, int64_t i, double period, int64_t member, int64_t k,
                        int64_t slot, int64_t tenth, double now) {
@@ -49,7 +54,7 @@ INLINE void note_value(const Saves& saves, int64_t count, int64_t i, double peri
     if (k == 0)
         saves.first[place] = now;
     else if (period > 0.0)
-        now += period * std::floor((saves.last[place] - now) / period + 0.5);
+        now = unwrapped(now, saves.last[place], period);
     saves.last[place] = now;
     double deviation = std::fabs(now - saves.first[place]);
     double& worst = saves.worst[(member * TENTHS + tenth) * count + i];
@@ -149,13 +154,15 @@ struct Follower {
         while (good < waiting && at(sound, int(good))) ++good;
         int64_t failed = good < waiting ? step[good] : 0;
         if (good > 0)
-            note_steps(watch, Shared{}, saves, schedule, member, good, step, size, states.at, arguments.at, room.data());
+            note_steps(watch, Shared{}, saves, schedule, member, good, step, size, states.at, arguments.at,
+                       room.data());
         waiting = 0;
         return failed;
     }
 };
 
-// Members side by side, watched at the same steps. What belongs to a lane stays with it until the tenth of the run ends.
+// Members side by side, watched at the same steps. What belongs to a lane stays with it until the tenth of the run
+// ends.
 template <class A, class C>
 struct CrowdWatcher {
     static constexpr int lanes = Numbers<A>::lanes;
@@ -197,13 +204,14 @@ struct CrowdWatcher {
             const A period = constants.template number_at<A>(watch.period, i);
             for (int64_t lane = 0; lane < count; ++lane)
                 if (double whole = lane_of(period, lane); whole > 0.0)
-                    set_lane(now, lane, lane_of(now, lane) + whole * std::floor((lane_of(last.at[i], lane) - lane_of(now, lane)) / whole + 0.5));
+                    set_lane(now, int(lane), unwrapped(lane_of(now, lane), lane_of(last.at[i], lane), whole));
             last.at[i] = now;
             const A deviation = absolute(now - first.at[i]);
             worst.at[i] = select(deviation <= worst.at[i], worst.at[i], deviation);
             if (slot < 0) continue;
             for (int64_t lane = 0; lane < count; ++lane)
-                if (going[lane]) saves.values[(slot * saves.members + members[lane]) * watch.size + i] = lane_of(now, lane);
+                if (going[lane])
+                    saves.values[(slot * saves.members + members[lane]) * watch.size + i] = lane_of(now, lane);
         }
         for (int64_t lane = 0; slot >= 0 && lane < count; ++lane)
             if (going[lane]) save_state(saves, members[lane], slot, size, x, lane);

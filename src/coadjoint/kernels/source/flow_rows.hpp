@@ -1,0 +1,66 @@
+// The rows of a program, read from their table, and what a loop over steps is given.
+#pragma once
+
+#include "actions.hpp"
+#include "watching.hpp"
+
+// Room for the angles of a part and for the calls of user functions.
+template <class A>
+struct AngleRoom {
+    Room<A> theta, turned, arguments;
+    std::vector<double> calls;
+    explicit AngleRoom(int64_t longest)
+        : theta(longest), turned(longest), arguments(longest), calls(2 * longest + 2) {}
+};
+
+// Apply row r: angles from its share, then the action on the momentum and on the group element.
+template <Care care, bool carry, class A, class G, class C>
+INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, const Vectors<A>& x,
+                      const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
+    const Terms& terms = tables.terms;
+    const uint32_t part = tables.part[r];
+    const int64_t row = tables.only[part];
+    const double tau = tables.tau[r];
+    const bool single = row >= 0;
+    A lone(0.0);
+    if (__builtin_expect(single, 1)) {
+        lone = linear_row(terms, constants, row, x.at);
+    } else {
+        const uint32_t low = tables.share[part], high = tables.share[part + 1];
+        const A moment = t + A(tables.moment[r] * h);
+        for (uint32_t k = low; k < high; ++k)
+            gradient_rows(terms, constants, tables.addresses, k, x.at, moment, room.theta.at, terms.row[low],
+                          room.arguments.at, room.calls.data());
+    }
+    Turned<A> turned;
+    act<care, false>(tables.state, constants, part, tau, single, lone, room.theta.at, turned, x);
+    if constexpr (carry) {
+        if (__builtin_expect(tables.bent[part], 0)) {
+            const int64_t base = single ? row : terms.row[tables.share[part]];
+            const int64_t stop = single ? row + 1 : terms.row[tables.share[part + 1]];
+            for (int64_t place = base; place < stop; ++place)
+                room.turned.at[place - base] =
+                    rational_angle(tau * (single ? lone : room.theta.at[place - base]),
+                                   constants.template number_at<A>(tables.frequency, place));
+            act<CORRECTED, true>(tables.group, constants, part, 1.0, false, lone, room.turned.at, turned, group);
+        } else {
+            act<CORRECTED, true>(tables.group, constants, part, tau, single, lone, room.theta.at, turned, group);
+        }
+    }
+}
+
+template <Care care, bool carry, class A, class G, class C>
+NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first, uint32_t last, const Vectors<A>& x,
+                    const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
+    for (uint32_t r = first; r < last; ++r) apply_row<care, carry>(tables, constants, r, x, group, t, h, room);
+}
+
+struct Loop {
+    const FlowTables& tables;
+    const Watch& watch;
+    const Saves& saves;
+    const Schedule& schedule;
+    const State& state;
+    const Report& report;
+    int64_t k0, k1;
+};

@@ -1,0 +1,75 @@
+"""Prints a digest of the bits of many runs: `python -m verification.digests_of_runs`, in the folder of the tests."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+
+import numpy as np
+
+import coadjoint as co
+
+from .schemes_under_test import schemes, serves
+from .systems_under_test import all_cases, full_matrix
+
+CASES = ("A3,7, full", "e(3), heavy top", "so(4), full, another basis", "sl(2), driven", "skew J, no Jacobi identity")
+SCHEMES = (
+    "Splitting 1 adjoint",
+    "Splitting 2 coordinates",
+    "Splitting 2 compensated",
+    "Splitting 4",
+    "Composition of GaussLegendre",
+    "GaussLegendre 1",
+    "GaussLegendre 3",
+    "Modified 2 structure",
+    "Modified 2 gradient",
+    "Iterated 2",
+    "rk4",
+    "RadauEnergy 2",
+)
+SPAN, STEP, MEMBERS = (0.0, 1.5), 0.0625, 35
+
+
+def arrays_of(solution: co.Solution) -> list[np.ndarray]:
+    """Return every number that a run leaves behind."""
+    found = [solution.x, solution.energy, *solution.casimirs.values()]
+    found += [drift.tenths for drift in solution.drift().values()]
+    return found if solution.attitude is None else [*found, solution.attitude]
+
+
+def runs() -> Iterator[tuple[str, co.Solution]]:
+    """Run every scheme on every system that it serves, alone and as a crowd, and batches."""
+    systems, methods = all_cases(), schemes()
+    chosen = {name: methods[name] for name in SCHEMES} | {"rational": co.Splitting(order=2, rotation="rational")}
+    for scheme, method in chosen.items():
+        for case in CASES:
+            system, x0, _ = systems[case]
+            if (scheme == "rational" and case != "e(3), heavy top") or not serves(method, system):
+                continue
+            kind = method.properties(system).attitude
+            how = {"attitude": False if kind == "none" else "coadjoint", "save_every": 6}
+            crowd = x0 * (1.0 - 0.02 * np.arange(MEMBERS)[:, None])
+            yield f"{scheme} on {case}, alone", co.integrate(system, x0, SPAN, STEP, method, **how)
+            yield f"{scheme} on {case}, a crowd", co.integrate(system, crowd, SPAN, STEP, method, **how)
+    body, sizes = co.systems.rigid_body((1, 2, 3)), np.array([1e-200, 1e-9, 0.1, 8.0, 1e3, 1e7, 1e12])
+    states = np.multiply.outer(sizes, [0.3, -1.0, 0.7])
+    yield "angles of any size", co.integrate(body, states, SPAN, STEP)
+    spirals = [
+        co.LiePoissonSystem(co.algebras.get("A3,7", a=a), co.Quadratic(full_matrix(seed, 3)))
+        for seed, a in enumerate((1.0, 1.75, 2.5, 2.75))
+    ]
+    for scheme in ("Splitting 4", "GaussLegendre 3", "RadauEnergy 2"):
+        yield f"{scheme} on a batch", co.integrate(co.batch(spirals), [0.7, -0.4, 0.5], SPAN, STEP, methods[scheme])
+
+
+def digests() -> dict[str, str]:
+    """Return the digest of every run."""
+    return {
+        name: hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays_of(solution))).hexdigest()
+        for name, solution in runs()
+    }
+
+
+if __name__ == "__main__":
+    print(json.dumps(digests()))
