@@ -50,7 +50,7 @@ INLINE void structure(const Field& field, const C& constants, const A* x, FieldR
                   room.calls.data());
 }
 
-// Set f = factor * sign * J(x) u. The factor goes to x, which is there before u.
+// Set f = factor * sign * J(x) u. The factor comes last: products may cancel, and should be rounded once.
 template <class A, class C>
 INLINE void product(const Field& field, const C& constants, const A* x, const A* u, const A& factor, A* f,
                     FieldRoom<A>& room) {
@@ -69,8 +69,8 @@ INLINE void product(const Field& field, const C& constants, const A* x, const A*
     for (uint32_t i = 0, q = 0; i < n; ++i) {
         A total(0.0);
         for (const uint32_t last = high[i]; q < last; ++q)
-            total = fma(constants.template number_at<A>(constant, q) * (factor * x[state[q]]), u[column[q]], total);
-        f[i] = total;
+            total = fma(constants.template number_at<A>(constant, q) * x[state[q]], u[column[q]], total);
+        f[i] = factor * total;
     }
 }
 

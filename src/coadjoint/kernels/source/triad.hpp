@@ -41,18 +41,17 @@ struct Triad {
     }
 
     INLINE void iterate(int64_t stages) {
-        A x[3] = {x0, x1, x2}, u[3], scaled[3], sums[3], far(0.0);
+        A x[3] = {x0, x1, x2}, u[3], sums[3], far(0.0);
         A *slopes = y.slopes.at, *points = y.points.at, *change = y.change.at;
         for (int c = 0; c < 3; ++c) {
             u[c] = fma(weight[c], x[c], offset[c]);
             gradients[c] = u[c];
-            scaled[c] = length * x[c];
         }
         for (int c = 0; c < 3; ++c) {
             A total(0.0);
             for (int q = 2 * c; q < 2 * c + 2; ++q)
-                total = fma(constant[q] * scaled[TRIAD_STATES[q]], u[TRIAD_COLUMNS[q]], total);
-            slopes[c] = total;
+                total = fma(constant[q] * x[TRIAD_STATES[q]], u[TRIAD_COLUMNS[q]], total);
+            slopes[c] = length * total;
         }
         Layout::template mix<3>(y.mix, stages, slopes, 3, error, sums);
         for (int c = 0; c < 3; ++c) {
