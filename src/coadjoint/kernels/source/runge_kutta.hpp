@@ -110,7 +110,12 @@ struct Stages {
     template <int64_t known>
     NOINLINE Mask settle_blocks(Mask going) {
         const int64_t count = known ? known : blocks;
-        return taken(settle_by(p, going, count, [&] { evaluate<NOT_FROZEN>(0, count), p.restage(0, count, s); },
+        // Too large for the compiler to inline unasked.
+        auto iterate = [&]() __attribute__((always_inline)) {
+            evaluate<NOT_FROZEN>(0, count);
+            p.restage(0, count, s);
+        };
+        return taken(settle_by(p, going, count, iterate,
                                [&](const Mask& over, bool last) { keep_gradients(over, last); }));
     }
 
