@@ -16,13 +16,18 @@ test: $(VENV)/installed
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2
 
-bench: $(VENV)/installed
+bench: $(VENV)/peers
 	$(BIN)/python benchmarks/run_all.py
 
 $(VENV)/installed: pyproject.toml setup.py $(wildcard src/coadjoint/kernels/source/* src/coadjoint/methods/*.cpp)
 	@test -n "$(PYTHON)" || { echo "coadjoint needs Python 3.11 or newer: set PYTHON=/path/to/python" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+# The integrators that coadjoint is measured beside.
+$(VENV)/peers: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	@touch $@
 
 clean:

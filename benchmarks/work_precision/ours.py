@@ -1,13 +1,12 @@
 """coadjoint through its public interface.
 
 "coadjoint": `co.choose` chooses scheme and step; the settings are accuracies, and the time of the choice is set-up.
-"coadjoint, scanned": many schemes and steps, so that one sees what the choice gives away. Without `co.choose` the scan
-is all there is.
+"coadjoint, scanned": many schemes and steps, so that one sees what the choice gives away. The tables are set up
+before (`co.prepare`), as other solvers compile before.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,44 +26,40 @@ SCANNED = (
 )
 
 
-def end(problem: Problem, x0: np.ndarray, span: float, step: float, method: Any) -> np.ndarray:
-    """Integrate with the nearest whole number of steps."""
-    steps = max(1, round(span / step))
-    times, step = (0.0, span), span / steps
-    try:
-        done = co.integrate(problem.system, x0, times, step, method, save_every=steps, watch=False, threads=1)
-    except co.IntegrationError as reason:
-        raise Failed(str(reason)) from reason
-    return done.x[-1]
+class Ready:
+    """A run made ready, for calls over any whole number of its steps."""
+
+    def __init__(self, problem: Problem, step: float, method: Any) -> None:
+        self.steps = max(1, round(problem.span / step))
+        self.step = problem.span / self.steps
+        self.run = co.prepare(problem.system, method, self.step, watch=False, threads=1).run
+
+    def __call__(self, x0: np.ndarray, span: float) -> np.ndarray:
+        steps = max(1, round(span / self.step))
+        try:
+            return self.run(x0, (0.0, steps * self.step), save_every=steps).x[-1]
+        except co.IntegrationError as reason:
+            raise Failed(str(reason)) from reason
 
 
 def scanned(problem: Problem, setting: tuple[Any, float]) -> Solve:
     method, angle = setting  # angle: step times the largest frequency
-
-    def solve(x0: np.ndarray, span: float) -> np.ndarray:
-        return end(problem, x0, span, angle / problem.rate, method)
-
-    solve(problem.states[0], 0.1)
-    return solve
+    return Ready(problem, angle / problem.rate, method)
 
 
 def chosen(problem: Problem, accuracy: float) -> Solve:
-    span = (0.0, problem.span)
-    try:
-        choices = {x.tobytes(): co.choose(problem.system, x, span, accuracy) for x in problem.states}
-    except ValueError as reason:  # no scheme reaches it in double precision
-        raise Failed(str(reason)) from reason
-
-    def solve(x0: np.ndarray, span: float) -> np.ndarray:
-        choice = choices[x0.tobytes()]
-        return end(problem, x0, span, choice.step, choice.method)
-
-    solve(problem.states[0], 0.1)
-    return solve
+    ready = {}
+    for x in problem.states:
+        try:
+            choice = co.choose(problem.system, x, (0.0, problem.span), accuracy)
+        except ValueError as reason:  # no scheme reaches it in double precision
+            raise Failed(str(reason)) from reason
+        ready[x.tobytes()] = Ready(problem, choice.step, choice.method)
+    return lambda x0, span: ready[x0.tobytes()](x0, span)
 
 
 def solvers() -> list[Solver]:
-    scan = Solver("coadjoint, scanned", "coadjoint", SCANNED, scanned)
-    if not hasattr(co, "choose"):
-        return [replace(scan, name="coadjoint")]
-    return [Solver("coadjoint", "coadjoint", decades(2, 12), chosen, prepares_each_state=True), scan]
+    return [
+        Solver("coadjoint", "coadjoint", decades(2, 12), chosen, prepares_each_state=True),
+        Solver("coadjoint, scanned", "coadjoint", SCANNED, scanned),
+    ]

@@ -61,7 +61,8 @@ def take_steps(
     k0, k1 : int
         The steps.
     stride : int
-        With it the constants of the tables differ by member: `stride` of them side by side, where there was one.
+        With it the constants of the tables differ by member: `stride` of them side by side, where there was one. They
+        are read in whole lanes, 32 at most: the last must be followed by as many.
     base : int
         The member that the first of them belong to.
     """

@@ -50,11 +50,11 @@ def whole_number(value: Any, least: int, name: str) -> int:
 class GaussLegendre(RungeKuttaMethod):
     """The Gauss-Legendre method with s stages: implicit, symmetric, of order 2 s; every quadratic invariant is kept.
 
-    ``X_i = x + h sum_j a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)`` (equation (5)), by function iteration until
-    the corrections stop falling, and by Newton's method where that is slow or diverges. With many stages and a large step it is the cheapest way to high accuracy;
-    energy (if quadratic) and quadratic Casimirs then wander like the square root of time only. It is not a Poisson map,
-    and Casimirs of higher degree are not kept: for these take `Splitting`. `GaussLegendre(1)` is the implicit midpoint
-    rule.
+    ``X_i = x + h sum_j a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)`` (equation (5)), by function iteration
+    until the corrections stop falling, and by Newton's method where that is slow or diverges. With many stages and
+    a large step it is the cheapest way to high accuracy; energy (if quadratic) and quadratic Casimirs then wander
+    like the square root of time only. It is not a Poisson map, and Casimirs of higher degree are not kept: for
+    these take `Splitting`. `GaussLegendre(1)` is the implicit midpoint rule.
 
     Parameters
     ----------
@@ -68,11 +68,11 @@ class GaussLegendre(RungeKuttaMethod):
 
     Notes
     -----
-    Computed as ``L_j = h b_j f(X_j)``, ``X_i = x + sum_j mu_ij L_j``, ``x_new = x + sum_j L_j`` with mu_ij = a_ij / b_j
-    rounded such that mu_ij + mu_ji = 1 exactly, and compensated summation. Stages start where the polynomial of the step before leads; it belongs to
-    what a run keeps, so that a run that is cut has the same bits. Where function iteration fails, Newton's method
-    starts from X_i = x, with a dense matrix up to 200 unknowns, and above with a banded one where the coordinates can
-    be ordered so, or with none (GMRES).
+    Computed as ``L_j = h b_j f(X_j)``, ``X_i = x + sum_j mu_ij L_j``, ``x_new = x + sum_j L_j`` with mu_ij = a_ij /
+    b_j rounded such that mu_ij + mu_ji = 1 exactly, and compensated summation. Stages start where the polynomial of
+    the step before leads; it belongs to what a run keeps, so that a run that is cut has the same bits. Where
+    function iteration fails, Newton's method starts from X_i = x, with a dense matrix up to 200 unknowns, and above
+    with a banded one where the coordinates can be ordered so, or with none (GMRES).
 
     References
     ----------

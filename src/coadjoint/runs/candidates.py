@@ -12,7 +12,7 @@ from coadjoint.methods.splitting import Splitting
 from coadjoint.program.table import Program, build_program
 from coadjoint.runs.pilot import Trial
 from coadjoint.runs.start import start_of
-from coadjoint.runs.work import step_work
+from coadjoint.runs.work import newton_work, step_work
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
@@ -38,7 +38,8 @@ class Candidate:
 
     def cost(self, trial: Trial) -> float:
         """Return the cost of one step, in rotations."""
-        return step_work(self.system, self.method, self.program, trial.iterations, trial.evaluations, self.group)
+        work = step_work(self.system, self.method, self.program, trial.iterations, trial.evaluations, self.group)
+        return work + newton_work(self.system.dim, trial.evaluations / trial.iterations) if trial.newton else work
 
     def compensated(self) -> Candidate | None:
         """Return the same splitting summed with compensation; None where that was not left open."""

@@ -37,12 +37,15 @@ SEED = 1993
 
 
 class Trial(NamedTuple):
-    """A run over the window: its steps, its errors, and the iterations and evaluations of a step of one member."""
+    """A run over the window: its steps, its errors, the iterations and evaluations of a step of one member, and whether
+    Newton's method was needed.
+    """
 
     steps: int
     growth: Growth
     iterations: float
     evaluations: float
+    newton: bool = False
 
     @property
     def error(self) -> float:
@@ -127,7 +130,9 @@ class Pilot:
             return None
         count = steps * len(self.momenta)
         iterations, evaluations = int(run.report.iterations.sum()), int(run.report.evaluations.sum())
-        return Trial(steps, self._growth(run.saves.x), iterations / count, evaluations / count)
+        # Implicit schemes remember first for how many steps they still take Newton's method.
+        newton = bool(np.any(run.state[4][:, :1] > 0.0))
+        return Trial(steps, self._growth(run.saves.x), iterations / count, evaluations / count, newton)
 
     def _growth(self, found: NDArray[np.float64]) -> Growth:
         """Compare states, saved at evenly spaced points of the window, with the reference."""
