@@ -24,8 +24,14 @@ INLINE void gradient(const Field& field, const C& constants, const A* x, const A
     if (!whole || terms.row[1] < field.size)
         for (int64_t i = 0; i < field.size; ++i) u[i] = A(0.0);
     if (__builtin_expect(whole, 1)) {
-        for (uint32_t row = 0, stop = terms.row[1]; row < stop; ++row)
-            u[terms.target[row]] = linear_row(terms, constants, row, x);
+        const uint32_t *target = terms.target, *high = terms.entry + 1, *column = terms.column;
+        const double *offset = terms.offset, *weight = terms.weight;
+        for (uint32_t row = 0, entry = 0, stop = terms.row[1]; row < stop; ++row) {
+            A total = constants.template number_at<A>(offset, row);
+            for (const uint32_t last = high[row]; entry < last; ++entry)
+                total = fma(constants.template number_at<A>(weight, entry), x[column[entry]], total);
+            u[target[row]] = total;
+        }
         return;
     }
     for (int64_t k = 0; k < terms.size; ++k) {
@@ -44,7 +50,7 @@ INLINE void structure(const Field& field, const C& constants, const A* x, FieldR
                   room.calls.data());
 }
 
-// Set f = factor * sign * J(x) u.
+// Set f = factor * sign * J(x) u. The factor comes last: products may cancel, and should be rounded once.
 template <class A, class C>
 INLINE void product(const Field& field, const C& constants, const A* x, const A* u, const A& factor, A* f,
                     FieldRoom<A>& room) {
@@ -58,11 +64,12 @@ INLINE void product(const Field& field, const C& constants, const A* x, const A*
         }
         return;
     }
-    for (int64_t i = 0; i < n; ++i) {
+    const uint32_t *high = field.first + 1, *state = field.state, *column = field.column;
+    const double* constant = field.constant;
+    for (uint32_t i = 0, q = 0; i < n; ++i) {
         A total(0.0);
-        for (uint32_t q = field.first[i], stop = field.first[i + 1]; q < stop; ++q)
-            total = fma(constants.template number_at<A>(field.constant, q) * x[field.state[q]], u[field.column[q]],
-                        total);
+        for (const uint32_t last = high[i]; q < last; ++q)
+            total = fma(constants.template number_at<A>(constant, q) * x[state[q]], u[column[q]], total);
         f[i] = factor * total;
     }
 }

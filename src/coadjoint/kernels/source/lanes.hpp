@@ -122,6 +122,17 @@ struct Lanes {
         EACH(c.part[k] = ((((Bits)rounded.part[k] + added) >> bit) & 1) != 0)
         return c;
     }
+    // The largest lane, where every lane is a number.
+    INLINE friend double largest_lane(const Lanes& a) {
+        Vector most = a.part[0];
+        EACH(most = most < a.part[k] ? a.part[k] : most)
+#if defined(__AVX512F__)
+        if constexpr (width == 8) return _mm512_reduce_max_pd((__m512d)most);
+#endif
+        double result = most[0];
+        for (int lane = 1; lane < width; ++lane) result = result < most[lane] ? most[lane] : result;
+        return result;
+    }
     // 2^k, from k + 1.5 * 2^52.
     INLINE friend Lanes power_of_two(const Lanes& rounded) {
         Lanes c;

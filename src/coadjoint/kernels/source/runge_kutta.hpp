@@ -2,7 +2,7 @@
 #pragma once
 
 #include "linear_solve.hpp"
-#include "stagnation.hpp"
+#include "triad.hpp"
 
 constexpr int64_t EXPLICIT = 0, ITERATED = 1, IMPLICIT = 2, STRUCTURE = 3, GRADIENT = 4;
 constexpr int64_t NOT_FROZEN = -1;
@@ -21,12 +21,14 @@ struct Stages {
     typedef typename Layout::Coefficient Coefficient;
     typedef typename Numbers<V>::Mask Mask;
     static constexpr bool alone = Numbers<V>::lanes == 1;
+    static constexpr int lanes = Numbers<A>::lanes;
 
     const RungeKuttaTables& tables;
     const C constants;
     const Field& field;
     const GroupField& group;
     const int64_t n, s, d, blocks;
+    const bool triad;
     Room<Coefficient> mix, node, scale, forecast;
     Unknowns<Layout> p, g;
     Room<A> gradients, kept, frozen, times, lengths, matrices;
@@ -36,7 +38,8 @@ struct Stages {
 
     Stages(const RungeKuttaTables& tables, const C& constants)
         : tables(tables), constants(constants), field(tables.field), group(tables.group), n(field.size),
-          s(tables.stages), d(group.size), blocks(Layout::blocks(s)), mix(blocks * s), node(blocks), scale(blocks),
+          s(tables.stages), d(group.size), blocks(Layout::blocks(s)), triad(is_triad(field)), mix(blocks * s),
+          node(blocks), scale(blocks),
           forecast(tables.solver == IMPLICIT ? tables.substeps * blocks * s : 0), p(s, n, mix.at), g(s, d * d, mix.at),
           gradients(blocks * n), kept(alone ? 0 : blocks * n), frozen(tables.solver >= STRUCTURE ? blocks * n : 0),
           times(blocks), lengths(blocks), matrices(tables.direct ? blocks * widest() * widest() : 0),
@@ -97,9 +100,30 @@ struct Stages {
 
     NOINLINE void evaluate_all() { evaluate<NOT_FROZEN>(0, blocks); }
 
-    NOINLINE Mask settle_momentum(Mask going) {
-        return taken(settle(p, going, [&] { evaluate<NOT_FROZEN>(0, blocks); },
-                            [&](const Mask& over, bool last) { keep_gradients(over, last); }));
+    Mask settle_momentum(Mask going) {
+        if constexpr (Layout::side_by_side)
+            if (blocks == 1) return !triad ? settle_blocks<1>(going) : s == lanes ? settle_triad<lanes>() : settle_triad<0>();
+        return settle_blocks<0>(going);
+    }
+
+    // One block is worth a loop of its own.
+    template <int64_t known>
+    NOINLINE Mask settle_blocks(Mask going) {
+        const int64_t count = known ? known : blocks;
+        // Too large for the compiler to inline unasked.
+        auto iterate = [&]() __attribute__((always_inline)) {
+            evaluate<NOT_FROZEN>(0, count);
+            p.restage(0, count, s);
+        };
+        return taken(settle_by(p, going, count, iterate,
+                               [&](const Mask& over, bool last) { keep_gradients(over, last); }));
+    }
+
+    template <int64_t known>
+    NOINLINE Mask settle_triad() {
+        Triad<Layout> body(field, constants, p, gradients.at, lengths.at[0]);
+        const int64_t count = known ? known : s;
+        return taken(settle_by(p, true, 1, [&] { body.iterate(count); }, [](const Mask&, bool) {}));
     }
 
     template <int64_t freeze>

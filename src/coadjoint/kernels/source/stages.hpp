@@ -17,6 +17,7 @@ struct StageLanes {
     typedef Lanes<W> A;
     typedef double V;
     typedef A Coefficient;
+    static constexpr bool side_by_side = true;
     static constexpr int together = 3;  // components whose sums run side by side
 
     static INLINE int64_t blocks(int64_t stages) { return (stages + W - 1) / W; }
@@ -40,11 +41,8 @@ struct StageLanes {
                 put(y, size, c, stage, at(y, size, c, stages - 1));
     }
     static INLINE bool every(const typename A::Mask& mask) { return all(mask); }
-    static INLINE double largest(const A& a) {
-        double result = a[0];
-        for (int lane = 1; lane < W; ++lane) result = larger(result, a[lane]);
-        return result;
-    }
+    static INLINE bool some(const typename A::Mask& mask) { return any(mask); }
+    static INLINE double largest(const A& a) { return largest_lane(a); }
     template <class C>
     static INLINE First<C> constants(const C& all, int64_t block, int64_t stages) {
         return First<C>(all, int(std::min<int64_t>(W, stages - block * W)));
@@ -55,21 +53,21 @@ struct StageLanes {
     static INLINE void mix(const A* coefficient, int64_t stages, const A* y, int64_t size, const double* errors, A* totals) {
         A even[M], odd[M];
         for (int m = 0; m < M; ++m) even[m] = A(errors[m]), odd[m] = A(0.0);
-        for (int64_t first = 0; first < stages; first += W, y += size) {
-            const double* from = reinterpret_cast<const double*>(y);
-            const int64_t count = std::min<int64_t>(W, stages - first);
-            int64_t j = 0;
-            for (; j + 1 < count; j += 2, coefficient += 2)
-                for (int m = 0; m < M; ++m) {
-                    even[m] = fma(coefficient[0], A(from[m * W + j]), even[m]);
-                    odd[m] = fma(coefficient[1], A(from[m * W + j + 1]), odd[m]);
-                }
-            if (j < count) {
-                for (int m = 0; m < M; ++m) even[m] = fma(coefficient[0], A(from[m * W + j]), even[m]);
-                ++coefficient;
-            }
-        }
+        for (; stages > W; stages -= W, coefficient += W, y += size) mix_block<M>(coefficient, W, y, even, odd);
+        mix_block<M>(coefficient, stages, y, even, odd);
         for (int m = 0; m < M; ++m) totals[m] = even[m] + odd[m];
+    }
+    template <int M>
+    static INLINE void mix_block(const A* coefficient, int64_t count, const A* y, A* even, A* odd) {
+        const double* from = reinterpret_cast<const double*>(y);
+        const double* const last = from + (count & ~1);
+        for (; from < last; from += 2, coefficient += 2)
+            for (int m = 0; m < M; ++m) {
+                even[m] = fma(coefficient[0], A(from[m * W]), even[m]);
+                odd[m] = fma(coefficient[1], A(from[m * W + 1]), odd[m]);
+            }
+        if (count & 1)
+            for (int m = 0; m < M; ++m) even[m] = fma(coefficient[0], A(from[m * W]), even[m]);
     }
 };
 
@@ -79,6 +77,7 @@ struct MemberLanes {
     typedef M A;
     typedef M V;
     typedef double Coefficient;
+    static constexpr bool side_by_side = false;
     static constexpr int together = Numbers<M>::lanes == 1 ? 3 : 1;
 
     static INLINE int64_t blocks(int64_t stages) { return stages; }
@@ -94,6 +93,7 @@ struct MemberLanes {
     }
     static void repeat_last(A*, int64_t, int64_t) {}
     static INLINE auto every(const typename Numbers<A>::Mask& mask) { return mask; }
+    static INLINE auto some(const typename Numbers<A>::Mask& mask) { return mask; }
     static INLINE const A& largest(const A& a) { return a; }
     template <class C>
     static INLINE const C& constants(const C& all, int64_t, int64_t) { return all; }

@@ -24,13 +24,12 @@ struct Unknowns {
     const int64_t stages, blocks, size;
     const typename Layout::Coefficient* mix;
     V *base = nullptr, *error = nullptr;
-    Room<A> points, slopes, before, kept, change, moved;
-    Room<V> least;
+    Room<A> points, slopes, before, kept, change, moved, least;
 
     Unknowns(int64_t stages, int64_t size, const typename Layout::Coefficient* mix)
         : stages(stages), blocks(Layout::blocks(stages)), size(size), mix(mix), points(blocks * size),
           slopes(blocks * size), before(blocks * size), kept(Numbers<V>::lanes > 1 ? blocks * size : 0),
-          change(blocks * size), moved(blocks), least(size) {}
+          change(blocks * size), moved(blocks), least(blocks * size) {}
 
     void start_at_base() {
         for (int64_t b = 0; b < blocks; ++b)
@@ -89,26 +88,24 @@ struct Unknowns {
         V result(0.0), spoilt(0.0);
         for (int64_t b = 0; b < blocks; ++b) {
             result = larger(result, V(Layout::largest(moved.at[b])));
-            spoilt = spoilt + (Layout::largest(absolute(0.0 * moved.at[b])));
+            const V infinite(std::numeric_limits<double>::infinity());
+            spoilt = select(Layout::every(moved.at[b] - moved.at[b] == A(0.0)), spoilt, infinite - infinite);
         }
         return result + spoilt;
     }
 
-    // Whether the correction of any component has fallen below all that it has been: components differ in size, and
-    // each is followed until it stops. One unit in the last place is nothing: of many components one would always fall.
-    NOINLINE typename Numbers<V>::Mask falling(const typename Numbers<V>::Mask& where) {
-        auto found = V(0.0) < V(0.0);
-        for (int64_t c = 0; c < size; ++c) {
-            V most(0.0);
-            for (int64_t b = 0; b < blocks; ++b) {
-                const A own = change.at[b * size + c], unit = A(0x1p-52) * absolute(points.at[b * size + c]);
-                most = larger(most, V(Layout::largest(select(own <= unit, A(0.0), own))));
-            }
-            const auto fell = where & (most < least.at[c]);
-            least.at[c] = select(fell, most, least.at[c]);
+    // Whether the correction of any component of a stage has fallen below all that it has been: components differ in
+    // size, and each is followed until it stops. One unit in the last place is nothing: of many one would always fall.
+    INLINE auto falling(const typename Numbers<V>::Mask& where, int64_t blocks) {
+        auto found = A(0.0) < A(0.0);
+        for (int64_t k = 0; k < blocks * size; ++k) {
+            const A unit = A(0x1p-52) * absolute(points.at[k]), own = select(change.at[k] <= unit, A(0.0), change.at[k]);
+            auto fell = own < least.at[k];
+            if constexpr (Numbers<V>::lanes > 1) fell = fell & where;
+            least.at[k] = select(fell, own, least.at[k]);
             found = found | fell;
         }
-        return found;
+        return Layout::some(found);
     }
 };
 
@@ -119,12 +116,13 @@ struct Outcome {
 };
 
 // Iterate points = base + mix slopes(points) until every trajectory of `going` has settled or failed; what has settled
-// keeps its slopes. `evaluate` sets the slopes at the points, `keep` is told which lanes settled, to keep more of them.
+// keeps its slopes. `iterate` sets the slopes at the points, then the points; `keep` is told which lanes settled, to keep
+// more of them.
 //
-// A trajectory has settled when nothing moves, or when for some iterations in a row no component's correction has
-// fallen below all that it was since the corrections became small. It fails when corrections grow or fall slowly.
-template <class Layout, class Mask, class Evaluate, class Keep>
-INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep) {
+// A trajectory has settled when nothing moves, or when for some iterations in a row no component's correction has fallen
+// below all that it was since the corrections became small. It fails when corrections grow or fall slowly.
+template <class Layout, class Mask, class Iterate, class Keep>
+INLINE auto settle_by(Unknowns<Layout>& y, Mask going, int64_t blocks, Iterate iterate, Keep keep) {
     typedef typename Layout::V V;
     typedef typename Layout::A A;
     constexpr bool alone = Numbers<V>::lanes == 1;
@@ -132,19 +130,18 @@ INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep
     V first(0.0), looked(0.0), quiet(0.0), noise = V(NOISE) * y.largest_size();
     bool noisy = false, kept = false;
     for (int64_t passed = 1;; ++passed) {
-        evaluate();
-        y.restage(0, y.blocks, y.stages);
+        iterate();
         auto small = V(0.0) == V(0.0);
-        for (int64_t b = 0; b < y.blocks; ++b) small = small & Layout::every(y.moved.at[b] <= Layout::spread(noise));
+        for (int64_t b = 0; b < blocks; ++b) small = small & Layout::every(y.moved.at[b] <= Layout::spread(noise));
         auto ended = going & !(V(0.0) == V(0.0)), failed = ended;
         if (__builtin_expect(any(going & small), 0)) {
             auto still = going & small;
-            for (int64_t b = 0; b < y.blocks; ++b) still = still & Layout::every(y.moved.at[b] == A(0.0));
-            if (!noisy) std::fill_n(y.least.at, y.size, V(std::numeric_limits<double>::infinity()));
+            for (int64_t b = 0; b < blocks; ++b) still = still & Layout::every(y.moved.at[b] == A(0.0));
+            if (!noisy) std::fill_n(y.least.at, blocks * y.size, A(std::numeric_limits<double>::infinity()));
             noisy = true;
             ended = still;
             if (any(going & small & !still)) {
-                const auto fell = y.falling(going & small);
+                const auto fell = y.falling(going & small, blocks);
                 const auto calm = going & small & !fell & (V(double(passed)) > V(double(FIRST_TEST)));
                 quiet = select(calm, quiet + 1.0, V(0.0));
                 ended = ended | (going & (quiet >= V(quiet_enough(passed))));
@@ -186,4 +183,10 @@ INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep
             return outcome;
         }
     }
+}
+
+// The same, where `evaluate` sets the slopes only.
+template <class Layout, class Mask, class Evaluate, class Keep>
+INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep) {
+    return settle_by(y, going, y.blocks, [&] { evaluate(), y.restage(0, y.blocks, y.stages); }, keep);
 }
