@@ -61,11 +61,13 @@ def squares(case: Case) -> list[float]:
     """Return state, and for each completed square of the program its weighted form, frequency, D and D^2."""
     program = build_program(case.system, METHOD)
     values = [*case.x0]
-    for part in program.parts:
-        (coordinates, form), (share,) = part.forms[0], part.shares
+    for part, term in zip(program.parts, program.share, strict=False):
+        coordinates, form = part.forms[0]
+        row = program.terms.row[term]
+        entries = slice(program.terms.entry[row], program.terms.entry[row + 1])
         l, weighted = np.zeros(3), np.zeros(3)
         l[list(coordinates)] = [float(value) for value in form]
-        weighted[share.columns] = [float(value) for value in share.weights]
+        weighted[program.terms.column[entries]] = program.terms.weight[entries]
         D = case.system.algebra.coadjoint(l)
         DD = D @ D
         values += [*weighted, np.sqrt(-0.5 * np.trace(DD)), *D.ravel(), *DD.ravel()]

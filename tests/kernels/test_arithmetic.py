@@ -68,6 +68,39 @@ def test_sine_and_cosine_minus_one_within_3_ulp(where):
             assert ulps(lowered, -2 * mpmath.sin(phi / 2) ** 2) <= 3, angle
 
 
+GROWTHS = {
+    "every magnitude": random_magnitudes(-300, 2.84, 1500, 7),
+    "about one": np.random.default_rng(8).uniform(-3, 3, 3000),
+    "at halves of ln 2": np.concatenate(
+        [np.arange(-80, 81) * (math.log(2) / 2) * f for f in (1, 1 + 1e-15, 1 - 1e-15)]
+    ),
+    "far": np.array([699.9, 700.1, 709.7, -699.9, -700.1, -708.0]),
+}
+
+
+@pytest.mark.parametrize("where", GROWTHS)
+def test_exponentials_within_2_ulp_and_hyperbolic_sines_within_4(where):
+    values = GROWTHS[where][GROWTHS[where] != 0.0]
+    with mpmath.workdps(400 if where == "every magnitude" else 50):
+        for value, (whole, beyond) in zip(values, tabulated(3, values), strict=True):
+            x = mpmath.mpf(float(value))
+            assert ulps(whole, mpmath.exp(x)) <= 2, value
+            assert ulps(beyond, mpmath.expm1(x)) <= 2, value
+        kept = values[np.abs(values) > 1e-150]  # below, the square of half of it underflows
+        for value, (sine, lowered) in zip(kept, tabulated(4, kept), strict=True):
+            x = mpmath.mpf(float(value))
+            assert ulps(sine, mpmath.sinh(x)) <= 4, value
+            assert ulps(lowered, 2 * mpmath.sinh(x / 2) ** 2) <= 8, value
+
+
+def test_exponentials_beyond_all_numbers():
+    inf = np.inf
+    assert np.array_equal(
+        tabulated(3, [0.0, 710.0, inf, -750.0, -inf]), [[1, 0], [inf, inf], [inf, inf], [0, -1], [0, -1]]
+    )
+    assert np.all(np.isnan(tabulated(3, [np.nan])))
+
+
 def test_rotations_of_zero_and_of_no_number():
     assert np.array_equal(tabulated(rotations, [0.0]), [[0.0, 0.0]])
     assert np.all(np.isnan(tabulated(rotations, [np.nan, np.inf, -np.inf])))

@@ -70,10 +70,8 @@ NOINLINE void act_apart(const Action& action, const C& constants, uint32_t run, 
     } else if (kind == CUBIC || kind == RATIONAL_CUBIC) {
         cubic<care>(action, constants, run, tau * theta[0], x);
     } else if (kind == SCALE) {
-        for (uint32_t q = 0; q < count; ++q, index += repeat) {
-            const A grown = map(theta[q] * (tau * constant(place + q)), [](double a) { return std::expm1(a); });
-            scale<care>(grown, index, repeat, x);
-        }
+        for (uint32_t q = 0; q < count; ++q, index += repeat)
+            scale<care>(growth_by(theta[q] * (tau * constant(place + q))).beyond, index, repeat, x);
     } else if (kind == PLANE) {
         for (uint32_t q = 0; q < count; ++q, place += 4, index += 2 * repeat)
             plane<care, A, V>(constant(place), constant(place + 1), constant(place + 2), constant(place + 3), index,

@@ -123,14 +123,53 @@ INLINE A shortfall(const A& s, const A& c, const A& square) {
     return 0.5 * (fma(s, s, -2.0 * c) + power + fma(c, curved, -power));
 }
 
-INLINE Rotation<double> hyperbolic_rotation(double phi) {
-    double half = std::sinh(0.5 * phi);
-    return {std::sinh(phi), 2.0 * half * half};
+constexpr double LOG2_E = 1.4426950408889634;
+constexpr double LN2 = 0.6931471805599453, LN2_REST = 2.3190468138462996e-17;  // the sum is ln 2 to twice the precision
+constexpr double FAR_GROWTH = 700.0;  // beyond it powers of two overflow or lose digits: left to the library
+
+template <class A>
+struct Growth {
+    A whole, beyond;  // exp(x) and exp(x) - 1
+};
+
+// exp(x) and exp(x) - 1, each within 2 units in the last place: Taylor's polynomial of degree 13 on |r| <= ln(2)/2, its
+// rest below 2^-56 r.
+template <class A>
+INLINE Growth<A> growth_by(const A& x) {
+    const A shifted = fma(x, A(LOG2_E), A(ROUND));
+    const A k = shifted - ROUND;
+    const A r = fma(-k, A(LN2_REST), fma(-k, A(LN2), x));
+    const A z = r * r, zz = z * z;
+    A q = fma(z, fma(r, A(1.0 / 120.0), A(1.0 / 24.0)), fma(r, A(1.0 / 6.0), A(0.5)));
+    q = fma(zz, fma(z, fma(r, A(1.0 / 362880.0), A(1.0 / 40320.0)), fma(r, A(1.0 / 5040.0), A(1.0 / 720.0))), q);
+    const A last = fma(z, fma(r, A(1.0 / 6227020800.0), A(1.0 / 479001600.0)),
+                       fma(r, A(1.0 / 39916800.0), A(1.0 / 3628800.0)));
+    q = fma(zz * zz, last, q);
+    const A p = fma(z, q, r), scale = power_of_two(shifted);
+    Growth<A> growth{fma(p, scale, scale), fma(p, scale, scale - 1.0)};
+    const auto near = absolute(x) <= A(FAR_GROWTH);
+    if (__builtin_expect(!all(near), 0))
+        for (int lane = 0; lane < Numbers<A>::lanes; ++lane)
+            if (!at(near, lane)) {
+                set_lane(growth.whole, lane, std::exp(lane_of(x, lane)));
+                set_lane(growth.beyond, lane, std::expm1(lane_of(x, lane)));
+            }
+    return growth;
 }
-template <int N>
-INLINE Rotation<Lanes<N>> hyperbolic_rotation(const Lanes<N>& phi) {
-    Lanes<N> half = map(0.5 * phi, [](double a) { return std::sinh(a); });
-    return {map(phi, [](double a) { return std::sinh(a); }), 2.0 * half * half};
+
+template <class A>
+INLINE A hyperbolic_sine(const A& x) {
+    const A size = absolute(x), beyond = growth_by(size).beyond;
+    A sine = 0.5 * (beyond + beyond / (beyond + 1.0));
+    const auto near = size <= A(FAR_GROWTH);
+    if (__builtin_expect(!all(near), 0)) sine = select(near, sine, map(size, [](double a) { return std::sinh(a); }));
+    return select(x < A(0.0), -sine, sine);
+}
+
+template <class A>
+INLINE Rotation<A> hyperbolic_rotation(const A& phi) {
+    const A half = hyperbolic_sine(0.5 * phi);
+    return {hyperbolic_sine(phi), 2.0 * half * half};
 }
 
 // sinh(w)/w and cosh(w) - 1 for w*w = z near 0, by the series (its first neglected term is below 2^-53 of the sum).

@@ -130,9 +130,8 @@ NOINLINE void plane(const A& mean, const A& half, const A& upper, const A& lower
     A delta = fma(half, half, upper * lower);
     Rotation<A> pair = entire_pair(theta * theta * delta);
     // Not from expm1 alone: where the mean decays and cosh grows, what 1 + expm1 lost would be amplified.
-    A stretch = map(theta * mean, [](double a) { return std::exp(a); });
-    A grown = map(theta * mean, [](double a) { return std::expm1(a); });
-    const V diagonal(fma(stretch, pair.lowered, grown)), s(stretch * (theta * pair.sine));
+    const Growth<A> growth = growth_by(theta * mean);
+    const V diagonal(fma(growth.whole, pair.lowered, growth.beyond)), s(growth.whole * (theta * pair.sine));
     for (uint32_t block = 0; block < repeat; ++block, index += 2) {
         int64_t i = index[0] * x.rows, j = index[1] * x.rows;
         for (int64_t row = 0; row < x.rows; ++row) {

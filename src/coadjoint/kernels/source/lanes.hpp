@@ -123,6 +123,12 @@ struct Lanes {
         EACH(c.part[k] = ((((Bits)rounded.part[k] + added) >> bit) & 1) != 0)
         return c;
     }
+    // 2^k, from k + 1.5 * 2^52.
+    INLINE friend Lanes power_of_two(const Lanes& rounded) {
+        Lanes c;
+        EACH(c.part[k] = (Vector)(((Bits)rounded.part[k] << 52) + (int64_t(1023) << 52)))
+        return c;
+    }
     template <class Function>
     INLINE friend Lanes map(const Lanes& a, Function function) {
         Lanes b;
@@ -175,6 +181,13 @@ INLINE bool odd_bit(double rounded, int bit, int added) {
     int64_t bits;
     std::memcpy(&bits, &rounded, 8);
     return (((bits + added) >> bit) & 1) != 0;
+}
+INLINE double power_of_two(double rounded) {
+    int64_t bits;
+    std::memcpy(&bits, &rounded, 8);
+    bits = int64_t((uint64_t(bits) << 52) + (uint64_t(1023) << 52));
+    std::memcpy(&rounded, &bits, 8);
+    return rounded;
 }
 template <class Function>
 INLINE double map(double a, Function function) { return function(a); }

@@ -6,11 +6,19 @@
 #include "room.hpp"
 #include "tables.hpp"
 
-// For every argument: sine and cosine minus one (what = 0), sinh(w)/w and cosh(w) - 1 (1), rational rotation (2).
+// For every argument: sine and cosine minus one (what = 0), sinh(w)/w and cosh(w) - 1 (1), rational rotation (2), exp
+// and exp minus one (3), sinh and cosh minus one (4).
 EXPORT void probe_pairs(int64_t what, const double* arguments, int64_t count, double* out) {
     for (int64_t k = 0; k < count; ++k) {
+        if (what == 3) {
+            const Growth<double> growth = growth_by(arguments[k]);
+            out[2 * k] = growth.whole;
+            out[2 * k + 1] = growth.beyond;
+            continue;
+        }
         const auto pair = what == 0   ? rotation_by(arguments[k])
                           : what == 1 ? entire_pair(arguments[k])
+                          : what == 4 ? hyperbolic_rotation(arguments[k])
                                       : rational_rotation(arguments[k]);
         out[2 * k] = pair.sine;
         out[2 * k + 1] = pair.lowered;
