@@ -66,7 +66,7 @@ def take_steps(
     base : int
         The member that the first of them belong to.
     """
-    members = np.arange(base, len(state[0]))
+    members = np.arange(base, int(crew[1]))
     given = [pointed(table) for table in (tables, watch, saves, schedule, state_of(state))]
     reported = pointed(report)
     getattr(kernels(), loop)(

@@ -16,7 +16,9 @@ VARIED = frozenset(
 # The arrays of addresses of compiled functions, which differ by member as well.
 CALLED = frozenset(("addresses", "structure", "values"))
 BLOCK = 32
-"""Columns of a stack are a multiple of this, the last ones repeated, so that lanes may read beyond the last member."""
+"""The most members that the kernels advance as lanes on any processor. Crews begin at multiples of it, and the columns
+of a stack are a multiple of it, the last one repeated, so that lanes may read beyond the last member.
+"""
 
 
 def _varies(name: str, item: Any) -> bool:

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.varied_tables import BLOCK
 from coadjoint.methods.base import FlowMethod, Method
 from coadjoint.program.decompose import decompose_all
-from coadjoint.runs.loops import BLOCK, Crew, Work, start_of_loop, unshifted_groups
+from coadjoint.runs.loops import Crew, Work, start_of_loop, unshifted_groups
 from coadjoint.runs.prepare import Prepared, loop_of
 from coadjoint.runs.start import Representation, Start
 from coadjoint.systems.batch import Batch

@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.kernels.varied_tables import BLOCK
 from coadjoint.methods.base import Method, System
 from coadjoint.runs.prepare import loop_of
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.unshift import unshifted
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-# Members that the kernels advance as lanes, at most, and the dimension up to which they do.
-BLOCK, WIDEST = 32, 1024
+WIDEST = 1024
+"""The dimension up to which the kernels advance members as lanes."""
 
 Crew = tuple[int, int]
 """The members first to last - 1, which one call of a compiled loop advances."""

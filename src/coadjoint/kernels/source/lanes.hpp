@@ -39,6 +39,7 @@ template <int N>
 struct Lanes {
     static constexpr int width = N < NATIVE ? N : NATIVE;
     static constexpr int count = N / width;
+    static_assert(count == 1 || count == 2 || count == 4 || count == 8, "EACH is written out for these");
     typedef typename Registers<width>::Vector Vector;
     typedef typename Registers<width>::Bits Bits;
 

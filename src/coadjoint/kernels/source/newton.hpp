@@ -12,9 +12,10 @@ constexpr int64_t MOST_CORRECTIONS = 50;
 constexpr double SLUGGISH = 0.25;  // of the correction before: then the factors are renewed
 constexpr double SETTLING = 0x1p-40;  // of the size of the stages: below it what falls no further is round-off
 
-// Correct the points of one trajectory until corrections, which Newton's method more than halves, do so no longer: `evaluate` sets the slopes at the points, `solve` turns the
-// defect, stage after stage, into a correction, and `renew` is called where corrections fall slowly. With `enough` it is
-// done after so many of them: what is linear is solved by the first, and refined by the second.
+// Correct the points of one trajectory until corrections, which Newton's method more than halves, do so no longer:
+// `evaluate` sets the slopes at the points, `solve` turns the defect, stage after stage, into a correction, and `renew`
+// is called where corrections fall slowly. With `enough` it is done after so many of them: what is linear is solved by
+// the first, and refined by the second.
 template <class Layout, class Evaluate, class Solve, class Renew>
 NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve solve, Renew renew,
                                  int64_t enough = 0) {

@@ -8,12 +8,6 @@ constexpr int64_t EXPLICIT = 0, ITERATED = 1, IMPLICIT = 2, STRUCTURE = 3, GRADI
 constexpr int64_t NOT_FROZEN = -1;
 constexpr int64_t REFINED = 3;  // evaluations of a linear system: before the solution, before one refinement, and after
 
-// What a trajectory remembers from step to step: for how many steps it still begins with Newton, and its slopes.
-INLINE int64_t memory_of(const RungeKuttaTables& tables) {
-    const int64_t d = tables.group.size;
-    return tables.solver == IMPLICIT ? 1 + tables.stages * (tables.field.size + d * d) : 0;
-}
-
 template <class Layout, class C>
 struct Stages {
     typedef typename Layout::A A;

@@ -61,7 +61,8 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member) {
         const double start = schedule.t0 + double(k - 1) * schedule.h;
         bool found = true;
         for (int64_t part = 0; part < loop.tables.substeps && found; ++part) {
-            found = one.solve(start + loop.tables.moment[part] * schedule.h, loop.tables.fraction[part] * schedule.h, part);
+            found = one.solve(start + loop.tables.moment[part] * schedule.h, loop.tables.fraction[part] * schedule.h,
+                              part);
             if (found) one.add();
         }
         if (!found) {
@@ -76,7 +77,8 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member) {
         follower.push(member, k, one.x, one.dx);
         if (k == saved) {
             saved = next_saved(schedule, k);
-            std::copy_n(one.g, square, loop.saves.group + (slot_of(schedule, k) * loop.saves.members + member) * square);
+            const int64_t place = slot_of(schedule, k) * loop.saves.members + member;
+            std::copy_n(one.g, square, loop.saves.group + place * square);
         }
         if (follower.full()) follower.flush();
     }

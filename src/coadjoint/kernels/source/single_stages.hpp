@@ -113,8 +113,8 @@ struct SingleStages : Stages<Layout, C> {
         return tables.band >= 0 ? by_band(evaluate, multiply) : by_krylov(p, evaluate, multiply);
     }
 
-    // By factors, where coordinates that are coupled are near to each other in the order `position`. Columns that no row
-    // shares are found by one multiplication.
+    // By factors, where coordinates that are coupled are near to each other in the order `position`. Columns that no
+    // row shares are found by one multiplication.
     template <class Evaluate, class Multiply>
     bool by_band(Evaluate evaluate, Multiply multiply) {
         const int64_t band = tables.band, groups = std::min(n, 2 * band + 1);
@@ -154,7 +154,8 @@ struct SingleStages : Stages<Layout, C> {
                 for (int64_t c = 0; c < n; ++c) r[i * n + c] = sides[tables.position[c] * s + i];
             return true;
         };
-        return taken(correct(p, evaluate, solve, [&] { return stale = true; }, tables.solver >= STRUCTURE ? REFINED - 1 : 0));
+        const int64_t enough = tables.solver >= STRUCTURE ? REFINED - 1 : 0;
+        return taken(correct(p, evaluate, solve, [&] { return stale = true; }, enough));
     }
 
     // Without a matrix: `multiply` applies the derivative of the slopes to changes of the points.
@@ -173,14 +174,23 @@ struct SingleStages : Stages<Layout, C> {
             for (int64_t i = 0; i < s; ++i)
                 for (int64_t c = 0; c < m; ++c) image[i * m + c] = Layout::at(own.forth.at, m, c, i);
         };
-        return taken(correct(y, evaluate, [&](double* r) { return own.krylov.solve(r, operate); }, [] { return true; }));
+        auto solve = [&](double* r) { return own.krylov.solve(r, operate); };
+        return taken(correct(y, evaluate, solve, [] { return true; }));
     }
 
     NOINLINE bool linear_by_systems() {
         std::copy_n(frozen.at, blocks * n, p.points.at);
-        bool found;
-        if (tables.solver == STRUCTURE)
-            found = by_systems([&] { this->template evaluate<STRUCTURE>(0, blocks); }, [&](LinearRoom<A>& own, const A* v, A* out) {
+        const bool found = tables.solver == STRUCTURE ? linear_in_gradient() : linear_in_structure();
+        if (!found || d == 0) return found;
+        g.start_at_base();
+        return settle_group(true) || group_by_krylov();
+    }
+
+    // The structure is frozen: linear by the gradient.
+    bool linear_in_gradient() {
+        return by_systems(
+            [&] { this->template evaluate<STRUCTURE>(0, blocks); },
+            [&](LinearRoom<A>& own, const A* v, A* out) {
                 for (int64_t b = 0; b < blocks; ++b) {
                     const auto& here = Layout::constants(constants, b, s);
                     hessian_times(field, here, frozen.at + b * n, v + b * n, times.at[b], own.sloping.gradient.at,
@@ -188,15 +198,17 @@ struct SingleStages : Stages<Layout, C> {
                     product(field, here, frozen.at + b * n, own.sloping.gradient.at, lengths.at[b], out + b * n, room);
                 }
             });
-        else
-            found = by_systems([&] { this->template evaluate<GRADIENT>(0, blocks); }, [&](LinearRoom<A>&, const A* v, A* out) {
+    }
+
+    // The gradient is frozen: linear by the structure.
+    bool linear_in_structure() {
+        return by_systems(
+            [&] { this->template evaluate<GRADIENT>(0, blocks); },
+            [&](LinearRoom<A>&, const A* v, A* out) {
                 for (int64_t b = 0; b < blocks; ++b)
                     product(field, Layout::constants(constants, b, s), v + b * n, gradients.at + b * n, lengths.at[b],
                             out + b * n, room);
             });
-        if (!found || d == 0) return found;
-        g.start_at_base();
-        return settle_group(true) || group_by_krylov();
     }
 
     NOINLINE bool group_by_krylov() {

@@ -1,7 +1,7 @@
 // Stages of a step side by side, and sums over them: X_i = base + (error + sum_j mix_ij L_j).
 //
-// One trajectory has its stages as lanes; members of a crowd are lanes, and a stage follows the other. Stage arrays hold
-// `blocks` blocks of numbers A, one for each component. What belongs to a trajectory as a whole is a V.
+// One trajectory has its stages as lanes; members of a crowd are lanes, and a stage follows the other. Stage arrays
+// hold `blocks` blocks of numbers A, one for each component. What belongs to a trajectory as a whole is a V.
 //
 // Every sum over stages has two parts, over even j from the error and over odd j from zero, each in rising order and
 // fused, and then the sum of the two: the same bits in every layout.
@@ -50,7 +50,8 @@ struct StageLanes {
 
     // totals[m] = errors[m] + sum_j coefficient[j] y_j for M components.
     template <int M>
-    static INLINE void mix(const A* coefficient, int64_t stages, const A* y, int64_t size, const double* errors, A* totals) {
+    static INLINE void mix(const A* coefficient, int64_t stages, const A* y, int64_t size, const double* errors,
+                           A* totals) {
         A even[M], odd[M];
         for (int m = 0; m < M; ++m) even[m] = A(errors[m]), odd[m] = A(0.0);
         for (; stages > W; stages -= W, coefficient += W, y += size) mix_block<M>(coefficient, W, y, even, odd);

@@ -30,7 +30,9 @@ struct Traveller {
     // The slopes of one lane as they are remembered, stage after stage: of the step before, or of this one.
     void write_slopes(bool before, double* to, int lane) {
         each_slope(before ? stages.p.before.at : stages.p.slopes.at, before ? stages.g.before.at : stages.g.slopes.at,
-                   [&](A* y, int64_t size, int64_t c, int64_t j) { *to++ = lane_of(V(Layout::at(y, size, c, j)), lane); });
+                   [&](A* y, int64_t size, int64_t c, int64_t j) {
+                       *to++ = lane_of(V(Layout::at(y, size, c, j)), lane);
+                   });
     }
     void read_slopes(const double* from, int lane) {
         each_slope(stages.p.slopes.at, stages.g.slopes.at, [&](A* y, int64_t size, int64_t c, int64_t j) {
