@@ -31,11 +31,11 @@ class Case:
     arguments: Callable[[Case], list[float]]
     attitude: bool = False
 
-    def integrate(self, steps: int, watch: bool = False) -> Any:
+    def integrate(self, steps: int, watch: bool = False, method: Any = METHOD) -> Any:
         """Take the steps in coadjoint; only the end is saved."""
         span = (0.0, steps * self.step)
         return co.integrate(
-            self.system, self.x0, span, self.step, METHOD, save_every=steps, attitude=self.attitude, watch=watch
+            self.system, self.x0, span, self.step, method, save_every=steps, attitude=self.attitude, watch=watch
         )
 
     def c_arguments(self, steps: int) -> list[str]:

@@ -1,19 +1,23 @@
 """One trajectory: nanoseconds a step of coadjoint and of hand-written C that takes the same steps.
 
-python benchmarks/one_trajectory.py [--steps N] [--rounds R] [--only a b c d e]
+python benchmarks/one_trajectory.py [--steps N] [--rounds R] [--only a b c d e f g]
 """
 
 from __future__ import annotations
 
 import argparse
 import statistics
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from c_programs import build, run
-from cases import Case, cases
+from cases import METHOD, Case, cases
+
+import coadjoint as co
 
 UNIT_ROUNDOFF = 2.0**-53
 CHECKED_STEPS = 1000
@@ -60,8 +64,8 @@ def compare(title: str, reference: list[float], measured: list[float]) -> Row:
     return Row(title, *least, least[1] / least[0], statistics.median(ratios))
 
 
-def nanoseconds(case: Case, steps: int, watch: bool = False) -> float:
-    return 1e9 * case.integrate(steps, watch).stats.seconds / steps
+def nanoseconds(case: Case, steps: int, watch: bool = False, method: Any = METHOD) -> float:
+    return 1e9 * case.integrate(steps, watch, method).stats.seconds / steps
 
 
 def against_c(case: Case, steps: int, rounds: int) -> Row:
@@ -81,7 +85,15 @@ def price_of_watching(case: Case, steps: int, rounds: int) -> Row:
     for _ in range(rounds):
         plain.append(nanoseconds(case, steps))
         watched.append(nanoseconds(case, steps, watch=True))
-    return compare("rigid body, watched against not", plain, watched)
+    return compare(f"{case.title}, watched against not", plain, watched)
+
+
+def in_turns(title: str, steps: int, rounds: int, reference: Callable[[], float], ours: Callable[[], float]) -> Row:
+    theirs, found = [], []
+    for _ in range(rounds):
+        theirs.append(reference())
+        found.append(ours())
+    return compare(title, theirs, found)
 
 
 def measure(steps: int, rounds: int, only: list[str]) -> list[tuple[str, Row]]:
@@ -89,8 +101,29 @@ def measure(steps: int, rounds: int, only: list[str]) -> list[tuple[str, Row]]:
     for key, case in cases().items():
         if key in only:
             found.append((key, against_c(case, steps, rounds)))
+    body, carried = cases()["a"], cases()["b"]
     if "e" in only:
-        found.append(("e", price_of_watching(cases()["a"], steps, rounds)))
+        found += [("e", price_of_watching(cases()[key], steps, rounds)) for key in "acd"]
+    if "f" in only:
+        program, default = build(body.program), co.Splitting(order=2)
+        title = "rigid body, default parts, against the four rotations in C"
+        found.append(
+            (
+                "f",
+                in_turns(
+                    title,
+                    steps,
+                    rounds,
+                    lambda: run(program, body.c_arguments(steps))[0],
+                    lambda: nanoseconds(body, steps, method=default),
+                ),
+            )
+        )
+    if "g" in only:
+        title = "rigid body, with attitude against without"
+        found.append(
+            ("g", in_turns(title, steps, rounds, lambda: nanoseconds(body, steps), lambda: nanoseconds(carried, steps)))
+        )
     return found
 
 
@@ -110,7 +143,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="nanoseconds a step of coadjoint and of hand-written C")
     parser.add_argument("--steps", type=int, default=10_000_000)
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--only", nargs="+", choices=list("abcde"), default=list("abcde"))
+    parser.add_argument("--only", nargs="+", choices=list("abcdefg"), default=list("abcdefg"))
     given = parser.parse_args()
     print(table(measure(given.steps, given.rounds, given.only)))
 
