@@ -9,7 +9,6 @@ import argparse
 import statistics
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
