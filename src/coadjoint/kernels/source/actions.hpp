@@ -11,10 +11,7 @@ struct Turned {
     Rotation<A> turn;
 
     INLINE Rotation<A> by(const A& angle, bool again) {
-        if (again) {
-            if (all(angle == phi)) return turn;
-            if (all(angle == -phi)) return {-turn.sine, turn.lowered};
-        }
+        if (again && all(angle == phi)) return turn;
         phi = angle;
         return turn = rotation_by(angle);
     }
