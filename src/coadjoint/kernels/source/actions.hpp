@@ -3,8 +3,7 @@
 
 #include "sparse_blocks.hpp"
 
-// The last lone angle of a part and its sine: other blocks of the part, and the group element, turn by the same angle
-// or its opposite.
+// The last lone angle of a part and its sine: other blocks of the part, and the group element, often turn by the same.
 template <class A>
 struct Turned {
     A phi = A(NAN);
