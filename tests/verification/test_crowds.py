@@ -108,3 +108,15 @@ def test_a_member_that_fails_disturbs_no_other():
         reached = alone[member].step
         assert np.array_equal(crowd.x[:reached, member], alone[member].partial.x)
         assert np.all(np.isnan(crowd.x[reached:, member]))
+
+
+@pytest.mark.parametrize("compensated", [False, True])
+def test_a_batch_of_more_members_than_lanes(compensated):
+    inertias = [(1.0, 2.0 + 0.01 * k, 3.5) for k in range(70)]
+    bodies = [co.systems.rigid_body(inertia=inertia) for inertia in inertias]
+    states = crowd_around(np.array([0.3, 1.0, -0.4]), len(bodies))
+    span, method = (0.0, STEPS * STEP), co.Splitting(order=2, compensated=compensated)
+    together = co.integrate(co.batch(bodies), states, span, STEP, method, save_every=EVERY, attitude=True)
+    for member in (0, 15, 16, 31, 32, 33, 63, 64, 69):
+        alone = co.integrate(bodies[member], states[member], span, STEP, method, save_every=EVERY, attitude=True)
+        assert_same(together, member, alone)
