@@ -9,6 +9,7 @@ import argparse
 import statistics
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -67,62 +68,42 @@ def nanoseconds(case: Case, steps: int, watch: bool = False, method: Any = METHO
     return 1e9 * case.integrate(steps, watch, method).stats.seconds / steps
 
 
-def against_c(case: Case, steps: int, rounds: int) -> Row:
+def in_turns(title: str, rounds: int, reference: Callable[[], float], ours: Callable[[], float]) -> Row:
+    """Measure both in every round, the reference first."""
+    pairs = [(reference(), ours()) for _ in range(rounds)]
+    return compare(title, *map(list, zip(*pairs, strict=True)))
+
+
+def against_c(title: str, case: Case, steps: int, rounds: int, method: Any = METHOD) -> Row:
     program = build(case.program)
-    check_same_steps(case, program)
-    nanoseconds(case, max(1, steps // 10))
-    theirs, ours = [], []
-    for _ in range(rounds):
-        theirs.append(run(program, case.c_arguments(steps))[0])
-        ours.append(nanoseconds(case, steps))
-    return compare(case.title, theirs, ours)
+    nanoseconds(case, max(1, steps // 10), method=method)
+    theirs = partial(run, program, case.c_arguments(steps))
+    return in_turns(title, rounds, lambda: theirs()[0], lambda: nanoseconds(case, steps, method=method))
 
 
 def price_of_watching(case: Case, steps: int, rounds: int) -> Row:
     nanoseconds(case, max(1, steps // 10), watch=True)
-    plain, watched = [], []
-    for _ in range(rounds):
-        plain.append(nanoseconds(case, steps))
-        watched.append(nanoseconds(case, steps, watch=True))
-    return compare(f"{case.title}, watched against not", plain, watched)
-
-
-def in_turns(title: str, steps: int, rounds: int, reference: Callable[[], float], ours: Callable[[], float]) -> Row:
-    theirs, found = [], []
-    for _ in range(rounds):
-        theirs.append(reference())
-        found.append(ours())
-    return compare(title, theirs, found)
+    title = f"{case.title}, watched against not"
+    plain, watched = partial(nanoseconds, case, steps), partial(nanoseconds, case, steps, True)
+    return in_turns(title, rounds, plain, watched)
 
 
 def measure(steps: int, rounds: int, only: list[str]) -> list[tuple[str, Row]]:
     found = []
     for key, case in cases().items():
         if key in only:
-            found.append((key, against_c(case, steps, rounds)))
+            check_same_steps(case, build(case.program))
+            found.append((key, against_c(case.title, case, steps, rounds)))
     body, carried = cases()["a"], cases()["b"]
     if "e" in only:
         found += [("e", price_of_watching(cases()[key], steps, rounds)) for key in "acd"]
     if "f" in only:
-        program, default = build(body.program), co.Splitting(order=2)
         title = "rigid body, default parts, against the four rotations in C"
-        found.append(
-            (
-                "f",
-                in_turns(
-                    title,
-                    steps,
-                    rounds,
-                    lambda: run(program, body.c_arguments(steps))[0],
-                    lambda: nanoseconds(body, steps, method=default),
-                ),
-            )
-        )
+        found.append(("f", against_c(title, body, steps, rounds, co.Splitting(order=2))))
     if "g" in only:
         title = "rigid body, with attitude against without"
-        found.append(
-            ("g", in_turns(title, steps, rounds, lambda: nanoseconds(body, steps), lambda: nanoseconds(carried, steps)))
-        )
+        without, with_it = partial(nanoseconds, body, steps), partial(nanoseconds, carried, steps)
+        found.append(("g", in_turns(title, rounds, without, with_it)))
     return found
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels.tables import watch_tables
-from coadjoint.kernels.varied_tables import BLOCK, picked, stacked, structure_of
+from coadjoint.kernels.varied_tables import BLOCK, CALLED, VARIED, stacked, structure_of
 from coadjoint.runs.batch_loops import groups_of
 from coadjoint.runs.prepare import loop_of
 
@@ -28,6 +28,18 @@ def leaves(tables):
             yield from leaves(item)
         else:
             yield item
+
+
+def picked(varied, member):
+    """Return the tables of one member of a stack: its column of what varies."""
+
+    def own(name, item):
+        if isinstance(item, tuple):
+            return picked(item, member)
+        kind = VARIED if isinstance(item, np.ndarray) and item.dtype == np.float64 else CALLED
+        return item[:, member].copy() if isinstance(item, np.ndarray) and name in kind and item.ndim == 2 else item
+
+    return varied._replace(**{name: own(name, item) for name, item in zip(varied._fields, varied, strict=True)})
 
 
 def varies(one, stack):

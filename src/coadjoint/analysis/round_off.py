@@ -118,3 +118,56 @@ def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
             size = np.array([np.linalg.norm(invariant.gradient(x)) * np.linalg.norm(x) for x in solution.x[0]])
         found[name] = random_walk((values - values[0]) / size, early)
     return found
+
+
+def orthogonality(solution: Any, size: int | None = None) -> RandomWalk:
+    """Return how far the carried group elements are from orthogonal matrices, g g^T - 1 over all entries.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of an ensemble, with an attitude.
+    size : int, optional
+        Rows and columns that are looked at, from the first: 3 for the rotation in a motion of space. None is all.
+
+    Returns
+    -------
+    RandomWalk
+        Absolute.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> x0 = np.random.default_rng(0).normal(size=(64, 3))
+    >>> orthogonality(co.integrate(body, x0, (0, 100), 0.1, save_every=10, attitude=True)).worst < 1e-14
+    True
+    """
+    g = solution.attitude[..., :size, :size]
+    return random_walk(g @ np.swapaxes(g, -1, -2) - np.eye(g.shape[-1]), 1)
+
+
+def spatial_momentum(solution: Any) -> RandomWalk:
+    """Return how the momentum in space, K x, changes.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of an ensemble, with ``attitude="coadjoint"``.
+
+    Returns
+    -------
+    RandomWalk
+        Relative to abs(K) abs(x): on e(3) the translation grows with time, and its rounding with it.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> x0 = np.random.default_rng(0).normal(size=(64, 3))
+    >>> spatial_momentum(co.integrate(body, x0, (0, 100), 0.1, save_every=10, attitude="coadjoint")).worst < 1e-14
+    True
+    """
+    spatial = np.einsum("kmij,kmj->kmi", solution.attitude, solution.x)
+    size = np.linalg.norm(solution.attitude, axis=(2, 3), ord=2) * np.linalg.norm(solution.x, axis=2)
+    return random_walk((spatial - spatial[0]) / size[..., None], 1)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,22 +37,9 @@ class FlowTables(NamedTuple):
     compensated: bool
 
 
-def advance(
-    tables: Any,
-    watch: Any,
-    saves: Any,
-    schedule: Any,
-    state: Any,
-    crew: NDArray[np.int64],
-    k0: int,
-    k1: int,
-    report: Any,
-    stride: int = 0,
-    base: int = 0,
-) -> None:
-    """Take the steps k0 + 1 to k1 for the members crew[0] to crew[1] - 1.
+advance = partial(take_steps, "flow_advance")
+"""Take the steps of a program: `coadjoint.kernels.loop.take_steps` by its loop.
 
-    Tables come as they are or `pointed`; `state` is that of `coadjoint.kernels.loop.state_of`, unfinished between
-    calls: the outer flow of a step is merged with the next one, and *finish* acts on a copy.
-    """
-    take_steps("flow_advance", tables, watch, saves, schedule, state, crew, k0, k1, report, stride, base)
+The state is unfinished between calls: the outer flow of a step is merged with the next one, and *finish* acts on a
+copy.
+"""

@@ -76,3 +76,8 @@ def take_steps(
         ctypes.byref(reported),
         ctypes.c_int64(stride),
     )
+
+
+def widest_crowd() -> int:
+    """Return the dimension up to which the loops advance members side by side."""
+    return int(kernels().widest_crowd())

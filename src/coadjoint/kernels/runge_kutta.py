@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,21 +54,5 @@ def memory_of(tables: RungeKuttaTables) -> int:
     return 1 + tables.stages * size if tables.solver == IMPLICIT else 0
 
 
-def advance(
-    tables: Any,
-    watch: Any,
-    saves: Any,
-    schedule: Any,
-    state: Any,
-    crew: NDArray[np.int64],
-    k0: int,
-    k1: int,
-    report: Any,
-    stride: int = 0,
-    base: int = 0,
-) -> None:
-    """Take the steps k0 + 1 to k1 for the members crew[0] to crew[1] - 1.
-
-    Tables come as they are or `pointed`; `state` is that of `coadjoint.kernels.loop.state_of`.
-    """
-    take_steps("runge_kutta_advance", tables, watch, saves, schedule, state, crew, k0, k1, report, stride, base)
+advance = partial(take_steps, "runge_kutta_advance")
+"""Take the steps of a Runge-Kutta method: `coadjoint.kernels.loop.take_steps` by its loop."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,21 +55,5 @@ def step_address(name: str) -> int:
     return ctypes.cast(found, ctypes.c_void_p).value or 0
 
 
-def advance(
-    tables: Any,
-    watch: Any,
-    saves: Any,
-    schedule: Any,
-    state: Any,
-    crew: NDArray[np.int64],
-    k0: int,
-    k1: int,
-    report: Any,
-    stride: int = 0,
-    base: int = 0,
-) -> None:
-    """Take the steps k0 + 1 to k1 for the members crew[0] to crew[1] - 1, by the step that the tables bring.
-
-    Tables come as they are or `pointed`; `state` is that of `coadjoint.kernels.loop.state_of`.
-    """
-    take_steps("stepping_advance", tables, watch, saves, schedule, state, crew, k0, k1, report, stride, base)
+advance = partial(take_steps, "stepping_advance")
+"""Take the steps of a scheme by the step that its tables bring: `coadjoint.kernels.loop.take_steps` by its loop."""

@@ -104,40 +104,6 @@ def _stacked_column(name: str, item: Any, column: Sequence[Any]) -> Any:
     return item
 
 
-def picked(varied: Tables, member: int) -> Tables:
-    """Return the tables of one member of a stack: its own constants, in the type that it has alone.
-
-    Parameters
-    ----------
-    varied : NamedTuple
-        From `stacked`.
-    member : int
-        Its place in the stack.
-
-    Returns
-    -------
-    NamedTuple
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from coadjoint.kernels.field import GroupField
-    >>> index = np.zeros(1, dtype=np.uint32)
-    >>> both = stacked([GroupField(1, 1, index, index, index, np.array([value])) for value in (1.0, 2.0)])
-    >>> picked(both, 1)[-1]
-    array([2.])
-    """
-    return _remade(
-        varied, [_picked_item(name, item, member) for name, item in zip(_fields(varied), varied, strict=True)]
-    )
-
-
-def _picked_item(name: str, item: Any, member: int) -> Any:
-    if isinstance(item, tuple):
-        return picked(item, member)
-    return item[:, member].copy() if _varies(name, item) else item
-
-
 def _remade(tables: Tables, items: list[Any]) -> Tables:
     kind: Any = type(tables)
     made: Tables = kind._make(items) if hasattr(kind, "_make") else kind(items)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.varied_tables import BLOCK
 from coadjoint.methods.base import FlowMethod, Method
 from coadjoint.program.decompose import decompose_all
-from coadjoint.runs.loops import Crew, Work, start_of_loop, unshifted_groups
+from coadjoint.runs.loops import Crew, Work, crews_of, start_of_loop, unshifted_groups
 from coadjoint.runs.prepare import Prepared, loop_of
 from coadjoint.runs.start import Representation, Start
 from coadjoint.systems.batch import Batch
@@ -95,9 +95,7 @@ class BatchLoops:
         """Return rounds of crews, each within a group and of whole blocks of lanes."""
         crews: list[Crew] = []
         for first, last in pairwise(self._first.tolist()):
-            blocks = -(-(last - first) // BLOCK)
-            edges = [min(last, first + blocks * w // workers * BLOCK) for w in range(workers + 1)]
-            crews += [crew for crew in pairwise(edges) if crew[0] < crew[1]]
+            crews += [crew for crew in crews_of(first, last, workers, BLOCK) if crew[0] < crew[1]]
         size = CREWS_IN_A_ROUND * workers
         return [crews[a : a + size] for a in range(0, len(crews), size)]
 

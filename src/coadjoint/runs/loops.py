@@ -17,9 +17,6 @@ from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.unshift import unshifted
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-WIDEST = 1024
-"""The dimension up to which the kernels advance members as lanes."""
-
 Crew = tuple[int, int]
 """The members first to last - 1, which one call of a compiled loop advances."""
 
@@ -91,6 +88,7 @@ class SystemLoops:
         casimirs: Mapping[str, Any] | None = None,
     ) -> None:
         from coadjoint.kernels.library import pointed
+        from coadjoint.kernels.loop import widest_crowd
         from coadjoint.kernels.tables import watch_tables
         from coadjoint.kernels.watching import record_start
 
@@ -100,6 +98,7 @@ class SystemLoops:
         self._system, self._shift = system, prepared.shift
         self._keep = (prepared.keep, watch.keep)
         self._record_start = record_start
+        self._block = BLOCK if system.dim <= widest_crowd() else 1
         # As C structures once, not at each call.
         self._work = Work(prepared.advance, pointed(prepared.tables), pointed(watch.tables))
         self.memory = prepared.memory
@@ -110,10 +109,7 @@ class SystemLoops:
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return one round, of a crew for each worker; what the kernels advance side by side stays together."""
-        block = BLOCK if self._system.dim <= WIDEST else 1
-        blocks = -(-members // block)
-        edges = [min(members, blocks * w // workers * block) for w in range(workers + 1)]
-        return [list(pairwise(edges))]
+        return [crews_of(0, members, workers, self._block)]
 
     def work(self, crew: Crew) -> Work:
         """Return what advances every crew."""
@@ -126,6 +122,18 @@ class SystemLoops:
     def turned(self, start: Start, elapsed: NDArray[np.float64], groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the group elements of the run from those of the loop."""
         return unshifted_groups(self._system, self._shift, start, elapsed, groups)
+
+
+def crews_of(first: int, last: int, workers: int, block: int) -> list[Crew]:
+    """Return the members first to last - 1 as a crew for each worker, of whole blocks.
+
+    Examples
+    --------
+    >>> crews_of(0, 100, 2, 32)
+    [(0, 64), (64, 100)]
+    """
+    blocks = -(-(last - first) // block)
+    return list(pairwise(min(last, first + blocks * w // workers * block) for w in range(workers + 1)))
 
 
 def start_of_loop(shift: tuple[Any, ...], groups: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,10 +1,9 @@
 // What Python calls for flow methods.
-#include "crew.hpp"
 #include "flow_alone.hpp"
 #include "flow_crowd.hpp"
 
 template <Care care, bool carry>
-static void advance_crew(const Loop& loop, const Crew& crew, const Varied* varied) {
+static void advance_crew(const FlowLoop& loop, const Crew& crew, const Varied* varied) {
     typedef Lanes<CROWD> Crowd;
     const auto shared = [](int64_t) { return Shared{}; };
     const auto own = [&](int64_t place) { return Varied{varied->stride, place}; };
@@ -34,7 +33,7 @@ static void advance_crew(const Loop& loop, const Crew& crew, const Varied* varie
 EXPORT void flow_advance(const FlowTables* tables, const Watch* watch, const Saves* saves, const Schedule* schedule,
                          const State* state, const int64_t* members, int64_t first, int64_t last, int64_t k0,
                          int64_t k1, const Report* report, int64_t stride) {
-    const Loop loop{*tables, *watch, *saves, *schedule, *state, *report, k0, k1};
+    const FlowLoop loop{*tables, *watch, *saves, *schedule, *state, *report, k0, k1};
     const Crew crew{members, first, last};
     const Varied own{stride, 0}, *varied = stride ? &own : nullptr;
     const bool carry = state->square > 0;
@@ -43,3 +42,6 @@ EXPORT void flow_advance(const FlowTables* tables, const Watch* watch, const Sav
     else
         carry ? advance_crew<PLAIN, true>(loop, crew, varied) : advance_crew<PLAIN, false>(loop, crew, varied);
 }
+
+// The dimension up to which members go side by side.
+EXPORT int64_t widest_crowd() { return WIDEST; }

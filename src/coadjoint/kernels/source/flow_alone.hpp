@@ -25,7 +25,7 @@ struct Finisher {
 };
 
 template <Care care, bool carry, class Side>
-void follow_alone(const Loop& loop, int64_t member) {
+void follow_alone(const FlowLoop& loop, int64_t member) {
     const FlowTables& tables = loop.tables;
     const Schedule& schedule = loop.schedule;
     const State& state = loop.state;
@@ -89,10 +89,7 @@ void follow_alone(const Loop& loop, int64_t member) {
     const int64_t taken = (failed ? failed : loop.k1) - loop.k0, start = loop.k0 == 0 && taken > 0;
     loop.report.evaluations[member] += start * (int64_t(tables.section[1]) - tables.section[0]) +
                                        (taken - start) * (int64_t(tables.section[2]) - tables.section[1]);
-    if (failed) {
-        loop.report.status[member] = OVERFLOWED;
-        loop.report.step[member] = failed;
-    }
+    if (failed) loop.overflow(member, failed);
     std::copy_n(x, size, state.momenta + member * size);
     std::copy_n(dx, size, state.errors + member * size);
     if constexpr (carry)

@@ -9,7 +9,7 @@
 // another goes on.
 template <Care care, bool carry, class A, class C>
 struct Block {
-    const Loop& loop;
+    const FlowLoop& loop;
     const C constants;
     const int64_t* members;
     const int64_t count, size, square;
@@ -18,26 +18,28 @@ struct Block {
     CrowdWatcher<A, C> watcher;
     Vectors<A> momentum, group;
 
-    Block(const Loop& loop, const C& constants, const int64_t* members, int64_t count, Room<A>& scratch)
+    Block(const FlowLoop& loop, const C& constants, const int64_t* members, int64_t count, Room<A>& scratch)
         : loop(loop), constants(constants), members(members), count(count), size(loop.state.size),
           square(loop.state.square), momenta(2 * size), elements(2 * square), going{},
           watcher(loop.watch, loop.saves, loop.schedule, this->constants, members, going, count),
           momentum{momenta.at, momenta.at + size, 1, scratch.at},
           group{elements.at, elements.at + square, loop.tables.group.size, scratch.at} {
         for (int64_t lane = 0; lane < count; ++lane) left += going[lane] = loop.report.status[members[lane]] == DONE;
-        read(momentum.at, loop.state.momenta, size);
-        read(momentum.errors, loop.state.errors, size);
-        read(group.at, loop.state.groups, square);
-        read(group.errors, loop.state.group_errors, square);
+        read_lanes(momentum.at, loop.state.momenta, size, members, count);
+        read_lanes(momentum.errors, loop.state.errors, size, members, count);
+        read_lanes(group.at, loop.state.groups, square, members, count);
+        read_lanes(group.errors, loop.state.group_errors, square, members, count);
     }
 
     ~Block() {
-        for (int64_t lane = 0; lane < count; ++lane)
-            if (going[lane]) loop.report.evaluations[members[lane]] += evaluations;
-        write(momentum.at, loop.state.momenta, size);
-        write(momentum.errors, loop.state.errors, size);
-        write(group.at, loop.state.groups, square);
-        write(group.errors, loop.state.group_errors, square);
+        for (int64_t lane = 0; lane < count; ++lane) {
+            const int64_t member = members[lane];
+            if (going[lane]) loop.report.evaluations[member] += evaluations;
+            write_lane(momentum.at, loop.state.momenta, size, member, int(lane));
+            write_lane(momentum.errors, loop.state.errors, size, member, int(lane));
+            write_lane(group.at, loop.state.groups, square, member, int(lane));
+            write_lane(group.errors, loop.state.group_errors, square, member, int(lane));
+        }
     }
 
     template <class Mask>
@@ -48,8 +50,7 @@ struct Block {
             watcher.keep_worst();
             going[lane] = 0;
             --left;
-            loop.report.status[members[lane]] = OVERFLOWED;
-            loop.report.step[members[lane]] = k;
+            loop.overflow(members[lane], k);
             loop.report.evaluations[members[lane]] += evaluations;
         }
     }
@@ -70,23 +71,7 @@ struct Block {
         }
         stop_where_not(finite(size, copies), k);
         watcher.note(k, slot, size, copies);
-        if (!carry || slot < 0) return;
-        for (int64_t lane = 0; lane < count; ++lane) {
-            double* place = loop.saves.group + (slot * loop.saves.members + members[lane]) * square;
-            for (int64_t i = 0; going[lane] && i < square; ++i) place[i] = lane_of(element[i], int(lane));
-        }
-    }
-
-  private:
-    void read(A* to, const double* from, int64_t length) {
-        for (int64_t i = 0; i < length; ++i)
-            for (int64_t lane = 0; lane < Numbers<A>::lanes; ++lane)
-                set_lane(to[i], int(lane), from[members[std::min(lane, count - 1)] * length + i]);
-    }
-
-    void write(const A* from, double* to, int64_t length) {
-        for (int64_t lane = 0; lane < count; ++lane)
-            for (int64_t i = 0; i < length; ++i) to[members[lane] * length + i] = lane_of(from[i], int(lane));
+        if (carry && slot >= 0) watcher.save_group(slot, square, element);
     }
 };
 
@@ -94,7 +79,7 @@ constexpr int BLOCKS = 2;
 
 // `constants_from(place)` are those of the lanes from a place of the crew.
 template <Care care, bool carry, class A, class ConstantsFrom>
-void follow_together(const Loop& loop, const ConstantsFrom& constants_from, const int64_t* members, int64_t first,
+void follow_together(const FlowLoop& loop, const ConstantsFrom& constants_from, const int64_t* members, int64_t first,
                      int64_t last) {
     typedef Block<care, carry, A, decltype(constants_from(0))> Own;
     constexpr int64_t lanes = Numbers<A>::lanes;

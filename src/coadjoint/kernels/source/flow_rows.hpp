@@ -2,7 +2,7 @@
 #pragma once
 
 #include "actions.hpp"
-#include "watching.hpp"
+#include "crew.hpp"
 
 // Room for the angles of a part and for the calls of user functions.
 template <class A>
@@ -55,12 +55,4 @@ NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first
     for (uint32_t r = first; r < last; ++r) apply_row<care, carry>(tables, constants, r, x, group, t, h, room);
 }
 
-struct Loop {
-    const FlowTables& tables;
-    const Watch& watch;
-    const Saves& saves;
-    const Schedule& schedule;
-    const State& state;
-    const Report& report;
-    int64_t k0, k1;
-};
+typedef Loop<FlowTables> FlowLoop;

@@ -4,22 +4,7 @@
 #include "crew.hpp"
 #include "traveller.hpp"
 
-struct RungeKuttaLoop {
-    const RungeKuttaTables& tables;
-    const Watch& watch;
-    const Saves& saves;
-    const Schedule& schedule;
-    const State& state;
-    const Report& report;
-    int64_t k0, k1;
-
-    double* memory_of(int64_t member) const { return state.memory + member * state.remembered; }
-    void fail(int64_t member, int64_t step, int64_t status, double residual) const {
-        report.status[member] = status;
-        report.step[member] = step;
-        report.residual[member] = residual;
-    }
-};
+typedef Loop<RungeKuttaTables> RungeKuttaLoop;
 
 // Nothing is left to be finished when steps of one trajectory are watched side by side.
 struct Finished {
@@ -70,7 +55,7 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member) {
             break;
         }
         if (!finite(n, one.x)) {
-            loop.fail(member, k, OVERFLOWED, std::numeric_limits<double>::quiet_NaN());
+            loop.overflow(member, k);
             break;
         }
         if (!schedule.watching && k != saved) continue;
@@ -112,9 +97,7 @@ struct Together {
         : loop(loop), constants(constants), members(members), count(count), crowd(loop.tables, constants),
           slopes(std::max<int64_t>(loop.state.remembered, 1)) {
         each_row(loop.state, crowd.x, crowd.dx, crowd.g, crowd.dg, [&](const double* from, A* to, int64_t length) {
-            for (int64_t i = 0; i < length; ++i)
-                for (int lane = 0; lane < lanes; ++lane)
-                    set_lane(to[i], lane, from[members[std::min<int64_t>(lane, count - 1)] * length + i]);
+            read_lanes(to, from, length, members, count);
         });
         for (int64_t lane = 0; lane < count; ++lane) left += going[lane] = loop.report.status[members[lane]] == DONE;
         if (loop.state.remembered == 0) return;
@@ -133,7 +116,7 @@ struct Together {
     void write(int lane) {
         const int64_t member = members[lane];
         each_row(loop.state, crowd.x, crowd.dx, crowd.g, crowd.dg, [&](double* to, const A* from, int64_t length) {
-            for (int64_t i = 0; i < length; ++i) to[member * length + i] = lane_of(from[i], lane);
+            write_lane(from, to, length, member, lane);
         });
         if (loop.state.remembered == 0) return;
         loop.memory_of(member)[0] = newton[lane];
@@ -198,10 +181,7 @@ struct Together {
             watcher.note(k, slot, crowd.n, crowd.x);
             if (slot < 0) continue;
             saved = next_saved(schedule, k);
-            for (int64_t lane = 0; lane < count; ++lane) {
-                double* place = loop.saves.group + (slot * loop.saves.members + members[lane]) * crowd.square;
-                for (int64_t i = 0; going[lane] && i < crowd.square; ++i) place[i] = lane_of(crowd.g[i], int(lane));
-            }
+            watcher.save_group(slot, crowd.square, crowd.g);
         }
     }
 

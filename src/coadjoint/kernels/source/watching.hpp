@@ -217,6 +217,13 @@ struct CrowdWatcher {
             if (going[lane]) save_state(saves, members[lane], slot, size, x, lane);
     }
 
+    void save_group(int64_t slot, int64_t square, const A* element) {
+        for (int64_t lane = 0; lane < count; ++lane) {
+            double* place = saves.group + (slot * saves.members + members[lane]) * square;
+            for (int64_t i = 0; going[lane] && i < square; ++i) place[i] = lane_of(element[i], int(lane));
+        }
+    }
+
     // A lane that failed keeps the deviations it had until then.
     void keep_worst() {
         if (tenth < 0) return;
