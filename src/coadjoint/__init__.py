@@ -37,6 +37,7 @@ _HOME = {
     "ModifiedGaussLegendre": "coadjoint.methods.modified_gauss_legendre",
     "RadauEnergy": "coadjoint.methods.radau_energy",
     "Splitting": "coadjoint.methods.splitting",
+    "Taylor": "coadjoint.methods.taylor",
     "PreparedRun": "coadjoint.runs.prepared_run",
     "Solution": "coadjoint.runs.solution",
     "batch": "coadjoint.systems.batch",
@@ -69,6 +70,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
     from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy
     from coadjoint.methods.splitting import Splitting as Splitting
+    from coadjoint.methods.taylor import Taylor as Taylor
     from coadjoint.runs.accuracy import Choice as Choice
     from coadjoint.runs.accuracy import choose as choose
     from coadjoint.runs.integrate import integrate as integrate

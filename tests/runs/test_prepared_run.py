@@ -50,7 +50,9 @@ def test_a_run_keeps_its_arrays_when_another_follows():
     assert np.array_equal(first.x, kept[0]) and np.array_equal(first.attitude, kept[1])
 
 
-@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(3), co.RadauEnergy(2)], ids=str)
+@pytest.mark.parametrize(
+    "method", [co.Splitting(order=4), co.GaussLegendre(3), co.RadauEnergy(2), co.Taylor(6)], ids=str
+)
 def test_threads_may_share_one(method):
     ready = co.prepare(BODY, method, 0.01, observe={"x1": lambda x: x[0]}, threads=1)
     states = X * np.linspace(0.5, 2.0, 8)[:, None]

@@ -27,6 +27,8 @@ SCHEMES = (
     "Iterated 2",
     "rk4",
     "RadauEnergy 2",
+    "Taylor 5",
+    "Taylor 5 alone",
 )
 SPAN, STEP, MEMBERS = (0.0, 1.5), 0.0625, 35
 
@@ -59,7 +61,7 @@ def runs() -> Iterator[tuple[str, co.Solution]]:
         co.LiePoissonSystem(co.algebras.get("A3,7", a=a), co.Quadratic(full_matrix(seed, 3)))
         for seed, a in enumerate((1.0, 1.75, 2.5, 2.75))
     ]
-    for scheme in ("Splitting 4", "GaussLegendre 3", "RadauEnergy 2"):
+    for scheme in ("Splitting 4", "GaussLegendre 3", "RadauEnergy 2", "Taylor 5"):
         yield f"{scheme} on a batch", co.integrate(co.batch(spirals), [0.7, -0.4, 0.5], SPAN, STEP, methods[scheme])
 
 

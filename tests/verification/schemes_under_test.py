@@ -33,6 +33,8 @@ def schemes() -> dict[str, co.methods.base.Method]:
     found |= {f"Iterated {s}": co.IteratedGaussLegendre(s) for s in (1, 2, 3)}
     found |= {name: co.ExplicitRungeKutta(name) for name in ("runge2", "rk4")}
     found |= {f"RadauEnergy {s}": co.RadauEnergy(s) for s in (1, 2, 3)}
+    found |= {f"Taylor {p}": co.Taylor(p) for p in (1, 2, 3, 5, 6)}
+    found |= {f"Taylor {p} alone": co.Taylor(p, projected=False) for p in (2, 5)}
     return found
 
 

@@ -101,7 +101,7 @@ def test_attitude_in_the_representation_of_each_member(scheme, name):
         assert same(sol.attitude[:, m], co.integrate(system, x0, SPAN, STEP, method, attitude=True).attitude)
 
 
-@pytest.mark.parametrize("scheme", ["Splitting 2", "Splitting 4", "GaussLegendre 2", "RadauEnergy 2"])
+@pytest.mark.parametrize("scheme", ["Splitting 2", "Splitting 4", "GaussLegendre 2", "RadauEnergy 2", "Taylor 5"])
 def test_prepared_runs_have_the_bits_of_integrate(scheme):
     method = schemes()[scheme]
     for system in (bodies()[0], co.batch(tops())):

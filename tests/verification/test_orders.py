@@ -23,6 +23,8 @@ DECLARED = {
     **{f"Modified {s} {freeze}": 2 * s for s in (1, 2, 3) for freeze in ("structure", "gradient")},
     **{f"Iterated {s}": 2 * s for s in (1, 2, 3)},
     **{f"RadauEnergy {s}": 2 * s - 1 for s in (1, 2, 3)},
+    **{f"Taylor {p}": p for p in (1, 2, 3, 5, 6)},
+    **{f"Taylor {p} alone": p for p in (2, 5)},
 }
 
 

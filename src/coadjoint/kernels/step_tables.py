@@ -9,7 +9,7 @@ import numpy as np
 
 from coadjoint.kernels.field_tables import field_of, group_of, substeps
 from coadjoint.kernels.stepping import Stepping, StepTables, step_address
-from coadjoint.kernels.tables import Compiled, addresses_of
+from coadjoint.kernels.tables import Compiled, addresses_of, invariants_table, watch_tables
 from coadjoint.methods.base import System
 from coadjoint.methods.step_method import StepMethod
 from coadjoint.program.terms import TermTable
@@ -48,16 +48,19 @@ def step_tables(
     table = TermTable()
     for term in system.hamiltonian.terms():
         table.add(term)
-    values, kept = addresses_of(table.functions, len(table), "value", "the Hamiltonian")
+    values, values_kept = addresses_of(table.functions, len(table), "value", "the Hamiltonian")
+    restored = method.restored(system)
+    watched = invariants_table([], system.dim) if restored is None else watch_tables(system, restored)
     integers, numbers = method.constants()
     tables = StepTables(
         field,
         values,
         group_of(system, representation),
+        watched.tables,
         np.array(integers, dtype=np.int64),
         np.array(numbers, dtype=np.float64),
     )
     lengths, moments = substeps(fractions)
     step = np.array([step_address(method.compiled_step)], dtype=np.int64)
     stepping = Stepping(step, len(lengths), lengths, moments, tables)
-    return Compiled(stepping, (*keep, *kept))
+    return Compiled(stepping, (*keep, *values_kept, *watched.keep))

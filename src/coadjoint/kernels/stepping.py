@@ -12,15 +12,19 @@ from numpy.typing import NDArray
 from coadjoint.kernels.field import Field, GroupField
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import take_steps
+from coadjoint.kernels.watching import Watch
 from coadjoint.methods.step_method import UNDEFINED as UNDEFINED
 
 
 class StepTables(NamedTuple):
-    """What a step reads: the field, the compiled values of the terms of H, the group equation, and coefficients."""
+    """What a step reads: the field, the compiled values of the terms of H, the group equation, the invariants that it
+    restores, and coefficients.
+    """
 
     field: Field
     values: NDArray[np.int64]
     group: GroupField
+    kept: Watch
     whole: NDArray[np.int64]
     coefficients: NDArray[np.float64]
 
@@ -53,6 +57,11 @@ def step_address(name: str) -> int:
             f"the kernels have no step {name!r}; its C++ file must stand beside the scheme when they are built"
         ) from error
     return ctypes.cast(found, ctypes.c_void_p).value or 0
+
+
+def memory_of(tables: Stepping) -> int:
+    """Return how many numbers a member remembers from step to step: of what is restored, the values and how exactly."""
+    return 2 * int(tables.tables.kept.size)
 
 
 advance = partial(take_steps, "stepping_advance")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.invariant import Invariant
-from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.kernels.flow import FlowTables
 from coadjoint.kernels.watching import Watch
 from coadjoint.program.actions import Action, empty_action
@@ -18,7 +17,6 @@ from coadjoint.program.rational import acts_rationally
 from coadjoint.program.table import Program
 from coadjoint.program.terms import LINEAR, TermTable
 from coadjoint.systems.hamiltonian import as_hamiltonian
-from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
 from coadjoint.systems.user_functions import takes_time
 
@@ -155,6 +153,24 @@ def watch_tables(system: Any, invariants: Mapping[str, Any]) -> Compiled:
     Compiled
         With a `Watch`.
     """
+    return invariants_table([("the energy", system.hamiltonian), *invariants.items()], system.dim)
+
+
+def invariants_table(invariants: Sequence[tuple[str, Any]], size: int) -> Compiled:
+    """Return invariants of points of `size` coordinates as arrays.
+
+    Parameters
+    ----------
+    invariants : sequence of (str, Hamiltonian, Polynomial or Invariant)
+        Their names, for messages, and what they are.
+    size : int
+        Number of coordinates.
+
+    Returns
+    -------
+    Compiled
+        With a `Watch`.
+    """
     table, first, constant, period, owners = TermTable(), [0], [], [], {}
 
     def end(name: str, offset: float, wrapped: float) -> None:
@@ -173,13 +189,12 @@ def watch_tables(system: Any, invariants: Mapping[str, Any]) -> Compiled:
             offset += float(term.constant) if isinstance(term, QuadraticTerm) else 0.0
         return offset
 
-    end("the energy", add(system.hamiltonian), 0.0)
-    for name, invariant in invariants.items():
-        if isinstance(invariant, Polynomial | Quadratic):
-            end(name, add(as_hamiltonian(invariant, system.dim)), 0.0)
-        else:
-            table.add_function(function_of_all(invariant, system.dim))
+    for name, invariant in invariants:
+        if isinstance(invariant, Invariant):
+            table.add_function(function_of_all(invariant, size))
             end(name, 0.0, float(invariant.period))
+        else:
+            end(name, add(as_hamiltonian(invariant, size)), 0.0)
     pairs = [addresses_of({k: term}, len(table), "value", owners[k]) for k, term in table.functions.items()]
     addresses = sum((found for found, _ in pairs), np.zeros(len(table), dtype=np.int64))
     terms = table.table()

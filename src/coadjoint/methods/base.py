@@ -26,7 +26,7 @@ class Properties:
     energy : bool
         Whether the energy is kept.
     casimirs : str
-        ``"all"``, ``"quadratic"`` (of degree at most two) or ``"none"``.
+        ``"all"``, ``"polynomial"`` (those that are polynomials), ``"quadratic"`` (of degree at most two) or ``"none"``.
     attitude : str
         ``"every representation"``, ``"coadjoint"`` (and representations that are orthogonal for a fixed form and
         contain the coadjoint one), ``"integrated"`` (as a differential equation, nothing kept) or ``"none"``.

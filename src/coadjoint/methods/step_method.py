@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from numpy.typing import NDArray
@@ -33,6 +33,36 @@ class StepMethod(Method):
         -------
         integers, numbers : sequences
         """
+
+    def restored(self, system: System) -> Mapping[str, Any] | None:
+        """Return the invariants that the compiled step restores beside the energy; None is not the energy either.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        mapping or None
+            Name -> `Polynomial` or `Quadratic`. The step remembers two numbers for each of them and for the energy.
+        """
+        return None
+
+    def operations(self, system: System) -> tuple[float, float] | None:
+        """Return how many vectors of eight a step multiplies, and how many of its operations wait for the one before.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        (float, float) or None
+            Both once for a step; None for a scheme that iterates, whose work is counted by its evaluations.
+        """
+        return None
 
     @abstractmethod
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:

@@ -11,6 +11,7 @@ from typing import Any
 from coadjoint.methods.base import Method, System
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.splitting import Splitting
+from coadjoint.methods.taylor import Taylor
 from coadjoint.runs.candidates import Candidate, admitted
 from coadjoint.runs.fitting import Fit, confirmed, fit
 from coadjoint.runs.pilot import Pilot
@@ -25,6 +26,7 @@ ROUNDING_SHARE = 0.5
 
 # High orders first: where they win, the others are given up after a short look.
 SCHEMES: tuple[Method, ...] = (
+    *(Taylor(p) for p in (16, 12, 20, 24, 8, 10, 6)),
     *(GaussLegendre(s) for s in (8, 6, 12, 10, 4, 3, 2)),
     *(Splitting(order=p) for p in (10, 8, 6, 4, 2)),
 )

@@ -78,5 +78,5 @@ def loop_of(system: System, method: Method, h: float, representation: NDArray[An
         from coadjoint.kernels.step_tables import step_tables
 
         found = step_tables(system, innermost, representation, method.fractions)
-        return Prepared(stepping.advance, found.tables, found.keep)
+        return Prepared(stepping.advance, found.tables, found.keep, memory=stepping.memory_of(found.tables))
     raise TypeError(f"no loop is known for {innermost!r}")

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from coadjoint.methods.base import FlowMethod, Method, System
+from coadjoint.methods.composition import Composition
+from coadjoint.methods.step_method import StepMethod
 from coadjoint.program.describe import action_work, share_work
 from coadjoint.program.table import Program
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -24,6 +26,9 @@ ITERATION = 0.5
 LANES = 8
 VECTOR_MULTIPLICATION = 0.05
 IMPLICIT_STEP = 6.0
+EXPLICIT_STEP = 2.0
+VECTOR = 0.03
+WAITING = 0.6
 ELIMINATION = 0.015
 DENSE = 200
 
@@ -129,6 +134,9 @@ def step_work(
     if program is not None:
         assert isinstance(method, FlowMethod)
         return flow_work(program, bool(method.compensated))
+    innermost = method.innermost if isinstance(method, Composition) else method
+    if isinstance(innermost, StepMethod) and (operations := innermost.operations(system)) is not None:
+        return len(method.fractions) * (EXPLICIT_STEP + VECTOR * operations[0] + WAITING * operations[1])
     rounds = max(1.0, iterations)
     return IMPLICIT_STEP + rounds * iteration_work(system, evaluations / rounds, group)
 

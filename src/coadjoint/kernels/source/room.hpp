@@ -10,7 +10,10 @@ struct Room {
     std::vector<char> bytes;
     A* at;
 
-    explicit Room(int64_t count) : bytes(sizeof(A) * (count + 1) + alignof(A), 0) {
+    explicit Room(int64_t count) { clear(count); }
+    // Zeros, `count` of them.
+    void clear(int64_t count) {
+        bytes.assign(sizeof(A) * (count + 1) + alignof(A), 0);
         at = reinterpret_cast<A*>((reinterpret_cast<uintptr_t>(bytes.data()) + alignof(A) - 1) & ~(alignof(A) - 1));
     }
     Room(const Room&) = delete;

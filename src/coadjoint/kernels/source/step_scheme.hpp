@@ -10,10 +10,11 @@ constexpr int64_t UNDEFINED = 3;  // status of a step that its scheme does not d
 struct StepScheme {
     double residual = 0.0;  // the last correction of the last step
     int64_t evaluations = 0, iterations = 0;
+    double* memory = nullptr;  // what the scheme remembers of a member from step to step, NaN before the first
 
     virtual ~StepScheme() = default;
-    // Take one step of length h from time t in place, with what compensated sums owe; return a status. The group
-    // element is transposed.
+    // Take one step of length h from time t in place, with what compensated sums owe; return a status. Both are aligned
+    // rows of eight, zero beyond the last coordinate. The group element is transposed.
     virtual int64_t step(double* x, double* dx, double* group, double* dgroup, double t, double h) = 0;
 };
 

@@ -1,6 +1,7 @@
 // What Python calls for step methods: the loop over steps, one member after the other.
 #include <memory>
 
+#include "room.hpp"
 #include "step_scheme.hpp"
 
 typedef StepScheme* (*MakeScheme)(const StepTables& tables, const Own& constants);
@@ -12,6 +13,9 @@ EXPORT void stepping_advance(const Stepping* tables, const Watch* watch, const S
                              int64_t k1, const Report* report, int64_t stride) {
     const int64_t n = state->size, square = state->square;
     std::vector<double> arguments(watch->longest + 1), room(2 * watch->longest + 2);
+    const int64_t eights = (n + 7) / 8;
+    Room<Lanes<8>> momentum(2 * eights);
+    double *x = reinterpret_cast<double*>(momentum.at), *dx = x + 8 * eights;
     std::unique_ptr<StepScheme> scheme;
     for (int64_t place = first; place < last; ++place) {
         const int64_t member = members[place];
@@ -19,7 +23,9 @@ EXPORT void stepping_advance(const Stepping* tables, const Watch* watch, const S
         const Own constants{stride ? stride : 1, stride ? place : 0};
         if (stride || !scheme)
             scheme.reset(reinterpret_cast<MakeScheme>(tables->step[0])(tables->tables, constants));
-        double *x = state->momenta + member * n, *dx = state->errors + member * n;
+        scheme->memory = state->remembered ? state->memory + member * state->remembered : nullptr;
+        std::copy_n(state->momenta + member * n, n, x);
+        std::copy_n(state->errors + member * n, n, dx);
         double *g = state->groups + member * square, *dg = state->group_errors + member * square;
         for (int64_t k = k0 + 1; k <= k1; ++k) {
             const double start = schedule->t0 + double(k - 1) * schedule->h;
@@ -46,5 +52,7 @@ EXPORT void stepping_advance(const Stepping* tables, const Watch* watch, const S
             note_steps(*watch, constants, *saves, *schedule, member, 1, &k, n, x, arguments.data(), room.data());
             if (slot >= 0) std::copy_n(g, square, saves->group + (slot * saves->members + member) * square);
         }
+        std::copy_n(x, n, state->momenta + member * n);
+        std::copy_n(dx, n, state->errors + member * n);
     }
 }

@@ -90,7 +90,7 @@ TABLE(GroupField, GROUP_FIELD_FIELDS)
 TABLE(RungeKuttaTables, RUNGE_KUTTA_FIELDS)
 
 #define STEP_FIELDS(_)                                                                                               \
-    _(Field, field) _(integers, values) _(GroupField, group) _(integers, whole) _(numbers, coefficients)
+    _(Field, field) _(integers, values) _(GroupField, group) _(Watch, kept) _(integers, whole) _(numbers, coefficients)
 TABLE(StepTables, STEP_FIELDS)
 
 #define STEPPING_FIELDS(_)                                                                                           \

@@ -1,0 +1,264 @@
+"""Taylor series: closed forms and fractions, the compiled step against its reading, the projection."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.methods.power_series import Dual, PowerSeries, expand
+from coadjoint.methods.taylor import independent
+
+U = 2.0**-53
+
+
+def random_matrix(n, seed, density=1.0):
+    rng = np.random.default_rng(seed)
+    B = rng.uniform(-1.0, 1.0, (n, n)) * (rng.uniform(size=(n, n)) < density)
+    return np.round(np.diag(np.linspace(0.5, 1.5, n)) + 0.2 * (B + B.T), 3)
+
+
+def polynomial(n, degree, seed):
+    """Return a polynomial with some monomials of every degree up to the given one."""
+    rng = np.random.default_rng(seed)
+    squares = {tuple(2 * (k == i) for k in range(n)): 0.5 + 0.125 * i for i in range(n)}
+    for d in range(1, degree + 1):
+        for _ in range(3):
+            exponents = np.bincount(rng.integers(0, n, d), minlength=n)
+            squares[tuple(exponents.tolist())] = float(np.round(rng.uniform(-0.25, 0.25), 3))
+    return co.Polynomial(squares)
+
+
+def spins(count, M):
+    return co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), count), co.Quadratic(M))
+
+
+def systems():
+    """One to many vectors of rows, products written out and with a gradient, linear parts, every degree."""
+    e3, so4 = co.algebras.e(3), co.algebras.so(4)
+    return {
+        "so(3), diagonal": co.systems.rigid_body(inertia=(1, 2, 4)),
+        "so(3), full": co.LiePoissonSystem(
+            co.algebras.so(3), co.Quadratic(random_matrix(3, 1), linear=[0.5, 0, -0.25])
+        ),
+        "sl(2)": co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic(random_matrix(3, 2)), sign=-1),
+        "gl(2)": co.LiePoissonSystem(co.algebras.gl(2), co.Quadratic(random_matrix(4, 3))),
+        "A3,7": co.LiePoissonSystem(co.algebras.A3_7(2.0), co.Quadratic([1.0, 0.5, 0.25])),
+        "heavy top": co.LiePoissonSystem(
+            e3, co.Quadratic([1.0, 0.5, 0.25, 0, 0, 0], linear=[0, 0, 0, 0.75, 0.5, 1.0]), sign=-1
+        ),
+        "so(4), full": co.LiePoissonSystem(so4, co.Quadratic(random_matrix(6, 4))),
+        "su(3), full": co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(random_matrix(8, 5))),
+        "so(5)": co.LiePoissonSystem(co.algebras.so(5), co.Quadratic(np.linspace(0.5, 1.5, 10))),
+        "5 spins": spins(5, random_matrix(15, 6, 0.2)),
+        "8 spins": spins(8, random_matrix(24, 7, 0.1)),
+        "10 spins": spins(10, random_matrix(30, 8, 0.1)),
+        "13 spins": spins(13, random_matrix(39, 9, 0.05)),
+        "so(3), cubic": co.LiePoissonSystem(co.algebras.so(3), polynomial(3, 3, 10)),
+        "e(3), quartic": co.LiePoissonSystem(e3, polynomial(6, 4, 11), sign=-1),
+        "so(4), quintic": co.LiePoissonSystem(so4, polynomial(6, 5, 12)),
+        "4 spins, quartic": co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 4), polynomial(12, 4, 13)),
+    }
+
+
+def start_of(system):
+    x = np.random.default_rng(system.dim).uniform(-1.0, 1.0, system.dim)
+    return x / np.linalg.norm(x) * np.sqrt(max(1.0, system.dim / 6))
+
+
+def one_step(system, method, x, h):
+    return co.integrate(system, x, (0.0, h), abs(h), method, watch=False).x[-1]
+
+
+@pytest.mark.parametrize("projected", [True, False])
+@pytest.mark.parametrize("name", list(systems()))
+def test_compiled_step_is_the_plain_reading(name, projected):
+    """Coefficients are rounded once an operation, and a step adds those of size one: some n u."""
+    system = systems()[name]
+    x = start_of(system)
+    for order, h in ((1, 0.01), (2, 0.0625), (3, -0.0625), (4, 0.0625), (5, 0.125), (8, 0.25), (9, -0.25)):
+        method = co.Taylor(order, projected)
+        found, read = one_step(system, method, x, h), method.step(system, x, 0.0, h)
+        assert np.max(np.abs(found - read)) < 32 * np.sqrt(system.dim) * U * np.linalg.norm(x), order
+        assert np.max(np.abs(found - x)) > 1e-4
+
+
+@pytest.mark.parametrize("order", [12, 16, 23, 24, 25, 26, 33, 64])
+@pytest.mark.parametrize("name", ["so(3), full", "heavy top", "so(4), full", "8 spins", "13 spins", "so(3), cubic"])
+def test_high_orders_are_exact(name, order):
+    """A step so short that the series has converged to round-off is that of Gauss with 10 stages."""
+    system = systems()[name]
+    x, h = start_of(system), 0.125
+    exact = co.integrate(system, x, (0.0, h), h / 2, co.GaussLegendre(10), watch=False).x[-1]
+    found = one_step(system, co.Taylor(order, projected=False), x, h)
+    assert np.max(np.abs(found - exact)) < 64 * np.sqrt(system.dim) * U * np.linalg.norm(x)
+
+
+@pytest.mark.parametrize("name", ["so(3), full", "heavy top", "so(4), full", "8 spins", "13 spins", "so(4), quintic"])
+def test_every_coefficient_counts(name):
+    """Without its last coefficient a step is another one: by the size of that coefficient."""
+    system = systems()[name]
+    x, h = start_of(system), 0.5
+    terms = expand(system.vector_field, x.astype(object), h, 9)
+    for order in (5, 6, 7, 8, 9):
+        fewer, more = (one_step(system, co.Taylor(p, projected=False), x, h) for p in (order - 1, order))
+        assert np.max(np.abs(more - fewer - terms[order - 1].astype(float))) < 64 * np.sqrt(system.dim) * U
+
+
+def test_fractions_give_the_exact_polynomial_in_the_step():
+    system = co.systems.rigid_body(inertia=(1, 2, 4))
+    x = np.array([Fraction(1), Fraction(1, 2), Fraction(-1, 3)], dtype=object)
+    f = system.vector_field
+    h = Fraction(1, 10)
+    euler = co.Taylor(1, projected=False).step(system, x, 0, h)
+    assert list(euler) == list(x + h * f(x))
+    # The second coefficient of a quadratic field is f'(x) f(x) / 2, and f' v = (f(x + v) - f(x - v)) / 2.
+    bent = (f(x + f(x)) - f(x - f(x))) / 2
+    assert list(co.Taylor(2, projected=False).step(system, x, 0, h)) == list(euler + h * h * bent / 2)
+    with pytest.raises(TypeError, match="take projected=False"):
+        co.Taylor(2).step(system, x, 0, h)
+
+
+def test_the_absolute_motion_of_a_rigid_body():
+    """Jacobi's elliptic functions, at a time of many turns."""
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    x0 = (1.0, 0.2, 0.5)
+    sol = co.integrate(body, x0, (0.0, 200.0), 0.5, co.Taylor(16))
+    assert np.max(np.abs(sol.x[-1] - body.exact(x0, 200.0))) < 1e-11
+
+
+def test_series_in_fifty_digits():
+    """The error of order p in a step of h is C h^(p+1): halving the step divides it by 2^(p+1)."""
+    system = systems()["heavy top"]
+    with mpmath.workdps(50):
+        x = np.array([mpmath.mpf(v) for v in (0.5, 0.25, -0.5, 0.75, 0.5, 0.25)], dtype=object)
+        for projected in (False, True):
+            errors = []
+            for h in (mpmath.mpf(1) / 16, mpmath.mpf(1) / 32):
+                exact = co.Taylor(30, projected=False).step(system, x, 0, h)
+                errors.append(max(abs(co.Taylor(6, projected).step(system, x, 0, h) - exact)))
+            assert abs(errors[0] / errors[1] - 2**7) < 12
+        new = co.Taylor(6).step(system, x, 0, mpmath.mpf("0.25"))
+        for invariant in (system.energy, *system.casimirs.values()):
+            assert abs(invariant(new) - invariant(x)) < 1e-48
+
+
+@pytest.mark.parametrize("projected", [True, False])
+@pytest.mark.parametrize("name", ["so(3), full", "heavy top", "so(4), full", "e(3), quartic"])
+def test_tangent_is_the_derivative_of_the_step(name, projected):
+    """Central differences in 50 digits with e = 1e-15 are exact to 1e-28; the tangent itself rounds like the step."""
+    system, method, h = systems()[name], co.Taylor(5, projected), 0.25
+    x0, n = start_of(system), system.dim
+    new, P = method.tangent(system, x0, 0.0, h)
+    with mpmath.workdps(50):
+        e, x = mpmath.mpf(10) ** -15, np.array([mpmath.mpf(v) for v in x0], dtype=object)
+        direction = np.random.default_rng(3).uniform(-1.0, 1.0, n)
+        ends = [method.step(system, x + sign * e * direction, 0, h) for sign in (1, -1)]
+        slope = np.array([float(v) for v in (ends[0] - ends[1]) / (2 * e)])
+    assert np.max(np.abs(P @ direction - slope)) < 1e4 * n * U * np.max(np.abs(P))
+    assert np.max(np.abs(new - method.step(system, x0, 0.0, h))) < 64 * U
+    assert np.max(np.abs(P - np.eye(n))) > 1e-2
+
+
+@pytest.mark.parametrize("name", list(systems()))
+def test_invariants_stay_for_ever(name):
+    """Not a random walk: after every step they are what they were at the start, up to rounding."""
+    system = systems()[name]
+    steps = 20_000 if system.dim <= 6 else 2_000
+    sol = co.integrate(system, start_of(system), (0.0, steps / 16), 1 / 16, co.Taylor(6), save_every=steps)
+    for invariant, drift in sol.drift().items():
+        what = system.hamiltonian if invariant == "energy" else system.casimirs[invariant]
+        if isinstance(what, co.Invariant):
+            continue
+        size = float(np.abs(sol.x[0]) @ np.abs(what.gradient(sol.x[0])))
+        assert drift < 64 * U * (size + abs(float(sol.energy[0]))), invariant
+    lost = co.integrate(system, start_of(system), (0.0, 20.0), 1 / 16, co.Taylor(3, projected=False)).drift()
+    assert lost["energy"] > 1e-9
+
+
+@pytest.mark.parametrize(
+    ("system", "x0"),
+    [
+        (co.systems.rigid_body(inertia=(1, 2, 4)), (0.0, 0.0, 2.0)),
+        (co.systems.rigid_body(inertia=(1, 2, 4)), (0.0, 1e-9, 2.0)),
+        (co.systems.rigid_body(inertia=(2, 2, 2)), (0.5, 1.0, -0.25)),
+        (spins(2, np.ones((6, 6)) * 0), (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)),
+        (co.systems.rigid_body(inertia=(1, 2, 4)), (0.0, 0.0, 0.0)),
+    ],
+    ids=["steady", "nearly steady", "sphere", "no energy", "zero"],
+)
+def test_dependent_gradients_are_no_obstacle(system, x0):
+    """Where the energy is a function of the Casimirs there is nothing to restore in its direction."""
+    sol = co.integrate(system, x0, (0.0, 50.0), 0.25, co.Taylor(8))
+    assert np.max(np.abs(np.linalg.norm(sol.x, axis=1) - np.linalg.norm(x0))) <= 8 * U * np.linalg.norm(x0)
+    if system.name == "rigid_body" and x0[0] == 0.0:
+        assert np.max(np.abs(sol.x - x0)) < 1e-6 * max(1.0, np.linalg.norm(x0))
+
+
+def test_a_step_that_is_too_long_says_so():
+    system = systems()["so(4), full"]
+    with pytest.raises(co.IntegrationError, match="take a smaller step"):
+        co.integrate(system, start_of(system), (0.0, 200.0), 20.0, co.Taylor(12))
+    with pytest.raises(co.IntegrationError, match="take a smaller step"):
+        co.Taylor(12).step(system, start_of(system), 0.0, 40.0)
+
+
+def test_what_is_not_a_polynomial_is_refused():
+    so3 = co.algebras.so(3)
+    function = co.Hamiltonian(lambda x: x[0] ** 4, lambda x: np.array([4 * x[0] ** 3, 0.0, 0.0]))
+    with pytest.raises(ValueError, match="has a function in it; give a polynomial"):
+        co.Taylor(4).properties(co.LiePoissonSystem(so3, function))
+    J = co.PoissonSystem(lambda x: x[0] * np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]))
+    with pytest.raises(ValueError, match=r"structure matrix of .* is a function"):
+        co.Taylor(4).properties(J)
+
+
+def test_casimirs_that_are_functions_are_not_restored():
+    system = co.LiePoissonSystem(co.algebras.A3_7(2.0), co.Quadratic([1.0, 0.5, 0.25]))
+    assert any(isinstance(C, co.Invariant) for C in system.casimirs.values())
+    assert co.Taylor(4).properties(system).casimirs == "polynomial"
+    assert co.Taylor(4).properties(systems()["heavy top"]).casimirs == "all"
+    assert co.Taylor(4, projected=False).properties(systems()["heavy top"]).casimirs == "none"
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "said"),
+    [
+        ({"order": 0}, ValueError, "order of Taylor must be a whole number from 1 up, not 0"),
+        ({"order": 65}, ValueError, "at most 64, not 65"),
+        ({"order": 2.5}, ValueError, "not 2.5"),
+        ({"projected": 1}, TypeError, "projected is 1; it must be True or False"),
+    ],
+)
+def test_wrong_parameters_are_refused(given, error, said):
+    with pytest.raises(error, match=said):
+        co.Taylor(**given)
+
+
+def test_cut_runs_and_members_have_the_same_bits():
+    system = systems()["so(4), full"]
+    x0 = np.array([start_of(system), 0.9 * start_of(system), 1.1 * start_of(system)])
+    whole = co.integrate(system, x0, (0.0, 10.0), 0.25, co.Taylor(8), threads=1)
+    for threads in (1, 2):
+        again = co.integrate(system, x0, (0.0, 10.0), 0.25, co.Taylor(8), threads=threads)
+        assert np.array_equal(whole.x, again.x)
+    alone = co.integrate(system, x0[1], (0.0, 10.0), 0.25, co.Taylor(8))
+    assert np.array_equal(whole.x[:, 1], alone.x)
+
+
+def test_series_and_duals():
+    t = PowerSeries([Fraction(1), Fraction(1), Fraction(0)])
+    assert (t * t - 3 * t + 2).coefficients == [0, -1, 1]
+    assert (1 - t / 2).coefficients == [Fraction(1, 2), Fraction(-1, 2), 0]
+    assert (t**3).coefficients == [1, 3, 3] and t**0 == 1
+    assert (-t).coefficients == [-1, -1, 0]
+    product = Dual(2.0, np.array([1.0, 0.0])) * Dual(3.0, np.array([0.0, 1.0])) / 2 + 1.0
+    assert product.value == 4.0 and product.derivative.tolist() == [1.5, 1.0]
+
+
+def test_independent_rows():
+    rows = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [1.0, 2.0, 1.0], [0.0, 0.0, 0.0], [0.0, 0.0, 3.0]])
+    assert independent(rows) == [0, 1, 4]
