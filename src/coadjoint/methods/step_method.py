@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
@@ -12,6 +12,16 @@ from coadjoint.methods.base import Method, System
 
 UNDEFINED = 3
 """Status of a step that its scheme does not define; the scheme's `failures` says why."""
+
+
+class Operations(NamedTuple):
+    """What a step does: vectors of eight that it multiplies, operations that wait for the one before, and terms of
+    invariants that it looks at after every correction, once where there is none.
+    """
+
+    vectors: float
+    waiting: float
+    looks: float
 
 
 class StepMethod(Method):
@@ -49,8 +59,8 @@ class StepMethod(Method):
         """
         return None
 
-    def operations(self, system: System) -> tuple[float, float] | None:
-        """Return how many vectors of eight a step multiplies, and how many of its operations wait for the one before.
+    def operations(self, system: System) -> Operations | None:
+        """Return what a step does; None for a scheme that iterates, whose work is counted by its evaluations.
 
         Parameters
         ----------
@@ -59,8 +69,7 @@ class StepMethod(Method):
 
         Returns
         -------
-        (float, float) or None
-            Both once for a step; None for a scheme that iterates, whose work is counted by its evaluations.
+        Operations or None
         """
         return None
 

@@ -15,7 +15,7 @@ from coadjoint.methods.base import Properties, System
 from coadjoint.methods.gauss_legendre import whole_number
 from coadjoint.methods.power_series import Dual, expand
 from coadjoint.methods.stages import linear_solve
-from coadjoint.methods.step_method import StepMethod
+from coadjoint.methods.step_method import Operations, StepMethod
 from coadjoint.program.numbers import Number, roundoff
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.quadratic import Quadratic
@@ -131,7 +131,7 @@ class Taylor(StepMethod):
         """Return the Casimirs that are polynomials, or None without projection."""
         return self._casimirs(system) if self.projected else None
 
-    def operations(self, system: System) -> tuple[float, float]:
+    def operations(self, system: System) -> Operations:
         """Return the work of a step: products of series, sparse sums for each coefficient, and the projection.
 
         Parameters
@@ -141,19 +141,18 @@ class Taylor(StepMethod):
 
         Returns
         -------
-        (float, float)
+        Operations
         """
         assert system.algebra is not None
-        entries = 0.0
-        for term in system.hamiltonian.terms():
-            if isinstance(term, QuadraticTerm):
-                entries += len(term.values)
-            elif isinstance(term, PolynomialTerm):
-                entries += sum(sum(exponents) ** 2 for exponents in term.polynomial.monomials)
-        products, sums = np.ceil(2 * len(system.algebra.triples[3]) / LANES), np.ceil(entries / LANES)
-        restored = 3.0 * len(self._casimirs(system)) + 3.0 if self.projected else 0.0
-        vectors = self.order * (0.5 * self.order * products + 2.0 * products + sums) + 4.0 * restored
-        return float(vectors), self.order + 2.0 * restored
+        products = np.ceil(2 * len(system.algebra.triples[3]) / LANES)
+        sums = np.ceil(_entries(system.hamiltonian) / LANES)
+        looks = 0.0
+        if self.projected:
+            invariants = [system.hamiltonian, *(as_hamiltonian(C, system.dim) for C in self._casimirs(system).values())]
+            looks = sum(1.0 + _entries(C, quadratic=False) / LANES for C in invariants)
+        # A sparse sum is waited for: as much as three of the products of a long sum.
+        vectors = self.order * (0.5 * self.order * products + 3.0 * (2.0 * products + sums))
+        return Operations(float(vectors), float(self.order), looks)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, read in NumPy for any number type; the values that are kept are those at x.
@@ -274,6 +273,17 @@ class Projected(NamedTuple):
     invariants: list[HamiltonianLike]
     directions: NDArray[Any]
     multipliers: NDArray[Any]
+
+
+def _entries(H: HamiltonianLike, quadratic: bool = True) -> float:
+    """Return how many products are in a gradient."""
+    count = 0.0
+    for term in H.terms():
+        if isinstance(term, QuadraticTerm):
+            count += len(term.values) if quadratic else 0.0
+        elif isinstance(term, PolynomialTerm):
+            count += sum(sum(exponents) ** 2 for exponents in term.polynomial.monomials)
+    return count
 
 
 def independent(gradients: NDArray[Any]) -> list[int]:

@@ -26,9 +26,10 @@ ITERATION = 0.5
 LANES = 8
 VECTOR_MULTIPLICATION = 0.05
 IMPLICIT_STEP = 6.0
-EXPLICIT_STEP = 2.0
+EXPLICIT_STEP = 6.0
 VECTOR = 0.03
-WAITING = 0.6
+WAITING = 0.3
+LOOK = 1.0
 ELIMINATION = 0.015
 DENSE = 200
 
@@ -136,7 +137,8 @@ def step_work(
         return flow_work(program, bool(method.compensated))
     innermost = method.innermost if isinstance(method, Composition) else method
     if isinstance(innermost, StepMethod) and (operations := innermost.operations(system)) is not None:
-        return len(method.fractions) * (EXPLICIT_STEP + VECTOR * operations[0] + WAITING * operations[1])
+        series = EXPLICIT_STEP + VECTOR * operations.vectors + WAITING * operations.waiting
+        return len(method.fractions) * (series + LOOK * operations.looks) + LOOK * operations.looks * iterations
     rounds = max(1.0, iterations)
     return IMPLICIT_STEP + rounds * iteration_work(system, evaluations / rounds, group)
 

@@ -35,9 +35,9 @@ struct Projection {
     const C constants;
     std::vector<Invariant> invariants;
     Sums<W> linear;
-    std::vector<double> offsets, sizes, gradients, directions, defects, slopes, arguments, room;
-    std::vector<int64_t> coordinates;
-    std::map<int64_t, std::vector<int64_t>> rows_of;  // of a term that is not quadratic
+    std::vector<double> offsets, gradients, directions, defects, products;
+    std::vector<int64_t> coordinates, used;
+    std::vector<int64_t> row_of;  // of each row of a term that is not quadratic
     std::vector<Pair> pairs;
     Room<Places<W>> places;
     Room<double> increments;
@@ -47,8 +47,8 @@ struct Projection {
     double residual = 0.0;
 
     Projection(const Watch& watch, const C& constants, int64_t n)
-        : watch(watch), constants(constants), slopes(watch.longest), arguments(watch.longest + 1),
-          room(2 * watch.longest + 2), places(0), increments(blocks_of<W>(n) * W) {
+        : watch(watch), constants(constants), products(watch.longest + 1), row_of(watch.terms.row[watch.terms.size], -1),
+          places(0), increments(blocks_of<W>(n) * W) {
         // A row for each coordinate then, and no map from one to the other.
         in_registers = n <= W && watch.size >= 1 && watch.size <= 4;
         for (int64_t k = 0; k < watch.terms.size; ++k) in_registers &= watch.terms.kind[k] == LINEAR;
@@ -57,7 +57,7 @@ struct Projection {
         const int64_t rows = int64_t(offsets.size());
         places.clear(rows / W);
         std::copy_n(coordinates.data(), rows, reinterpret_cast<int64_t*>(places.at));
-        gradients.resize(rows), defects.resize(watch.size);
+        gradients.resize(rows), directions.resize(rows), defects.resize(watch.size);
         couple(n);
     }
 
@@ -66,13 +66,13 @@ struct Projection {
         const double* at = reinterpret_cast<const double*>(x);
         const int64_t size = int64_t(invariants.size());
         for (int64_t a = 0; a < size; ++a) {
-            kept[a] = value(a, at);
+            kept[a] = value<true>(a, Newest<0, W>(x), at);
             kept[size + a] = EXACT * terms_of(a, at);
         }
     }
 
     // Move x + dx back to where all invariants have the values of `kept`; false where that does not converge.
-    bool restore(Row* x, Row* dx, int64_t blocks, const double* kept) {
+    bool restore(Row* x, Row* dx, int64_t blocks, double* kept) {
         corrections = 0;
         if (in_registers) {
             const size_t size = invariants.size();
@@ -81,21 +81,22 @@ struct Projection {
             if (size == 3) return restore_few<3>(*x, *dx, kept);
             return restore_few<4>(*x, *dx, kept);
         }
-        if (exact(x, kept)) return true;
+        if (exact<true>(x, blocks, kept)) return true;
         gram();
         factors.factorize();
-        directions = gradients;
+        std::copy(gradients.begin(), gradients.end(), directions.begin());
         for (corrections = 1; corrections <= MOST_CORRECTIONS; ++corrections) {
             const double before = residual;
             if (!(before - before == 0.0)) return false;
             factors.solve(defects.data());
             std::fill_n(increments.at, blocks * W, 0.0);
             for (size_t a = 0; a < invariants.size(); ++a)
-                for (int64_t row = W * invariants[a].first; row < W * invariants[a].last; ++row)
-                    increments.at[coordinates[row]] =
-                        fma(defects[a], directions[row], increments.at[coordinates[row]]);
+                for (int64_t row = W * invariants[a].first, stop = row + used[a]; row < stop; ++row) {
+                    double& increment = increments.at[coordinates[row]];
+                    increment = fma(defects[a], directions[row], increment);
+                }
             for (int64_t b = 0; b < blocks; ++b) add_to(x[b], dx[b], load<Row>(increments.at + b * W));
-            if (exact(x, kept) || (residual >= 0.5 * before && settled(x, kept))) return true;
+            if (exact<false>(x, blocks, kept) || (residual >= 0.5 * before && settled(x, kept))) return true;
         }
         return false;
     }
@@ -103,7 +104,7 @@ struct Projection {
   private:
     // Up to four quadratic invariants of coordinates in one block.
     template <int R>
-    NOINLINE bool restore_few(Row& x, Row& dx, const double* kept) {
+    NOINLINE bool restore_few(Row& x, Row& dx, double* kept) {
         Row slope[R];
         double defect[R], L[R][R], inverse[R];
         bool all = few<R>(x, kept, slope, defect);
@@ -147,7 +148,7 @@ struct Projection {
     }
 
     template <int R>
-    INLINE bool few(const Row& x, const double* kept, Row* slope, double* defect) {
+    INLINE bool few(const Row& x, double* kept, Row* slope, double* defect) {
         bool all = true;
         residual = 0.0;
 #pragma GCC unroll 4
@@ -155,12 +156,10 @@ struct Projection {
             const Row offset = load<Row>(offsets.data() + i * W);
             slope[i] = offset;
             for (int64_t e = linear.first[i]; e < linear.first[i + 1]; ++e)
-                slope[i] = fma(linear.weight.at[e], take<1>(&x, linear.left.at[e]), slope[i]);
+                slope[i] = fma(linear.at.at[e].weight, take<1>(&x, linear.at.at[e].left), slope[i]);
             const Row terms = x * slope[i];
             defect[i] = kept[i] - (invariants[i].constant + 0.5 * sum_of_lanes(fma(x, offset, terms)));
-            if (__builtin_expect(!(std::fabs(defect[i]) <= kept[R + i]), 0))
-                all &= std::fabs(defect[i]) <= 0x1p20 * kept[R + i] &&
-                       std::fabs(defect[i]) <= EXACT * terms_of(i, reinterpret_cast<const double*>(&x));
+            all &= rounding_alone(i, defect[i], reinterpret_cast<const double*>(&x), kept[R + i]);
             residual += std::fabs(defect[i]);
         }
         return all;
@@ -188,7 +187,7 @@ struct Projection {
                     coordinates.push_back(terms.target[row]);
                 }
                 if (terms.kind[k] != LINEAR) {
-                    rows_of[k].push_back(base + it->second);
+                    row_of[row] = base + it->second;
                     continue;
                 }
                 offset[it->second] += constants.template number_at<double>(terms.offset, row);
@@ -199,7 +198,7 @@ struct Projection {
         }
         linear.add(sums);
         offsets.insert(offsets.end(), offset.begin(), offset.end());
-        sizes.push_back(double(sums.size()));
+        used.push_back(int64_t(sums.size()));
         // What fills the last block has the gradient zero.
         offsets.resize(base + W * blocks_of<W>(int64_t(sums.size())), 0.0);
         coordinates.resize(offsets.size(), 0);
@@ -211,7 +210,7 @@ struct Projection {
         std::vector<std::vector<std::pair<int64_t, int64_t>>> users(n);  // invariant and row, by coordinate
         std::vector<std::set<int64_t>> below(invariants.size());
         for (size_t a = 0; a < invariants.size(); ++a)
-            for (int64_t k = 0, row = W * invariants[a].first; k < int64_t(sizes[a]); ++k, ++row)
+            for (int64_t k = 0, row = W * invariants[a].first; k < used[a]; ++k, ++row)
                 users[coordinates[row]].push_back({int64_t(a), row});
         for (const auto& list : users)
             for (size_t p = 0; p < list.size(); ++p)
@@ -219,56 +218,79 @@ struct Projection {
         factors.analyse(below);
         for (const auto& list : users)
             for (size_t p = 0; p < list.size(); ++p)
-                for (size_t q = p; q < list.size(); ++q)
-                    pairs.push_back({p == q ? ~list[p].first : factors.place.at({list[q].first, list[p].first}),
-                                     list[p].second, list[q].second});
+                for (size_t q = p + 1; q < list.size(); ++q)
+                    pairs.push_back(
+                        {factors.place.at({list[q].first, list[p].first}), list[p].second, list[q].second});
+        std::stable_sort(pairs.begin(), pairs.end(),
+                         [](const Pair& a, const Pair& b) { return a.target < b.target; });
     }
 
     void gram() {
-        std::fill(factors.diagonal.begin(), factors.diagonal.end(), 0.0);
+        for (size_t a = 0; a < invariants.size(); ++a) {
+            Row total(0.0);
+            for (int64_t b = invariants[a].first; b < invariants[a].last; ++b) {
+                const Row slope = load<Row>(gradients.data() + b * W);
+                total = fma(slope, slope, total);
+            }
+            factors.diagonal[a] = sum_of_lanes(total);
+        }
         std::fill(factors.entry.begin(), factors.entry.end(), 0.0);
-        for (const Pair& pair : pairs) {
-            double& target = pair.target < 0 ? factors.diagonal[~pair.target] : factors.entry[pair.target];
-            target = fma(gradients[pair.left], gradients[pair.right], target);
+        for (size_t k = 0; k < pairs.size();) {
+            const int64_t target = pairs[k].target;
+            double total = 0.0;
+            for (; k < pairs.size() && pairs[k].target == target; ++k)
+                total = fma(gradients[pairs[k].left], gradients[pairs[k].right], total);
+            factors.entry[target] = total;
         }
     }
 
-    // Invariant a; its gradient is left in `gradients`.
-    INLINE double value(size_t a, const double* x) {
+    // Invariant a, and its gradient, which is left in `gradients`.
+    template <bool with_gradient, class Take>
+    INLINE double value(size_t a, const Take& newest, const double* x) {
         const Invariant& own = invariants[a];
         Row total(0.0);
         for (int64_t b = own.first; b < own.last; ++b) {
             const Row offset = load<Row>(offsets.data() + b * W);
             Row slope = offset;
             for (int64_t e = linear.first[b]; e < linear.first[b + 1]; ++e)
-                slope = fma(linear.weight.at[e], take<W>(x, linear.left.at[e]), slope);
-            store(gradients.data() + b * W, slope);
-            total = fma(take<W>(x, places.at[b]), Row(0.5) * (slope + offset), total);
+                slope = fma(linear.at.at[e].weight, newest(linear.at.at[e].left), slope);
+            if (with_gradient) store(gradients.data() + b * W, slope);
+            total = fma(newest(places.at[b]), slope + offset, total);
         }
-        double result = own.constant + sum_of_lanes(total);
-        for (const int64_t k : own.terms) result += further(k, x);
+        double result = own.constant + 0.5 * sum_of_lanes(total);
+        for (const int64_t k : own.terms) result += further<with_gradient>(k, x, gradients.data());
         return result;
     }
 
-    void further_slopes(int64_t k, const double* x) {
-        gradient_rows(watch.terms, constants, watch.addresses, k, x, 0.0, slopes.data(), watch.terms.row[k],
-                      arguments.data(), room.data());
+    // The value of a polynomial of a higher degree, by the products before and behind each of its factors; its gradient
+    // is added.
+    template <bool with_gradient>
+    NOINLINE double further(int64_t k, const double* x, double* slopes) {
+        const Terms& terms = watch.terms;
+        double total = 0.0;
+        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
+            const uint32_t low = terms.factor[monomial], high = terms.factor[monomial + 1];
+            double before = constants.template number_at<double>(terms.coefficient, monomial), behind = 1.0;
+            for (uint32_t f = low; f < high; ++f) {
+                products[f - low] = before;
+                before *= power(x[terms.target[terms.factor_row[f]]], terms.exponent[f]);
+            }
+            total += before;
+            for (uint32_t f = high; with_gradient && f-- > low;) {
+                const double y = x[terms.target[terms.factor_row[f]]], rest = power(y, terms.exponent[f] - 1);
+                slopes[row_of[terms.factor_row[f]]] += (products[f - low] * behind) * (double(terms.exponent[f]) * rest);
+                behind *= rest * y;
+            }
+        }
+        return total;
     }
 
-    // The value of a term that is not quadratic; its gradient is added.
-    NOINLINE double further(int64_t k, const double* x) {
-        further_slopes(k, x);
-        const std::vector<int64_t>& rows = rows_of.at(k);
-        for (size_t i = 0; i < rows.size(); ++i) gradients[rows[i]] += slopes[i];
-        return value_of_term(watch.terms, constants, watch.addresses, k, x, 0.0, arguments.data(), room.data());
-    }
-
-    // Whether the defect of an invariant is no more than rounding leaves: where the run began, or where its terms are as
-    // large as they are now.
-    INLINE bool rounding_alone(size_t a, const double* x, double least) {
-        const double defect = std::fabs(defects[a]);
-        if (defect <= least) return true;
-        return defect <= 0x1p20 * least && defect <= EXACT * terms_of(a, x);
+    // Whether the defect of an invariant is no more than rounding leaves, which is noted where its terms have grown.
+    INLINE bool rounding_alone(size_t a, double defect, const double* x, double& least) {
+        if (std::fabs(defect) <= least) return true;
+        if (!(std::fabs(defect) <= 0x1p20 * least)) return false;
+        least = larger(least, EXACT * terms_of(a, x));
+        return std::fabs(defect) <= least;
     }
 
     // Whether corrections that no longer help leave no more than rounding does where terms cancel.
@@ -276,7 +298,7 @@ struct Projection {
         const double* at = reinterpret_cast<const double*>(x);
         bool all = true;
         for (size_t a = 0; a < invariants.size(); ++a)
-            all &= std::fabs(kept[a] - value(a, at)) <= STAGNANT * EXACT * terms_of(a, at);
+            all &= std::fabs(kept[a] - value<false>(a, Newest<0, W>(x), at)) <= STAGNANT * EXACT * terms_of(a, at);
         return all;
     }
 
@@ -287,27 +309,37 @@ struct Projection {
         for (int64_t b = own.first; b < own.last; ++b) {
             Row slope = absolute(load<Row>(offsets.data() + b * W));
             for (int64_t e = linear.first[b]; e < linear.first[b + 1]; ++e)
-                slope = fma(absolute(linear.weight.at[e]), absolute(take<W>(x, linear.left.at[e])), slope);
+                slope = fma(absolute(linear.at.at[e].weight), absolute(take<W>(x, linear.at.at[e].left)), slope);
             total = fma(absolute(take<W>(x, places.at[b])), slope, total);
         }
         double result = sum_of_lanes(total);
         for (const int64_t k : own.terms) {
-            further_slopes(k, x);
-            const std::vector<int64_t>& rows = rows_of.at(k);
-            for (size_t i = 0; i < rows.size(); ++i) result += std::fabs(x[coordinates[rows[i]]] * slopes[i]);
+            std::vector<double> slopes(offsets.size(), 0.0);
+            further<true>(k, x, slopes.data());
+            for (size_t row = 0; row < slopes.size(); ++row) result += std::fabs(x[coordinates[row]] * slopes[row]);
         }
         return result;
     }
 
     // Note the defects, and whether none is more than rounding leaves.
-    bool exact(const Row* x, const double* kept) {
+    template <bool with_gradient>
+    bool exact(const Row* x, int64_t blocks, double* kept) {
+        if constexpr (W == 8) {
+            if (blocks == 2) return exact_by<with_gradient>(Newest<2, W>(x), x, kept);
+            if (blocks == 3) return exact_by<with_gradient>(Newest<3, W>(x), x, kept);
+        }
+        return exact_by<with_gradient>(Newest<0, W>(x), x, kept);
+    }
+
+    template <bool with_gradient, class Take>
+    NOINLINE bool exact_by(const Take& newest, const Row* x, double* kept) {
         const double* at = reinterpret_cast<const double*>(x);
         const size_t size = invariants.size();
         bool all = true;
         residual = 0.0;
         for (size_t a = 0; a < size; ++a) {
-            defects[a] = kept[a] - value(a, at);
-            all &= rounding_alone(a, at, kept[size + a]);
+            defects[a] = kept[a] - value<with_gradient>(a, newest, at);
+            all &= rounding_alone(a, defects[a], at, kept[size + a]);
             residual += std::fabs(defects[a]);
         }
         return all;

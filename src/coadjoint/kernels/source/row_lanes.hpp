@@ -60,6 +60,20 @@ INLINE Lanes<W> take(const Lanes<W>* from, const Places<W>& places) {
 #endif
 }
 
+// Numbers to be taken from: K blocks in registers, or in memory.
+template <int K, int W>
+struct Newest {
+    Lanes<W> at[K];
+    INLINE explicit Newest(const Lanes<W>* from) { for (int b = 0; b < K; ++b) at[b] = from[b]; }
+    INLINE Lanes<W> operator()(const Places<W>& places) const { return take<K>(at, places); }
+};
+template <int W>
+struct Newest<0, W> {
+    const double* at;
+    INLINE explicit Newest(const Lanes<W>* from) : at(reinterpret_cast<const double*>(from)) {}
+    INLINE Lanes<W> operator()(const Places<W>& places) const { return take<W>(at, places); }
+};
+
 // The sum of the lanes, in pairs four, two and one apart.
 template <int W>
 INLINE double sum_of_lanes(const Lanes<W>& a) {
@@ -86,25 +100,25 @@ typedef std::vector<Entry> SparseSum;
 
 template <int W>
 struct Sums {
+    // One entry of each row of a block.
+    struct Vector {
+        Lanes<W> weight;
+        Places<W> left, right;
+    };
     int64_t blocks = 0, most = 0;    // most: entries of a block
-    std::vector<int64_t> first{0};  // block b has the entries first[b] to first[b + 1], W rows each
-    std::vector<double> weights;
-    std::vector<int64_t> lefts, rights;
-    Room<Lanes<W>> weight{0};
-    Room<Places<W>> left{0}, right{0};
+    std::vector<int64_t> first{0};  // block b has the vectors first[b] to first[b + 1]
+    Room<Vector> at{0};
 
     int64_t size() const { return first.back(); }
 
     // Add rows, from a block of their own on.
     void add(const std::vector<SparseSum>& rows) {
         for (size_t low = 0; low < rows.size(); low += W) {
-            const size_t high = std::min(low + W, rows.size());
             const int64_t entries = longest(rows, low);
             for (int64_t e = 0; e < entries; ++e)
                 for (size_t r = low; r < low + W; ++r) {
-                    const bool there = r < high && e < int64_t(rows[r].size());
-                    const Entry entry = there ? rows[r][e] : Entry{0.0, 0, 0};
-                    weights.push_back(entry.weight), lefts.push_back(entry.left), rights.push_back(entry.right);
+                    const bool there = r < rows.size() && e < int64_t(rows[r].size());
+                    given.push_back(there ? rows[r][e] : Entry{0.0, 0, 0});
                 }
             first.push_back(first.back() + entries);
             most = std::max(most, entries);
@@ -121,9 +135,15 @@ struct Sums {
 
     // Lay everything out for reading, after the last row.
     void finish() {
-        weight.clear(size()), left.clear(size()), right.clear(size());
-        std::copy(weights.begin(), weights.end(), reinterpret_cast<double*>(weight.at));
-        std::copy(lefts.begin(), lefts.end(), reinterpret_cast<int64_t*>(left.at));
-        std::copy(rights.begin(), rights.end(), reinterpret_cast<int64_t*>(right.at));
+        at.clear(size());
+        for (size_t k = 0; k < given.size(); ++k) {
+            Vector& vector = at.at[k / W];
+            vector.weight.set(int(k % W), given[k].weight);
+            vector.left.lane[k % W] = given[k].left;
+            vector.right.lane[k % W] = given[k].right;
+        }
     }
+
+  private:
+    std::vector<Entry> given;
 };
