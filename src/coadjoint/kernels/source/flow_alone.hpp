@@ -1,7 +1,7 @@
 // The loop over steps for programs: one trajectory.
 #pragma once
 
-#include "flow_rows.hpp"
+#include "elementary_flows.hpp"
 
 // The rows of the group element are lanes, and finished states are lanes of steps.
 constexpr int ROWS = 4;
@@ -50,11 +50,21 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
             dg[to] = state.group_errors[member * d * d + from];
         });
     const Vectors<double> momentum{x, dx, 1, scratch.at};
+    FlowsOfRows flows_of(tables, carry);
+    const std::vector<ElementaryFlow> opening = flows_of(tables.section[0], tables.section[loop.k0 == 0]),
+                                      repeated = flows_of(tables.section[1], tables.section[loop.k1 > 1 ? 2 : 1]);
     int64_t saved = next_saved(schedule, loop.k0), failed = 0;
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         const double t = schedule.t0 + double(k - 1) * schedule.h;
-        for (uint32_t r = tables.section[k == 1 ? 0 : 1], last = tables.section[k == 1 ? 1 : 2]; r < last; ++r)
-            apply_row<care, carry>(tables, Shared{}, r, momentum, group, t, schedule.h, angles);
+        const std::vector<ElementaryFlow>& flows = k == 1 ? opening : repeated;
+        for (const ElementaryFlow& flow : flows)
+            if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
+                apply_flow<care, carry>(flow, momentum, group);
+            else
+                apply_row<care, carry>(tables, Shared{}, flow.row, momentum, group, t, schedule.h, angles);
+        if (flows.empty())
+            for (uint32_t r = tables.section[k == 1 ? 0 : 1], last = tables.section[k == 1 ? 1 : 2]; r < last; ++r)
+                apply_row<care, carry>(tables, Shared{}, r, momentum, group, t, schedule.h, angles);
         if (!finite(size, x)) {
             failed = k;
             break;
