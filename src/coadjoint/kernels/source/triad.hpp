@@ -40,27 +40,27 @@ struct Triad {
         for (int q = 0; q < 6; ++q) constant[q] = constants.template number_at<A>(field.constant, q);
     }
 
+    template <bool watched>
     INLINE void iterate(int64_t stages) {
-        A x[3] = {x0, x1, x2}, u[3], sums[3], far(0.0);
-        A *slopes = y.slopes.at, *points = y.points.at, *change = y.change.at;
-        for (int c = 0; c < 3; ++c) {
-            u[c] = fma(weight[c], x[c], offset[c]);
-            gradients[c] = u[c];
-        }
+        A x[3] = {x0, x1, x2}, u[3], slopes[3], sums[3], far(0.0);
+        for (int c = 0; c < 3; ++c) u[c] = fma(weight[c], x[c], offset[c]);
         for (int c = 0; c < 3; ++c) {
             A total(0.0);
             for (int q = 2 * c; q < 2 * c + 2; ++q)
                 total = fma(constant[q] * x[TRIAD_STATES[q]], u[TRIAD_COLUMNS[q]], total);
             slopes[c] = length * total;
         }
-        Layout::template mix<3>(y.mix, stages, slopes, 3, error, sums);
+        Layout::template mix_one<3>(y.mix, stages, slopes, error, sums);
         for (int c = 0; c < 3; ++c) {
-            const A point = Layout::spread(base[c]) + sums[c], distance = absolute(point - x[c]);
-            points[c] = x[c] = point;
-            change[c] = distance;
-            far = far + distance;
+            const A point = Layout::spread(base[c]) + sums[c];
+            if constexpr (watched) {
+                const A distance = absolute(point - x[c]);
+                gradients[c] = u[c], y.slopes.at[c] = slopes[c], y.points.at[c] = point, y.change.at[c] = distance;
+                far = far + distance;
+            }
+            x[c] = point;
         }
         x0 = x[0], x1 = x[1], x2 = x[2];
-        y.moved.at[0] = far;
+        if constexpr (watched) y.moved.at[0] = far;
     }
 };
