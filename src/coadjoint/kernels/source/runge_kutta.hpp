@@ -2,7 +2,7 @@
 #pragma once
 
 #include "linear_solve.hpp"
-#include "triad.hpp"
+#include "brackets.hpp"
 
 constexpr int64_t EXPLICIT = 0, ITERATED = 1, IMPLICIT = 2, STRUCTURE = 3, GRADIENT = 4;
 constexpr int64_t NOT_FROZEN = -1;
@@ -22,7 +22,7 @@ struct Stages {
     const Field& field;
     const GroupField& group;
     const int64_t n, s, d, blocks;
-    const bool triad;
+    const Known algebra;
     Room<Coefficient> mix, node, scale, forecast;
     Unknowns<Layout> p, g;
     Room<A> gradients, kept, frozen, times, lengths, matrices;
@@ -32,7 +32,7 @@ struct Stages {
 
     Stages(const RungeKuttaTables& tables, const C& constants)
         : tables(tables), constants(constants), field(tables.field), group(tables.group), n(field.size),
-          s(tables.stages), d(group.size), blocks(Layout::blocks(s)), triad(is_triad(field)), mix(blocks * s),
+          s(tables.stages), d(group.size), blocks(Layout::blocks(s)), algebra(known()), mix(blocks * s),
           node(blocks), scale(blocks),
           forecast(tables.solver == IMPLICIT ? tables.substeps * blocks * s : 0), p(s, n, mix.at), g(s, d * d, mix.at),
           gradients(blocks * n), kept(alone ? 0 : blocks * n), frozen(tables.solver >= STRUCTURE ? blocks * n : 0),
@@ -47,6 +47,10 @@ struct Stages {
                 Layout::lay_out(tables.forecast + part * s * s, s, s, forecast.at + part * blocks * s);
     }
 
+    Known known() const {
+        if constexpr (Layout::side_by_side) return known_algebra(field, constants);
+        return Known::NONE;
+    }
     int64_t widest() const { return std::max(n, d); }
     int64_t edge() const { return tables.direct ? s * widest() : 0; }
 
@@ -98,9 +102,14 @@ struct Stages {
     // Iterate, the first `trust` iterations unwatched, and tell where it was found how many the next step may trust.
     Mask settle_momentum(Mask going, const V& trust, V* next) {
         if constexpr (Layout::side_by_side)
-            if (blocks == 1) {
-                if (!triad) return settle_blocks<1>(going, trust, next);
-                return s == lanes ? settle_triad<lanes>(trust, next) : settle_triad<0>(trust, next);
+            if (blocks == 1) switch (algebra) {
+                case Known::SO3: return settle_bracket<So3, false>(trust, next);
+                case Known::SO3_FULL: return settle_bracket<So3, true>(trust, next);
+                case Known::E3: return settle_bracket<E3, false>(trust, next);
+                case Known::E3_FULL: return settle_bracket<E3, true>(trust, next);
+                case Known::SO4: return settle_bracket<So4, false>(trust, next);
+                case Known::SO4_FULL: return settle_bracket<So4, true>(trust, next);
+                case Known::NONE: return settle_blocks<1>(going, trust, next);
             }
         return settle_blocks<0>(going, trust, next);
     }
@@ -120,14 +129,20 @@ struct Stages {
         return taken(outcome);
     }
 
-    template <int64_t known>
-    NOINLINE Mask settle_triad(const V& trust, V* next) {
-        Triad<Layout> body(field, constants, p, gradients.at, lengths.at[0]);
+    // For as many stages as lanes no count is asked for.
+    template <class Bracket, bool full>
+    Mask settle_bracket(const V& trust, V* next) {
+        return s == lanes ? settle_counted<Bracket, full, lanes>(trust, next)
+                          : settle_counted<Bracket, full, 0>(trust, next);
+    }
+    template <class Bracket, bool full, int64_t known>
+    NOINLINE Mask settle_counted(const V& trust, V* next) {
+        Bracketed<Layout, Bracket, full> body(field, constants, p, gradients.at, lengths.at[0]);
         const int64_t count = known ? known : s;
         auto iterate = [&](auto watched) __attribute__((always_inline)) {
             body.template iterate<decltype(watched)::value>(count);
         };
-        const auto outcome = settle_by(p, true, 1, 3, trust, iterate, [](const Mask&, bool) {});
+        const auto outcome = settle_by(p, true, 1, Bracket::n, trust, iterate, [](const Mask&, bool) {});
         *next = select(outcome.settled, outcome.trusted, *next);
         return taken(outcome);
     }
