@@ -17,36 +17,44 @@ INLINE void each(Function function) {
 }
 
 // Nonzero structure constants, row by row: f_i = sum of sign x_state u_column. Those of a field may all have the other
-// sign.
+// sign; of three coordinates that move each other they may be any.
 struct So3 {
+    static constexpr bool unit = true;
     static constexpr int n = 3, entries = 6, first[] = {0, 2, 4, 6};
     static constexpr int column[] = {1, 2, 0, 2, 0, 1}, state[] = {2, 1, 2, 0, 1, 0}, sign[] = {1, -1, -1, 1, 1, -1};
 };
+struct Triad : So3 {
+    static constexpr bool unit = false;
+};
 struct E3 {
+    static constexpr bool unit = true;
     static constexpr int n = 6, entries = 18, first[] = {0, 4, 8, 12, 14, 16, 18};
     static constexpr int column[] = {1, 2, 4, 5, 0, 2, 3, 5, 0, 1, 3, 4, 1, 2, 0, 2, 0, 1};
     static constexpr int state[] = {2, 1, 5, 4, 2, 0, 5, 3, 1, 0, 4, 3, 5, 4, 5, 3, 4, 3};
     static constexpr int sign[] = {1, -1, 1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, 1, -1};
 };
 struct So4 {
+    static constexpr bool unit = true;
     static constexpr int n = 6, entries = 24, first[] = {0, 4, 8, 12, 16, 20, 24};
     static constexpr int column[] = {1, 2, 3, 4, 0, 2, 3, 5, 0, 1, 4, 5, 0, 1, 4, 5, 0, 2, 3, 5, 1, 2, 3, 4};
     static constexpr int state[] = {3, 4, 1, 2, 3, 5, 0, 2, 4, 5, 0, 1, 1, 0, 5, 4, 2, 0, 5, 3, 2, 1, 4, 3};
     static constexpr int sign[] = {-1, -1, 1, 1, 1, -1, -1, 1, 1, 1, -1, -1, -1, 1, -1, 1, -1, 1, 1, -1, -1, 1, -1, 1};
 };
 
-enum class Known { NONE, SO3, SO3_FULL, E3, E3_FULL, SO4, SO4_FULL };
+enum class Known { NONE, TRIAD, SO3, SO3_FULL, E3, E3_FULL, SO4, SO4_FULL };
 
 template <class Bracket, class C>
 bool has_bracket(const Field& field, const C& constants) {
     if (field.nonlinear || field.size != Bracket::n) return false;
     for (int i = 0; i <= Bracket::n; ++i)
         if (field.first[i] != uint32_t(Bracket::first[i])) return false;
+    for (uint32_t q = 0; q < Bracket::entries; ++q)
+        if (field.column[q] != uint32_t(Bracket::column[q]) || field.state[q] != uint32_t(Bracket::state[q]))
+            return false;
+    if (!Bracket::unit) return true;
     const double orientation = Bracket::sign[0] * constants.template number_at<double>(field.constant, 0);
     for (int q = 0; q < Bracket::entries; ++q)
-        if (field.column[q] != uint32_t(Bracket::column[q]) || field.state[q] != uint32_t(Bracket::state[q]) ||
-            constants.template number_at<double>(field.constant, q) != orientation * Bracket::sign[q])
-            return false;
+        if (constants.template number_at<double>(field.constant, q) != orientation * Bracket::sign[q]) return false;
     return absolute(orientation) == 1.0;
 }
 
@@ -69,6 +77,7 @@ Known known_algebra(const Field& field, const C& constants) {
     const bool full = has_rows(field, true);
     if (!full && !has_rows(field, false)) return Known::NONE;
     if (has_bracket<So3>(field, constants)) return full ? Known::SO3_FULL : Known::SO3;
+    if (!full && has_bracket<Triad>(field, constants)) return Known::TRIAD;
     if (has_bracket<E3>(field, constants)) return full ? Known::E3_FULL : Known::E3;
     if (has_bracket<So4>(field, constants)) return full ? Known::SO4_FULL : Known::SO4;
     return Known::NONE;
@@ -78,11 +87,11 @@ Known known_algebra(const Field& field, const C& constants) {
 template <class Layout, class Bracket, bool full>
 struct Bracketed {
     typedef typename Layout::A A;
-    static constexpr int n = Bracket::n, rows = full ? n : 1;
+    static constexpr int n = Bracket::n, rows = full ? n : 1, entries = Bracket::entries;
     Unknowns<Layout>& y;
     A* const gradients;
     const A length, orientation;
-    A x[n], offset[n], weight[n * rows];
+    A x[n], offset[n], weight[n * rows], constant[Bracket::unit ? 1 : entries];
     double base[n], error[n];
     bool weighted[n];
 
@@ -96,9 +105,14 @@ struct Bracketed {
             offset[c] = constants.template number_at<A>(terms.offset, c);
             weighted[c] = terms.entry[c + 1] > terms.entry[c];
             each<rows>([&](auto j) __attribute__((always_inline)) {
-                if (weighted[c]) weight[c * rows + j] = constants.template number_at<A>(terms.weight, terms.entry[c] + j);
+                if (!weighted[c]) return;
+                weight[c * rows + j] = constants.template number_at<A>(terms.weight, terms.entry[c] + j);
             });
         });
+        if constexpr (!Bracket::unit)
+            each<entries>([&](auto q) __attribute__((always_inline)) {
+                constant[q] = constants.template number_at<A>(field.constant, q);
+            });
     }
 
     template <bool watched>
@@ -106,7 +120,7 @@ struct Bracketed {
         A u[n], turned[n], slopes[n], sums[n], far(0.0);
         each<n>([&](auto c) __attribute__((always_inline)) {
             u[c] = offset[c];
-            turned[c] = orientation * x[c];
+            turned[c] = Bracket::unit ? orientation * x[c] : x[c];
             if constexpr (full)
                 each<n>([&](auto j) __attribute__((always_inline)) { u[c] = fma(weight[c * n + j], x[j], u[c]); });
             else if (weighted[c])
@@ -118,7 +132,11 @@ struct Bracketed {
             each<count>([&](auto k) __attribute__((always_inline)) {
                 constexpr int q = low + k;
                 const A& state = turned[Bracket::state[q]];
-                total = fma(Bracket::sign[q] < 0 ? -state : state, u[Bracket::column[q]], total);
+                const A& by = u[Bracket::column[q]];
+                if constexpr (Bracket::unit)
+                    total = fma(Bracket::sign[q] < 0 ? -state : state, by, total);
+                else
+                    total = fma(constant[q] * state, by, total);
             });
             slopes[c] = length * total;
         });

@@ -103,6 +103,7 @@ struct Stages {
     Mask settle_momentum(Mask going, const V& trust, V* next) {
         if constexpr (Layout::side_by_side)
             if (blocks == 1) switch (algebra) {
+                case Known::TRIAD: return settle_bracket<Triad, false>(trust, next);
                 case Known::SO3: return settle_bracket<So3, false>(trust, next);
                 case Known::SO3_FULL: return settle_bracket<So3, true>(trust, next);
                 case Known::E3: return settle_bracket<E3, false>(trust, next);
@@ -123,8 +124,8 @@ struct Stages {
             evaluate<NOT_FROZEN>(0, count);
             p.template restage<decltype(watched)::value>(0, count, s);
         };
-        const auto outcome =
-            settle_by(p, going, count, n, trust, iterate, [&](const Mask& over, bool last) { keep_gradients(over, last); });
+        const auto outcome = settle_by(p, going, count, n, trust, iterate,
+                                       [&](const Mask& over, bool last) { keep_gradients(over, last); });
         *next = select(outcome.settled, outcome.trusted, *next);
         return taken(outcome);
     }

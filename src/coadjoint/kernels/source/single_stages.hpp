@@ -25,8 +25,8 @@ struct SingleStages : Stages<Layout, C> {
     typedef typename Layout::A A;
     using Base::tables, Base::constants, Base::field, Base::group, Base::n, Base::s, Base::d, Base::blocks;
     using Base::p, Base::g, Base::mix, Base::forecast, Base::gradients, Base::frozen, Base::times, Base::lengths;
-    using Base::room, Base::trusted, Base::iterations, Base::residual, Base::solve, Base::begin, Base::remember, Base::taken;
-    using Base::evaluate_all, Base::settle_momentum, Base::settle_group, Base::evaluate_group;
+    using Base::room, Base::trusted, Base::iterations, Base::residual, Base::solve, Base::begin, Base::remember;
+    using Base::taken, Base::evaluate_all, Base::settle_momentum, Base::settle_group, Base::evaluate_group;
 
     SingleStages(const RungeKuttaTables& tables, const C& constants) : Base(tables, constants) {}
 

@@ -104,7 +104,9 @@ struct MemberLanes {
     static INLINE auto every(const typename Numbers<A>::Mask& mask) { return mask; }
     static INLINE auto some(const typename Numbers<A>::Mask& mask) { return mask; }
     static INLINE const A& largest(const A& a) { return a; }
-    static INLINE A choose(const typename Numbers<A>::Mask& where, const A& a, const A& b) { return select(where, a, b); }
+    static INLINE A choose(const typename Numbers<A>::Mask& where, const A& a, const A& b) {
+        return select(where, a, b);
+    }
     template <class C>
     static INLINE const C& constants(const C& all, int64_t, int64_t) { return all; }
 

@@ -78,15 +78,17 @@ struct Unknowns {
         }
     }
 
-    // Begin to watch where it says so: what is small against each stage, and no correction to compare with.
-    INLINE void begin_watching(const typename Numbers<V>::Mask& where, int64_t blocks, int64_t size) {
+    // What is small against each stage as it starts; and, where that may be nowhere near, against its first move too.
+    INLINE void measure(int64_t blocks, int64_t size) {
         for (int64_t b = 0; b < blocks; ++b) {
-            A total = moved.at[b];
+            A total(0.0);
             for (int64_t c = 0; c < size; ++c) total = total + absolute(points.at[b * size + c]);
-            noise.at[b] = Layout::choose(where, A(NOISE) * total, noise.at[b]);
+            noise.at[b] = A(NOISE) * total;
         }
-        const A infinite(std::numeric_limits<double>::infinity());
-        for (int64_t k = 0; k < blocks * size; ++k) least.at[k] = Layout::choose(where, infinite, least.at[k]);
+    }
+    void measure_move(const typename Numbers<V>::Mask& where, int64_t blocks) {
+        for (int64_t b = 0; b < blocks; ++b)
+            noise.at[b] = Layout::choose(where, noise.at[b] + A(NOISE) * moved.at[b], noise.at[b]);
     }
 
     // The largest correction of a stage, summed over its components; no number where there is one that is none.
@@ -105,7 +107,8 @@ struct Unknowns {
     INLINE auto falling(const typename Numbers<V>::Mask& where, int64_t blocks, int64_t size) {
         auto found = A(0.0) < A(0.0);
         for (int64_t k = 0; k < blocks * size; ++k) {
-            const A unit = A(0x1p-52) * absolute(points.at[k]), own = select(change.at[k] <= unit, A(0.0), change.at[k]);
+            const A unit = A(0x1p-52) * absolute(points.at[k]);
+            const A own = select(change.at[k] <= unit, A(0.0), change.at[k]);
             auto fell = own < least.at[k];
             if constexpr (Numbers<V>::lanes > 1) fell = fell & where;
             least.at[k] = select(fell, own, least.at[k]);
@@ -125,8 +128,8 @@ struct Outcome {
 // keeps its slopes. `iterate` sets the slopes at the points, then the points, told whether their moves are watched;
 // `keep` is told which lanes settled, to keep more of them. Outcomes have the residual only of what failed.
 //
-// A trajectory has settled when nothing moves, or when for some iterations in a row no component's correction has fallen
-// below all that it was since the corrections became small. It fails when corrections grow or fall slowly.
+// A trajectory has settled when nothing moves, or when for some iterations in a row no component's correction has
+// fallen below all that it was since the corrections became small. It fails when corrections grow or fall slowly.
 //
 // Nothing is watched in the first `trusted` iterations of each: they are what the step before says will still fall.
 template <class Layout, class Mask, class Iterate, class Keep>
@@ -141,31 +144,33 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask going, int64_t blocks, int64_t s
     double unwatched = TRUSTED;
     for (int lane = 0; lane < Numbers<V>::lanes; ++lane)
         if (at(going, lane)) unwatched = smaller(unwatched, lane_of(trusted, lane));
+    y.measure(blocks, size);
     int64_t passed = 1;
-    for (; double(passed) <= unwatched; ++passed) iterate(std::false_type());
+    for (const int64_t last = int64_t(unwatched); passed <= last; ++passed) iterate(std::false_type());
+    std::fill_n(y.least.at, blocks * size, A(std::numeric_limits<double>::infinity()));
     V first = infinite, looked = infinite, quiet(0.0);
     bool kept = false;
     for (;; ++passed) {
         iterate(std::true_type());
         const V count = V(double(passed));
-        const auto begins = going & (count == trusted + 1.0);
-        if (any(begins)) y.begin_watching(begins, blocks, size);
-        const auto watched = going & (count > trusted);
-        auto still = watched, small = watched;
-        for (int64_t b = 0; b < blocks; ++b) {
-            still = still & Layout::every(y.moved.at[b] == A(0.0));
-            small = small & Layout::every(y.moved.at[b] <= y.noise.at[b]);
-        }
-        auto ended = still, failed = nobody;
-        if (any(watched & !still)) {
+        auto small = going & (count > trusted), ended = nobody, failed = nobody, still = nobody;
+        for (int64_t b = 0; b < blocks; ++b) small = small & Layout::every(y.moved.at[b] <= y.noise.at[b]);
+        if (any(small)) {
+            still = small;
+            for (int64_t b = 0; b < blocks; ++b) still = still & Layout::every(y.moved.at[b] == A(0.0));
+            ended = still;
             auto calm = small & !still;
             if (any(calm)) calm = calm & !y.falling(calm, blocks, size) & (count > V(double(FIRST_TEST)));
             quiet = select(calm, quiet + 1.0, V(0.0));
             ended = ended | (calm & (quiet >= V(quiet_enough(passed))));
+        } else {
+            quiet = V(0.0);
         }
         if (__builtin_expect(passed == 1, 0)) {
-            first = looked = select(trusted > V(0.0), infinite, y.largest_move());
-            failed = watched & !ended & !(first - first == V(0.0));
+            const auto new_to_it = !(trusted > V(0.0));
+            first = looked = select(new_to_it, y.largest_move(), infinite);
+            y.measure_move(new_to_it, blocks);
+            failed = going & new_to_it & !ended & !(first - first == V(0.0));
         } else if (__builtin_expect(passed % LOOK == 0, 0)) {
             const V now = y.largest_move();
             const auto bounded = now <= V(GROWTH) * first, fast = now <= V(SLOW) * looked;
