@@ -32,7 +32,7 @@ struct Stages {
 
     Stages(const RungeKuttaTables& tables, const C& constants)
         : tables(tables), constants(constants), field(tables.field), group(tables.group), n(field.size),
-          s(tables.stages), d(group.size), blocks(Layout::blocks(s)), algebra(known()), mix(blocks * s),
+          s(tables.stages), d(group.size), blocks(Layout::blocks(s)), algebra(blocks == 1 ? known() : Known::NONE), mix(blocks * s),
           node(blocks), scale(blocks),
           forecast(tables.solver == IMPLICIT ? tables.substeps * blocks * s : 0), p(s, n, mix.at), g(s, d * d, mix.at),
           gradients(blocks * n), kept(alone ? 0 : blocks * n), frozen(tables.solver >= STRUCTURE ? blocks * n : 0),
@@ -47,8 +47,9 @@ struct Stages {
                 Layout::lay_out(tables.forecast + part * s * s, s, s, forecast.at + part * blocks * s);
     }
 
+    // Many stages do not fit into registers.
     Known known() const {
-        if constexpr (Layout::side_by_side) return known_algebra(field, constants);
+        if constexpr (Layout::side_by_side && lanes <= 8) return known_algebra(field, constants);
         return Known::NONE;
     }
     int64_t widest() const { return std::max(n, d); }
@@ -101,8 +102,7 @@ struct Stages {
 
     // Iterate, the first `trust` iterations unwatched, and tell where it was found how many the next step may trust.
     Mask settle_momentum(Mask going, const V& trust, V* next) {
-        if constexpr (Layout::side_by_side)
-            if (blocks == 1) switch (algebra) {
+        if constexpr (Layout::side_by_side && lanes <= 8) switch (algebra) {
                 case Known::TRIAD: return settle_bracket<Triad, false>(trust, next);
                 case Known::SO3: return settle_bracket<So3, false>(trust, next);
                 case Known::SO3_FULL: return settle_bracket<So3, true>(trust, next);
@@ -110,8 +110,10 @@ struct Stages {
                 case Known::E3_FULL: return settle_bracket<E3, true>(trust, next);
                 case Known::SO4: return settle_bracket<So4, false>(trust, next);
                 case Known::SO4_FULL: return settle_bracket<So4, true>(trust, next);
-                case Known::NONE: return settle_blocks<1>(going, trust, next);
+                case Known::NONE: break;
             }
+        if constexpr (Layout::side_by_side)
+            if (blocks == 1) return settle_blocks<1>(going, trust, next);
         return settle_blocks<0>(going, trust, next);
     }
 
@@ -130,18 +132,11 @@ struct Stages {
         return taken(outcome);
     }
 
-    // For as many stages as lanes no count is asked for.
     template <class Bracket, bool full>
-    Mask settle_bracket(const V& trust, V* next) {
-        return s == lanes ? settle_counted<Bracket, full, lanes>(trust, next)
-                          : settle_counted<Bracket, full, 0>(trust, next);
-    }
-    template <class Bracket, bool full, int64_t known>
-    NOINLINE Mask settle_counted(const V& trust, V* next) {
+    NOINLINE Mask settle_bracket(const V& trust, V* next) {
         Bracketed<Layout, Bracket, full> body(field, constants, p, gradients.at, lengths.at[0]);
-        const int64_t count = known ? known : s;
         auto iterate = [&](auto watched) __attribute__((always_inline)) {
-            body.template iterate<decltype(watched)::value>(count);
+            body.template iterate<decltype(watched)::value>(s);
         };
         const auto outcome = settle_by(p, true, 1, Bracket::n, trust, iterate, [](const Mask&, bool) {});
         *next = select(outcome.settled, outcome.trusted, *next);
