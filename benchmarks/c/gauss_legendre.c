@@ -143,7 +143,7 @@ int main(int argc, char **argv) {
                 from = passed - 1;
                 break;
             }
-            /* Corrections below one unit in the last place count as none; done when twice none fell, or all are none. */
+            /* Corrections below one unit in the last place count as none; done when twice none fell. */
             for (int c = 0; c < 3; c++)
                 for (int b = 0; b < BLOCKS; b++) {
                     Vector unit = 0x1p-52 * (Vector)((Bits)X[c].part[b] & INT64_MAX);

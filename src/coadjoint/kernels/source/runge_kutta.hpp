@@ -32,7 +32,8 @@ struct Stages {
 
     Stages(const RungeKuttaTables& tables, const C& constants)
         : tables(tables), constants(constants), field(tables.field), group(tables.group), n(field.size),
-          s(tables.stages), d(group.size), blocks(Layout::blocks(s)), algebra(blocks == 1 ? known() : Known::NONE), mix(blocks * s),
+          s(tables.stages), d(group.size), blocks(Layout::blocks(s)),
+          algebra(blocks == 1 ? known() : Known::NONE), mix(blocks * s),
           node(blocks), scale(blocks),
           forecast(tables.solver == IMPLICIT ? tables.substeps * blocks * s : 0), p(s, n, mix.at), g(s, d * d, mix.at),
           gradients(blocks * n), kept(alone ? 0 : blocks * n), frozen(tables.solver >= STRUCTURE ? blocks * n : 0),
