@@ -3,8 +3,9 @@
    gauss_legendre STEPS h m1 m2 m3 x1 x2 x3, then s weights, s * s coefficients and s * s of the starting values,
    compiled with STAGES and CAREFUL. Careless: X_i = x + sum_j (h a_ij) f_j, iterated until no component moves by more
    than 1e-15 |x|. Careful: X_i = x + sum_j mu_ij L_j with L_j = h b_j f_j, iterated until corrections stop falling, and
-   the sum of the steps compensated. Printed: nanoseconds a step, the state, iterations a step, the largest relative
-   change of energy and of |x|^2 at 64 times. */
+   the sum of the steps compensated. Both test only from where the step before says that it may be the last iteration.
+   Printed: nanoseconds a step, the state, iterations a step, the largest relative change of energy and of |x|^2 at 64
+   times. */
 #include "program.h"
 
 #include <stdint.h>
@@ -44,9 +45,9 @@ static inline int some(Bits bits) {
 #endif
 #if defined(__AVX2__)
     if (sizeof(bits) == 32) {
-        __m256d all;
+        __m256i all;
         memcpy(&all, &bits, sizeof(bits));
-        return _mm256_movemask_pd(all) != 0;
+        return !_mm256_testz_si256(all, all);
     }
 #endif
     int64_t total = 0;
@@ -75,6 +76,26 @@ static inline void mix(const Stages *coefficient, const Stages *slopes, const do
         for (int c = 0; c < 3; c++) y[c].part[b] = even[b][c] + odd[b][c];
 }
 
+/* L_c = h b (M x cross x)_c, without h b unless careful. */
+static inline void slopes_at(const Stages *X, const double *m, const Stages *length, Stages *L) {
+    for (int b = 0; b < BLOCKS; b++) {
+        Vector x0 = X[0].part[b], x1 = X[1].part[b], x2 = X[2].part[b];
+        Vector u0 = m[0] * x0, u1 = m[1] * x1, u2 = m[2] * x2;
+        L[0].part[b] = u1 * x2 - u2 * x1;
+        L[1].part[b] = u2 * x0 - u0 * x2;
+        L[2].part[b] = u0 * x1 - u1 * x0;
+        for (int c = 0; CAREFUL && c < 3; c++) L[c].part[b] *= length->part[b];
+    }
+}
+
+/* The stages from the slopes: the sums, and, if they are of increments alone, the state. */
+static inline void stages_from(const Stages *coefficient, const Stages *L, const double *x, const double *owed,
+                               Stages *y) {
+    mix(coefficient, L, CAREFUL ? owed : x, y);
+    for (int c = 0; CAREFUL && c < 3; c++)
+        for (int b = 0; b < BLOCKS; b++) y[c].part[b] += x[c];
+}
+
 static inline double invariant(const double *m, const double *x) {
     return m[0] * x[0] * x[0] + m[1] * x[1] * x[1] + m[2] * x[2] * x[2];
 }
@@ -94,55 +115,49 @@ int main(int argc, char **argv) {
     memset(L, 0, sizeof(L));
     double energy = invariant(m, x), square = invariant(ones, x), owed[3] = {0, 0, 0};
     double small = CAREFUL ? 0x1p-32 * sqrt(square) : 1e-15 * sqrt(square);
+    int from = 1;
     double begun = seconds();
     for (long k = 1; k <= steps; k++) {
-        const double *start = CAREFUL ? owed : x;
-        mix(forecast, L, start, X);
-        if (CAREFUL)
-            for (int c = 0; c < 3; c++)
-                for (int b = 0; b < BLOCKS; b++) X[c].part[b] += x[c];
-        Stages least[3];
+        stages_from(forecast, L, x, owed, X);
+        int passed = 1, quiet = 0;
+        for (; passed < from; passed++) {
+            slopes_at(X, m, &length, L);
+            stages_from(coefficient, L, x, owed, X);
+        }
+        Stages least[3], next[3], moved[3];
         for (int c = 0; c < 3; c++)
             for (int b = 0; b < BLOCKS; b++) least[c].part[b] = INFINITY - (Vector){0};
-        int quiet = 0;
-        for (int passed = 1; passed <= MOST; passed++) {
-            for (int b = 0; b < BLOCKS; b++) {
-                Vector x0 = X[0].part[b], x1 = X[1].part[b], x2 = X[2].part[b];
-                Vector u0 = m[0] * x0, u1 = m[1] * x1, u2 = m[2] * x2;
-                L[0].part[b] = u1 * x2 - u2 * x1;
-                L[1].part[b] = u2 * x0 - u0 * x2;
-                L[2].part[b] = u0 * x1 - u1 * x0;
-                for (int c = 0; CAREFUL && c < 3; c++) L[c].part[b] *= length.part[b];
-            }
-            Stages next[3], moved[3];
-            mix(coefficient, L, start, next);
-            Bits far = {0};
+        for (;; passed++) {
+            slopes_at(X, m, &length, L);
+            stages_from(coefficient, L, x, owed, next);
+            Bits far = {0}, any = {0};
             for (int c = 0; c < 3; c++)
                 for (int b = 0; b < BLOCKS; b++) {
-                    if (CAREFUL) next[c].part[b] += x[c];
-                    Vector change = next[c].part[b] - X[c].part[b];
-                    moved[c].part[b] = (Vector)((Bits)change & INT64_MAX);
-                    far |= moved[c].part[b] > small - (Vector){0};
+                    moved[c].part[b] = (Vector)((Bits)(next[c].part[b] - X[c].part[b]) & INT64_MAX);
+                    any |= (Bits)moved[c].part[b];
+                    far |= (Bits)(small - moved[c].part[b]); /* negative where it moved by more */
                     X[c].part[b] = next[c].part[b];
                 }
-            iterations++;
-            if (some(far)) continue;
-            if (!CAREFUL) break;
-            /* Corrections below one unit in the last place count as none; done when twice none fell, or all are none. */
-            Bits any = {0}, falls = {0};
-            for (int c = 0; c < 3; c++) {
+            if (!CAREFUL && some(far >> 63)) continue;
+            if (!CAREFUL || !some(any) || passed == MOST) {
+                from = passed - 1;
+                break;
+            }
+            /* Corrections below one unit in the last place count as none; done when twice none fell. */
+            for (int c = 0; c < 3; c++)
                 for (int b = 0; b < BLOCKS; b++) {
                     Vector unit = 0x1p-52 * (Vector)((Bits)X[c].part[b] & INT64_MAX);
                     Vector own = (Vector)((Bits)moved[c].part[b] & (moved[c].part[b] > unit));
-                    any |= moved[c].part[b] != (Vector){0};
-                    falls |= own < least[c].part[b];
+                    far |= (Bits)(own - least[c].part[b]);
                     least[c].part[b] = smaller(own, least[c].part[b]);
                 }
+            quiet = some(far >> 63) || passed <= FIRST_TEST ? 0 : quiet + 1;
+            if (__builtin_expect(quiet >= (passed < 12 ? 2 : passed / 4), 0)) {
+                from = passed - quiet - 1;
+                break;
             }
-            if (!some(any)) break;
-            quiet = some(falls) || passed <= FIRST_TEST ? 0 : quiet + 1;
-            if (quiet >= (passed < 12 ? 2 : passed / 4)) break;
         }
+        iterations += passed;
         for (int c = 0; c < 3; c++) {
             double even = CAREFUL ? owed[c] : 0, odd = 0;
 #pragma GCC unroll 16

@@ -47,11 +47,12 @@ class RungeKuttaTables(NamedTuple):
 
 
 def memory_of(tables: RungeKuttaTables) -> int:
-    """Return how many numbers a member remembers from step to step: the slopes of an implicit step, and for how many
-    steps it still begins with Newton's method. They begin as NaN, which no step starts from.
+    """Return how many numbers a member remembers from step to step: for how many steps it still begins with Newton's
+    method, how many iterations of each substep need no test, and the slopes of an implicit step. They begin as NaN,
+    which no step starts from.
     """
     size = tables.field.size + tables.group.size**2
-    return 1 + tables.stages * size if tables.solver == IMPLICIT else 0
+    return 1 + tables.substeps + tables.stages * size if tables.solver == IMPLICIT else 0
 
 
 advance = partial(take_steps, "runge_kutta_advance")

@@ -70,7 +70,8 @@ class GaussLegendre(RungeKuttaMethod):
     -----
     Computed as ``L_j = h b_j f(X_j)``, ``X_i = x + sum_j mu_ij L_j``, ``x_new = x + sum_j L_j`` with mu_ij = a_ij /
     b_j rounded such that mu_ij + mu_ji = 1 exactly, and compensated summation. Stages start where the polynomial of
-    the step before leads; it belongs to what a run keeps, so that a run that is cut has the same bits. Where
+    the step before leads, and their corrections are watched from the iteration in which they fell last in that step;
+    both belong to what a run keeps, so that a run that is cut has the same bits. Where
     function iteration fails, Newton's method starts from X_i = x, with a dense matrix up to 200 unknowns, and above
     with a banded one where the coordinates can be ordered so, or with none (GMRES).
 

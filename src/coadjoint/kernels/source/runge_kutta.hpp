@@ -2,7 +2,7 @@
 #pragma once
 
 #include "linear_solve.hpp"
-#include "triad.hpp"
+#include "brackets.hpp"
 
 constexpr int64_t EXPLICIT = 0, ITERATED = 1, IMPLICIT = 2, STRUCTURE = 3, GRADIENT = 4;
 constexpr int64_t NOT_FROZEN = -1;
@@ -22,22 +22,24 @@ struct Stages {
     const Field& field;
     const GroupField& group;
     const int64_t n, s, d, blocks;
-    const bool triad;
+    const Known algebra;
     Room<Coefficient> mix, node, scale, forecast;
     Unknowns<Layout> p, g;
     Room<A> gradients, kept, frozen, times, lengths, matrices;
-    Room<V> system, pivots, right;
+    Room<V> system, pivots, right, trusted;
     FieldRoom<A> room;
     V iterations{0.0}, residual{0.0};
 
     Stages(const RungeKuttaTables& tables, const C& constants)
         : tables(tables), constants(constants), field(tables.field), group(tables.group), n(field.size),
-          s(tables.stages), d(group.size), blocks(Layout::blocks(s)), triad(is_triad(field)), mix(blocks * s),
+          s(tables.stages), d(group.size), blocks(Layout::blocks(s)),
+          algebra(blocks == 1 ? known() : Known::NONE), mix(blocks * s),
           node(blocks), scale(blocks),
           forecast(tables.solver == IMPLICIT ? tables.substeps * blocks * s : 0), p(s, n, mix.at), g(s, d * d, mix.at),
           gradients(blocks * n), kept(alone ? 0 : blocks * n), frozen(tables.solver >= STRUCTURE ? blocks * n : 0),
           times(blocks), lengths(blocks), matrices(tables.direct ? blocks * widest() * widest() : 0),
-          system(edge() * edge()), pivots(edge()), right(edge() * std::max<int64_t>(d, 1)), room(field) {
+          system(edge() * edge()), pivots(edge()), right(edge() * std::max<int64_t>(d, 1)),
+          trusted(tables.substeps), room(field) {
         Layout::lay_out(tables.mix, s, s, mix.at);
         Layout::lay_out(tables.node, s, 1, node.at);
         Layout::lay_out(tables.scale, s, 1, scale.at);
@@ -46,6 +48,11 @@ struct Stages {
                 Layout::lay_out(tables.forecast + part * s * s, s, s, forecast.at + part * blocks * s);
     }
 
+    // Many stages do not fit into registers.
+    Known known() const {
+        if constexpr (Layout::side_by_side && lanes <= 8) return known_algebra(field, constants);
+        return Known::NONE;
+    }
     int64_t widest() const { return std::max(n, d); }
     int64_t edge() const { return tables.direct ? s * widest() : 0; }
 
@@ -56,7 +63,7 @@ struct Stages {
         if (tables.solver == IMPLICIT) {
             remember();
             p.start_ahead(forecast.at + part * blocks * s);
-            Mask found = settle_momentum(going);
+            Mask found = settle_momentum(going, trusted.at[part], &trusted.at[part]);
             if (d == 0) return found;
             g.start_ahead(forecast.at + part * blocks * s);
             return settle_group(found);
@@ -94,30 +101,47 @@ struct Stages {
 
     NOINLINE void evaluate_all() { evaluate<NOT_FROZEN>(0, blocks); }
 
-    Mask settle_momentum(Mask going) {
+    // Iterate, the first `trust` iterations unwatched, and tell where it was found how many the next step may trust.
+    Mask settle_momentum(Mask going, const V& trust, V* next) {
+        if constexpr (Layout::side_by_side && lanes <= 8) switch (algebra) {
+                case Known::TRIAD: return settle_bracket<Triad, false>(trust, next);
+                case Known::SO3: return settle_bracket<So3, false>(trust, next);
+                case Known::SO3_FULL: return settle_bracket<So3, true>(trust, next);
+                case Known::E3: return settle_bracket<E3, false>(trust, next);
+                case Known::E3_FULL: return settle_bracket<E3, true>(trust, next);
+                case Known::SO4: return settle_bracket<So4, false>(trust, next);
+                case Known::SO4_FULL: return settle_bracket<So4, true>(trust, next);
+                case Known::NONE: break;
+            }
         if constexpr (Layout::side_by_side)
-            if (blocks == 1) return !triad ? settle_blocks<1>(going) : s == lanes ? settle_triad<lanes>() : settle_triad<0>();
-        return settle_blocks<0>(going);
+            if (blocks == 1) return settle_blocks<1>(going, trust, next);
+        return settle_blocks<0>(going, trust, next);
     }
 
     // One block is worth a loop of its own.
     template <int64_t known>
-    NOINLINE Mask settle_blocks(Mask going) {
+    NOINLINE Mask settle_blocks(Mask going, const V& trust, V* next) {
         const int64_t count = known ? known : blocks;
         // Too large for the compiler to inline unasked.
-        auto iterate = [&]() __attribute__((always_inline)) {
+        auto iterate = [&](auto watched) __attribute__((always_inline)) {
             evaluate<NOT_FROZEN>(0, count);
-            p.restage(0, count, s);
+            p.template restage<decltype(watched)::value>(0, count, s);
         };
-        return taken(settle_by(p, going, count, iterate,
-                               [&](const Mask& over, bool last) { keep_gradients(over, last); }));
+        const auto outcome = settle_by(p, going, count, n, trust, iterate,
+                                       [&](const Mask& over, bool last) { keep_gradients(over, last); });
+        *next = select(outcome.settled, outcome.trusted, *next);
+        return taken(outcome);
     }
 
-    template <int64_t known>
-    NOINLINE Mask settle_triad() {
-        Triad<Layout> body(field, constants, p, gradients.at, lengths.at[0]);
-        const int64_t count = known ? known : s;
-        return taken(settle_by(p, true, 1, [&] { body.iterate(count); }, [](const Mask&, bool) {}));
+    template <class Bracket, bool full>
+    NOINLINE Mask settle_bracket(const V& trust, V* next) {
+        Bracketed<Layout, Bracket, full> body(field, constants, p, gradients.at, lengths.at[0]);
+        auto iterate = [&](auto watched) __attribute__((always_inline)) {
+            body.template iterate<decltype(watched)::value>(s);
+        };
+        const auto outcome = settle_by(p, true, 1, Bracket::n, trust, iterate, [](const Mask&, bool) {});
+        *next = select(outcome.settled, outcome.trusted, *next);
+        return taken(outcome);
     }
 
     template <int64_t freeze>
@@ -140,7 +164,7 @@ struct Stages {
 
     NOINLINE Mask one_by_one(Mask going) {
         for (int64_t j = 0; j < s; ++j) {
-            if (j > 0) p.restage(j, j + 1, j);
+            if (j > 0) p.template restage<false>(j, j + 1, j);
             evaluate<NOT_FROZEN>(j, j + 1);
         }
         iterations = iterations + double(s);
@@ -152,7 +176,7 @@ struct Stages {
         for (int64_t passed = 0;; ++passed) {
             evaluate_all();
             if (passed == tables.iterations) break;
-            p.restage(0, blocks, s);
+            p.template restage<false>(0, blocks, s);
         }
         iterations = iterations + double(tables.iterations + 1);
         if (tables.solver == ITERATED) return going;
@@ -225,7 +249,7 @@ struct Stages {
 
     NOINLINE Mask group_one_by_one(Mask going) {
         for (int64_t j = 0; j < s; ++j) {
-            if (j > 0) g.restage(j, j + 1, j);
+            if (j > 0) g.template restage<false>(j, j + 1, j);
             evaluate_group(j, j + 1);
         }
         return going;

@@ -142,7 +142,7 @@ struct Together {
         newton[lane] = one.newton;
         loop.report.iterations[members[lane]] += one.iterations;
         loop.report.evaluations[members[lane]] += one.evaluations;
-        slopes.resize(crowd.s * (crowd.n + crowd.square));
+        slopes.resize(crowd.remembered());
         one.write_slopes(slopes.data());
         crowd.read_slopes(slopes.data(), lane);
         return found;

@@ -25,8 +25,8 @@ struct SingleStages : Stages<Layout, C> {
     typedef typename Layout::A A;
     using Base::tables, Base::constants, Base::field, Base::group, Base::n, Base::s, Base::d, Base::blocks;
     using Base::p, Base::g, Base::mix, Base::forecast, Base::gradients, Base::frozen, Base::times, Base::lengths;
-    using Base::room, Base::iterations, Base::residual, Base::solve, Base::begin, Base::remember, Base::taken;
-    using Base::evaluate_all, Base::settle_momentum, Base::settle_group, Base::evaluate_group;
+    using Base::room, Base::trusted, Base::iterations, Base::residual, Base::solve, Base::begin, Base::remember;
+    using Base::taken, Base::evaluate_all, Base::settle_momentum, Base::settle_group, Base::evaluate_group;
 
     SingleStages(const RungeKuttaTables& tables, const C& constants) : Base(tables, constants) {}
 
@@ -44,14 +44,15 @@ struct SingleStages : Stages<Layout, C> {
             newton -= 1.0;
         } else {
             const bool ahead = all(p.start_ahead(forecast.at + part * blocks * s));
-            found = settle_momentum(true);
+            found = settle_momentum(true, trusted.at[part], &trusted.at[part]);
             if (!found && ahead) {
                 p.start_at_base();
-                found = settle_momentum(true);
+                found = settle_momentum(true, 0.0, &trusted.at[part]);
             }
             newton = found ? 0.0 : STEPS_OF_NEWTON;
         }
         if (!found) {
+            trusted.at[part] = 0.0;
             const double earlier = residual;
             p.start_at_base();
             found = by_newton();

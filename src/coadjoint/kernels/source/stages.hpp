@@ -43,6 +43,7 @@ struct StageLanes {
     static INLINE bool every(const typename A::Mask& mask) { return all(mask); }
     static INLINE bool some(const typename A::Mask& mask) { return any(mask); }
     static INLINE double largest(const A& a) { return largest_lane(a); }
+    static INLINE A choose(bool where, const A& a, const A& b) { return where ? a : b; }
     template <class C>
     static INLINE First<C> constants(const C& all, int64_t block, int64_t stages) {
         return First<C>(all, int(std::min<int64_t>(W, stages - block * W)));
@@ -58,17 +59,24 @@ struct StageLanes {
         mix_block<M>(coefficient, stages, y, even, odd);
         for (int m = 0; m < M; ++m) totals[m] = even[m] + odd[m];
     }
+    // The same for stages that are one block.
+    template <int M>
+    static INLINE void mix_one(const A* coefficient, int64_t stages, const A* y, const double* errors, A* totals) {
+        A even[M], odd[M];
+        for (int m = 0; m < M; ++m) even[m] = A(errors[m]), odd[m] = A(0.0);
+        mix_block<M>(coefficient, stages, y, even, odd);
+        for (int m = 0; m < M; ++m) totals[m] = even[m] + odd[m];
+    }
+    // Lanes are spread within registers: through memory each sum would wait for the slopes to be written and read.
     template <int M>
     static INLINE void mix_block(const A* coefficient, int64_t count, const A* y, A* even, A* odd) {
-        const double* from = reinterpret_cast<const double*>(y);
-        const double* const last = from + (count & ~1);
-        for (; from < last; from += 2, coefficient += 2)
-            for (int m = 0; m < M; ++m) {
-                even[m] = fma(coefficient[0], A(from[m * W]), even[m]);
-                odd[m] = fma(coefficient[1], A(from[m * W + 1]), odd[m]);
-            }
-        if (count & 1)
-            for (int m = 0; m < M; ++m) even[m] = fma(coefficient[0], A(from[m * W]), even[m]);
+#pragma GCC unroll 16
+        for (int j = 0; j < W; j += 2) {
+            if (j >= count) break;
+            for (int m = 0; m < M; ++m) even[m] = fma(coefficient[j], A(y[m][j]), even[m]);
+            if (j + 1 >= count) break;
+            for (int m = 0; m < M; ++m) odd[m] = fma(coefficient[j + 1], A(y[m][j + 1]), odd[m]);
+        }
     }
 };
 
@@ -96,6 +104,9 @@ struct MemberLanes {
     static INLINE auto every(const typename Numbers<A>::Mask& mask) { return mask; }
     static INLINE auto some(const typename Numbers<A>::Mask& mask) { return mask; }
     static INLINE const A& largest(const A& a) { return a; }
+    static INLINE A choose(const typename Numbers<A>::Mask& where, const A& a, const A& b) {
+        return select(where, a, b);
+    }
     template <class C>
     static INLINE const C& constants(const C& all, int64_t, int64_t) { return all; }
 

@@ -27,14 +27,21 @@ struct Traveller {
         if (square > 0) add_slopes<Layout>(tables.out, s, stages.g.slopes.at, square, g, dg);
     }
 
-    // The slopes of one lane as they are remembered, stage after stage: of the step before, or of this one.
+    // What is remembered of one lane: the iterations that are trusted in each substep, and the slopes, stage after
+    // stage, of the step before or of this one.
+    int64_t remembered() const { return tables.substeps + s * (n + square); }
     void write_slopes(bool before, double* to, int lane) {
+        for (int64_t part = 0; part < tables.substeps; ++part) *to++ = lane_of(stages.trusted.at[part], lane);
         each_slope(before ? stages.p.before.at : stages.p.slopes.at, before ? stages.g.before.at : stages.g.slopes.at,
                    [&](A* y, int64_t size, int64_t c, int64_t j) {
                        *to++ = lane_of(V(Layout::at(y, size, c, j)), lane);
                    });
     }
     void read_slopes(const double* from, int lane) {
+        for (int64_t part = 0; part < tables.substeps; ++part) {
+            const double known = *from++;
+            set_lane(stages.trusted.at[part], lane, known >= 0.0 ? known : 0.0);
+        }
         each_slope(stages.p.slopes.at, stages.g.slopes.at, [&](A* y, int64_t size, int64_t c, int64_t j) {
             V value = Layout::at(y, size, c, j);
             set_lane(value, lane, *from++);
