@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.field import Field, GroupField
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.loop import take_steps
 from coadjoint.methods.step_method import UNDEFINED as UNDEFINED
 
 
@@ -55,5 +53,5 @@ def step_address(name: str) -> int:
     return ctypes.cast(found, ctypes.c_void_p).value or 0
 
 
-advance = partial(take_steps, "stepping_advance")
-"""Take the steps of a scheme by the step that its tables bring: `coadjoint.kernels.loop.take_steps` by its loop."""
+LOOP = "stepping_advance"
+"""The name of the loop, which takes the steps of a scheme by the step that its tables bring."""

@@ -110,9 +110,10 @@ class PreparedRun:
 
     def follow(self, times: Times, start: Start, progress: bool = False) -> Solution:
         """Take the steps of `times`, whose step is the prepared one or its negative, from a checked state."""
-        run = Run(self.system, self.method, self.loops(times.h), times, start, self._watching)
+        workers = min(len(start.momenta), self._threads)
+        run = Run(self.system, self.method, self.loops(times.h), times, start, self._watching, workers)
         observed = self._observed_at(start.momenta[0]) if self._observe else None
-        run.advance(min(len(start.momenta), self._threads), progress)
+        run.advance(progress)
         return run.solution(observed)
 
     def loops(self, h: float) -> Loops:

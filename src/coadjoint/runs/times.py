@@ -24,6 +24,11 @@ class Times(NamedTuple):
         return self.t0 + self.steps * self.h
 
     @property
+    def points(self) -> int:
+        """How many steps are saved."""
+        return -(-self.steps // self.save_every) + 1
+
+    @property
     def saved(self) -> NDArray[np.int64]:
         """Numbers of the saved steps: 0, every save_every-th, and the last."""
         numbers = np.arange(0, self.steps + 1, self.save_every)
