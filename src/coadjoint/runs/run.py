@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.arrays import Block
 from coadjoint.kernels.loop import Crew
+from coadjoint.kernels.watching import NOT_CONVERGED, schedule_of
 from coadjoint.methods.base import Method, System
 from coadjoint.runs.loops import Loops
 from coadjoint.runs.observed import Observed
@@ -42,8 +43,6 @@ class Run:
         watching: bool,
         workers: int = 1,
     ) -> None:
-        from coadjoint.kernels.watching import schedule_of
-
         self.system, self.method, self.loops = system, method, loops
         self.times, self.start, self.watching, self.workers = times, start, watching, workers
         members, square = len(start.momenta), start.groups.shape[1] ** 2
@@ -131,8 +130,6 @@ class Run:
         )
 
     def _error(self, member: int, count: int, partial: Solution) -> IntegrationError:
-        from coadjoint.kernels.watching import NOT_CONVERGED
-
         step = int(self.results["step"][member])
         when = float(self.times.t0 + (step - 1) * self.times.h)
         residual = float(self.results["residual"][member])
