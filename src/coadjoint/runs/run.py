@@ -89,8 +89,10 @@ class Run:
             if bar is not None:
                 bar(target - done)
             if target - done == chunk:
-                plan.pace = chunk / spent
-                chunk = max(1, min(int(plan.pace * SECONDS_BETWEEN_LOOKS), 1000 * chunk))
+                pace = chunk / spent
+                chunk = max(1, min(int(pace * SECONDS_BETWEEN_LOOKS), 1000 * chunk))
+                # Members that stop on the way make it look too quick.
+                plan.pace = plan.pace if wrong else pace
             done = target
             if done == steps or wrong == sum(crew.count for crew in crews):
                 break
