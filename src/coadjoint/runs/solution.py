@@ -100,6 +100,10 @@ class Solution:
     carried : {"representation", "coadjoint"} or None
         In which matrices the group element is.
 
+    Notes
+    -----
+    Of a run, each part is made when it is first asked for, and kept.
+
     Examples
     --------
     >>> import coadjoint as co
