@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -42,12 +42,10 @@ class Crew:
         self, loop: str, tables: Any, watch: Any, first: int, last: int, stride: int = 0, base: int = 0
     ) -> None:
         self.count = last - first
-        found = getattr(kernels(), loop)
-        found.argtypes, found.restype = ARGUMENTS, ctypes.c_int64
         given, members = (pointed(tables), pointed(watch)), np.arange(base, last)
         self._keep = given, members
         places = members.ctypes.data, first - base, last - base, stride
-        self._advance = partial(found, *map(ctypes.byref, given), *places)
+        self._advance = partial(_loop(loop), *map(ctypes.byref, given), *places)
 
     def advance(self, layout: Layout, schedule: Any, results: Block, work: Block, k0: int, k1: int) -> int:
         """Take the steps k0 + 1 to k1 of the `pointed` schedule; where k0 is 0 the start is saved first.
@@ -55,6 +53,13 @@ class Crew:
         Returns how many of the members have failed; after the last step also those of an energy that is not finite.
         """
         return self._advance(layout.address, schedule, results.address, work.address, k0, k1)
+
+
+@cache
+def _loop(name: str) -> Any:
+    found = getattr(kernels(), name)
+    found.argtypes, found.restype = ARGUMENTS, ctypes.c_int64
+    return found
 
 
 def widest_crowd() -> int:
