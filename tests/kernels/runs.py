@@ -7,46 +7,35 @@ from itertools import pairwise
 import numpy as np
 
 from coadjoint.kernels import runge_kutta
-from coadjoint.kernels.loop import take_steps
+from coadjoint.kernels.arrays import Block, Extent, Layout
+from coadjoint.kernels.loop import Crew
 from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 from coadjoint.kernels.tables import watch_tables
-from coadjoint.kernels.watching import Report, Saves, Schedule, record_start
+from coadjoint.kernels.watching import schedule_of
 
+STATE = ("momenta", "errors", "groups", "group_errors", "memory")
 PADDING = 32  # no crowd has more lanes on any processor
 
 
 def begin(systems, method, x0, h, steps, representation=None, fractions=(1.0,)):
-    """Return what a loop is given for members that start at x0 (members, n), each with a system of its own or all with
-    one, and the state.
+    """Return a crew of members that start at x0 (members, n), each with a system of its own or all with one, and what
+    it is given: layout and schedule, blocks of arrays; and what these need to be kept alive.
     """
     found = [runge_kutta_tables(system, method, representation, fractions) for system in systems]
     watches = [watch_tables(system, system.casimirs) for system in systems]
     members, n = x0.shape
     d = found[0].tables.group.size
-    count = 1 + len(systems[0].casimirs)
-    saves = Saves(
-        members,
-        np.zeros((2, members, n)),
-        np.zeros((2, members, d * d)),
-        np.zeros((2, members, count)),
-        np.zeros((members, 10, count)),
-        np.zeros((members, count)),
-        np.zeros((members, count)),
-    )
-    schedule = Schedule(0.0, h, steps, steps, True)
-    groups = np.tile(np.eye(d).ravel(), (members, 1))
-    memory = np.full((members, runge_kutta.memory_of(found[0].tables)), np.nan)
-    state = (x0.copy(), np.zeros((members, n)), groups, np.zeros((members, d * d)), memory)
-    whole = [np.zeros(members, dtype=np.int64) for _ in range(4)]
-    report = Report(whole[0], whole[1], np.zeros(members), whole[2], whole[3])
-    record_start(watches[0].tables, saves, schedule, state)
+    remembered = runge_kutta.memory_of(found[0].tables)
+    layout = Layout(Extent(members, 2, n, d * d, 1 + len(systems[0].casimirs), remembered))
+    results, work = Block(layout.results), Block(layout.work)
+    work["momenta"][:], work["groups"][:] = x0, np.eye(d).ravel()
     tables, watch, stride = found[0].tables, watches[0].tables, 0
     if len(systems) > 1:
         stride = len(systems) + PADDING
         tables = spread([each.tables for each in found])
         watch = spread([each.tables for each in watches])
-    given = (tables, watch, saves, schedule, state)
-    return given, report, stride, (found, watches)
+    crew = Crew(runge_kutta.LOOP, tables, watch, 0, members, stride)
+    return crew, (layout, schedule_of(0.0, h, steps, steps, True)), (results, work), (found, watches)
 
 
 def spread(tables):
@@ -64,13 +53,13 @@ def spread(tables):
 
 
 def run(systems, method, x0, h, steps, *, cuts=(), keep=None, **how):
-    """Return the state at the end, the saved points and the report; `keep` is called with the state between calls."""
-    given, report, stride, alive = begin(systems, method, x0, h, steps, **how)
+    """Return the blocks of what is worked with, at the end, and of the results; `keep` is called with the former
+    between calls, and returns what the next call works with.
+    """
+    crew, given, (results, work), alive = begin(systems, method, x0, h, steps, **how)
     for k0, k1 in pairwise([0, *cuts, steps]):
-        tables, watch, saves, schedule, state = given
-        crew = np.array([0, len(x0)])
-        take_steps("runge_kutta_advance", tables, watch, saves, schedule, state, crew, k0, k1, report, stride)
+        crew.advance(*given, results, work, k0, k1)
         if keep is not None:
-            given = (tables, watch, saves, schedule, keep(state))
+            work = keep(work)
     assert alive
-    return given[4], given[2], report
+    return work, results

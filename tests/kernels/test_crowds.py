@@ -7,7 +7,8 @@ import pytest
 from test_runge_kutta import SCHEMES, served, systems
 
 import coadjoint as co
-from runs import run
+from coadjoint.kernels.arrays import Block
+from runs import STATE, run
 
 MEMBERS = 35  # a whole block of lanes on every processor, and some that are left
 METHODS = (
@@ -59,15 +60,15 @@ def test_members_that_need_newton_or_fail_have_the_bits_that_they_have_alone(met
     """Large steps on a noncompact orbit: some settle, some take Newton's method, some have no solution."""
     system, x0 = systems()["driven"]
     states, h, steps = some_states(x0), 0.25, 8
-    state, saves, report = run([system], method, states, h, steps)
+    state, results = run([system], method, states, h, steps)
     ends = [run([system], method, states[i : i + 1], h, steps) for i in range(MEMBERS)]
-    assert 3 < np.count_nonzero(report.status) < MEMBERS - 3
-    for i, (alone, saved, reported) in enumerate(ends):
+    assert 3 < np.count_nonzero(results["status"]) < MEMBERS - 3
+    for i, (alone, own) in enumerate(ends):
         for name in ("status", "step", "iterations", "evaluations"):
-            assert getattr(report, name)[i] == getattr(reported, name)[0], (i, name)
-        assert np.array_equal(report.residual[i], reported.residual[0], equal_nan=True)
-        assert all(np.array_equal(a[i], b[0], equal_nan=True) for a, b in zip(state, alone, strict=True))
-        assert np.array_equal(saves.worst[i], saved.worst[0])
+            assert results[name][i] == own[name][0], (i, name)
+        assert np.array_equal(results["residual"][i], own["residual"][0], equal_nan=True)
+        assert all(np.array_equal(state[name][i], alone[name][0], equal_nan=True) for name in STATE)
+        assert np.array_equal(results["worst"][i], own["worst"][0])
 
 
 @pytest.mark.parametrize(
@@ -88,12 +89,12 @@ def test_members_with_constants_of_their_own(method, h):
     bodies = [co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1 / inertia)) for inertia in inertias]
     representation = "coadjoint" if method.properties(bodies[0]).attitude != "none" else None
     states = some_states(np.array([1.0, 2.0, 0.5]))
-    state, saves, _ = run(bodies, method, states, h, 10, representation=representation)
+    state, results = run(bodies, method, states, h, 10, representation=representation)
     for i, body in enumerate(bodies):
-        alone, saved, _ = run([body], method, states[i : i + 1], h, 10, representation=representation)
-        assert all(np.array_equal(a[i], b[0], equal_nan=True) for a, b in zip(state, alone, strict=True))
+        alone, own = run([body], method, states[i : i + 1], h, 10, representation=representation)
+        assert all(np.array_equal(state[name][i], alone[name][0], equal_nan=True) for name in STATE)
         # what is watched has the constants of a member as well, from its start on
-        assert np.array_equal(saves.values[1, i], saved.values[1, 0])
+        assert np.array_equal(results["values"][1, i], own["values"][1, 0], equal_nan=True)
 
 
 CUTS = (1, 2, 7, 40)
@@ -108,9 +109,9 @@ def test_cut_and_resumed_runs_have_the_same_bits(method, members):
     system, x0 = systems()["top"]
     states = some_states(x0, members)
     for how in ({}, {"fractions": (1.3, -1.6, 1.3)}):
-        whole, _, _ = run([system], method, states, 0.1, 60, representation="coadjoint", **how)
-        cut, _, _ = run([system], method, states, 0.1, 60, representation="coadjoint", cuts=CUTS, **how)
-        resumed, _, _ = run(
+        whole, _ = run([system], method, states, 0.1, 60, representation="coadjoint", **how)
+        cut, _ = run([system], method, states, 0.1, 60, representation="coadjoint", cuts=CUTS, **how)
+        resumed, _ = run(
             [system],
             method,
             states,
@@ -118,11 +119,11 @@ def test_cut_and_resumed_runs_have_the_same_bits(method, members):
             60,
             representation="coadjoint",
             cuts=CUTS,
-            keep=lambda state: tuple(array.copy() for array in state),
+            keep=Block.copy,
             **how,
         )
-        assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(whole, cut, strict=True))
-        assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(whole, resumed, strict=True))
+        for other in (cut, resumed):
+            assert all(np.array_equal(whole[name], other[name], equal_nan=True) for name in STATE)
 
 
 def test_the_memory_matters():
@@ -131,12 +132,13 @@ def test_the_memory_matters():
     method, states = co.GaussLegendre(8), x0[None]
 
     def forgetful(state):
-        return (*state[:4], np.full_like(state[4], np.nan))
+        state["memory"][:] = np.nan
+        return state
 
-    whole, _, one = run([system], method, states, 0.1, 60)
-    other, _, two = run([system], method, states, 0.1, 60, cuts=tuple(range(1, 60)), keep=forgetful)
-    assert np.max(np.abs(whole[0] - other[0])) < 1e-12
-    assert one.iterations[0] < 0.75 * two.iterations[0]
+    whole, one = run([system], method, states, 0.1, 60)
+    other, two = run([system], method, states, 0.1, 60, cuts=tuple(range(1, 60)), keep=forgetful)
+    assert np.max(np.abs(whole["momenta"] - other["momenta"])) < 1e-12
+    assert one["iterations"][0] < 0.75 * two["iterations"][0]
 
 
 def test_trust_that_is_too_great_is_lost_again():

@@ -1,11 +1,15 @@
 """Runs that were made ready once: the results of `integrate`, in several threads, without set-up."""
 
+import copy
+import dataclasses
+import pickle
 import threading
 
 import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.kernels.loop import Crew
 from coadjoint.runs import loops, prepared_run, run
 
 BODY = co.systems.rigid_body((1, 2, 3))
@@ -125,3 +129,86 @@ def test_what_a_run_refuses():
     with pytest.raises(ValueError, match=r"x0 has the shape \(2,\)"):
         ready.run(X[:2], (0, 1))
     assert ready._made == {}  # nothing was prepared for wrong input
+
+
+def test_parts_of_a_solution_are_made_when_asked_for_and_stay():
+    """In whatever order, after other runs, after the states were written over, and for copies."""
+    ready = co.prepare(BODY, co.Splitting(order=4), 0.1, attitude=True, observe={"x1": lambda x: x[0]})
+    parts = [field.name for field in dataclasses.fields(co.Solution)]
+    for x in (X, np.array([X, 2 * X])):
+        sol, other = ready.run(x, (0, 1), 4), ready.run(x, (0, 1), 4)
+        at_once = {name: getattr(other, name) for name in parts}
+        sol.x[:] = 0.0
+        ready.run(2 * x, (0, 1), 4)
+        for name in reversed(parts):
+            if name not in ("x", "stats"):
+                assert_same(getattr(sol, name), at_once[name])
+            assert getattr(sol, name) is getattr(sol, name)
+        assert sol.stats.evaluations == other.stats.evaluations > 0
+        again = ready.run(x, (0, 1), 4)
+        for copied in (copy.copy(again), copy.deepcopy(again)):
+            assert_same(copied.x, at_once["x"])
+            assert_same(copied.attitude, at_once["attitude"])
+        assert {**again.drift()} == {**other.drift()}
+
+
+def assert_same(one, other):
+    if isinstance(one, dict):
+        assert list(one) == list(other) and all(np.array_equal(one[name], other[name]) for name in one)
+    else:
+        assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other
+
+
+def test_a_solution_is_pickled_whole_and_has_nothing_else():
+    sol = co.integrate(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25])), X, (0, 1), 0.1)
+    there = pickle.loads(pickle.dumps(sol))
+    assert np.array_equal(there.x, sol.x) and there.stats == sol.stats and there.drift() == sol.drift()
+    assert set(vars(there)) == {field.name for field in dataclasses.fields(co.Solution)}
+    with pytest.raises(AttributeError, match="'Solution' object has no attribute 'momentum'"):
+        _ = sol.momentum
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        sol.x = X
+
+
+def test_threads_with_short_calls_of_any_shape():
+    """The plan and the pace that are kept are those of whoever was last."""
+    ready = co.prepare(BODY, co.GaussLegendre(2), 0.01, threads=1)
+    states = X * np.linspace(0.5, 2.0, 6)[:, None]
+    calls = [(x, (0, 0.01 * steps)) for steps in (1, 2, 7) for x in (*states, states[:2], states)]
+    expected = [co.integrate(BODY, x, span, 0.01, co.GaussLegendre(2)) for x, span in calls]
+    wrong = []
+
+    def work(turn):
+        for call in np.random.default_rng(turn).permutation(np.tile(np.arange(len(calls)), 20)):
+            sol, once = ready.run(*calls[call]), expected[call]
+            if not (np.array_equal(sol.x, once.x) and np.array_equal(sol.energy, once.energy)):
+                wrong.append(call)
+
+    workers = [threading.Thread(target=work, args=(turn,)) for turn in range(4)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert wrong == []
+
+
+def test_one_call_for_a_short_run_and_many_for_a_long_one(monkeypatch):
+    """By the pace of the run before; that of a run that failed says nothing."""
+    cuts, real = [], Crew.advance
+    monkeypatch.setattr(Crew, "advance", lambda crew, *given: cuts.append(given[-2:]) or real(crew, *given))
+    monkeypatch.setattr(run, "SECONDS_BETWEEN_LOOKS", 1e-3)
+    ready = co.prepare(BODY, co.ExplicitRungeKutta("rk4"), 0.01, threads=1)
+    ready.run(X, (0, 0.1), 1000)
+    cuts.clear()
+    ready.run(X, (0, 0.01), 1000)
+    assert cuts == [(0, 1)]
+    ready.run(X, (0, 1e3), 10**6)
+    ready.run(X, (0, 1e3), 10**6)
+    pace = ready.loops(0.01)._plan.pace
+    with pytest.raises(co.IntegrationError):
+        ready.run(1e150 * X, (0, 1e3), 10**6)
+    assert ready.loops(0.01)._plan.pace == pace > 0
+    cuts.clear()
+    ready.run(X, (0, 1e4), 10**7)
+    assert len(cuts) > 10 and cuts[0][1] < 10**6 / 2
+    assert [k0 for k0, _ in cuts[1:]] == [k1 for _, k1 in cuts[:-1]] and cuts[-1][1] == 10**6

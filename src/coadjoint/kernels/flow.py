@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.loop import take_steps
 from coadjoint.program.actions import Action
 from coadjoint.program.terms import Terms
 
@@ -37,9 +35,7 @@ class FlowTables(NamedTuple):
     compensated: bool
 
 
-advance = partial(take_steps, "flow_advance")
-"""Take the steps of a program: `coadjoint.kernels.loop.take_steps` by its loop.
-
-The state is unfinished between calls: the outer flow of a step is merged with the next one, and *finish* acts on a
-copy.
+LOOP = "flow_advance"
+"""The name of the loop. The state is unfinished between its calls: the outer flow of a step is merged with the next
+one, and *finish* acts on a copy.
 """

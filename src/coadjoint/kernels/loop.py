@@ -3,79 +3,63 @@
 from __future__ import annotations
 
 import ctypes
-from typing import Any, NamedTuple
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from coadjoint.kernels.library import address, kernels, pointed
+from coadjoint.kernels.arrays import Block, Layout
+from coadjoint.kernels.library import kernels, pointed
 
-
-class State(NamedTuple):
-    """Where all members are: momenta (members, size) and transposed group elements (members, square), each followed by
-    what compensated sums owe, and what a scheme remembers from step to step, `memory` (members, remembered).
-    """
-
-    size: int
-    square: int
-    remembered: int
-    momenta: NDArray[np.float64]
-    errors: NDArray[np.float64]
-    groups: NDArray[np.float64]
-    group_errors: NDArray[np.float64]
-    memory: NDArray[np.float64]
+# Tables, watch, members, first, last, stride; extent, schedule, results, work, k0, k1.
+ARGUMENTS = [ctypes.c_void_p] * 3 + [ctypes.c_int64] * 3 + [ctypes.c_void_p] * 4 + [ctypes.c_int64] * 2
 
 
-def state_of(state: tuple[NDArray[np.float64], ...]) -> State:
-    """Return the arrays of a run, (momentum, its compensation, group, its compensation, memory), as a table."""
-    momenta, _, groups, _, memory = state
-    return State(momenta.shape[1], groups.shape[1], memory.shape[1], *state)
-
-
-def take_steps(
-    loop: str,
-    tables: Any,
-    watch: Any,
-    saves: Any,
-    schedule: Any,
-    state: tuple[NDArray[np.float64], ...],
-    crew: NDArray[np.int64],
-    k0: int,
-    k1: int,
-    report: Any,
-    stride: int = 0,
-    base: int = 0,
-) -> None:
-    """Take the steps k0 + 1 to k1 for the members crew[0] to crew[1] - 1, by a loop of the library.
+class Crew:
+    """The members that one call of a loop advances, first to last - 1, with what it reads for them.
 
     Parameters
     ----------
     loop : str
-        Its name in the library.
-    tables, watch, saves, schedule, report : NamedTuple
-        Tables, as they are or `pointed`.
-    state : tuple of five arrays
-        See `state_of`; all are changed in place.
-    crew : (2,) array
+        The name of the loop in the library.
+    tables, watch : NamedTuple
+        Tables of the scheme and of the invariants, as they are or `pointed`.
+    first, last : int
         The members.
-    k0, k1 : int
-        The steps.
     stride : int
         With it the constants of the tables differ by member: `stride` of them side by side, where there was one. They
         are read in whole lanes, 32 at most: the last must be followed by as many.
     base : int
         The member that the first of them belong to.
+
+    Attributes
+    ----------
+    count : int
+        How many members there are.
     """
-    members = np.arange(base, int(crew[1]))
-    given = [pointed(table) for table in (tables, watch, saves, schedule, state_of(state))]
-    reported = pointed(report)
-    getattr(kernels(), loop)(
-        *(ctypes.byref(table) for table in given),
-        address(members),
-        *(ctypes.c_int64(number) for number in (int(crew[0]) - base, int(crew[1]) - base, k0, k1)),
-        ctypes.byref(reported),
-        ctypes.c_int64(stride),
-    )
+
+    def __init__(
+        self, loop: str, tables: Any, watch: Any, first: int, last: int, stride: int = 0, base: int = 0
+    ) -> None:
+        self.count = last - first
+        given, members = (pointed(tables), pointed(watch)), np.arange(base, last)
+        self._keep = given, members
+        places = members.ctypes.data, first - base, last - base, stride
+        self._advance = partial(_loop(loop), *map(ctypes.byref, given), *places)
+
+    def advance(self, layout: Layout, schedule: Any, results: Block, work: Block, k0: int, k1: int) -> int:
+        """Take the steps k0 + 1 to k1 of the `pointed` schedule; where k0 is 0 the start is saved first.
+
+        Returns how many of the members have failed; after the last step also those of an energy that is not finite.
+        """
+        return self._advance(layout.address, schedule, results.address, work.address, k0, k1)
+
+
+@cache
+def _loop(name: str) -> Any:
+    found = getattr(kernels(), name)
+    found.argtypes, found.restype = ARGUMENTS, ctypes.c_int64
+    return found
 
 
 def widest_crowd() -> int:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.field import Field, GroupField
-from coadjoint.kernels.loop import take_steps
 
 EXPLICIT, ITERATED, IMPLICIT, STRUCTURE, GRADIENT = range(5)
 
@@ -55,5 +53,5 @@ def memory_of(tables: RungeKuttaTables) -> int:
     return 1 + tables.substeps + tables.stages * size if tables.solver == IMPLICIT else 0
 
 
-advance = partial(take_steps, "runge_kutta_advance")
-"""Take the steps of a Runge-Kutta method: `coadjoint.kernels.loop.take_steps` by its loop."""
+LOOP = "runge_kutta_advance"
+"""The name of the loop."""

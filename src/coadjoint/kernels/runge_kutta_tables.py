@@ -29,7 +29,7 @@ LARGEST_DENSE = 200  # unknowns of Newton's method by a dense matrix, as `runge_
 def runge_kutta_tables(
     system: System, method: RungeKuttaMethod, representation: Any = None, fractions: Sequence[float] = (1.0,)
 ) -> Compiled:
-    """Return a Runge-Kutta method on a system as arrays for `coadjoint.kernels.runge_kutta.advance`.
+    """Return a Runge-Kutta method on a system as arrays for the loop of `coadjoint.kernels.runge_kutta`.
 
     Parameters
     ----------

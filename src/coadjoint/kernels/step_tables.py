@@ -18,7 +18,7 @@ from coadjoint.program.terms import TermTable
 def step_tables(
     system: System, method: StepMethod, representation: Any = None, fractions: Sequence[float] = (1.0,)
 ) -> Compiled:
-    """Return a step method on a system as arrays for `coadjoint.kernels.stepping.advance`.
+    """Return a step method on a system as arrays for the loop of `coadjoint.kernels.stepping`.
 
     Parameters
     ----------

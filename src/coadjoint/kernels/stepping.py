@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.field import Field, GroupField
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.loop import take_steps
 from coadjoint.kernels.watching import Watch
 from coadjoint.methods.step_method import UNDEFINED as UNDEFINED
 
@@ -64,5 +62,5 @@ def memory_of(tables: Stepping) -> int:
     return 2 * int(tables.tables.kept.size)
 
 
-advance = partial(take_steps, "stepping_advance")
-"""Take the steps of a scheme by the step that its tables bring: `coadjoint.kernels.loop.take_steps` by its loop."""
+LOOP = "stepping_advance"
+"""The name of the loop, which takes the steps of a scheme by the step that its tables bring."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from contextlib import suppress
 from functools import partial
 from itertools import pairwise
@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.loop import Crew
 from coadjoint.kernels.varied_tables import BLOCK
 from coadjoint.methods.base import FlowMethod, Method
 from coadjoint.program.decompose import decompose_all
-from coadjoint.runs.loops import Crew, Work, crews_of, start_of_loop, unshifted_groups
+from coadjoint.runs.loops import Loops, shared_out, start_of_loop, unshifted_groups
 from coadjoint.runs.prepare import Prepared, loop_of
 from coadjoint.runs.start import Representation, Start
 from coadjoint.systems.batch import Batch
@@ -31,13 +32,13 @@ class Group(NamedTuple):
     """
 
     members: NDArray[np.int64]
-    advance: Callable[..., None]
+    loop: str
     tables: Any
     watch: Any
     stride: int
 
 
-class BatchLoops:
+class BatchLoops(Loops):
     """A batch: each member has the tables that it has alone.
 
     Parameters
@@ -54,7 +55,6 @@ class BatchLoops:
 
     def __init__(self, batch: Batch, method: Method, h: float, representations: Sequence[Representation]) -> None:
         from coadjoint.kernels.tables import watch_tables
-        from coadjoint.kernels.watching import record_start
 
         if isinstance(method, FlowMethod) and method.parts == "auto":
             # Quicker together; what cannot be split is refused below, where the member can be named.
@@ -72,30 +72,19 @@ class BatchLoops:
         self.groups = groups_of(prepared, [watch.tables for watch in watches])
         members = np.concatenate([group.members for group in self.groups])
         self.order = None if len(self.groups) == 1 else members
-        self._batch, self._representations = batch, representations
         self._shifts = [found.shift for found in prepared]
+        self.turned = partial(turned_each, batch, self._shifts, representations)
         self._keep = ([found.keep for found in prepared], [watch.keep for watch in watches])
         self._first = np.cumsum([0] + [len(group.members) for group in self.groups])
-        self._record_start = record_start
         self.names = ["energy", *names]
-        self.memory = max(found.memory for found in prepared)
-
-    def work(self, crew: Crew) -> Work:
-        """Return what advances a crew within a group."""
-        number = int(np.searchsorted(self._first, crew[0], side="right")) - 1
-        group, base = self.groups[number], int(self._first[number])
-        return Work(partial(group.advance, stride=group.stride, base=base), group.tables, group.watch)
-
-    def record_start(self, saves: Any, schedule: Any, state: tuple[NDArray[np.float64], ...]) -> None:
-        """Save the initial states, and the values that deviations are measured from."""
-        for group, (first, last) in zip(self.groups, pairwise(self._first.tolist()), strict=True):
-            self._record_start(group.watch, saves, schedule, state, (first, last), group.stride)
+        self.size, self.memory = batch.dim, max(found.memory for found in prepared)
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return rounds of crews, each within a group and of whole blocks of lanes."""
         crews: list[Crew] = []
-        for first, last in pairwise(self._first.tolist()):
-            crews += [crew for crew in crews_of(first, last, workers, BLOCK) if crew[0] < crew[1]]
+        for group, (first, last) in zip(self.groups, pairwise(self._first.tolist()), strict=True):
+            for places in shared_out(first, last, workers, BLOCK):
+                crews.append(Crew(group.loop, group.tables, group.watch, *places, group.stride, first))
         size = CREWS_IN_A_ROUND * workers
         return [crews[a : a + size] for a in range(0, len(crews), size)]
 
@@ -103,14 +92,22 @@ class BatchLoops:
         """Return the group elements that the loops start from."""
         return np.array([start_of_loop(shift, own) for shift, own in zip(self._shifts, groups, strict=True)])
 
-    def turned(self, start: Start, elapsed: NDArray[np.float64], groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the group elements of the run from those of the loops."""
-        result = np.empty_like(groups)
-        for m, (system, shift) in enumerate(zip(self._batch, self._shifts, strict=True)):
-            own = slice(m, m + 1)
-            alone = Start(start.momenta[own], start.groups[own], self._representations[m], start.single)
-            result[:, own] = unshifted_groups(system, shift, alone, elapsed, groups[:, own])
-        return result
+
+def turned_each(
+    batch: Batch,
+    shifts: Sequence[Any],
+    representations: Sequence[Representation],
+    start: Start,
+    elapsed: NDArray[np.float64],
+    groups: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the group elements (k, members, d, d) of a run from those of the loops."""
+    result = np.empty_like(groups)
+    for m, (system, shift) in enumerate(zip(batch, shifts, strict=True)):
+        own = slice(m, m + 1)
+        alone = Start(start.momenta[own], start.groups[own], representations[m], start.single)
+        result[:, own] = unshifted_groups(system, shift, alone, elapsed, groups[:, own])
+    return result
 
 
 def groups_of(prepared: Sequence[Prepared], watches: Sequence[Any]) -> list[Group]:
@@ -142,11 +139,11 @@ def groups_of(prepared: Sequence[Prepared], watches: Sequence[Any]) -> list[Grou
 
     found: dict[Hashable, list[int]] = {}
     for m, (own, watch) in enumerate(zip(prepared, watches, strict=True)):
-        found.setdefault((own.advance, structure_of(own.tables), structure_of(watch)), []).append(m)
+        found.setdefault((own.loop, structure_of(own.tables), structure_of(watch)), []).append(m)
     return [
         Group(
             np.array(members, dtype=np.int64),
-            prepared[members[0]].advance,
+            prepared[members[0]].loop,
             pointed(stacked([prepared[m].tables for m in members])),
             pointed(stacked([watches[m] for m in members])),
             -(-len(members) // BLOCK) * BLOCK,

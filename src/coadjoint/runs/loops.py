@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from functools import partial
 from itertools import pairwise
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.kernels.arrays import Extent, Layout
+from coadjoint.kernels.loop import Crew
 from coadjoint.kernels.varied_tables import BLOCK
 from coadjoint.methods.base import Method, System
 from coadjoint.runs.prepare import loop_of
@@ -17,50 +21,70 @@ from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.unshift import unshifted
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-Crew = tuple[int, int]
-"""The members first to last - 1, which one call of a compiled loop advances."""
+Turned = Callable[[Start, NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
 
-class Work(NamedTuple):
-    """What a compiled loop reads for a crew."""
+class Plan:
+    """What runs of so many members and saved points have in common.
 
-    advance: Callable[..., None]
-    tables: Any
-    watch: Any
+    Attributes
+    ----------
+    layout : Layout
+        Of their arrays.
+    rounds : list of list of Crew
+        The crews that are at work together, one round after the other.
+    pace : float
+        Steps of a round in a second, as they were seen last; 0 before.
+    """
+
+    def __init__(self, key: tuple[int, ...], layout: Layout, rounds: list[list[Crew]]) -> None:
+        self.key, self.layout, self.rounds, self.pace = key, layout, rounds, 0.0
 
 
-class Loops(Protocol):
-    """What a run needs of its system; it does not change, so that many runs, in several threads, may share it."""
+class Loops(ABC):
+    """What a run needs of its system; many runs, in several threads, may share it.
 
-    @property
-    def order(self) -> NDArray[np.int64] | None:
-        """In which order a run holds the members, where that is not the order in which they were given."""
+    Attributes
+    ----------
+    order : ndarray or None
+        In which order a run holds the members, where that is not the order in which they were given.
+    names : list of str
+        The invariants that are followed, the energy first.
+    size : int
+        The dimension of the system.
+    memory : int
+        How many numbers a member remembers from step to step.
+    turned : callable
+        ``turned(start, elapsed, groups)`` returns the group elements (k, members, d, d) of the run from those of the
+        loops; it does not hold the tables.
+    """
 
-    @property
-    def names(self) -> list[str]:
-        """The invariants that are followed, the energy first."""
+    order: NDArray[np.int64] | None = None
+    names: list[str]
+    size: int
+    memory: int
+    turned: Turned
+    _plan: Plan | None = None
 
-    @property
-    def memory(self) -> int:
-        """How many numbers a member remembers from step to step."""
+    def plan(self, members: int, points: int, square: int, workers: int) -> Plan:
+        """Return the plan of a run; that of the last one is kept."""
+        key = (members, points, square, workers)
+        plan = self._plan
+        if plan is None or plan.key != key:
+            extent = Extent(members, points, self.size, square, len(self.names), self.memory)
+            plan = self._plan = Plan(key, Layout(extent), self.rounds(members, workers))
+        return plan
 
-    def record_start(self, saves: Any, schedule: Any, state: tuple[NDArray[np.float64], ...]) -> None:
-        """Save the initial states, and the values that deviations are measured from."""
-
+    @abstractmethod
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return the crews that are at work together, one round after the other."""
 
-    def work(self, crew: Crew) -> Work:
-        """Return what advances a crew."""
-
+    @abstractmethod
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the group elements (members, d, d) that the loops start from."""
 
-    def turned(self, start: Start, elapsed: NDArray[np.float64], groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the group elements (k, members, d, d) of the run from those of the loops."""
 
-
-class SystemLoops:
+class SystemLoops(Loops):
     """One system: every member has the same tables.
 
     Parameters
@@ -77,8 +101,6 @@ class SystemLoops:
         The invariants that are followed beside the energy; None is all Casimirs of the system.
     """
 
-    order: NDArray[np.int64] | None = None
-
     def __init__(
         self,
         system: System,
@@ -90,50 +112,38 @@ class SystemLoops:
         from coadjoint.kernels.library import pointed
         from coadjoint.kernels.loop import widest_crowd
         from coadjoint.kernels.tables import watch_tables
-        from coadjoint.kernels.watching import record_start
 
         followed = system.casimirs if casimirs is None else casimirs
         prepared, watch = loop_of(system, method, h, representation), watch_tables(system, followed)
         self.names = ["energy", *followed]
-        self._system, self._shift = system, prepared.shift
+        self.size, self.memory = system.dim, prepared.memory
+        self.turned = partial(unshifted_groups, system, prepared.shift)
+        self._shift = prepared.shift
         self._keep = (prepared.keep, watch.keep)
-        self._record_start = record_start
         self._block = BLOCK if system.dim <= widest_crowd() else 1
-        # As C structures once, not at each call.
-        self._work = Work(prepared.advance, pointed(prepared.tables), pointed(watch.tables))
-        self.memory = prepared.memory
-
-    def record_start(self, saves: Any, schedule: Any, state: tuple[NDArray[np.float64], ...]) -> None:
-        """Save the initial states, and the values that deviations are measured from."""
-        self._record_start(self._work.watch, saves, schedule, state, (0, len(state[0])))
+        # As C structures once, not for each plan.
+        self._given = prepared.loop, pointed(prepared.tables), pointed(watch.tables)
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return one round, of a crew for each worker; what the kernels advance side by side stays together."""
-        return [crews_of(0, members, workers, self._block)]
-
-    def work(self, crew: Crew) -> Work:
-        """Return what advances every crew."""
-        return self._work
+        return [[Crew(*self._given, *places) for places in shared_out(0, members, workers, self._block)]]
 
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return unit elements for a shifted run (`turned` puts the initial ones before them), else the given ones."""
         return start_of_loop(self._shift, groups)
 
-    def turned(self, start: Start, elapsed: NDArray[np.float64], groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the group elements of the run from those of the loop."""
-        return unshifted_groups(self._system, self._shift, start, elapsed, groups)
 
-
-def crews_of(first: int, last: int, workers: int, block: int) -> list[Crew]:
-    """Return the members first to last - 1 as a crew for each worker, of whole blocks.
+def shared_out(first: int, last: int, workers: int, block: int) -> list[tuple[int, int]]:
+    """Return the members first to last - 1 as crews, one for each worker, of whole blocks.
 
     Examples
     --------
-    >>> crews_of(0, 100, 2, 32)
+    >>> shared_out(0, 100, 2, 32)
     [(0, 64), (64, 100)]
     """
     blocks = -(-(last - first) // block)
-    return list(pairwise(min(last, first + blocks * w // workers * block) for w in range(workers + 1)))
+    edges = pairwise(min(last, first + blocks * w // workers * block) for w in range(workers + 1))
+    return [(one, other) for one, other in edges if one < other]
 
 
 def start_of_loop(shift: tuple[Any, ...], groups: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -86,8 +86,8 @@ class Pilot:
         self.size = np.where(found > 0.0, found, 1.0)
         # One change may be small by chance: another number of steps shows rounding once more.
         again = self.run(REFERENCE, self.reference_steps + self.points)
-        if not np.any(again.report.status):
-            change = np.maximum(change, np.max(np.linalg.norm(again.saves.x - self.reference, axis=2), axis=0))
+        if not np.any(again.results["status"]):
+            change = np.maximum(change, np.max(np.linalg.norm(again.results["x"] - self.reference, axis=2), axis=0))
         self.noise = float(np.max(change / self.size))
         self.sensitivity = self._sensitivity()
         self.speed = self._speed()
@@ -126,13 +126,13 @@ class Pilot:
         Trial or None
         """
         run = self.run(method, steps)
-        if np.any(run.report.status):
+        if np.any(run.results["status"]):
             return None
         count = steps * len(self.momenta)
-        iterations, evaluations = int(run.report.iterations.sum()), int(run.report.evaluations.sum())
+        iterations, evaluations = int(run.results["iterations"].sum()), int(run.results["evaluations"].sum())
         # Implicit schemes remember first for how many steps they still take Newton's method.
-        newton = bool(np.any(run.state[4][:, :1] > 0.0))
-        return Trial(steps, self._growth(run.saves.x), iterations / count, evaluations / count, newton)
+        newton = bool(np.any(run.work["memory"][:, :1] > 0.0))
+        return Trial(steps, self._growth(run.results["x"]), iterations / count, evaluations / count, newton)
 
     def _growth(self, found: NDArray[np.float64]) -> Growth:
         """Compare states, saved at evenly spaced points of the window, with the reference."""
@@ -157,9 +157,9 @@ class Pilot:
         for _ in range(64):
             signed = math.copysign(h, self.span)
             one, two = (short_run(self.system, REFERENCE, self.momenta, self.t0, signed, n) for n in (1, 2))
-            if not (np.any(one.report.status) or np.any(two.report.status)):
-                size = np.max(np.linalg.norm(two.saves.x, axis=2), axis=0)
-                if np.all(np.linalg.norm(one.saves.x[-1] - two.saves.x[-1], axis=1) <= SETTLED * size):
+            if not (np.any(one.results["status"]) or np.any(two.results["status"])):
+                size = np.max(np.linalg.norm(two.results["x"], axis=2), axis=0)
+                if np.all(np.linalg.norm(one.results["x"][-1] - two.results["x"][-1], axis=1) <= SETTLED * size):
                     return h
             h /= 2
         raise ValueError(f"no step is small enough for {self.system.name} at x0: its pilot run fails at the first step")
@@ -171,25 +171,25 @@ class Pilot:
         failed: Run | None = None
         for steps in (fewest * 2**k for k in range(REFINEMENTS)):
             run = self.run(REFERENCE, steps)
-            if np.any(run.report.status):
+            if np.any(run.results["status"]):
                 failed, last = run, None
                 continue
             if last is not None:
-                size = np.max(np.linalg.norm(run.saves.x, axis=2), axis=0)
-                moved = np.max(np.linalg.norm(run.saves.x - last, axis=2), axis=0)
+                size = np.max(np.linalg.norm(run.results["x"], axis=2), axis=0)
+                moved = np.max(np.linalg.norm(run.results["x"] - last, axis=2), axis=0)
                 stalled = stalled + 1 if change is not None and not np.any(moved < change / 16) else 0
                 # Large changes that do not fall yet may do so with smaller steps; or the motion is chaotic.
                 done = stalled >= (1 if np.all(moved <= NOT_YET * size) else PATIENCE)
                 if done or np.all(moved <= 64 * UNIT_ROUNDOFF * size):
-                    return run.saves.x, steps, np.maximum(moved, UNIT_ROUNDOFF * size)
+                    return run.results["x"], steps, np.maximum(moved, UNIT_ROUNDOFF * size)
                 change = moved
-            last = run.saves.x
+            last = run.results["x"]
         raise ValueError(self._lost(failed))
 
     def _lost(self, failed: Run | None) -> str:
         if failed is None:
             return f"the motion of {self.system.name} from x0 is too rough: its pilot run does not settle at any step"
-        step = int(np.max(failed.report.step[failed.report.status != 0]))
+        step = int(np.max(failed.results["step"][failed.results["status"] != 0]))
         when = self.t0 + step * failed.times.h
         return (
             f"the motion of {self.system.name} from x0 cannot be followed over t_span: its pilot run fails near "
@@ -201,7 +201,7 @@ class Pilot:
         direction = np.random.default_rng(SEED).standard_normal(self.momenta.shape)
         direction *= NUDGE * (self.size / np.linalg.norm(direction, axis=1))[:, np.newaxis]
         run = self.run(REFERENCE, self.reference_steps, self.momenta + direction)
-        grown = None if np.any(run.report.status) else self._growth(run.saves.x)
+        grown = None if np.any(run.results["status"]) else self._growth(run.results["x"])
         if grown is None or grown.whole > LOST:
             # Beyond the size of the motion nothing grows, and what has reached it says nothing of what follows.
             return Growth(math.sqrt(NUDGE), 1.0, 1.0 / NUDGE)
@@ -227,9 +227,9 @@ def short_run(
     steps: int,
     save_every: int = 1,
 ) -> Run:
-    """Return a run without attitude that watches nothing, whatever became of it: its `report` says."""
+    """Return a run without attitude that watches nothing, whatever became of it: its `status` says."""
     start = Start(momenta, np.zeros((len(momenta), 0, 0)), None, False)
     times = Times(t0, time / steps, steps, save_every)
     run = Run(system, method, SystemLoops(system, method, times.h, None, casimirs={}), times, start, False)
-    run.advance(1, False)
+    run.advance()
     return run

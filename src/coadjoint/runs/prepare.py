@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,13 +17,13 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 @dataclass(frozen=True)
 class Prepared:
-    """A compiled loop with its tables.
+    """A compiled loop, by its name, with its tables.
 
     `keep` holds the machine code of user functions alive; `shift` is what was taken off the Hamiltonian, Casimirs and
     factors, and turns the group element at output; `memory` is how many numbers a member remembers from step to step.
     """
 
-    advance: Callable[..., None]
+    loop: str
     tables: Any
     keep: tuple[Any, ...]
     shift: tuple[tuple[Polynomial, float], ...] = ()
@@ -58,25 +57,25 @@ def loop_of(system: System, method: Method, h: float, representation: NDArray[An
     method.properties(system)
     innermost = method.innermost if isinstance(method, Composition) else method
     if isinstance(method, FlowMethod) and isinstance(innermost, FlowMethod):
-        from coadjoint.kernels.flow import advance
+        from coadjoint.kernels.flow import LOOP
         from coadjoint.kernels.tables import flow_tables
         from coadjoint.program.table import build_program
 
         assert isinstance(system, LiePoissonSystem)
         program = build_program(system, method, group=representation)
         found = flow_tables(program, h, bool(method.compensated))
-        return Prepared(advance, found.tables, found.keep, program.shift)
+        return Prepared(LOOP, found.tables, found.keep, program.shift)
     if isinstance(innermost, RungeKuttaMethod):
         from coadjoint.kernels import runge_kutta
         from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 
         found = runge_kutta_tables(system, innermost, representation, method.fractions)
         memory = runge_kutta.memory_of(found.tables)
-        return Prepared(runge_kutta.advance, found.tables, found.keep, memory=memory)
+        return Prepared(runge_kutta.LOOP, found.tables, found.keep, memory=memory)
     if isinstance(innermost, StepMethod):
         from coadjoint.kernels import stepping
         from coadjoint.kernels.step_tables import step_tables
 
         found = step_tables(system, innermost, representation, method.fractions)
-        return Prepared(stepping.advance, found.tables, found.keep, memory=stepping.memory_of(found.tables))
+        return Prepared(stepping.LOOP, found.tables, found.keep, memory=stepping.memory_of(found.tables))
     raise TypeError(f"no loop is known for {innermost!r}")

@@ -18,7 +18,7 @@ from coadjoint.runs.observed import Observed, check_observe
 from coadjoint.runs.run import Run
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start, check_system, momenta_of, representations_of, with_group
-from coadjoint.runs.times import Times, checked_step, is_positive_whole, times_of
+from coadjoint.runs.times import Times, checked_step, is_positive_whole, span_of, times_between
 from coadjoint.systems.batch import Batch
 
 
@@ -93,7 +93,7 @@ class PreparedRun:
         IntegrationError
             As in `integrate`.
         """
-        times = times_of(t_span, self.step, save_every)
+        times = times_between(span_of(t_span), self.step, save_every)
         return self.follow(times, self.start(x0, attitude), progress)
 
     def start(self, x0: Any, attitude: Any = None) -> Start:
@@ -110,9 +110,10 @@ class PreparedRun:
 
     def follow(self, times: Times, start: Start, progress: bool = False) -> Solution:
         """Take the steps of `times`, whose step is the prepared one or its negative, from a checked state."""
-        run = Run(self.system, self.method, self.loops(times.h), times, start, self._watching)
+        workers = min(len(start.momenta), self._threads)
+        run = Run(self.system, self.method, self.loops(times.h), times, start, self._watching, workers)
         observed = self._observed_at(start.momenta[0]) if self._observe else None
-        run.advance(min(len(start.momenta), self._threads), progress)
+        run.advance(progress)
         return run.solution(observed)
 
     def loops(self, h: float) -> Loops:

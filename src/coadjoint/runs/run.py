@@ -12,146 +12,131 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.kernels.arrays import Block
+from coadjoint.kernels.loop import Crew
+from coadjoint.kernels.watching import NOT_CONVERGED, schedule_of
 from coadjoint.methods.base import Method, System
-from coadjoint.runs.loops import Crew, Loops, Work
+from coadjoint.runs.loops import Loops
 from coadjoint.runs.observed import Observed
-from coadjoint.runs.solution import Solution, Statistics
+from coadjoint.runs.saved import Saved
+from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 
 # Between two calls of the compiled loop the interpreter can show progress and hear an interrupt.
 SECONDS_BETWEEN_LOOKS = 0.2
+# A run begins with a part of that, by the pace of the run before: its steps may be slower.
+CAUTION = 16
 
 
 class Run:
     """Arrays of one run, from checked states and times, and the loops that fill them."""
 
     def __init__(
-        self, system: System | Batch, method: Method, loops: Loops, times: Times, start: Start, watching: bool
+        self,
+        system: System | Batch,
+        method: Method,
+        loops: Loops,
+        times: Times,
+        start: Start,
+        watching: bool,
+        workers: int = 1,
     ) -> None:
-        from coadjoint.kernels.watching import TENTHS, Report, Saves, Schedule
-
         self.system, self.method, self.loops = system, method, loops
-        self.times, self.start, self.watching = times, start, watching
-        self.names = loops.names
-        self.saved = times.saved
-        members, size = start.momenta.shape
-        square = start.groups.shape[1] ** 2
-        count, invariants = len(self.saved), len(self.names)
-        self.saves = Saves(
-            members=members,
-            x=_blank(count, members, size),
-            group=_blank(count, members, square),
-            values=_blank(count, members, invariants),
-            worst=np.zeros((members, TENTHS, invariants)),
-            first=np.zeros((members, invariants)),
-            last=np.zeros((members, invariants)),
-        )
-        self.schedule = Schedule(times.t0, times.h, times.steps, times.save_every, watching)
+        self.times, self.start, self.watching, self.workers = times, start, watching, workers
+        members, square = len(start.momenta), start.groups.shape[1] ** 2
+        self.plan = loops.plan(members, times.points, square, workers)
+        self.results, self.work = Block(self.plan.layout.results), Block(self.plan.layout.work)
         held = slice(None) if loops.order is None else loops.order
-        # Group elements are held transposed.
-        groups = np.swapaxes(loops.started(start.groups)[held], 1, 2).reshape(members, square).copy()
-        momenta, memory = start.momenta[held].copy(), _blank(members, loops.memory)
-        self.state = (momenta, np.zeros((members, size)), groups, np.zeros((members, square)), memory)
-        counts = np.zeros((4, members), dtype=np.int64)
-        self.report = Report(counts[0], counts[1], _blank(members), counts[2], counts[3])
+        self.work["momenta"][:] = start.momenta[held]
+        if square:
+            # Group elements are held transposed.
+            groups = np.swapaxes(loops.started(start.groups)[held], 1, 2)
+            self.work["groups"][:] = groups.reshape(members, square)
+        self._schedule = schedule_of(times.t0, times.h, times.steps, times.save_every, watching)
         self.seconds = 0.0
-        loops.record_start(self.saves, self.schedule, self.state)
+        self.wrong = 0
 
-    def advance(self, workers: int, progress: bool) -> None:
+    def advance(self, progress: bool = False) -> None:
         """Take all steps: round after round, each in chunks between which an interrupt is heard."""
-        rounds = self.loops.rounds(len(self.start.momenta), workers)
+        plan = self.plan
         began = time.perf_counter()
-        with _pool(workers) as pool, _bar(self.times.steps * len(rounds), progress) as bar:
-            chunk = 1
-            for crews in rounds:
-                chunk = self._advance(crews, chunk, pool, bar)
+        if self.workers == 1 and not progress:
+            for crews in plan.rounds:
+                self._advance(crews, None, None)
+        else:
+            with _pool(self.workers) as pool, _bar(self.times.steps * len(plan.rounds), progress) as bar:
+                for crews in plan.rounds:
+                    self._advance(crews, pool, bar)
         self.seconds = time.perf_counter() - began
         if self.loops.order is not None:
-            self._put_in_order(self.loops.order)
+            self.results = self._put_in_order(self.loops.order)
 
-    def _advance(self, crews: list[Crew], chunk: int, pool: ThreadPoolExecutor | None, bar: Callable[..., Any]) -> int:
-        """Take all steps of some crews; returns how many steps are a chunk of the right length."""
-        report, steps = self.report, self.times.steps
-        works = [(self.loops.work(crew), np.array(crew, dtype=np.int64)) for crew in crews]
-        status = report.status[crews[0][0] : crews[-1][1]]
+    def _advance(self, crews: list[Crew], pool: ThreadPoolExecutor | None, bar: Callable[[int], Any] | None) -> None:
+        """Take all steps of some crews."""
+        plan, steps = self.plan, self.times.steps
+        chunk, done = max(1, int(plan.pace * SECONDS_BETWEEN_LOOKS / CAUTION)), 0
 
-        def take(given: tuple[Work, NDArray[np.int64]]) -> None:
-            (advance, tables, watch), crew = given
-            advance(tables, watch, self.saves, self.schedule, self.state, crew, done, target, report)
+        def take(crew: Crew) -> int:
+            return crew.advance(plan.layout, self._schedule, self.results, self.work, done, target)
 
-        done = 0
-        while done < steps and not status.all():
+        while True:
             target = min(steps, done + chunk)
             before = time.perf_counter()
-            if pool is None:
-                for work in works:
-                    take(work)
-            else:
-                list(pool.map(take, works))
+            wrong = sum(map(take, crews) if pool is None else pool.map(take, crews))
             spent = max(time.perf_counter() - before, 1e-6)
-            bar(target - done)
-            whole, done = target - done == chunk, target
-            if whole:
-                chunk = max(1, min(int(chunk * SECONDS_BETWEEN_LOOKS / spent), 1000 * chunk))
-        return chunk
+            if bar is not None:
+                bar(target - done)
+            if target - done == chunk:
+                pace = chunk / spent
+                chunk = max(1, min(int(pace * SECONDS_BETWEEN_LOOKS), 1000 * chunk))
+                # Members that stop on the way make it look too quick.
+                plan.pace = plan.pace if wrong else pace
+            done = target
+            if done == steps or wrong == sum(crew.count for crew in crews):
+                break
+        self.wrong += wrong
 
-    def _put_in_order(self, order: NDArray[np.int64]) -> None:
-        """Give every member the place that it was given at."""
-        place = np.argsort(order)
-        self.saves = self.saves._replace(
-            x=self.saves.x.take(place, axis=1),
-            group=self.saves.group.take(place, axis=1),
-            values=self.saves.values.take(place, axis=1),
-            worst=self.saves.worst[place],
-            first=self.saves.first[place],
-            last=self.saves.last[place],
-        )
-        report = self.report
-        self.report = report._replace(
-            status=report.status[place],
-            step=report.step[place],
-            residual=report.residual[place],
-            evaluations=report.evaluations[place],
-            iterations=report.iterations[place],
-        )
+    def _put_in_order(self, order: NDArray[np.int64]) -> Block:
+        """Return what is left with every member in the place that it was given at."""
+        place, ordered = np.argsort(order), Block(self.results.places)
+        for name in ordered.places.shapes:
+            ordered[name][:] = self.results[name].take(place, axis=1 if name in ("x", "group", "values") else 0)
+        return ordered
 
     def solution(self, observed: Observed | None) -> Solution:
         """Return what was saved, or raise the failure with it."""
-        failed = self.report.status.nonzero()[0]
-        kept = len(self.saved)
+        kept = self.times.points
+        if not self.wrong:
+            return self._solution(kept, observed)
+        report = self.results
+        failed = report["status"].nonzero()[0]
         if not len(failed):
-            whole = self._solution(kept, observed)
-            self._check_energy(whole)
-            return whole
+            raise self._energy_error(self._solution(kept, observed))
         if len(self.start.momenta) == 1:
-            kept = int(np.searchsorted(self.saved, self.report.step[0]))
+            kept = int(np.searchsorted(self.times.saved, report["step"][0]))
         raise self._error(int(failed[0]), len(failed), self._solution(kept, observed))
 
-    def _check_energy(self, whole: Solution) -> None:
+    def _energy_error(self, whole: Solution) -> IntegrationError:
         """A state that is finite with an energy that is not: the function of the user is not defined there."""
-        finite = np.isfinite(whole.energy)
-        if not finite.all():
-            wrong = np.flatnonzero(~finite.reshape(len(whole.t), -1).all(axis=1))
-            step, when = int(self.saved[wrong[0]]), float(whole.t[wrong[0]])
-            raise IntegrationError(
-                f"the energy at t = {when:g} is not a finite number, though the state is: the Hamiltonian overflows "
-                "or is undefined there; start elsewhere, or correct its value",
-                step=step,
-                time=when,
-                residual=float("nan"),
-                partial=whole,
-            )
+        wrong = np.flatnonzero(~np.isfinite(whole.energy).reshape(len(whole.t), -1).all(axis=1))
+        step, when = int(self.times.saved[wrong[0]]), float(whole.t[wrong[0]])
+        return IntegrationError(
+            f"the energy at t = {when:g} is not a finite number, though the state is: the Hamiltonian overflows "
+            "or is undefined there; start elsewhere, or correct its value",
+            step=step,
+            time=when,
+            residual=float("nan"),
+            partial=whole,
+        )
 
     def _error(self, member: int, count: int, partial: Solution) -> IntegrationError:
-        from coadjoint.kernels.watching import NOT_CONVERGED
-
-        step = int(self.report.step[member])
+        step = int(self.results["step"][member])
         when = float(self.times.t0 + (step - 1) * self.times.h)
-        residual = float(self.report.residual[member])
+        residual = float(self.results["residual"][member])
         who = "" if self.start.single else f" for {count} of {len(self.start.momenta)} members (first: member {member})"
-        status = int(self.report.status[member])
+        status = int(self.results["status"][member])
         if status in self.method.failures:
             what = self.method.failures[status]
         elif status == NOT_CONVERGED:
@@ -162,46 +147,7 @@ class Run:
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
 
     def _solution(self, kept: int, observed: Observed | None) -> Solution:
-        t = self.times.at(self.saved[:kept])
-        pick: Any = (lambda a: a[:, 0]) if self.start.single else (lambda a: a)
-        values, x = self.saves.values[:kept], self.saves.x[:kept]
-        worst = self.saves.worst[0] if self.start.single else self.saves.worst
-        quantities = {} if observed is None else observed.along(t, x)
-        return Solution(
-            t=t,
-            x=pick(x),
-            energy=pick(values[..., 0]),
-            casimirs={name: pick(values[..., i + 1]) for i, name in enumerate(self.names[1:])},
-            attitude=None if self.start.representation is None else pick(self._groups(t)),
-            observed={name: pick(series) for name, series in quantities.items()},
-            stats=Statistics(
-                steps=int(self.times.steps),
-                evaluations=int(self.report.evaluations.sum()),
-                iterations=int(self.report.iterations.sum()),
-                seconds=self.seconds,
-            ),
-            failed=None if self.start.single else self.report.status != 0,
-            system=self.system,
-            method=self.method,
-            t_span=(self.times.t0, self.times.end),
-            step=abs(self.times.h),
-            save_every=self.times.save_every,
-            watched=self.watching,
-            carried=self.start.carried,
-            _worst=worst,
-        )
-
-    def _groups(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
-        members, size = self.start.groups.shape[:2]
-        held = self.saves.group[: len(t)].reshape(len(t), members, size, size)
-        return self.loops.turned(self.start, t - self.times.t0, np.swapaxes(held, 2, 3))
-
-
-def _blank(*shape: int) -> NDArray[np.float64]:
-    """Return an array in which nothing has been saved yet: a NaN that is left over says so."""
-    blank = np.empty(shape)
-    blank.fill(np.nan)
-    return blank
+        return Solution.of(Saved(self, kept, observed))
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from coadjoint.systems.batch import Batch
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
+
+    from coadjoint.runs.saved import Saved
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,10 @@ class Solution:
     carried : {"representation", "coadjoint"} or None
         In which matrices the group element is.
 
+    Notes
+    -----
+    Of a run, each part is made when it is first asked for, and kept.
+
     Examples
     --------
     >>> import coadjoint as co
@@ -122,6 +128,24 @@ class Solution:
     watched: bool
     carried: str | None
     _worst: NDArray[np.float64] = field(repr=False)
+
+    @classmethod
+    def of(cls, saved: Saved) -> Solution:
+        """Return the solution of a run; each part is made when it is first asked for, and kept."""
+        solution = object.__new__(cls)
+        solution.__dict__["_saved"] = saved
+        return solution
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            if name not in PARTS or "_saved" not in self.__dict__:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            return self.__dict__.setdefault(name, getattr(self._saved, name))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all parts, for copies and for `pickle`."""
+        return {name: getattr(self, name) for name in PARTS}
 
     def drift(self) -> dict[str, Drift]:
         """Return how far each invariant strayed from its start.
@@ -158,3 +182,6 @@ class Solution:
         from coadjoint.pictures.solution import draw_solution
 
         return draw_solution(self)
+
+
+PARTS = frozenset(part.name for part in fields(Solution))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
 
+FEW = 64
 Representation = NDArray[np.float64] | str | None
 
 
@@ -98,13 +100,19 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
         momenta, single = np.array(np.broadcast_to(momenta, (len(system), n))), False
     if momenta.ndim not in (1, 2) or momenta.shape[-1] != n:
         raise ValueError(f"x0 has the shape {momenta.shape}; it must be ({n},) or (members, {n})")
-    if not np.isfinite(momenta).all():
+    if not _finite(momenta):
         raise ValueError("x0 contains NaN or infinity; every component must be finite")
     if momenta.ndim == 1:
         momenta = momenta[None]
     if not len(momenta):
         raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs at least one member")
     return momenta, single
+
+
+def _finite(momenta: NDArray[np.float64]) -> bool:
+    # Of few numbers a finite sum says the same, five times quicker; where it overflows nothing is said yet.
+    few = momenta.ndim == 1 and len(momenta) <= FEW
+    return (few and math.isfinite(sum(momenta.tolist()))) or bool(np.isfinite(momenta).all())
 
 
 def with_group(

@@ -9,6 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+# Asked for first: whether something is any other real number takes longer to find out.
+PLAIN = (float, int)
+
 
 class Times(NamedTuple):
     """Start, signed step, number of steps, and every how many of them a state is saved."""
@@ -22,6 +25,11 @@ class Times(NamedTuple):
     def end(self) -> float:
         """Time after the last step."""
         return self.t0 + self.steps * self.h
+
+    @property
+    def points(self) -> int:
+        """How many steps are saved."""
+        return -(-self.steps // self.save_every) + 1
 
     @property
     def saved(self) -> NDArray[np.int64]:
@@ -62,27 +70,32 @@ def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
     4
     """
     ends = span_of(t_span)
-    size = checked_step(step)
+    return times_between(ends, checked_step(step), save_every)
+
+
+def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Times:
+    """Return the times of a run between checked ends, with a checked step; see `times_of`."""
     if not is_positive_whole(save_every):
         raise ValueError(f"save_every is {save_every!r}; it must be a positive whole number of steps")
-    span = ends[1] - ends[0]
+    first, last = ends
+    span = last - first
     quotient = abs(span) / size
     if not quotient < 2.0**53:
         raise ValueError(f"step {size!r} is too small for the time {abs(span)!r}: the steps could not be counted")
     steps = round(quotient)
     # The ends, the span, the step and their quotient are each rounded: 8 u relative covers them.
-    if abs(quotient - steps) > 8 * 2.0**-53 * max(quotient, abs(ends[0]) / size):
+    if abs(quotient - steps) > 8 * 2.0**-53 * max(quotient, abs(first) / size):
         count = max(1, math.floor(quotient))
         raise ValueError(
             f"step {size!r} does not divide the time {abs(span)!r}; "
             f"the nearest steps that do are {abs(span) / (count + 1)!r} and {abs(span) / count!r}"
         )
-    if steps and math.ulp(max(map(abs, ends))) > size / 4:
+    if steps and math.ulp(max(abs(first), abs(last))) > size / 4:
         raise ValueError(
             f"step {size!r} is too small beside the times {list(ends)}: neighbouring ones would be the same number; "
             "shift t_span towards zero"
         )
-    return Times(ends[0], math.copysign(size, span), steps, min(int(save_every), max(1, steps)))
+    return Times(first, math.copysign(size, span), steps, min(int(save_every), max(1, steps)))
 
 
 def checked_step(step: Any) -> float:
@@ -101,26 +114,26 @@ def span_of(t_span: Any) -> tuple[float, float]:
     >>> span_of([0, 2])
     (0.0, 2.0)
     """
-    first, last = _pair(t_span)
+    # A tuple of numbers is what it looks like; the shape of anything else takes longer to say.
+    plain = type(t_span) is tuple and len(t_span) == 2 and all(isinstance(end, PLAIN) for end in t_span)
+    if not plain and np.shape(t_span) != (2,):
+        raise ValueError(f"t_span is {t_span!r}; it must be two numbers, the start and the end")
+    first, last = t_span
     return _finite(first, "t_span"), _finite(last, "t_span")
 
 
 def is_positive_whole(value: Any) -> bool:
     """Return whether a value is one of 1, 2, 3, ...; True is not a number here."""
+    if type(value) is int:
+        return value >= 1
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
         return False
     number = float(value)
     return number >= 1 and number.is_integer()
 
 
-def _pair(t_span: Any) -> Any:
-    if np.shape(t_span) != (2,):
-        raise ValueError(f"t_span is {t_span!r}; it must be two numbers, the start and the end")
-    return t_span
-
-
 def _finite(value: Any, what: str) -> float:
-    if not isinstance(value, numbers.Real):
+    if not isinstance(value, PLAIN) and not isinstance(value, numbers.Real):
         raise TypeError(f"{what} contains {value!r}; it must be a number")
     number = float(value)
     if not math.isfinite(number):

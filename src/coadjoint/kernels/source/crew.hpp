@@ -5,19 +5,26 @@
 
 #include "watching.hpp"
 
-// The members of a call: positions first to last - 1 of a crew; state, schedule and report are those of all members.
+// The members of a call: positions first to last - 1 of a crew, neighbours in the arrays. With a stride the constants
+// of the tables differ by position, `stride` of them side by side.
 struct Crew {
     const int64_t* members;
-    int64_t first, last;
+    int64_t first, last, stride;
 };
 
-// What a call is given, for a family of schemes with tables of its own.
+// Blank what a run leaves of the members of a crew, and save their start: momenta and groups stand in the state.
+void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, const Crew& crew);
+
+// How many members of a crew have failed; where the run has ended, also by an energy that is not finite.
+int64_t wrong(const Watch& watch, const Arrays& arrays, const Crew& crew, bool ended);
+
+// What a call is given, for a family of schemes with tables of its own: the arrays are those of all members.
 template <class Tables>
 struct Loop {
     const Tables& tables;
     const Watch& watch;
-    const Saves& saves;
     const Schedule& schedule;
+    const Saves& saves;
     const State& state;
     const Report& report;
     int64_t k0, k1;
@@ -32,6 +39,25 @@ struct Loop {
         fail(member, step, OVERFLOWED, std::numeric_limits<double>::quiet_NaN());
     }
 };
+
+// Take the steps k0 + 1 to k1 of a crew by `follow(loop, crew)`, from the start where k0 is 0; return `wrong`.
+template <class Tables, class Follow>
+int64_t take_steps(const Tables& tables, const Watch& watch, const Crew& crew, const Arrays& arrays,
+                   const Schedule& schedule, int64_t k0, int64_t k1, Follow follow) {
+    if (k0 == 0) begin(watch, arrays, schedule, crew);
+    const Loop<Tables> loop{tables, watch, schedule, arrays.saves, arrays.state, arrays.report, k0, k1};
+    if (k0 < k1) follow(loop, crew);
+    return wrong(watch, arrays, crew, k1 == schedule.steps);
+}
+
+// What Python calls for a family of schemes.
+#define EXPORT_LOOP(name, Tables, follow)                                                                            \
+    EXPORT int64_t name(const Tables* tables, const Watch* watch, const int64_t* members, int64_t first,             \
+                        int64_t last, int64_t stride, const Extent* extent, const Schedule* schedule,                \
+                        double* results, double* work, int64_t k0, int64_t k1) {                                     \
+        return take_steps(*tables, *watch, Crew{members, first, last, stride}, Arrays(*extent, results, work),       \
+                          *schedule, k0, k1, follow);                                                                \
+    }
 
 // Members as lanes, from rows of `length` numbers for each; the last member fills what is left of the lanes.
 template <class A>

@@ -1,58 +1,62 @@
 // What Python calls for step methods: the loop over steps, one member after the other.
 #include <memory>
 
-#include "room.hpp"
+#include "crew.hpp"
 #include "step_scheme.hpp"
 
 typedef StepScheme* (*MakeScheme)(const StepTables& tables, const Own& constants);
 
-// Take the steps k0 + 1 to k1 for the positions first to last - 1 of a crew. With a stride the constants of the tables
-// differ by position, `stride` of them side by side.
-EXPORT void stepping_advance(const Stepping* tables, const Watch* watch, const Saves* saves, const Schedule* schedule,
-                             const State* state, const int64_t* members, int64_t first, int64_t last, int64_t k0,
-                             int64_t k1, const Report* report, int64_t stride) {
-    const int64_t n = state->size, square = state->square;
-    std::vector<double> arguments(watch->longest + 1), room(2 * watch->longest + 2);
+static void follow(const Loop<Stepping>& loop, const Crew& crew) {
+    const Stepping& tables = loop.tables;
+    const Watch& watch = loop.watch;
+    const Saves& saves = loop.saves;
+    const Schedule& schedule = loop.schedule;
+    const State& state = loop.state;
+    const Report& report = loop.report;
+    const int64_t n = state.size, square = state.square;
+    std::vector<double> arguments(watch.longest + 1), room(2 * watch.longest + 2);
     const int64_t eights = (n + 7) / 8;
     Room<Lanes<8>> momentum(2 * eights);
     double *x = reinterpret_cast<double*>(momentum.at), *dx = x + 8 * eights;
     std::unique_ptr<StepScheme> scheme;
-    for (int64_t place = first; place < last; ++place) {
-        const int64_t member = members[place];
-        if (report->status[member] != DONE) continue;
-        const Own constants{stride ? stride : 1, stride ? place : 0};
-        if (stride || !scheme)
-            scheme.reset(reinterpret_cast<MakeScheme>(tables->step[0])(tables->tables, constants));
-        scheme->memory = state->remembered ? state->memory + member * state->remembered : nullptr;
-        std::copy_n(state->momenta + member * n, n, x);
-        std::copy_n(state->errors + member * n, n, dx);
-        double *g = state->groups + member * square, *dg = state->group_errors + member * square;
-        for (int64_t k = k0 + 1; k <= k1; ++k) {
-            const double start = schedule->t0 + double(k - 1) * schedule->h;
+    for (int64_t place = crew.first; place < crew.last; ++place) {
+        const int64_t member = crew.members[place];
+        if (report.status[member] != DONE) continue;
+        const Own constants{crew.stride ? crew.stride : 1, crew.stride ? place : 0};
+        if (crew.stride || !scheme)
+            scheme.reset(reinterpret_cast<MakeScheme>(tables.step[0])(tables.tables, constants));
+        scheme->memory = state.remembered ? loop.memory_of(member) : nullptr;
+        std::copy_n(state.momenta + member * n, n, x);
+        std::copy_n(state.errors + member * n, n, dx);
+        double *g = state.groups + member * square, *dg = state.group_errors + member * square;
+        for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
+            const double start = schedule.t0 + double(k - 1) * schedule.h;
             int64_t status = DONE;
-            for (int64_t part = 0; part < tables->substeps && status == DONE; ++part) {
+            for (int64_t part = 0; part < tables.substeps && status == DONE; ++part) {
                 scheme->evaluations = scheme->iterations = 0;
-                status = scheme->step(x, dx, g, dg, start + tables->moment[part] * schedule->h,
-                                      tables->fraction[part] * schedule->h);
-                report->evaluations[member] += scheme->evaluations;
-                report->iterations[member] += scheme->iterations;
+                status = scheme->step(x, dx, g, dg, start + tables.moment[part] * schedule.h,
+                                      tables.fraction[part] * schedule.h);
+                report.evaluations[member] += scheme->evaluations;
+                report.iterations[member] += scheme->iterations;
             }
             if (status == DONE && !finite(n, x)) {
                 status = OVERFLOWED;
                 scheme->residual = std::numeric_limits<double>::quiet_NaN();
             }
             if (status != DONE) {
-                report->status[member] = status;
-                report->step[member] = k;
-                report->residual[member] = scheme->residual;
+                report.status[member] = status;
+                report.step[member] = k;
+                report.residual[member] = scheme->residual;
                 break;
             }
-            const int64_t slot = slot_of(*schedule, k);
-            if (!schedule->watching && slot < 0) continue;
-            note_steps(*watch, constants, *saves, *schedule, member, 1, &k, n, x, arguments.data(), room.data());
-            if (slot >= 0) std::copy_n(g, square, saves->group + (slot * saves->members + member) * square);
+            const int64_t slot = slot_of(schedule, k);
+            if (!schedule.watching && slot < 0) continue;
+            note_steps(watch, constants, saves, schedule, member, 1, &k, n, x, arguments.data(), room.data());
+            if (slot >= 0) std::copy_n(g, square, saves.group + (slot * saves.members + member) * square);
         }
-        std::copy_n(x, n, state->momenta + member * n);
-        std::copy_n(dx, n, state->errors + member * n);
+        std::copy_n(x, n, state.momenta + member * n);
+        std::copy_n(dx, n, state.errors + member * n);
     }
 }
+
+EXPORT_LOOP(stepping_advance, Stepping, follow)

@@ -56,22 +56,13 @@ TABLE(FlowTables, FLOW_FIELDS)
     _(numbers, period) _(integer, longest)
 TABLE(Watch, WATCH_FIELDS)
 
-#define SAVES_FIELDS(_)                                                                                              \
-    _(integer, members) _(numbers, x) _(numbers, group) _(numbers, values) _(numbers, worst) _(numbers, first)       \
-    _(numbers, last)
-TABLE(Saves, SAVES_FIELDS)
+#define EXTENT_FIELDS(_)                                                                                             \
+    _(integer, members) _(integer, points) _(integer, size) _(integer, square) _(integer, invariants)               \
+    _(integer, remembered)
+TABLE(Extent, EXTENT_FIELDS)
 
 #define SCHEDULE_FIELDS(_) _(number, t0) _(number, h) _(integer, steps) _(integer, save_every) _(flag, watching)
 TABLE(Schedule, SCHEDULE_FIELDS)
-
-#define REPORT_FIELDS(_)                                                                                             \
-    _(integers, status) _(integers, step) _(numbers, residual) _(integers, evaluations) _(integers, iterations)
-TABLE(Report, REPORT_FIELDS)
-
-#define STATE_FIELDS(_)                                                                                              \
-    _(integer, size) _(integer, square) _(integer, remembered) _(numbers, momenta) _(numbers, errors)               \
-    _(numbers, groups) _(numbers, group_errors) _(numbers, memory)
-TABLE(State, STATE_FIELDS)
 
 #define FIELD_FIELDS(_)                                                                                              \
     _(integer, size) _(number, sign) _(indices, first) _(indices, column) _(indices, state) _(numbers, constant)     \

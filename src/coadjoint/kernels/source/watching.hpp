@@ -4,10 +4,10 @@
 #include <algorithm>
 #include <vector>
 
+#include "arrays.hpp"
 #include "room.hpp"
 #include "terms.hpp"
 
-constexpr int64_t TENTHS = 10;
 constexpr int64_t DONE = 0, NOT_CONVERGED = 1, OVERFLOWED = 2;
 
 // Whether every component is finite: 0 times it is 0.
