@@ -31,6 +31,7 @@ class Stepping(NamedTuple):
     """A compiled step, by its name in the library, and what it reads; a step of the run is `substeps` of it.
 
     They have the lengths `fraction`, at the moments `moment`, in units of the step. `step` is the address of the step.
+    `serial` is the number that the loop gives to the tables when it first reads them.
     """
 
     step: NDArray[np.int64]
@@ -38,6 +39,7 @@ class Stepping(NamedTuple):
     fraction: NDArray[np.float64]
     moment: NDArray[np.float64]
     tables: StepTables
+    serial: int = 0
 
 
 def step_address(name: str) -> int:

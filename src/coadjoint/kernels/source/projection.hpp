@@ -42,6 +42,7 @@ struct Projection {
     Room<Places<W>> places;
     Room<double> increments;
     SparseFactors factors;
+    std::vector<double> bends;  // of quadratic invariants: no second derivative is larger
     bool in_registers = false;
     int64_t corrections = 0;
     double residual = 0.0;
@@ -59,6 +60,16 @@ struct Projection {
         std::copy_n(coordinates.data(), rows, reinterpret_cast<int64_t*>(places.at));
         gradients.resize(rows), directions.resize(rows), defects.resize(watch.size);
         couple(n);
+        for (const Invariant& own : invariants) {
+            double most = 0.0;
+            for (int64_t b = own.first; b < own.last; ++b) {
+                Row total(0.0);
+                for (int64_t e = linear.first[b]; e < linear.first[b + 1]; ++e)
+                    total = total + absolute(linear.at.at[e].weight);
+                for (int row = 0; row < W; ++row) most = larger(most, total[row]);
+            }
+            bends.push_back(most);
+        }
     }
 
     // The values that are to be kept, and up to which defect: 2 * size numbers.
@@ -124,7 +135,7 @@ struct Projection {
 #pragma GCC unroll 4
                 for (int k = 0; k < j; ++k) L[i][j] = fma(-L[i][k] * L[j][k], inverse[k], L[i][j]);
         }
-        Row unused[R];
+        Row unused[R], moved(0.0);
         for (corrections = 1; corrections <= MOST_CORRECTIONS; ++corrections) {
             const double before = residual;
             if (!(before - before == 0.0)) return false;
@@ -142,6 +153,12 @@ struct Projection {
 #pragma GCC unroll 4
             for (int i = 0; i < R; ++i) more = fma(Row(defect[i]), slope[i], more);
             add_to(x, dx, more);
+            // What a correction leaves is as small as it and all of them together.
+            moved = moved + more;
+            const double left = sum_of_lanes(absolute(more)) * sum_of_lanes(absolute(moved));
+            bool small = true;
+            for (int i = 0; i < R; ++i) small &= left * bends[i] <= 0.25 * kept[R + i];
+            if (small) return true;
             if (few<R>(x, kept, unused, defect) || (residual >= 0.5 * before && settled(&x, kept))) return true;
         }
         return false;

@@ -1,10 +1,33 @@
 // What Python calls for step methods: the loop over steps, one member after the other.
+#include <atomic>
 #include <memory>
 
 #include "crew.hpp"
 #include "step_scheme.hpp"
 
 typedef StepScheme* (*MakeScheme)(const StepTables& tables, const Own& constants);
+
+// The step of the tables that a thread read last, made once for many short calls; tables are known by their number, since
+// others may come to stand where they stood.
+struct Remembered {
+    int64_t serial = 0;
+    std::unique_ptr<StepScheme> scheme;
+};
+static thread_local Remembered remembered;
+static std::atomic<int64_t> numbered{0};
+
+static int64_t serial_of(const Stepping& tables) {
+    // The tables are Python's; threads that share them agree on the number that is set first.
+    auto* serial = const_cast<int64_t*>(&tables.serial);
+    int64_t none = 0;
+    if (__atomic_load_n(serial, __ATOMIC_ACQUIRE) == 0)
+        __atomic_compare_exchange_n(serial, &none, ++numbered, false, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE);
+    return __atomic_load_n(serial, __ATOMIC_ACQUIRE);
+}
+
+static std::unique_ptr<StepScheme> made(const Stepping& tables, const Own& constants) {
+    return std::unique_ptr<StepScheme>(reinterpret_cast<MakeScheme>(tables.step[0])(tables.tables, constants));
+}
 
 static void follow(const Loop<Stepping>& loop, const Crew& crew) {
     const Stepping& tables = loop.tables;
@@ -18,13 +41,21 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
     const int64_t eights = (n + 7) / 8;
     Room<Lanes<8>> momentum(2 * eights);
     double *x = reinterpret_cast<double*>(momentum.at), *dx = x + 8 * eights;
-    std::unique_ptr<StepScheme> scheme;
+    const bool short_lived = crew.stride || n > WIDEST;
+    std::unique_ptr<StepScheme> own;
+    if (!short_lived && remembered.serial != serial_of(tables)) {
+        remembered.scheme = made(tables, Own{1, 0});
+        remembered.serial = serial_of(tables);
+    }
+    StepScheme* scheme = short_lived ? nullptr : remembered.scheme.get();
     for (int64_t place = crew.first; place < crew.last; ++place) {
         const int64_t member = crew.members[place];
         if (report.status[member] != DONE) continue;
         const Own constants{crew.stride ? crew.stride : 1, crew.stride ? place : 0};
-        if (crew.stride || !scheme)
-            scheme.reset(reinterpret_cast<MakeScheme>(tables.step[0])(tables.tables, constants));
+        if (crew.stride || !scheme) {
+            own = made(tables, constants);
+            scheme = own.get();
+        }
         scheme->memory = state.remembered ? loop.memory_of(member) : nullptr;
         std::copy_n(state.momenta + member * n, n, x);
         std::copy_n(state.errors + member * n, n, dx);

@@ -85,5 +85,6 @@ TABLE(RungeKuttaTables, RUNGE_KUTTA_FIELDS)
 TABLE(StepTables, STEP_FIELDS)
 
 #define STEPPING_FIELDS(_)                                                                                           \
-    _(integers, step) _(integer, substeps) _(numbers, fraction) _(numbers, moment) _(StepTables, tables)
+    _(integers, step) _(integer, substeps) _(numbers, fraction) _(numbers, moment) _(StepTables, tables)            \
+    _(integer, serial)
 TABLE(Stepping, STEPPING_FIELDS)
