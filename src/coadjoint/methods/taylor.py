@@ -144,15 +144,16 @@ class Taylor(StepMethod):
         Operations
         """
         assert system.algebra is not None
-        products = np.ceil(2 * len(system.algebra.triples[3]) / LANES)
-        sums = np.ceil(_entries(system.hamiltonian) / LANES)
         looks = 0.0
         if self.projected:
             invariants = [system.hamiltonian, *(as_hamiltonian(C, system.dim) for C in self._casimirs(system).values())]
             looks = sum(1.0 + _entries(C, quadratic=False) / LANES for C in invariants)
-        # A sparse sum is waited for: as much as three of the products of a long sum.
-        vectors = self.order * (0.5 * self.order * products + 3.0 * (2.0 * products + sums))
-        return Operations(float(vectors), float(self.order), looks)
+        lanes = 4 if system.dim <= 4 else LANES
+        products = _vectors_of_products(system, lanes) * lanes / LANES
+        sums = 2.0 * products + np.ceil(_entries(system.hamiltonian) / LANES)
+        # Several vectors of rows are not kept in registers.
+        waiting = self.order * (1.0 + sums * (1.0 if system.dim <= LANES else 2.0))
+        return Operations(0.5 * self.order**2 * products, float(waiting), looks)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, read in NumPy for any number type; the values that are kept are those at x.
@@ -273,6 +274,23 @@ class Projected(NamedTuple):
     invariants: list[HamiltonianLike]
     directions: NDArray[Any]
     multipliers: NDArray[Any]
+
+
+def _vectors_of_products(system: System, lanes: int) -> float:
+    """Return how many vectors of rows multiply series, as ``series_field.hpp`` lays them out."""
+    assert system.algebra is not None
+    i, j, k, _ = system.algebra.triples
+    row, moved, other = np.concatenate([i, j]), np.concatenate([k, k]), np.concatenate([j, i])
+    terms = system.hamiltonian.terms()
+    diagonal = len(terms) == 1 and isinstance(terms[0], QuadraticTerm) and np.all(terms[0].rows == terms[0].indices)
+    if diagonal:
+        # Products are written out, those with a coordinate that H does not have left out, the others once.
+        assert isinstance(terms[0], QuadraticTerm)
+        there = np.isin(other, terms[0].indices)
+        pairs = np.stack([row, np.minimum(moved, other), np.maximum(moved, other)], axis=1)[there]
+        row = np.unique(pairs, axis=0)[:, 0] if len(pairs) else pairs[:, 0]
+    counts = np.bincount(row, minlength=-(-system.dim // lanes) * lanes)
+    return float(np.max(counts.reshape(-1, lanes), axis=1).sum())
 
 
 def _entries(H: HamiltonianLike, quadratic: bool = True) -> float:

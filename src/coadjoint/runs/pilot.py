@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.base import Method, System
+from coadjoint.methods.composition import Composition
 from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.runs.growth import Growth
 from coadjoint.runs.loops import SystemLoops
 from coadjoint.runs.run import Run
@@ -131,7 +133,8 @@ class Pilot:
         count = steps * len(self.momenta)
         iterations, evaluations = int(run.results["iterations"].sum()), int(run.results["evaluations"].sum())
         # Implicit schemes remember first for how many steps they still take Newton's method.
-        newton = bool(np.any(run.work["memory"][:, :1] > 0.0))
+        innermost = method.innermost if isinstance(method, Composition) else method
+        newton = isinstance(innermost, RungeKuttaMethod) and bool(np.any(run.work["memory"][:, :1] > 0.0))
         return Trial(steps, self._growth(run.results["x"]), iterations / count, evaluations / count, newton)
 
     def _growth(self, found: NDArray[np.float64]) -> Growth:

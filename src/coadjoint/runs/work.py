@@ -25,11 +25,19 @@ COMPENSATED = 1.3
 ITERATION = 0.5
 LANES = 8
 VECTOR_MULTIPLICATION = 0.05
-IMPLICIT_STEP = 6.0
-EXPLICIT_STEP = 6.0
-VECTOR = 0.03
-WAITING = 0.3
-LOOK = 1.0
+# Of an iteration in few dimensions, where all stages of a quadratic H stay in registers; half as wide for few stages.
+FEW_DIMENSIONS, FEW_STAGES = 6, 4
+IN_REGISTERS = 0.65
+NARROW = 0.65
+IMPLICIT_STEP = 2.0
+# A step that does not iterate: products of series, sums that wait for each other, looks at invariants (after the first
+# correction, and after those that follow).
+EXPLICIT_STEP = 1.0
+VECTOR = 0.025
+WAITING = 0.06
+LOOK = 0.5
+FIRST_CORRECTION = 3.2
+NEXT_CORRECTION = 1.0
 ELIMINATION = 0.015
 DENSE = 200
 
@@ -89,6 +97,8 @@ def iteration_work(system: System, stages: float, group: Any) -> float:
         entries = 2 * len(system.algebra.triples[3]) if isinstance(group, str) else np.count_nonzero(group)
         edge = system.dim if isinstance(group, str) else group.shape[1]
         vectors += edge * entries + stages * edge * edge
+    elif system.dim <= FEW_DIMENSIONS and stages <= LANES and not functions:
+        vectors *= IN_REGISTERS * (NARROW if stages <= FEW_STAGES else 1.0)
     return ITERATION + VECTOR_MULTIPLICATION * math.ceil(stages / LANES) * vectors + FUNCTION * stages * functions
 
 
@@ -137,8 +147,10 @@ def step_work(
         return flow_work(program, bool(method.compensated))
     innermost = method.innermost if isinstance(method, Composition) else method
     if isinstance(innermost, StepMethod) and (operations := innermost.operations(system)) is not None:
+        substeps = len(method.fractions)
+        corrections = FIRST_CORRECTION * min(iterations, substeps) + NEXT_CORRECTION * max(0.0, iterations - substeps)
         series = EXPLICIT_STEP + VECTOR * operations.vectors + WAITING * operations.waiting
-        return len(method.fractions) * (series + LOOK * operations.looks) + LOOK * operations.looks * iterations
+        return substeps * series + LOOK * operations.looks * (substeps + corrections)
     rounds = max(1.0, iterations)
     return IMPLICIT_STEP + rounds * iteration_work(system, evaluations / rounds, group)
 
