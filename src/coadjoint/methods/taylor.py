@@ -151,8 +151,8 @@ class Taylor(StepMethod):
         lanes = 4 if system.dim <= 4 else LANES
         products = _vectors_of_products(system, lanes) * lanes / LANES
         sums = 2.0 * products + np.ceil(_entries(system.hamiltonian) / LANES)
-        # Several vectors of rows are not kept in registers.
-        waiting = self.order * (1.0 + sums * (1.0 if system.dim <= LANES else 2.0))
+        # More vectors of rows are not kept in registers.
+        waiting = self.order * (1.0 + sums * (1.0 if system.dim <= 2 * LANES else 2.0))
         return Operations(0.5 * self.order**2 * products, float(waiting), looks)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:

@@ -22,6 +22,7 @@ from coadjoint.runs.times import span_of
 
 # The error is aimed this much below the accuracy, and rounding alone may leave no more than half of it.
 SAFETY = 3.0
+MODERATE_ORDER = 8
 ROUNDING_SHARE = 0.5
 
 # High orders first: where they win, the others are given up after a short look.
@@ -152,7 +153,7 @@ def choose(
     pilot = Pilot(system, sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0)
     if least_roundoff(pilot) >= ROUNDING_SHARE:
         raise _lost(candidates, abs(t1 - t0))
-    fits = _fits(pilot, candidates, wanted / SAFETY)
+    fits = _fits(pilot, candidates, wanted)
     if not fits:
         raise ValueError(
             f"no step of {_named(candidates)} reaches the accuracy {wanted:g} over the time {abs(t1 - t0):g} at a "
@@ -184,11 +185,16 @@ def _schemes(methods: Any, processed: bool) -> tuple[Method, ...]:
     return given
 
 
-def _fits(pilot: Pilot, candidates: Sequence[Candidate], goal: float) -> list[Fit]:
+def _goal(candidate: Candidate, wanted: float) -> float:
+    """Return the error that is aimed at: errors of a high order vary more, and less costs little."""
+    return wanted / (SAFETY * max(1.0, candidate.method.order / MODERATE_ORDER))
+
+
+def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[Fit]:
     found: list[Fit] = []
     for candidate in candidates:
         limit = min((each.cost for each in found), default=math.inf)
-        result = fit(pilot, candidate, goal, limit)
+        result = fit(pilot, candidate, _goal(candidate, wanted), limit)
         if result is not None:
             found.append(result)
     return found
@@ -198,7 +204,8 @@ def _confirmed_cheapest(exact: Sequence[Fit], wanted: float) -> list[Fit]:
     """Sort by cost; the first is confirmed, which may make it dearer than others."""
     waiting, confirmed_ones = sorted(exact, key=lambda each: each.cost), list[Fit]()
     while waiting and (not confirmed_ones or waiting[0].cost < min(each.cost for each in confirmed_ones)):
-        confirmed_ones.append(confirmed(waiting.pop(0), wanted / SAFETY, wanted * (1.0 - ROUNDING_SHARE)))
+        first = waiting.pop(0)
+        confirmed_ones.append(confirmed(first, _goal(first.candidate, wanted), wanted * (1.0 - ROUNDING_SHARE)))
     confirmed_ones.sort(key=lambda each: each.cost)
     return [confirmed_ones[0], *sorted([*confirmed_ones[1:], *waiting], key=lambda each: each.cost)]
 

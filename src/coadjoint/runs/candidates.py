@@ -10,7 +10,7 @@ from coadjoint.methods.base import FlowMethod, Method, System
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.splitting import Splitting
 from coadjoint.program.table import Program, build_program
-from coadjoint.runs.pilot import Trial
+from coadjoint.runs.pilot import Pilot, Trial
 from coadjoint.runs.start import start_of
 from coadjoint.runs.work import newton_work, step_work
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -40,6 +40,11 @@ class Candidate:
         """Return the cost of one step, in rotations."""
         work = step_work(self.system, self.method, self.program, trial.iterations, trial.evaluations, self.group)
         return work + newton_work(self.system.dim, trial.evaluations / trial.iterations) if trial.newton else work
+
+    def growth(self, pilot: Pilot, trial: Trial) -> float:
+        """Return how many times the error of a trial is larger at the end of the span."""
+        bounded = self.method.symmetric or self.method.properties(self.system).poisson
+        return trial.growth.factor(pilot.windows, 1.0 if bounded else 2.0)
 
     def compensated(self) -> Candidate | None:
         """Return the same splitting summed with compensation; None where that was not left open."""

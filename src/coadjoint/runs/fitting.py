@@ -89,7 +89,7 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float) -> Fit | 
         best = _extrapolated(pilot, candidate, goal, trial, noise)
         if best.cost > MUCH_DEARER * limit and trial.error > noise:
             return None
-        aim = max(goal / trial.growth.factor(pilot.windows), noise)
+        aim = max(goal / candidate.growth(pilot, trial), noise)
         change: float = (max(trial.error, noise / 256) / aim) ** (1.0 / order)
         most = DEAREST_TRIAL / candidate.cost(trial)
         wanted = pilot.fitting(max(too_few + 1.0, min(steps * min(max(change, 0.2), 5.0), most)))
@@ -103,7 +103,7 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float) -> Fit | 
 
 def _extrapolated(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, noise: float) -> Fit:
     """Follow the order from a trial to the goal; downward only as far as the trial can be told from rounding."""
-    end = max(trial.error, noise / 256) * trial.growth.factor(pilot.windows)
+    end = max(trial.error, noise / 256) * candidate.growth(pilot, trial)
     per_window = trial.steps * (end / goal) ** (1.0 / candidate.method.order) if end < math.inf else math.inf
     # The span cannot be told from its step where there are more steps than float64 counts.
     count = min(max(1.0, pilot.windows * per_window), 2.0**52)
@@ -142,7 +142,7 @@ def confirmed(found: Fit, goal: float, bound: float) -> Fit:
         noise = CLEARLY * max(pilot.noise, _rounding(pilot, found.candidate, per_window, 1.0))
         if trial.error <= noise:
             return found
-        end = trial.error * (per_window / wanted) ** order * trial.growth.factor(pilot.windows)
+        end = trial.error * (per_window / wanted) ** order * found.candidate.growth(pilot, trial)
         found = replace(found, error=end, trial=trial)
         if end <= bound:
             return found

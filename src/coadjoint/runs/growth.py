@@ -28,7 +28,7 @@ class Growth(NamedTuple):
     half: float
     whole: float
 
-    def factor(self, windows: float) -> float:
+    def factor(self, windows: float, least: float = 1.0) -> float:
         """Return how many times larger the error is after so many windows than after one.
 
         Linear (the growth of integrable motion, also where an oscillation hides it in the window), unless both
@@ -39,6 +39,9 @@ class Growth(NamedTuple):
         ----------
         windows : float
             The time, in windows; at least 1.
+        least : float
+            The lowest power of time that is believed: 1 for schemes that are symmetric or Poisson maps, else 2, since
+            what they lose of integrals sets in unseen and then shifts phases ever faster.
 
         Returns
         -------
@@ -53,7 +56,7 @@ class Growth(NamedTuple):
             # Both together are the growth in three quarters of a window.
             exponent = math.log(late * early) / 0.75 * (windows - 1.0)
             return math.exp(exponent) if exponent < 700.0 else math.inf
-        return windows ** max(1.0, math.log2(slowest) if slowest > 0.0 else 0.0)
+        return windows ** max(least, math.log2(slowest) if slowest > 0.0 else 0.0)
 
 
 def _ratio(late: float, early: float) -> float:

@@ -32,6 +32,7 @@ FEW = 12
 SETTLED = 2.0**-40
 # Steps of the reference in a window, in dimension 16 or less; in proportion fewer above, but at least POINTS / 5.
 WINDOW_STEPS = 240
+FEW_WINDOWS = 5.0
 # A change of the start, relative to the size of the motion, whose growth is followed.
 NUDGE = 2.0**-30
 LOST = 0.1
@@ -78,8 +79,8 @@ class Pilot:
         self.natural_step = self._natural_step()
         least = POINTS // 5
         steps = max(least, min(WINDOW_STEPS, WINDOW_STEPS * 16 // system.dim))
-        # Nearly the whole span is the whole span.
-        self.window = abs(span) if abs(span) <= 2.0 * steps * self.natural_step else steps * self.natural_step
+        # A span of a few windows is looked at whole.
+        self.window = abs(span) if abs(span) <= FEW_WINDOWS * steps * self.natural_step else steps * self.natural_step
         self.windows = abs(span) / self.window
         self.points = POINTS if steps >= POINTS else least
         self.reference, self.reference_steps, change = self._settled_reference()

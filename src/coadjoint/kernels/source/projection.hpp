@@ -40,16 +40,17 @@ struct Projection {
     std::vector<int64_t> row_of;  // of each row of a term that is not quadratic
     std::vector<Pair> pairs;
     Room<Places<W>> places;
-    Room<double> increments;
+    Room<double> increments, moved;
     SparseFactors factors;
-    std::vector<double> bends;  // of quadratic invariants: no second derivative is larger
+    std::vector<double> bends;  // no second derivative of a quadratic invariant is larger; infinite for others
     bool in_registers = false;
     int64_t corrections = 0;
     double residual = 0.0;
 
     Projection(const Watch& watch, const C& constants, int64_t n)
         : watch(watch), constants(constants), products(watch.longest + 1), row_of(watch.terms.row[watch.terms.size], -1),
-          places(0), increments(blocks_of<W>(n) * W) {
+          places(0), increments(blocks_of<W>(n) * W),
+          moved(blocks_of<W>(n) * W) {
         // A row for each coordinate then, and no map from one to the other.
         in_registers = n <= W && watch.size >= 1 && watch.size <= 4;
         for (int64_t k = 0; k < watch.terms.size; ++k) in_registers &= watch.terms.kind[k] == LINEAR;
@@ -68,7 +69,7 @@ struct Projection {
                     total = total + absolute(linear.at.at[e].weight);
                 for (int row = 0; row < W; ++row) most = larger(most, total[row]);
             }
-            bends.push_back(most);
+            bends.push_back(own.terms.empty() ? most : std::numeric_limits<double>::infinity());
         }
     }
 
@@ -96,6 +97,7 @@ struct Projection {
         gram();
         factors.factorize();
         std::copy(gradients.begin(), gradients.end(), directions.begin());
+        std::fill_n(moved.at, blocks * W, 0.0);
         for (corrections = 1; corrections <= MOST_CORRECTIONS; ++corrections) {
             const double before = residual;
             if (!(before - before == 0.0)) return false;
@@ -106,7 +108,14 @@ struct Projection {
                     double& increment = increments.at[coordinates[row]];
                     increment = fma(defects[a], directions[row], increment);
                 }
-            for (int64_t b = 0; b < blocks; ++b) add_to(x[b], dx[b], load<Row>(increments.at + b * W));
+            Row least(0.0), total(0.0);
+            for (int64_t b = 0; b < blocks; ++b) {
+                const Row more = load<Row>(increments.at + b * W), together = load<Row>(moved.at + b * W) + more;
+                store(moved.at + b * W, together);
+                add_to(x[b], dx[b], more);
+                least = least + absolute(more), total = total + absolute(together);
+            }
+            if (negligible(sum_of_lanes(least) * sum_of_lanes(total), kept)) return true;
             if (exact<false>(x, blocks, kept) || (residual >= 0.5 * before && settled(x, kept))) return true;
         }
         return false;
@@ -135,7 +144,7 @@ struct Projection {
 #pragma GCC unroll 4
                 for (int k = 0; k < j; ++k) L[i][j] = fma(-L[i][k] * L[j][k], inverse[k], L[i][j]);
         }
-        Row unused[R], moved(0.0);
+        Row unused[R], total(0.0);
         for (corrections = 1; corrections <= MOST_CORRECTIONS; ++corrections) {
             const double before = residual;
             if (!(before - before == 0.0)) return false;
@@ -153,12 +162,8 @@ struct Projection {
 #pragma GCC unroll 4
             for (int i = 0; i < R; ++i) more = fma(Row(defect[i]), slope[i], more);
             add_to(x, dx, more);
-            // What a correction leaves is as small as it and all of them together.
-            moved = moved + more;
-            const double left = sum_of_lanes(absolute(more)) * sum_of_lanes(absolute(moved));
-            bool small = true;
-            for (int i = 0; i < R; ++i) small &= left * bends[i] <= 0.25 * kept[R + i];
-            if (small) return true;
+            total = total + more;
+            if (negligible(sum_of_lanes(absolute(more)) * sum_of_lanes(absolute(total)), kept)) return true;
             if (few<R>(x, kept, unused, defect) || (residual >= 0.5 * before && settled(&x, kept))) return true;
         }
         return false;
@@ -179,6 +184,15 @@ struct Projection {
             all &= rounding_alone(i, defect[i], reinterpret_cast<const double*>(&x), kept[R + i]);
             residual += std::fabs(defect[i]);
         }
+        return all;
+    }
+
+    // Whether a correction leaves no more than rounding: it leaves second derivatives times itself, times all corrections
+    // together.
+    INLINE bool negligible(double product, const double* kept) const {
+        const size_t size = bends.size();
+        bool all = true;
+        for (size_t a = 0; a < size; ++a) all &= product * bends[a] <= 0.25 * kept[size + a];
         return all;
     }
 
@@ -305,7 +319,7 @@ struct Projection {
     // Whether the defect of an invariant is no more than rounding leaves, which is noted where its terms have grown.
     INLINE bool rounding_alone(size_t a, double defect, const double* x, double& least) {
         if (std::fabs(defect) <= least) return true;
-        if (!(std::fabs(defect) <= 0x1p20 * least)) return false;
+        if (!(std::fabs(defect) <= 0x1p4 * least)) return false;
         least = larger(least, EXACT * terms_of(a, x));
         return std::fabs(defect) <= least;
     }

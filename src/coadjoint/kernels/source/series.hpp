@@ -40,6 +40,7 @@ struct Series {
 
   private:
     // What every coefficient reads of the products: of E of them in registers, else in memory.
+    static constexpr int held_in_registers(int count) { return count <= 4 ? count : 0; }
     template <int E, class = void>
     struct Held {
         typename Sums<W>::Vector products[E];
@@ -85,22 +86,24 @@ struct Series {
             if (blocks == 3 && most == 2) return expand_unrolled<3, written_out, 2>(h);
         }
         Held<0> held(field.products, factors.at, order);
-        for (int64_t k = 0; k < order; ++k) coefficient<0, written_out, 0>(held, k, h);
+        Newest<0, W> newest(x.at);
+        for (int64_t k = 0; k < order; ++k) coefficient<0, written_out, 0>(held, newest, k, h);
     }
 
     // K: blocks of rows, E: products of each row; both are 0 where they are read from the tables.
     template <int K, bool written_out, int E>
     NOINLINE void expand_unrolled(double h) {
-        Held<K * E> held(field.products, factors.at, order);
-        stage<K, written_out, E, 0>(held, h);
-        for (int64_t k = UNROLLED; k < order; ++k) coefficient<K, written_out, E>(held, k, h);
+        Held<held_in_registers(K * E)> held(field.products, factors.at, order);
+        Newest<K, W> newest(x.at);
+        stage<K, written_out, E, 0>(held, newest, h);
+        for (int64_t k = UNROLLED; k < order; ++k) coefficient<K, written_out, E>(held, newest, k, h);
     }
 
     template <int K, bool written_out, int E, int k>
-    INLINE void stage(Held<K * E>& held, double h) {
+    INLINE void stage(Held<held_in_registers(K * E)>& held, Newest<K, W>& newest, double h) {
         if (k == order) return;
-        coefficient<K, written_out, E>(held, k, h);
-        if constexpr (k + 1 < UNROLLED) stage<K, written_out, E, k + 1>(held, h);
+        coefficient<K, written_out, E>(held, newest, k, h);
+        if constexpr (k + 1 < UNROLLED) stage<K, written_out, E, k + 1>(held, newest, h);
     }
 
     // The sums a_j b_(k - j) of the orders k, which is even, and k + 1 as far as the coefficients before k go: together,
@@ -140,13 +143,15 @@ struct Series {
     }
 
     template <int K, bool written_out, int E>
-    INLINE void coefficient(Held<K * E>& held, int64_t k, double h) {
+    INLINE void coefficient(Held<held_in_registers(K * E)>& held, Newest<K, W>& newest, int64_t k, double h) {
         const int64_t blocks = K ? K : field.blocks;
         Row *now = x.at + k * field.extended, *then = now + field.extended;
         if constexpr (K == 0) make_products(k, now);
-        const Newest<K, W> newest(now);
+        // Registers pass on what waiting for memory would delay.
+        Row slopes[K ? K : 1], next[K ? K : 1];
         if constexpr (!written_out) {
             const Sums<W>& sums = field.gradient;
+#pragma GCC unroll 4
             for (int64_t b = 0; b < blocks; ++b) {
                 Row even = k ? Row(0.0) : load<Row>(field.offsets.data() + b * W), odd(0.0);
                 int64_t e = sums.first[b];
@@ -155,10 +160,10 @@ struct Series {
                     odd = fma(sums.at.at[e + 1].weight, newest(sums.at.at[e + 1].left), odd);
                 }
                 if (e < sums.first[b + 1]) even = fma(sums.at.at[e].weight, newest(sums.at.at[e].left), even);
-                u.at[b] = even + odd;
+                (K ? slopes : u.at)[b] = even + odd;
             }
         }
-        const Newest<K, W> other(written_out ? now : u.at);
+        const Newest<K, W> other = written_out ? newest : Newest<K, W>(K ? slopes : u.at);
         const Row length(h / double(k + 1));
 #pragma GCC unroll 4
         for (int64_t b = 0; b < blocks; ++b) {
@@ -180,7 +185,9 @@ struct Series {
                 for (int64_t e = field.linear.first[b]; e < field.linear.first[b + 1]; ++e)
                     odd = fma(length * field.linear.at.at[e].weight, newest(field.linear.at.at[e].left), odd);
             then[b] = even + odd;
+            if constexpr (K > 0) next[b] = then[b];
         }
+        newest = Newest<K, W>(K ? next : then);
     }
 
     // The k-th coefficients of the products behind the coordinates; each is one product.

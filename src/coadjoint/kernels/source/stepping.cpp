@@ -7,13 +7,14 @@
 
 typedef StepScheme* (*MakeScheme)(const StepTables& tables, const Own& constants);
 
-// The step of the tables that a thread read last, made once for many short calls; tables are known by their number, since
-// others may come to stand where they stood.
+// The steps of small tables that a thread read last, made once for many short calls; tables are known by their number,
+// since others may come to stand where they stood.
 struct Remembered {
     int64_t serial = 0;
     std::unique_ptr<StepScheme> scheme;
 };
-static thread_local Remembered remembered;
+constexpr int64_t REMEMBERED = 16, SMALL = 64;
+static thread_local Remembered remembered[REMEMBERED];
 static std::atomic<int64_t> numbered{0};
 
 static int64_t serial_of(const Stepping& tables) {
@@ -29,6 +30,16 @@ static std::unique_ptr<StepScheme> made(const Stepping& tables, const Own& const
     return std::unique_ptr<StepScheme>(reinterpret_cast<MakeScheme>(tables.step[0])(tables.tables, constants));
 }
 
+static StepScheme* remembered_step(const Stepping& tables) {
+    const int64_t serial = serial_of(tables);
+    Remembered& place = remembered[serial % REMEMBERED];
+    if (place.serial != serial) {
+        place.scheme = made(tables, Own{1, 0});
+        place.serial = serial;
+    }
+    return place.scheme.get();
+}
+
 static void follow(const Loop<Stepping>& loop, const Crew& crew) {
     const Stepping& tables = loop.tables;
     const Watch& watch = loop.watch;
@@ -41,13 +52,8 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
     const int64_t eights = (n + 7) / 8;
     Room<Lanes<8>> momentum(2 * eights);
     double *x = reinterpret_cast<double*>(momentum.at), *dx = x + 8 * eights;
-    const bool short_lived = crew.stride || n > WIDEST;
     std::unique_ptr<StepScheme> own;
-    if (!short_lived && remembered.serial != serial_of(tables)) {
-        remembered.scheme = made(tables, Own{1, 0});
-        remembered.serial = serial_of(tables);
-    }
-    StepScheme* scheme = short_lived ? nullptr : remembered.scheme.get();
+    StepScheme* scheme = crew.stride || n > SMALL ? nullptr : remembered_step(tables);
     for (int64_t place = crew.first; place < crew.last; ++place) {
         const int64_t member = crew.members[place];
         if (report.status[member] != DONE) continue;
