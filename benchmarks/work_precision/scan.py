@@ -19,6 +19,7 @@ from work_precision.solver import Failed, Solve, Solver
 PEERS = ("heyoka_solver", "numbalsoda_solvers", "diffrax_solver", "scipy_solvers")
 LIMIT = 3.0  # seconds of all states together: after a slower run, a solver is not asked for tighter settings
 REPEATED = 0.4  # seconds of all states together: slower runs are measured once
+LONG_ENOUGH = 0.02  # seconds: a measurement repeats all states so long, or the caches of the solver before would count
 
 
 @dataclass
@@ -58,14 +59,18 @@ def available() -> tuple[list[Solver], dict[str, str]]:
 def ends(solve: Solve, problem: Problem, run: Run) -> np.ndarray:
     """Integrate from every state and note the time for one."""
     states = problem.states[: run.states]
+    found, passes = np.zeros_like(states), 0
     cpu, wall = time.process_time(), time.perf_counter()
-    found = np.array([solve(x, problem.span) for x in states])
-    run.cpu.append((time.process_time() - cpu) / len(states))
-    run.wall.append((time.perf_counter() - wall) / len(states))
+    while passes == 0 or time.process_time() - cpu < LONG_ENOUGH:
+        found = np.array([solve(x, problem.span) for x in states])
+        passes += 1
+    run.cpu.append((time.process_time() - cpu) / (passes * len(states)))
+    run.wall.append((time.perf_counter() - wall) / (passes * len(states)))
     short = time.process_time()
-    for x in states:
-        solve(x, problem.span / 1000.0)
-    run.call.append((time.process_time() - short) / len(states))
+    for _ in range(passes):
+        for x in states:
+            solve(x, problem.span / 1000.0)
+    run.call.append((time.process_time() - short) / (passes * len(states)))
     return found
 
 
