@@ -48,10 +48,10 @@ INLINE Lanes<W> take(const Lanes<W>* from, const Places<W>& places) {
         } else if constexpr (K == 2) {
             taken.part[0] = (Vector)_mm512_permutex2var_pd(part(0), index, part(1));
         } else {
+            static_assert(K == 3, "more blocks are taken from memory");
             const __m512d low = _mm512_permutex2var_pd(part(0), index, part(1));
-            const __m512d high = _mm512_permutex2var_pd(part(2), index, part(K - 1));
             const __mmask8 above = _mm512_test_epi64_mask(index, _mm512_set1_epi64(16));
-            taken.part[0] = (Vector)_mm512_mask_blend_pd(above, low, high);
+            taken.part[0] = (Vector)_mm512_mask_permutexvar_pd(low, above, index, part(2));
         }
         return taken;
     }
