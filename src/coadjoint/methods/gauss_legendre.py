@@ -52,9 +52,10 @@ class GaussLegendre(RungeKuttaMethod):
 
     ``X_i = x + h sum_j a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)`` (equation (5)), by function iteration
     until the corrections stop falling, and by Newton's method where that is slow or diverges. With many stages and
-    a large step it is the cheapest way to high accuracy; energy (if quadratic) and quadratic Casimirs then wander
-    like the square root of time only. It is not a Poisson map, and Casimirs of higher degree are not kept: for
-    these take `Splitting`. `GaussLegendre(1)` is the implicit midpoint rule.
+    a large step it is a cheap way to high accuracy for any Hamiltonian (`Taylor` is mostly cheaper where that is a
+    polynomial); energy (if quadratic) and quadratic Casimirs then wander like the square root of time only. It is not
+    a Poisson map, and Casimirs of higher degree are not kept: for these take `Splitting`. `GaussLegendre(1)` is the
+    implicit midpoint rule.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ class RadauEnergy(StepMethod):
     With s stages of order 2 s - 1: ``X_i = x + h sum_j a_ij (f(X_j) + lambda_j X_j)``, ``H(X_i) = H(x)``, ``x_new =
     X_s``. It serves any Hamiltonian that does not depend on time, wherever x . grad H is not zero. The scheme of the
     paper's warning: exact energy does not keep the motion on the Casimir's level sets (|x|^2 of the rigid body drifts).
-    To integrate, take `Splitting` or `GaussLegendre`.
+    To integrate, take `Splitting`, `Taylor` or `GaussLegendre`.
 
     Parameters
     ----------

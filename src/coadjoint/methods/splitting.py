@@ -72,6 +72,7 @@ class Splitting(FlowMethod):
     See Also
     --------
     GaussLegendre : For Hamiltonians that do not split; keeps quadratic invariants, the energy among them.
+    Taylor : For an error to be reached with the least work; restores the energy and polynomial Casimirs.
 
     References
     ----------

@@ -96,8 +96,9 @@ def choose(
 
     The same inputs give the same choice: work is counted, not timed. Each scheme is run from x0 over a window, against
     a reference that has settled; its error is extrapolated by its order in the step, and by its growth over a quarter,
-    a half and the whole window in time (linear at least). Rounding is modelled. The choice is run over the window once
-    more, and its step corrected if it misses. A motion that changes its character after the window is not foreseen.
+    a half and the whole window in time (at least linear, and quadratic for schemes that are neither symmetric nor
+    Poisson maps). Rounding is modelled. The choice is run over the window once more, and its step corrected if it
+    misses. A motion that changes its character after the window is not foreseen.
 
     Parameters
     ----------
@@ -113,8 +114,9 @@ def choose(
         What the run is to carry, as in `integrate`: schemes that cannot are left out, and its work is counted. The
         accuracy is that of the momentum.
     methods : Method or sequence of Method, optional
-        Choose among these, or only the step for one; None is the rule's own list, splittings of order 2 to 10 and
-        Gauss-Legendre methods of 2 to 12 stages. Splittings alone keep a run a Poisson map.
+        Choose among these, or only the step for one; None is the rule's own list, Taylor series of order 6 to 24,
+        Gauss-Legendre methods of 2 to 12 stages and splittings of order 2 to 10. Splittings alone keep a run a Poisson
+        map.
     processed : bool
         Consider processed splittings too. Their processor is not counted: for runs that look at few points, with
         ``watch=False`` and a large `save_every`.
@@ -139,9 +141,9 @@ def choose(
     >>> import coadjoint as co
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
     >>> co.choose(body, (1.0, 0.2, 0.5), (0, 100), 1e-9).method
-    GaussLegendre(stages=...)
+    Taylor(order=..., projected=True)
     >>> poisson = [co.Splitting(order=p) for p in (2, 4, 6, 8, 10)]
-    >>> co.choose(body, (1.0, 0.2, 0.5), (0, 100), 1e-9, methods=poisson).method.explicit
+    >>> co.choose(body, (1.0, 0.2, 0.5), (0, 100), 1e-9, methods=poisson).method.properties(body).poisson
     True
     """
     wanted = _checked(accuracy)

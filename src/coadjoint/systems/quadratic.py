@@ -18,8 +18,8 @@ from coadjoint.systems.terms import QuadraticTerm, Term
 class Quadratic:
     """The quadratic Hamiltonian ``x . M x / 2 + linear . x + constant``.
 
-    The first choice wherever it fits: every scheme of the library serves it, and `GaussLegendre` and
-    ``freeze="structure"`` keep its energy to round-off. M need not be positive.
+    The first choice wherever it fits: every scheme of the library serves it, and `Taylor`, `GaussLegendre`
+    and ``freeze="structure"`` keep its energy to round-off. M need not be positive.
 
     Parameters
     ----------
