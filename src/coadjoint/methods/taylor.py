@@ -113,9 +113,9 @@ class Taylor(StepMethod):
                 f"Taylor multiplies series, but the Hamiltonian of {system.name} has a function in it; give a "
                 "polynomial, or take GaussLegendre or Splitting"
             )
-        casimirs = "none"
-        if self.projected and system.casimirs:
-            casimirs = "all" if len(self._casimirs(system)) == len(system.casimirs) else "polynomial"
+        casimirs, kept = "none", len(self._casimirs(system))
+        if self.projected and kept:
+            casimirs = "all" if kept == len(system.casimirs) else "polynomial"
         return Properties(poisson=False, energy=self.projected, casimirs=casimirs, attitude="none")
 
     @property
@@ -147,13 +147,13 @@ class Taylor(StepMethod):
         looks = 0.0
         if self.projected:
             invariants = [system.hamiltonian, *(as_hamiltonian(C, system.dim) for C in self._casimirs(system).values())]
-            looks = sum(1.0 + _entries(C, quadratic=False) / LANES for C in invariants)
+            looks = sum(1.0 + _factors(C) / LANES for C in invariants)
         lanes = 4 if system.dim <= 4 else LANES
         products = _vectors_of_products(system, lanes) * lanes / LANES
         sums = 2.0 * products + np.ceil(_entries(system.hamiltonian) / LANES)
         # More vectors of rows are not kept in registers.
         waiting = self.order * (1.0 + sums * (1.0 if system.dim <= 2 * LANES else 2.0))
-        return Operations(0.5 * self.order**2 * products, float(waiting), looks)
+        return Operations(float(0.5 * self.order**2 * products), float(waiting), float(looks))
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, read in NumPy for any number type; the values that are kept are those at x.
@@ -293,15 +293,21 @@ def _vectors_of_products(system: System, lanes: int) -> float:
     return float(np.max(counts.reshape(-1, lanes), axis=1).sum())
 
 
-def _entries(H: HamiltonianLike, quadratic: bool = True) -> float:
+def _entries(H: HamiltonianLike) -> float:
     """Return how many products are in a gradient."""
     count = 0.0
     for term in H.terms():
         if isinstance(term, QuadraticTerm):
-            count += len(term.values) if quadratic else 0.0
+            count += len(term.values)
         elif isinstance(term, PolynomialTerm):
             count += sum(sum(exponents) ** 2 for exponents in term.polynomial.monomials)
     return count
+
+
+def _factors(H: HamiltonianLike) -> float:
+    """Return how many products make the value of what is not quadratic, with its gradient: three for each factor."""
+    polynomials = (term.polynomial for term in H.terms() if isinstance(term, PolynomialTerm))
+    return sum(3.0 * sum(exponents) for polynomial in polynomials for exponents in polynomial.monomials)
 
 
 def independent(gradients: NDArray[Any]) -> list[int]:
