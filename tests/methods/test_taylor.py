@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 
 import mpmath
@@ -10,7 +11,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.methods.power_series import Dual, PowerSeries, expand
-from coadjoint.methods.taylor import independent
+from coadjoint.methods.projection import independent
 
 U = 2.0**-53
 
@@ -262,3 +263,31 @@ def test_series_and_duals():
 def test_independent_rows():
     rows = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [1.0, 2.0, 1.0], [0.0, 0.0, 0.0], [0.0, 0.0, 3.0]])
     assert independent(rows) == [0, 1, 4]
+
+
+def test_short_calls_of_many_systems_do_not_meet():
+    """A thread remembers the steps that it made last, by the number of their tables: more systems than it remembers."""
+    bodies = [co.systems.rigid_body(inertia=(1.0, 2.0, 3.0 + 0.125 * k)) for k in range(40)]
+    ready = [co.prepare(body, co.Taylor(10), 0.25, threads=1) for body in bodies]
+    x0, span = (0.6, 0.1, -0.7), (0.0, 1.0)
+    alone = [co.integrate(body, x0, span, 0.25, co.Taylor(10)).x for body in bodies]
+    assert not np.array_equal(alone[0], alone[16])
+    for _ in range(2):
+        for run, x in zip(ready, alone, strict=True):
+            assert np.array_equal(run.run(x0, span).x, x)
+    with ThreadPoolExecutor(4) as pool:
+        for found, x in zip(pool.map(lambda run: run.run(x0, span).x, ready), alone, strict=True):
+            assert np.array_equal(found, x)
+
+
+@pytest.mark.parametrize(
+    ("name", "products"), [("so(3), diagonal", 0.5), ("heavy top", 2), ("so(4), full", 4), ("so(5)", 6), ("5 spins", 4)]
+)
+def test_work_counts_the_products_that_are_multiplied(name, products):
+    """One product a row of the rigid body, in half a vector; two of the tops; four of so(4), each with the gradient."""
+    system = systems()[name]
+    small, large = (co.Taylor(order).operations(system) for order in (8, 16))
+    assert small.vectors == 32 * products and large.vectors == 128 * products
+    assert (
+        large.waiting == 2 * small.waiting and large.looks == small.looks > co.Taylor(8, False).operations(system).looks
+    )

@@ -172,6 +172,8 @@ def test_growth():
     assert Growth(1.0, 4.0, 16.0).factor(3.0) == pytest.approx(9.0)
     assert Growth(1.0, 2.0, 200.0).factor(2.0) == pytest.approx(200.0 ** (4 / 3))
     assert Growth(1.0, 1e3, 1e6).factor(1e6) == math.inf
+    assert Growth(1.0, 1.0, 1.0).factor(9.0, 2.0) == 81.0
+    assert Growth(1.0, 6.0, 36.0).factor(3.0, 2.0) == Growth(1.0, 6.0, 36.0).factor(3.0)
 
 
 def test_the_weights_mean_what_they_say():

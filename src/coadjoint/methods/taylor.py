@@ -4,29 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Properties, System
 from coadjoint.methods.gauss_legendre import whole_number
 from coadjoint.methods.power_series import Dual, expand
+from coadjoint.methods.projection import project
 from coadjoint.methods.stages import linear_solve
 from coadjoint.methods.step_method import Operations, StepMethod
-from coadjoint.program.numbers import Number, roundoff
+from coadjoint.program.numbers import Number
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 
 MOST = 64
 LANES = 8
-# As in projection.hpp: what is left of the square of a gradient beside others, and units of rounding in a defect.
-DEPENDENT = 2.0**-36
-EXACT = 4
-MOST_CORRECTIONS = 64
 
 
 @dataclass(frozen=True)
@@ -146,8 +142,7 @@ class Taylor(StepMethod):
         assert system.algebra is not None
         looks = 0.0
         if self.projected:
-            invariants = [system.hamiltonian, *(as_hamiltonian(C, system.dim) for C in self._casimirs(system).values())]
-            looks = sum(1.0 + _factors(C) / LANES for C in invariants)
+            looks = sum(1.0 + _factors(C) / LANES for C in self._invariants(system))
         lanes = 4 if system.dim <= 4 else LANES
         products = _vectors_of_products(system, lanes) * lanes / LANES
         sums = 2.0 * products + np.ceil(_entries(system.hamiltonian) / LANES)
@@ -184,7 +179,7 @@ class Taylor(StepMethod):
         number: Number = float if given.dtype != object else type(given[0])
         terms = expand(system.vector_field, given.astype(object), number(h), self.order)
         end = np.asarray(given + np.add.reduce(terms[::-1]), dtype=given.dtype)
-        return self._back(system, given, end, number, float(t)).y if self.projected else end
+        return project(self._invariants(system), given, end, number, float(t)).y if self.projected else end
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative.
@@ -222,7 +217,7 @@ class Taylor(StepMethod):
         dz = np.array([d.derivative for d in end], dtype=np.float64)
         if not self.projected:
             return z, dz
-        found = self._back(system, start, z, float, float(t))
+        found = project(self._invariants(system), start, z, float, float(t))
         bent = dz + sum(
             multiplier * (C.hessian(z) @ dz) for C, multiplier in zip(found.invariants, found.multipliers, strict=True)
         )
@@ -233,47 +228,10 @@ class Taylor(StepMethod):
     def _casimirs(self, system: System) -> dict[str, Any]:
         return {name: C for name, C in system.casimirs.items() if isinstance(C, Polynomial | Quadratic)}
 
-    def _back(self, system: System, x: NDArray[Any], z: NDArray[Any], number: Number, time: float) -> Projected:
-        """Return y = z + G(z)^T lambda with the invariants of x."""
-        unit = roundoff(number)
-        if unit == 0:
-            raise TypeError("a projection solves equations that exact fractions do not settle: take projected=False")
+    def _invariants(self, system: System) -> list[HamiltonianLike]:
+        """Return what is restored, the energy last, to which most others are coupled."""
         casimirs = [as_hamiltonian(C, system.dim) for C in self._casimirs(system).values()]
-        invariants = [*reversed(casimirs), system.hamiltonian]
-        wanted = [C.value(x) for C in invariants]
-        sizes = [sum(abs(x * C.gradient(x))) for C in invariants]
-        gradients = np.array([C.gradient(z) for C in invariants])
-        # A gradient that depends on others is no direction; the others restore its invariant.
-        free = independent(gradients)
-        directions = gradients[free]
-        kept = [invariants[a] for a in free]
-        multipliers = directions @ z * 0
-        y, residual = z, float("inf")
-        for _ in range(MOST_CORRECTIONS + 1):
-            defects = np.array([w - C.value(y) for w, C in zip(wanted, invariants, strict=True)])
-            residual = float(max(abs(defects)))
-            if all(abs(d) <= EXACT * unit * size for d, size in zip(defects, sizes, strict=True)):
-                return Projected(y, kept, directions, multipliers)
-            if not residual - residual == 0:
-                break
-            change = linear_solve(directions @ directions.T, defects[free][:, None])[:, 0]
-            multipliers = multipliers + change
-            y = z + directions.T @ multipliers
-        raise IntegrationError(
-            f"the projection of a step does not converge (defect {residual:.3g}); take a smaller step",
-            step=1,
-            time=time,
-            residual=residual,
-        )
-
-
-class Projected(NamedTuple):
-    """A projected state, and how it was reached: y = z + directions^T multipliers, for the invariants that it took."""
-
-    y: NDArray[Any]
-    invariants: list[HamiltonianLike]
-    directions: NDArray[Any]
-    multipliers: NDArray[Any]
+        return [*reversed(casimirs), system.hamiltonian]
 
 
 def _vectors_of_products(system: System, lanes: int) -> float:
@@ -308,31 +266,3 @@ def _factors(H: HamiltonianLike) -> float:
     """Return how many products make the value of what is not quadratic, with its gradient: three for each factor."""
     polynomials = (term.polynomial for term in H.terms() if isinstance(term, PolynomialTerm))
     return sum(3.0 * sum(exponents) for polynomial in polynomials for exponents in polynomial.monomials)
-
-
-def independent(gradients: NDArray[Any]) -> list[int]:
-    """Return the rows that are not, up to rounding, combinations of those before them.
-
-    Parameters
-    ----------
-    gradients : (k, n) array
-        Of any number type.
-
-    Returns
-    -------
-    list of int
-
-    Examples
-    --------
-    >>> independent(np.array([[1.0, 0.0], [2.0, 0.0], [1.0, 1.0]]))
-    [0, 2]
-    """
-    found: list[int] = []
-    for row, gradient in enumerate(gradients):
-        rest = gradient
-        if found:
-            others = gradients[found]
-            rest = gradient - linear_solve(others @ others.T, (others @ gradient)[:, None])[:, 0] @ others
-        if rest @ rest > DEPENDENT * (gradient @ gradient):
-            found.append(row)
-    return found

@@ -1,0 +1,115 @@
+"""Back to the level set of invariants, read in NumPy for any number type: y = z + G(z)^T lambda with C(y) = C(x)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError
+from coadjoint.methods.stages import linear_solve
+from coadjoint.program.numbers import Number, roundoff
+from coadjoint.systems.hamiltonian import HamiltonianLike
+
+# As in projection.hpp: what is left of the square of a gradient beside others; units of rounding in a defect, and in
+# one that corrections no longer lower.
+DEPENDENT = 2.0**-36
+EXACT = 4
+STAGNANT = 256
+MOST_CORRECTIONS = 64
+
+
+class Projected(NamedTuple):
+    """A projected state, and how it was reached: y = z + directions^T multipliers, for the invariants that it took."""
+
+    y: NDArray[Any]
+    invariants: list[HamiltonianLike]
+    directions: NDArray[Any]
+    multipliers: NDArray[Any]
+
+
+def project(
+    invariants: Sequence[HamiltonianLike], x: NDArray[Any], z: NDArray[Any], number: Number, time: float
+) -> Projected:
+    """Return y = z + G(z)^T lambda, where the invariants have the values that they have at x.
+
+    Parameters
+    ----------
+    invariants : sequence of Hamiltonians
+        One whose gradient depends on those of the ones before it is no direction: they restore it.
+    x, z : (n,) arrays
+        Where the values are taken from, and what is moved.
+    number : callable
+        Their number type; not fractions.
+    time : float
+        For the message of a failure.
+
+    Returns
+    -------
+    Projected
+
+    Raises
+    ------
+    TypeError
+        The numbers are fractions.
+    IntegrationError
+        Newton's iteration, with the Gram matrix of the gradients at z, does not converge.
+    """
+    unit = roundoff(number)
+    if unit == 0:
+        raise TypeError("a projection solves equations that exact fractions do not settle: take projected=False")
+    wanted = [C.value(x) for C in invariants]
+    sizes = [sum(abs(x * C.gradient(x))) for C in invariants]
+    gradients = np.array([C.gradient(z) for C in invariants])
+    free = independent(gradients)
+    directions = gradients[free]
+    multipliers = directions @ z * 0
+    y, residual = z, float("inf")
+    for _ in range(MOST_CORRECTIONS + 1):
+        before = residual
+        defects = np.array([w - C.value(y) for w, C in zip(wanted, invariants, strict=True)])
+        residual = float(max(abs(defects)))
+        allowed = EXACT * (STAGNANT if residual >= 0.5 * before else 1)
+        if all(abs(d) <= allowed * unit * size for d, size in zip(defects, sizes, strict=True)):
+            return Projected(y, [invariants[a] for a in free], directions, multipliers)
+        if not residual - residual == 0:
+            break
+        change = linear_solve(directions @ directions.T, defects[free][:, None])[:, 0]
+        multipliers = multipliers + change
+        y = z + directions.T @ multipliers
+    raise IntegrationError(
+        f"the projection of a step does not converge (defect {residual:.3g}); take a smaller step",
+        step=1,
+        time=time,
+        residual=residual,
+    )
+
+
+def independent(gradients: NDArray[Any]) -> list[int]:
+    """Return the rows that are not, up to rounding, combinations of those before them.
+
+    Parameters
+    ----------
+    gradients : (k, n) array
+        Of any number type.
+
+    Returns
+    -------
+    list of int
+
+    Examples
+    --------
+    >>> independent(np.array([[1.0, 0.0], [2.0, 0.0], [1.0, 1.0]]))
+    [0, 2]
+    """
+    found: list[int] = []
+    for row, gradient in enumerate(gradients):
+        rest = gradient
+        if found:
+            others = gradients[found]
+            rest = gradient - linear_solve(others @ others.T, (others @ gradient)[:, None])[:, 0] @ others
+        if rest @ rest > DEPENDENT * (gradient @ gradient):
+            found.append(row)
+    return found
