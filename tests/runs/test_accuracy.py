@@ -10,7 +10,7 @@ from coadjoint.program.table import build_program
 from coadjoint.runs.growth import Growth
 from coadjoint.runs.pilot import Pilot
 from coadjoint.runs.roundoff import roundoff
-from coadjoint.runs.work import flow_work, iteration_work
+from coadjoint.runs.work import flow_work, iteration_work, step_work
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X0 = (1.0, 0.2, 0.5)
@@ -177,11 +177,14 @@ def test_growth():
 
 
 def test_the_weights_mean_what_they_say():
-    """A rotation is 1; eight stages of a field in three dimensions are 20 to 28 ns where a rotation is 11."""
+    """A rotation is 1; eight stages of a field in three dimensions are 15 to 20 ns where a rotation is 11, and a step of
+    a series of order 16 is 90 to 130.
+    """
     program = build_program(BODY, co.Splitting(order=2))
     assert flow_work(program, False) == pytest.approx(2.0)
     assert 2.0 < flow_work(program, True) < 3.0
-    assert 20 / 11 < iteration_work(BODY, 8.0, None) < 28 / 11
+    assert 15 / 11 < iteration_work(BODY, 8.0, None) < 20 / 11
+    assert 90 / 11 < step_work(BODY, co.Taylor(16), None, 1.0, 16.0, None) < 130 / 11
     assert iteration_work(BODY, 8.0, None) < iteration_work(BODY, 8.0, "coadjoint")
     assert iteration_work(BODY, 9.0, None) > 1.5 * iteration_work(BODY, 8.0, None)
 
