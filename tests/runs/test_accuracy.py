@@ -177,8 +177,8 @@ def test_growth():
 
 
 def test_the_weights_mean_what_they_say():
-    """A rotation is 1; eight stages of a field in three dimensions are 15 to 20 ns where a rotation is 11, and a step of
-    a series of order 16 is 90 to 130.
+    """Where a rotation is 11 ns, eight stages of a field in three dimensions are 15 to 20, and a step of a series of
+    order 16 is 90 to 130.
     """
     program = build_program(BODY, co.Splitting(order=2))
     assert flow_work(program, False) == pytest.approx(2.0)
