@@ -7,6 +7,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.program.table import build_program
+from coadjoint.runs.candidates import admitted
 from coadjoint.runs.growth import Growth
 from coadjoint.runs.pilot import Pilot
 from coadjoint.runs.roundoff import roundoff
@@ -174,6 +175,16 @@ def test_growth():
     assert Growth(1.0, 1e3, 1e6).factor(1e6) == math.inf
     assert Growth(1.0, 1.0, 1.0).factor(9.0, 2.0) == 81.0
     assert Growth(1.0, 6.0, 36.0).factor(3.0, 2.0) == Growth(1.0, 6.0, 36.0).factor(3.0)
+
+
+def test_what_is_neither_symmetric_nor_a_poisson_map_is_expected_to_grow_like_the_square_of_time():
+    pilot = Pilot(BODY, np.array([[1.0, 0.2, 0.5]]), 0.0, 1e4)
+    assert pilot.windows > 4.0
+    for method, power in ((co.GaussLegendre(4), 1), (co.Splitting(order=4), 1), (co.Taylor(12), 2)):
+        (candidate,) = admitted(BODY, [method], (1.0, 0.2, 0.5), False, strict=True)
+        trial = pilot.trial(method, pilot.fitting(4 * pilot.window / pilot.natural_step))
+        assert trial is not None
+        assert candidate.growth(pilot, trial) == pytest.approx(pilot.windows**power, rel=0.5)
 
 
 def test_the_weights_mean_what_they_say():
