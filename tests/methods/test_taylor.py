@@ -219,8 +219,12 @@ def test_what_is_not_a_polynomial_is_refused():
 
 def test_casimirs_that_are_functions_are_not_restored():
     system = co.LiePoissonSystem(co.algebras.A3_7(2.0), co.Quadratic([1.0, 0.5, 0.25]))
-    assert any(isinstance(C, co.Invariant) for C in system.casimirs.values())
-    assert co.Taylor(4).properties(system).casimirs == "polynomial"
+    assert all(isinstance(C, co.Invariant) for C in system.casimirs.values())
+    assert co.Taylor(4).properties(system).casimirs == "none"
+    square = co.Polynomial({(2, 0, 0): 1.0, (0, 2, 0): 1.0, (0, 0, 2): 1.0})
+    both = {"|x|^2": square, "|x|": co.Invariant(lambda x: np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2))}
+    mixed = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]), casimirs=both)
+    assert co.Taylor(4).properties(mixed).casimirs == "polynomial"
     assert co.Taylor(4).properties(systems()["heavy top"]).casimirs == "all"
     assert co.Taylor(4, projected=False).properties(systems()["heavy top"]).casimirs == "none"
 

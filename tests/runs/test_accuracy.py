@@ -9,7 +9,7 @@ import coadjoint as co
 from coadjoint.program.table import build_program
 from coadjoint.runs.candidates import admitted
 from coadjoint.runs.growth import Growth
-from coadjoint.runs.pilot import Pilot
+from coadjoint.runs.pilot import Pilot, Trial
 from coadjoint.runs.roundoff import roundoff
 from coadjoint.runs.work import flow_work, iteration_work, step_work
 
@@ -88,7 +88,7 @@ def test_what_a_scheme_cannot_carry_leaves_it_out():
     """The rotation matrices of so(4) are carried by splittings only, those of so(3) by Gauss methods too."""
     x0 = np.linspace(0.2, 1.0, 6)
     assert isinstance(co.choose(four(), x0, (0, 10), 1e-8, attitude=True).method, co.Splitting)
-    assert isinstance(co.choose(four(), x0, (0, 10), 1e-8).method, co.GaussLegendre)
+    assert isinstance(co.choose(four(), x0, (0, 10), 1e-8).method, co.GaussLegendre | co.Taylor)
     carried = co.integrate(BODY, X0, SPAN, accuracy=1e-8, attitude=True)
     assert np.linalg.norm(carried.attitude[-1] @ carried.x[-1] - X0) < 1e-12
 
@@ -177,14 +177,19 @@ def test_growth():
     assert Growth(1.0, 6.0, 36.0).factor(3.0, 2.0) == Growth(1.0, 6.0, 36.0).factor(3.0)
 
 
-def test_what_is_neither_symmetric_nor_a_poisson_map_is_expected_to_grow_like_the_square_of_time():
-    pilot = Pilot(BODY, np.array([[1.0, 0.2, 0.5]]), 0.0, 1e4)
-    assert pilot.windows > 4.0
-    for method, power in ((co.GaussLegendre(4), 1), (co.Splitting(order=4), 1), (co.Taylor(12), 2)):
-        (candidate,) = admitted(BODY, [method], (1.0, 0.2, 0.5), False, strict=True)
-        trial = pilot.trial(method, pilot.fitting(4 * pilot.window / pilot.natural_step))
-        assert trial is not None
-        assert candidate.growth(pilot, trial) == pytest.approx(pilot.windows**power, rel=0.5)
+def test_what_keeps_no_integrals_is_expected_to_grow_like_the_square_of_time():
+    """Symmetric schemes and Poisson maps keep them, and a projection where a curve is all that is left."""
+    top = co.LiePoissonSystem(
+        co.algebras.e(3), co.Quadratic([1.0, 0.75, 0.5, 0, 0, 0], linear=[0, 0, 0, 0.125, 0, 0.25]), sign=-1
+    )
+    for system, x0, square in ((BODY, (1.0, 0.2, 0.5), []), (top, (0.5, 0.25, -0.5, 0.6, 0.0, 0.8), [co.Taylor(12)])):
+        pilot = Pilot(system, np.array([x0]), 0.0, 1e4)
+        alone = co.Taylor(12, projected=False)
+        for method in (co.GaussLegendre(4), co.Splitting(order=4), co.Taylor(12), alone):
+            (candidate,) = admitted(system, [method], x0, False, strict=True)
+            trial = Trial(100, Growth(0.25, 0.5, 1.0), 1.0, 1.0)
+            power = 2 if method in square or method is alone else 1
+            assert candidate.growth(pilot, trial) == pytest.approx(pilot.windows**power)
 
 
 def test_the_weights_mean_what_they_say():

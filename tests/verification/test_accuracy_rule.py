@@ -30,11 +30,14 @@ def reference(name: str, member: int) -> tuple[np.ndarray, float]:
 
 
 def is_wasteful(error: float, choice: co.Choice, span: float) -> bool:
-    """Return whether a step less would have done as well, and rounding does not explain the error."""
+    """Return whether half the steps would have done as well, the error is far below what was wanted, and rounding does
+    not explain it.
+    """
     count = round(abs(span) / choice.step)
     coarser = error * (count / (count - 1)) ** choice.method.order if count > 1 else math.inf
     explained = error <= max(ROUNDING, choice.roundoff)
-    return error < choice.accuracy / WASTE and coarser < choice.accuracy / 3 and not explained
+    far_below = error < choice.accuracy / max(WASTE, 2.0**choice.method.order)
+    return far_below and coarser < choice.accuracy / 3 and not explained
 
 
 @pytest.mark.parametrize("accuracy", ACCURACIES)

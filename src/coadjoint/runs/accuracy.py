@@ -25,6 +25,9 @@ SAFETY = 3.0
 MODERATE_ORDER = 8
 ROUNDING_SHARE = 0.5
 
+# Coordinates up to which series are considered: the coefficients of more do not stay in a cache.
+LARGEST_SERIES = 10_000
+
 # High orders first: where they win, the others are given up after a short look.
 SCHEMES: tuple[Method, ...] = (
     *(Taylor(p) for p in (16, 12, 20, 24, 8, 10, 14, 6)),
@@ -149,7 +152,7 @@ def choose(
     wanted = _checked(accuracy)
     t0, t1 = span_of(t_span)
     momenta = start_of(system, GaussLegendre(2), x0, False).momenta
-    candidates = admitted(system, _schemes(methods, processed), x0, attitude, strict=methods is not None)
+    candidates = admitted(system, _schemes(methods, processed, system.dim), x0, attitude, strict=methods is not None)
     if t0 == t1:
         return Choice(candidates[0].method, 1.0, wanted, 0.0, 0.0, 0.0)
     pilot = Pilot(system, sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0)
@@ -176,9 +179,10 @@ def _checked(accuracy: Any) -> float:
     return float(accuracy)
 
 
-def _schemes(methods: Any, processed: bool) -> tuple[Method, ...]:
+def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
     if methods is None:
-        return (*SCHEMES, *PROCESSED) if processed else SCHEMES
+        known = (*SCHEMES, *PROCESSED) if processed else SCHEMES
+        return tuple(each for each in known if dim <= LARGEST_SERIES or not isinstance(each, Taylor))
     given = (methods,) if isinstance(methods, Method) else tuple(methods)
     wrong = [each for each in given if not isinstance(each, Method)]
     if wrong or not given:

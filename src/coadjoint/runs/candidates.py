@@ -9,22 +9,24 @@ from typing import Any
 from coadjoint.methods.base import FlowMethod, Method, System
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.splitting import Splitting
+from coadjoint.methods.step_method import StepMethod
 from coadjoint.program.table import Program, build_program
 from coadjoint.runs.pilot import Pilot, Trial
 from coadjoint.runs.start import start_of
-from coadjoint.runs.work import newton_work, step_work
+from coadjoint.runs.work import CROWD, FLOWS_OF_A_CROWD, WIDEST_CROWD, newton_work, step_work
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A scheme that serves a system, with its table if it is made of flows."""
+    """A scheme that serves a system, with its table if it is made of flows; a `crowd` of members goes side by side."""
 
     system: System
     method: Method
     program: Program | None
     group: Any
     free: bool
+    crowd: bool = False
 
     @property
     def summed_exactly(self) -> bool:
@@ -41,10 +43,23 @@ class Candidate:
         work = step_work(self.system, self.method, self.program, trial.iterations, trial.evaluations, self.group)
         return work + newton_work(self.system.dim, trial.evaluations / trial.iterations) if trial.newton else work
 
+    @property
+    def share(self) -> float:
+        """The part of the cost of a step that each of many members has."""
+        return FLOWS_OF_A_CROWD if self.crowd and self.program is not None else 1.0
+
     def growth(self, pilot: Pilot, trial: Trial) -> float:
         """Return how many times the error of a trial is larger at the end of the span."""
-        bounded = self.method.symmetric or self.method.properties(self.system).poisson
-        return trial.growth.factor(pilot.windows, 1.0 if bounded else 2.0)
+        return trial.growth.factor(pilot.windows, 1.0 if self._grows_like_time() else 2.0)
+
+    def _grows_like_time(self) -> bool:
+        """Whether a scheme keeps what would shift phases ever faster: by its symmetry, as a Poisson map, or since all
+        that is left of the motion is a curve on which invariants are restored.
+        """
+        if self.method.symmetric or self.method.properties(self.system).poisson:
+            return True
+        restored = self.method.restored(self.system) if isinstance(self.method, StepMethod) else None
+        return restored is not None and self.system.dim - len(restored) <= 2
 
     def compensated(self) -> Candidate | None:
         """Return the same splitting summed with compensation; None where that was not left open."""
@@ -92,11 +107,13 @@ def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, 
 
 
 def _candidate(system: System, method: Method, x0: Any, attitude: Any, free: bool) -> Candidate:
-    group = start_of(system, method, x0, attitude).representation
+    start = start_of(system, method, x0, attitude)
+    group = start.representation
     method.properties(system)
     innermost = method.innermost if isinstance(method, Composition) else method
     program = None
     if isinstance(method, FlowMethod) and isinstance(innermost, FlowMethod):
         assert isinstance(system, LiePoissonSystem)
         program = build_program(system, method, group=group)
-    return Candidate(system, method, program, group, free)
+    crowd = len(start.momenta) >= CROWD and system.dim <= WIDEST_CROWD
+    return Candidate(system, method, program, group, free, crowd)

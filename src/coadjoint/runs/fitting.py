@@ -38,7 +38,7 @@ class Fit:
     @property
     def cost(self) -> float:
         """Work of the run of one member, in rotations."""
-        return self.steps * self.candidate.cost(self.trial)
+        return self.steps * self.candidate.cost(self.trial) * self.candidate.share
 
     @property
     def roundoff(self) -> float:

@@ -38,6 +38,9 @@ WAITING = 0.06
 LOOK = 0.5
 FIRST_CORRECTION = 3.2
 NEXT_CORRECTION = 1.0
+# Of so many members in no more dimensions, flows turn many at once; other steps are as wide for one.
+CROWD, WIDEST_CROWD = 16, 1024
+FLOWS_OF_A_CROWD = 0.1
 ELIMINATION = 0.015
 DENSE = 200
 

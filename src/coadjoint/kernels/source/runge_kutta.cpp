@@ -13,7 +13,9 @@ static void follow(const RungeKuttaLoop& loop, const Crew& crew) {
     const auto [members, first, last, stride] = crew;
     // What only some members take, linear systems by iteration, they take alone.
     const bool iterated = tables.solver >= STRUCTURE && !tables.direct;
-    const bool narrow = fits(tables) && !iterated;
+    // Stages fill lanes as well as members do, and fit better into registers.
+    const bool side_by_side = tables.solver == IMPLICIT && tables.stages >= 4 && tables.field.size > 3;
+    const bool narrow = fits(tables) && !iterated && !side_by_side;
     int64_t place = first;
     for (; place < last && (stride || (narrow && last - place >= FEWEST)); place += CROWD) {
         const int64_t count = std::min<int64_t>(CROWD, last - place);
