@@ -142,7 +142,10 @@ class Taylor(StepMethod):
         assert system.algebra is not None
         looks = 0.0
         if self.projected:
-            looks = sum(1.0 + _factors(C) / LANES for C in self._invariants(system))
+            terms = [term.polynomial for term in system.hamiltonian.terms() if isinstance(term, PolynomialTerm)]
+            casimirs = self._casimirs(system).values()
+            higher = [C for C in casimirs if isinstance(C, Polynomial) and C.degree > 2]
+            looks = 1.0 + len(casimirs) + sum(_factors(polynomial) for polynomial in (*terms, *higher)) / LANES
         lanes = 4 if system.dim <= 4 else LANES
         products = _vectors_of_products(system, lanes) * lanes / LANES
         sums = 2.0 * products + np.ceil(_entries(system.hamiltonian) / LANES)
@@ -262,7 +265,6 @@ def _entries(H: HamiltonianLike) -> float:
     return count
 
 
-def _factors(H: HamiltonianLike) -> float:
-    """Return how many products make the value of what is not quadratic, with its gradient: three for each factor."""
-    polynomials = (term.polynomial for term in H.terms() if isinstance(term, PolynomialTerm))
-    return sum(3.0 * sum(exponents) for polynomial in polynomials for exponents in polynomial.monomials)
+def _factors(polynomial: Polynomial) -> float:
+    """Return how many products make the value of a polynomial, with its gradient: three for each factor."""
+    return sum(3.0 * sum(exponents) for exponents in polynomial.monomials)
