@@ -91,6 +91,11 @@ class Method(ABC):
         """
 
     @property
+    def innermost(self) -> Method:
+        """The scheme of one substep: itself, unless it is a composition of another."""
+        return self
+
+    @property
     def fractions(self) -> tuple[float, ...]:
         """Substeps of one step as fractions of it; one unless the scheme is a composition."""
         return (1.0,)

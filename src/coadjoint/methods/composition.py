@@ -108,7 +108,7 @@ class Composition(FlowMethod):
     @property
     def innermost(self) -> Method:
         """The base that is not itself a composition."""
-        return self.base.innermost if isinstance(self.base, Composition) else self.base
+        return self.base.innermost
 
     def properties(self, system: System) -> Properties:
         """Return what the base keeps; a composition keeps the same.

@@ -31,8 +31,8 @@ def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
 MOST = 256
 
 
-def whole_number(value: Any, least: int, name: str) -> int:
-    """Return a whole number from `least` up, or refuse it by name.
+def whole_number(value: Any, least: int, name: str, most: int = MOST) -> int:
+    """Return a whole number from `least` to `most`, or refuse it by name.
 
     Examples
     --------
@@ -41,8 +41,8 @@ def whole_number(value: Any, least: int, name: str) -> int:
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{name} must be a whole number from {least} up, not {value!r}")
-    if value > MOST:
-        raise ValueError(f"{name} must be at most {MOST}, not {value!r}; no step is worth more")
+    if value > most:
+        raise ValueError(f"{name} must be at most {most}, not {value!r}; no step is worth more")
     return int(value)
 
 

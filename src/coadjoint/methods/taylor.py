@@ -71,12 +71,9 @@ class Taylor(StepMethod):
     symmetric = False
 
     def __post_init__(self) -> None:
-        order = whole_number(self.order, 1, "order of Taylor")
-        if order > MOST:
-            raise ValueError(f"order of Taylor must be at most {MOST}, not {order}; a smaller step is cheaper")
+        object.__setattr__(self, "order", whole_number(self.order, 1, "order of Taylor", MOST))
         if not isinstance(self.projected, bool):
             raise TypeError(f"projected is {self.projected!r}; it must be True or False")
-        object.__setattr__(self, "order", order)
 
     @property
     def explicit(self) -> bool:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from coadjoint.methods.base import FlowMethod, Method, System
-from coadjoint.methods.composition import Composition
 from coadjoint.methods.splitting import Splitting
 from coadjoint.methods.step_method import StepMethod
 from coadjoint.program.table import Program, build_program
@@ -110,7 +109,7 @@ def _candidate(system: System, method: Method, x0: Any, attitude: Any, free: boo
     start = start_of(system, method, x0, attitude)
     group = start.representation
     method.properties(system)
-    innermost = method.innermost if isinstance(method, Composition) else method
+    innermost = method.innermost
     program = None
     if isinstance(method, FlowMethod) and isinstance(innermost, FlowMethod):
         assert isinstance(system, LiePoissonSystem)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.base import Method, System
-from coadjoint.methods.composition import Composition
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.runs.growth import Growth
@@ -134,7 +133,7 @@ class Pilot:
         count = steps * len(self.momenta)
         iterations, evaluations = int(run.results["iterations"].sum()), int(run.results["evaluations"].sum())
         # Implicit schemes remember first for how many steps they still take Newton's method.
-        innermost = method.innermost if isinstance(method, Composition) else method
+        innermost = method.innermost
         newton = isinstance(innermost, RungeKuttaMethod) and bool(np.any(run.work["memory"][:, :1] > 0.0))
         return Trial(steps, self._growth(run.results["x"]), iterations / count, evaluations / count, newton)
 

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.methods.base import FlowMethod, Method, System
-from coadjoint.methods.composition import Composition
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.step_method import StepMethod
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -55,7 +54,7 @@ def loop_of(system: System, method: Method, h: float, representation: NDArray[An
         If the scheme cannot serve the system.
     """
     method.properties(system)
-    innermost = method.innermost if isinstance(method, Composition) else method
+    innermost = method.innermost
     if isinstance(method, FlowMethod) and isinstance(innermost, FlowMethod):
         from coadjoint.kernels.flow import LOOP
         from coadjoint.kernels.tables import flow_tables

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.base import FlowMethod, Method, System
-from coadjoint.methods.composition import Composition
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.step_method import StepMethod
 from coadjoint.runs.prepared_run import PreparedRun
@@ -121,7 +120,7 @@ class Stepper:
                 f"x has the shape {np.shape(x)}; a tangent is taken at one state, of shape ({self.system.dim},)"
             )
         x = momenta[0]
-        innermost = self.method.innermost if isinstance(self.method, Composition) else self.method
+        innermost = self.method.innermost
         if isinstance(innermost, FlowMethod):
             return np.asarray(self._reading.steps(x, self.h, 1, t0=t, tangent=np.eye(len(x)))[1])
         assert isinstance(innermost, RungeKuttaMethod | StepMethod)

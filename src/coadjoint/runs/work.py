@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from coadjoint.methods.base import FlowMethod, Method, System
-from coadjoint.methods.composition import Composition
 from coadjoint.methods.step_method import StepMethod
 from coadjoint.program.describe import action_work, share_work
 from coadjoint.program.table import Program
@@ -148,7 +147,7 @@ def step_work(
     if program is not None:
         assert isinstance(method, FlowMethod)
         return flow_work(program, bool(method.compensated))
-    innermost = method.innermost if isinstance(method, Composition) else method
+    innermost = method.innermost
     if isinstance(innermost, StepMethod) and (operations := innermost.operations(system)) is not None:
         substeps = len(method.fractions)
         corrections = FIRST_CORRECTION * min(iterations, substeps) + NEXT_CORRECTION * max(0.0, iterations - substeps)

@@ -22,10 +22,7 @@ INLINE void add(V* vectors, V* errors, int64_t place, const V& old, V increment)
         vectors[place] = old + increment;
     } else {
         increment = increment + errors[place];
-        V now = old + increment;
-        V kept = now - old;
-        errors[place] = (old - (now - kept)) + (increment - kept);
-        vectors[place] = now;
+        add_owing_rest(old, increment, vectors[place], errors[place]);
     }
 }
 

@@ -231,6 +231,14 @@ INLINE A load(const double* from) {
 template <class A>
 INLINE void store(double* to, const A& a) { std::memcpy(to, &a, sizeof(A)); }
 
+// Set sum to old + increment, and owed to what rounding leaves of that.
+template <class A>
+INLINE void add_owing_rest(const A& old, const A& increment, A& sum, A& owed) {
+    const A now = old + increment, kept = now - old;
+    owed = (old - (now - kept)) + (increment - kept);
+    sum = now;
+}
+
 template <class A>
 INLINE A smaller(const A& a, const A& b) { return select(b < a, b, a); }
 template <class A>

@@ -12,9 +12,8 @@ constexpr int64_t MOST_CORRECTIONS = 64;
 // Add to x + dx, where dx is what rounding left.
 template <class A>
 INLINE void add_to(A& x, A& dx, const A& more) {
-    const A increment = dx + more, now = x + increment, kept = now - x;
-    dx = (x - (now - kept)) + (increment - kept);
-    x = now;
+    const A old = x;
+    add_owing_rest(old, dx + more, x, dx);
 }
 
 template <int W, class C>

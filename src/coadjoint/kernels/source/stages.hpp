@@ -157,8 +157,7 @@ NOINLINE void add_slopes(const double* out, int64_t stages, const typename Layou
             odd = fma(V(out[j + 1]), Layout::at(slopes, size, c, j + 1), odd);
         }
         if (j < stages) even = fma(V(out[j]), Layout::at(slopes, size, c, j), even);
-        const V increment = even + odd, old = x[c], now = old + increment, kept = now - old;
-        errors[c] = (old - (now - kept)) + (increment - kept);
-        x[c] = now;
+        const V old = x[c];
+        add_owing_rest(old, even + odd, x[c], errors[c]);
     }
 }

@@ -1,5 +1,6 @@
 // A scheme that brings one compiled step of its own: a file beside its Python file derives from this and ends with
-// STEP_SCHEME(name, Type); the Python file says the name.
+// STEP_SCHEME(name, Type), or with that function itself where the type depends on the tables; the Python file says the
+// name.
 #pragma once
 
 #include "stagnation.hpp"

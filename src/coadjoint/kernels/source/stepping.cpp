@@ -81,9 +81,7 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
                 scheme->residual = std::numeric_limits<double>::quiet_NaN();
             }
             if (status != DONE) {
-                report.status[member] = status;
-                report.step[member] = k;
-                report.residual[member] = scheme->residual;
+                loop.fail(member, k, status, scheme->residual);
                 break;
             }
             const int64_t slot = slot_of(schedule, k);
