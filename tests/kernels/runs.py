@@ -8,7 +8,7 @@ import numpy as np
 
 from coadjoint.kernels import runge_kutta
 from coadjoint.kernels.arrays import Block, Extent, Layout
-from coadjoint.kernels.loop import Crew
+from coadjoint.kernels.loop import Crew, Stop
 from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 from coadjoint.kernels.tables import watch_tables
 from coadjoint.kernels.watching import schedule_of
@@ -58,7 +58,7 @@ def run(systems, method, x0, h, steps, *, cuts=(), keep=None, **how):
     """
     crew, given, (results, work), alive = begin(systems, method, x0, h, steps, **how)
     for k0, k1 in pairwise([0, *cuts, steps]):
-        crew.advance(*given, results, work, k0, k1)
+        crew.advance(*given, results, work, k0, k1, Stop())
         if keep is not None:
             work = keep(work)
     assert alive

@@ -11,7 +11,7 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels import stepping
 from coadjoint.kernels.arrays import Block, Extent, Layout
-from coadjoint.kernels.loop import Crew
+from coadjoint.kernels.loop import Crew, Stop
 from coadjoint.kernels.step_tables import step_tables
 from coadjoint.kernels.tables import watch_tables
 from coadjoint.kernels.watching import schedule_of
@@ -29,7 +29,7 @@ def run(system, method, x0, h, steps, *, t0=0.0, cuts=(), fractions=(1.0,)):
     work["momenta"][:] = momenta
     crew = Crew(stepping.LOOP, prepared.tables, watch.tables, 0, members)
     for k0, k1 in pairwise([0, *cuts, steps]):
-        crew.advance(layout, schedule_of(t0, h, steps, steps, True), results, work, k0, k1)
+        crew.advance(layout, schedule_of(t0, h, steps, steps, True), results, work, k0, k1, Stop())
     return work["momenta"], results["worst"].max(axis=1), results
 
 

@@ -73,6 +73,20 @@ def kernels() -> ctypes.CDLL:
 
 
 @functools.cache
+def listening_kernels() -> ctypes.PyDLL:
+    """Return the same library for its loops, which are called with Python's lock.
+
+    They give it back while they work, and take it now and then to hear signals; what a handler raises is raised by the
+    call of the loop.
+    """
+    library = kernels()
+    python = ctypes.pythonapi
+    heard = python.PyEval_SaveThread, python.PyEval_RestoreThread, python.PyErr_CheckSignals
+    library.listen(*(ctypes.cast(function, ctypes.c_void_p) for function in heard))
+    return ctypes.PyDLL(library._name, handle=library._handle)
+
+
+@functools.cache
 def structures() -> dict[str, Any]:
     """Return the C structures of the tables by name, as the library itself describes them."""
     describe = kernels().table_fields

@@ -9,10 +9,24 @@ from typing import Any
 import numpy as np
 
 from coadjoint.kernels.arrays import Block, Layout
-from coadjoint.kernels.library import kernels, pointed
+from coadjoint.kernels.library import kernels, listening_kernels, pointed
 
-# Tables, watch, members, first, last, stride; extent, schedule, results, work, k0, k1.
+# Tables, watch, members, first, last, stride; extent, schedule, results, work, k0, k1, stop.
 ARGUMENTS = [ctypes.c_void_p] * 3 + [ctypes.c_int64] * 3 + [ctypes.c_void_p] * 4 + [ctypes.c_int64] * 2
+ARGUMENTS += [ctypes.c_void_p]
+INTERRUPTED, NO_MEMORY = -1, -2
+
+
+class Stop:
+    """What other threads say to the loops of a run: that they are to end."""
+
+    def __init__(self) -> None:
+        self._said = ctypes.c_int64(0)
+        self.address = ctypes.byref(self._said)
+
+    def say(self) -> None:
+        """Let every loop end that was given this: within a fraction of a second."""
+        self._said.value = 1
 
 
 class Crew:
@@ -47,17 +61,32 @@ class Crew:
         places = members.ctypes.data, first - base, last - base, stride
         self._advance = partial(_loop(loop), *map(ctypes.byref, given), *places)
 
-    def advance(self, layout: Layout, schedule: Any, results: Block, work: Block, k0: int, k1: int) -> int:
+    def advance(self, layout: Layout, schedule: Any, results: Block, work: Block, k0: int, k1: int, stop: Stop) -> int:
         """Take the steps k0 + 1 to k1 of the `pointed` schedule; where k0 is 0 the start is saved first.
 
+        Signals are heard meanwhile in the main thread, some times a second; what their handlers raise comes from here.
+        The other threads hear `stop`.
+
         Returns how many of the members have failed; after the last step also those of an energy that is not finite.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            Or what else a handler of signals raises, or `stop` was said. The arrays of the crew are then of no use.
+        MemoryError
+            There is none for what the loop works with.
         """
-        return self._advance(layout.address, schedule, results.address, work.address, k0, k1)
+        wrong = self._advance(layout.address, schedule, results.address, work.address, k0, k1, stop.address)
+        if wrong >= 0:
+            return wrong
+        raise MemoryError("there is no memory for the working arrays of the loop") if wrong == NO_MEMORY else (
+            KeyboardInterrupt()
+        )
 
 
 @cache
 def _loop(name: str) -> Any:
-    found = getattr(kernels(), name)
+    found = getattr(listening_kernels(), name)
     found.argtypes, found.restype = ARGUMENTS, ctypes.c_int64
     return found
 

@@ -20,7 +20,9 @@ struct RadauEnergy final : StepScheme {
     RadauEnergy(const StepTables& tables, const Own& constants)
         : tables(tables), constants(constants), field(tables.field), n(field.size), s(tables.whole[0]),
           weight(tables.coefficients), mu(weight + s), room(field), y(s, n, mu), u(n), matrix(s * s), pivots(s),
-          excess(s), multipliers(s), ones(s, 1.0) {}
+          excess(s), multipliers(s), ones(s, 1.0) {
+        work = 8 * s * (work_of(field) + s * (n + s));
+    }
 
     int64_t step(double* x, double* dx, double*, double*, double t, double h) override {
         y.base = x;

@@ -15,7 +15,9 @@ struct Taylor final : StepScheme {
 
     Taylor(const StepTables& tables, const Own& constants)
         : blocks(blocks_of<W>(tables.field.size)), series(tables.field, constants, tables.whole[0]),
-          projection(tables.kept, constants, tables.field.size), owed(blocks) {}
+          projection(tables.kept, constants, tables.field.size), owed(blocks) {
+        work = series.work() + 8 * tables.field.size;
+    }
 
     int64_t step(double* x, double* dx, double*, double*, double, double h) override {
         Row* state = series.x.at;

@@ -33,12 +33,10 @@ class Plan:
         Of their arrays.
     rounds : list of list of Crew
         The crews that are at work together, one round after the other.
-    pace : float
-        Steps of a round in a second, as they were seen last; 0 before.
     """
 
     def __init__(self, key: tuple[int, ...], layout: Layout, rounds: list[list[Crew]]) -> None:
-        self.key, self.layout, self.rounds, self.pace = key, layout, rounds, 0.0
+        self.key, self.layout, self.rounds = key, layout, rounds
 
 
 class Loops(ABC):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.arrays import Block
-from coadjoint.kernels.loop import Crew
+from coadjoint.kernels.loop import Crew, Stop
 from coadjoint.kernels.watching import NOT_CONVERGED, schedule_of
 from coadjoint.methods.base import Method, System
 from coadjoint.runs.loops import Loops
@@ -24,10 +24,8 @@ from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 
-# Between two calls of the compiled loop the interpreter can show progress and hear an interrupt.
+# Between two calls of the compiled loop a progress bar can move.
 SECONDS_BETWEEN_LOOKS = 0.2
-# A run begins with a part of that, by the pace of the run before: its steps may be slower.
-CAUTION = 16
 
 
 class Run:
@@ -59,44 +57,48 @@ class Run:
         self.wrong = 0
 
     def advance(self, progress: bool = False) -> None:
-        """Take all steps: round after round, each in chunks between which an interrupt is heard."""
-        plan = self.plan
+        """Take all steps, round after round; the loops hear an interrupt."""
+        plan, steps = self.plan, self.times.steps
         began = time.perf_counter()
         if self.workers == 1 and not progress:
             for crews in plan.rounds:
-                self._advance(crews, None, None)
+                self.wrong += self._take(crews, 0, steps, None)
         else:
-            with _pool(self.workers) as pool, _bar(self.times.steps * len(plan.rounds), progress) as bar:
+            with _pool(self.workers) as pool, _bar(steps * len(plan.rounds), progress) as bar:
                 for crews in plan.rounds:
-                    self._advance(crews, pool, bar)
+                    if progress:
+                        self.wrong += self._take_in_chunks(crews, pool, bar)
+                    else:
+                        self.wrong += self._take(crews, 0, steps, pool)
         self.seconds = time.perf_counter() - began
         if self.loops.order is not None:
             self.results = self._put_in_order(self.loops.order)
 
-    def _advance(self, crews: list[Crew], pool: ThreadPoolExecutor | None, bar: Callable[[int], Any] | None) -> None:
-        """Take all steps of some crews."""
-        plan, steps = self.plan, self.times.steps
-        chunk, done = max(1, int(plan.pace * SECONDS_BETWEEN_LOOKS / CAUTION)), 0
+    def _take(self, crews: list[Crew], done: int, target: int, pool: ThreadPoolExecutor | None) -> int:
+        """Take the steps done + 1 to target of some crews; return how many members have failed."""
+        stop = Stop()
 
         def take(crew: Crew) -> int:
-            return crew.advance(plan.layout, self._schedule, self.results, self.work, done, target)
+            return crew.advance(self.plan.layout, self._schedule, self.results, self.work, done, target, stop)
 
+        try:
+            return sum(map(take, crews) if pool is None else pool.map(take, crews))
+        except BaseException:
+            stop.say()
+            raise
+
+    def _take_in_chunks(self, crews: list[Crew], pool: ThreadPoolExecutor | None, bar: Callable[[int], Any]) -> int:
+        """Take all steps of some crews, some at a time, so that the bar moves."""
+        steps, chunk, done = self.times.steps, 1, 0
         while True:
             target = min(steps, done + chunk)
             before = time.perf_counter()
-            wrong = sum(map(take, crews) if pool is None else pool.map(take, crews))
-            spent = max(time.perf_counter() - before, 1e-6)
-            if bar is not None:
-                bar(target - done)
-            if target - done == chunk:
-                pace = chunk / spent
-                chunk = max(1, min(int(pace * SECONDS_BETWEEN_LOOKS), 1000 * chunk))
-                # Members that stop on the way make it look too quick.
-                plan.pace = plan.pace if wrong else pace
-            done = target
+            wrong = self._take(crews, done, target, pool)
+            pace = (target - done) / max(time.perf_counter() - before, 1e-6)
+            bar(target - done)
+            chunk, done = max(1, min(int(pace * SECONDS_BETWEEN_LOOKS), 1000 * chunk)), target
             if done == steps or wrong == sum(crew.count for crew in crews):
-                break
-        self.wrong += wrong
+                return wrong
 
     def _put_in_order(self, order: NDArray[np.int64]) -> Block:
         """Return what is left with every member in the place that it was given at."""

@@ -2,7 +2,9 @@
 #pragma once
 
 #include <limits>
+#include <new>
 
+#include "hearing.hpp"
 #include "watching.hpp"
 
 // The members of a call: positions first to last - 1 of a crew, neighbours in the arrays. With a stride the constants
@@ -27,6 +29,7 @@ struct Loop {
     const Saves& saves;
     const State& state;
     const Report& report;
+    Hearing& hearing;
     int64_t k0, k1;
 
     double* memory_of(int64_t member) const { return state.memory + member * state.remembered; }
@@ -40,23 +43,33 @@ struct Loop {
     }
 };
 
-// Take the steps k0 + 1 to k1 of a crew by `follow(loop, crew)`, from the start where k0 is 0; return `wrong`.
+constexpr int64_t INTERRUPTED = -1, NO_MEMORY = -2;
+
+// Take the steps k0 + 1 to k1 of a crew by `follow(loop, crew)`, from the start where k0 is 0; return `wrong`, or why
+// they were not all taken: then nothing that the crew was to leave is of use.
 template <class Tables, class Follow>
 int64_t take_steps(const Tables& tables, const Watch& watch, const Crew& crew, const Arrays& arrays,
-                   const Schedule& schedule, int64_t k0, int64_t k1, Follow follow) {
-    if (k0 == 0) begin(watch, arrays, schedule, crew);
-    const Loop<Tables> loop{tables, watch, schedule, arrays.saves, arrays.state, arrays.report, k0, k1};
-    if (k0 < k1) follow(loop, crew);
-    return wrong(watch, arrays, crew, k1 == schedule.steps);
+                   const Schedule& schedule, int64_t k0, int64_t k1, const int64_t* stop, Follow follow) {
+    Hearing hearing(stop);
+    try {
+        if (k0 == 0) begin(watch, arrays, schedule, crew);
+        const Loop<Tables> loop{tables, watch, schedule, arrays.saves, arrays.state, arrays.report, hearing, k0, k1};
+        if (k0 < k1) follow(loop, crew);
+        return wrong(watch, arrays, crew, k1 == schedule.steps);
+    } catch (const Interrupted&) {
+        return INTERRUPTED;
+    } catch (const std::bad_alloc&) {
+        return NO_MEMORY;
+    }
 }
 
 // What Python calls for a family of schemes.
 #define EXPORT_LOOP(name, Tables, follow)                                                                            \
     EXPORT int64_t name(const Tables* tables, const Watch* watch, const int64_t* members, int64_t first,             \
                         int64_t last, int64_t stride, const Extent* extent, const Schedule* schedule,                \
-                        double* results, double* work, int64_t k0, int64_t k1) {                                     \
+                        double* results, double* work, int64_t k0, int64_t k1, const int64_t* stop) {                \
         return take_steps(*tables, *watch, Crew{members, first, last, stride}, Arrays(*extent, results, work),       \
-                          *schedule, k0, k1, follow);                                                                \
+                          *schedule, k0, k1, stop, follow);                                                          \
     }
 
 // Members as lanes, from rows of `length` numbers for each; the last member fills what is left of the lanes.

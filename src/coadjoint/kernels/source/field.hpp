@@ -16,6 +16,13 @@ struct FieldRoom {
           calls(std::max(2 * field.longest + 2, field.nonlinear ? field.size * (field.size + 1) : 0)) {}
 };
 
+// About how many multiplications a field takes.
+inline int64_t work_of(const Field& field) {
+    const int64_t n = field.size;
+    return n + work_of_terms(field.terms, 0, field.terms.size) +
+           (field.nonlinear ? WORK_OF_A_CALL + n * n : 2 * int64_t(field.first[n]));
+}
+
 // Set u = grad H(x, t).
 template <class A, class C>
 INLINE void gradient(const Field& field, const C& constants, const A* x, const A& t, A* u, FieldRoom<A>& room) {

@@ -54,7 +54,9 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
     const std::vector<ElementaryFlow> opening = flows_of(tables.section[0], tables.section[loop.k0 == 0]),
                                       repeated = flows_of(tables.section[1], tables.section[loop.k1 > 1 ? 2 : 1]);
     int64_t saved = next_saved(schedule, loop.k0), failed = 0;
+    const int64_t work = work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
+        loop.hearing.after(work);
         const double t = schedule.t0 + double(k - 1) * schedule.h;
         const std::vector<ElementaryFlow>& flows = k == 1 ? opening : repeated;
         for (const ElementaryFlow& flow : flows)

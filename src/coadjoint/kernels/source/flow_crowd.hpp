@@ -93,7 +93,9 @@ void follow_together(const FlowLoop& loop, const ConstantsFrom& constants_from, 
     for (int64_t place = first; place < last; place += lanes)
         blocks[used++].emplace(loop, constants_from(place), members + place, std::min(lanes, last - place), scratch);
     int64_t saved = next_saved(schedule, loop.k0);
+    const int64_t work = used * lanes * work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
+        loop.hearing.after(work);
         const A t(schedule.t0 + double(k - 1) * schedule.h);
         const uint32_t from = tables.section[k == 1 ? 0 : 1], to = tables.section[k == 1 ? 1 : 2];
         for (uint32_t r = from; r < to; ++r)

@@ -56,3 +56,25 @@ NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first
 }
 
 typedef Loop<FlowTables> FlowLoop;
+
+// About how many multiplications some rows take for one vector, their angles apart.
+inline int64_t work_of_rows(const FlowTables& tables, const Action& action, uint32_t first, uint32_t last) {
+    int64_t work = 0;
+    for (uint32_t r = first; r < last; ++r)
+        for (uint32_t part = tables.part[r], run = action.run[part]; run < action.run[part + 1]; ++run)
+            work += 8 * int64_t(action.angles[run]) * action.repeat[run] +
+                    int64_t(action.entries[run]) * (2 + action.degree[run]);
+    return work;
+}
+
+// The same for a step of one member: the momentum, the group element, and what is watched.
+inline int64_t work_of_step(const FlowLoop& loop) {
+    const FlowTables& tables = loop.tables;
+    const uint32_t first = tables.section[1], last = tables.section[3];
+    int64_t work = work_of_terms(loop.watch.terms, 0, loop.watch.terms.size);
+    for (uint32_t r = first; r < last; ++r)
+        work += 16 + work_of_terms(tables.terms, tables.share[tables.part[r]], tables.share[tables.part[r] + 1]);
+    work += work_of_rows(tables, tables.state, first, last);
+    if (tables.group.size > 0) work += tables.group.size * work_of_rows(tables, tables.group, first, last);
+    return work;
+}

@@ -30,6 +30,7 @@ struct Registers;
     struct Registers<width> {                                           \
         typedef double Vector __attribute__((vector_size(8 * width)));  \
         typedef int64_t Bits __attribute__((vector_size(8 * width)));   \
+        typedef uint64_t Unsigned __attribute__((vector_size(8 * width))); \
     };
 REGISTERS(2)
 REGISTERS(4)
@@ -42,6 +43,7 @@ struct Lanes {
     static_assert(count == 1 || count == 2 || count == 4 || count == 8, "EACH is written out for these");
     typedef typename Registers<width>::Vector Vector;
     typedef typename Registers<width>::Bits Bits;
+    typedef typename Registers<width>::Unsigned Unsigned;
 
     struct Mask {
         Bits part[count];
@@ -120,7 +122,7 @@ struct Lanes {
     // The last bits of a number that was rounded to an integer by adding 1.5 * 2^52.
     INLINE friend Mask odd_bit(const Lanes& rounded, int bit, int added) {
         Mask c;
-        EACH(c.part[k] = ((((Bits)rounded.part[k] + added) >> bit) & 1) != 0)
+        EACH(c.part[k] = ((((Unsigned)rounded.part[k] + uint64_t(added)) >> bit) & 1) != 0)
         return c;
     }
     // The largest lane, where every lane is a number.
@@ -137,7 +139,7 @@ struct Lanes {
     // 2^k, from k + 1.5 * 2^52.
     INLINE friend Lanes power_of_two(const Lanes& rounded) {
         Lanes c;
-        EACH(c.part[k] = (Vector)(((Bits)rounded.part[k] << 52) + (int64_t(1023) << 52)))
+        EACH(c.part[k] = (Vector)(((Unsigned)rounded.part[k] << 52) + (uint64_t(1023) << 52)))
         return c;
     }
     template <class Function>
@@ -189,14 +191,14 @@ INLINE bool all(bool mask) { return mask; }
 INLINE bool at(bool mask, int) { return mask; }
 INLINE double absolute(double a) { return __builtin_fabs(a); }
 INLINE bool odd_bit(double rounded, int bit, int added) {
-    int64_t bits;
+    uint64_t bits;
     std::memcpy(&bits, &rounded, 8);
-    return (((bits + added) >> bit) & 1) != 0;
+    return (((bits + uint64_t(added)) >> bit) & 1) != 0;
 }
 INLINE double power_of_two(double rounded) {
-    int64_t bits;
+    uint64_t bits;
     std::memcpy(&bits, &rounded, 8);
-    bits = int64_t((uint64_t(bits) << 52) + (uint64_t(1023) << 52));
+    bits = (bits << 52) + (uint64_t(1023) << 52);
     std::memcpy(&rounded, &bits, 8);
     return rounded;
 }

@@ -25,6 +25,7 @@ NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve s
     double before = std::numeric_limits<double>::infinity(), least = before;
     int64_t quiet = 0;
     for (int64_t passed = 1; passed <= MOST_CORRECTIONS; ++passed) {
+        Hearing::of_this_call().after(y.work);
         evaluate();
         outcome.iterations = double(passed);
         for (int64_t b = 0; b < y.blocks; ++b)

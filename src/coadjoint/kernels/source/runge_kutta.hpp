@@ -40,6 +40,8 @@ struct Stages {
           times(blocks), lengths(blocks), matrices(tables.direct ? blocks * widest() * widest() : 0),
           system(edge() * edge()), pivots(edge()), right(edge() * std::max<int64_t>(d, 1)),
           trusted(tables.substeps), room(field) {
+        p.work += s * work_of(field);
+        g.work += s * d * group.entries;
         Layout::lay_out(tables.mix, s, s, mix.at);
         Layout::lay_out(tables.node, s, 1, node.at);
         Layout::lay_out(tables.scale, s, 1, scale.at);
@@ -241,6 +243,7 @@ struct Stages {
     }
 
     NOINLINE Mask settle_group(Mask going) {
+        if (!any(going)) return going;
         const V before = iterations;
         const Mask found = taken(settle(g, going, [&] { evaluate_group(0, blocks); }, [](const Mask&, bool) {}));
         iterations = before;

@@ -22,6 +22,15 @@ INLINE void each_row(const State& state, V* x, V* dx, V* g, V* dg, Visit visit) 
     visit(state.group_errors, dg, state.square);
 }
 
+// About how many multiplications a step of one member takes, if it needs some iterations.
+inline int64_t work_of_step(const RungeKuttaLoop& loop) {
+    const RungeKuttaTables& tables = loop.tables;
+    const int64_t stages = tables.stages, n = tables.field.size, d = tables.group.size, edge = stages * std::max(n, d);
+    const int64_t slopes = work_of(tables.field) + stages * n + d * (tables.group.entries + stages * d);
+    return work_of_terms(loop.watch.terms, 0, loop.watch.terms.size) +
+           tables.substeps * (8 * stages * slopes + (tables.direct ? edge * edge * edge : 0));
+}
+
 // Where the first correction already is no number something overflowed; else the iteration did not converge.
 INLINE int64_t failure_of(double residual) { return residual == residual ? NOT_CONVERGED : OVERFLOWED; }
 
@@ -42,7 +51,9 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member) {
     Finished nothing;
     Follower<Side, Finished> follower(loop.watch, loop.saves, schedule, n, nothing);
     int64_t saved = next_saved(schedule, loop.k0);
+    const int64_t work = work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
+        loop.hearing.after(work);
         const double start = schedule.t0 + double(k - 1) * schedule.h;
         bool found = true;
         for (int64_t part = 0; part < loop.tables.substeps && found; ++part) {
@@ -167,7 +178,9 @@ struct Together {
         const Schedule& schedule = loop.schedule;
         CrowdWatcher<A, C> watcher(loop.watch, loop.saves, schedule, constants, members, going, count);
         int64_t saved = next_saved(schedule, loop.k0);
+        const int64_t work = lanes * work_of_step(loop);
         for (int64_t k = loop.k0 + 1; k <= loop.k1 && left > 0; ++k) {
+            loop.hearing.after(work);
             const double start = schedule.t0 + double(k - 1) * schedule.h;
             for (int64_t part = 0; part < tables.substeps && left > 0; ++part)
                 substep(watcher, k, start + tables.moment[part] * schedule.h, tables.fraction[part] * schedule.h, part);

@@ -24,6 +24,12 @@ struct Series {
           factors(field.products.size() * order), made(field.factors.size() * order),
           later(2 * field.blocks), made_later(2 * field.factors.blocks) {}
 
+    // About how many multiplications the coefficients take.
+    int64_t work() const {
+        const int64_t entries = field.gradient.size() + field.linear.size();
+        return order * W * (entries + order * int64_t(field.products.size() + field.factors.size()));
+    }
+
     // Set the coefficients x_1 h, ..., x_p h^p of the motion from x_0.
     void expand(double h) {
         const int64_t blocks = field.extended == field.blocks && (W == 8 || field.blocks == 1) ? field.blocks : 0;

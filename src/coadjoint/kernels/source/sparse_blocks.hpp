@@ -4,6 +4,7 @@
 #include <algorithm>
 
 #include "blocks.hpp"
+#include "hearing.hpp"
 
 constexpr int CUBIC_HEADER = 6;  // constants of a CUBIC block before the values of its entries
 constexpr double MOST_SUBSTEPS = 1.0e6;
@@ -141,7 +142,9 @@ NOINLINE void series(const Action& action, const C& constants, uint32_t run, con
             set_lane(step, lane, NAN);
         }
     }
+    Hearing& hearing = Hearing::of_this_call();
     for (int64_t done = 0; done < most; ++done) {
+        hearing.after(longest * (block.entries + block.width) * x.rows * Numbers<V>::lanes);
         auto going = A(double(done)) < substeps;
         // In Horner's order: added one by one, terms below half a unit in the last place would all be lost alike.
         gather(block, x);

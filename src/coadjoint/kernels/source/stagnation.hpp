@@ -4,6 +4,7 @@
 #include <limits>
 #include <type_traits>
 
+#include "hearing.hpp"
 #include "stages.hpp"
 
 constexpr int64_t FIRST_TEST = 3;     // early corrections may rise before they fall
@@ -13,6 +14,7 @@ constexpr double NOISE = 0x1p-32;     // of the size of the stages: only below i
 constexpr int64_t LOOK = 16;          // every so many iterations: is it slow?
 constexpr double SLOW = 0x1p-6;       // a fall by less since the last look would take more than MOST iterations
 constexpr double TRUSTED = 12.0;      // at most so many iterations go unwatched: the first look needs some before it
+constexpr int64_t LONG = int64_t(1) << 14;  // multiplications of an iteration from which on it listens in each
 
 // For how many iterations nothing may have fallen: few can be chance, since corrections turn while they shrink where
 // the iteration has complex eigenvalues, and the more slowly they shrink the longer that lasts.
@@ -25,11 +27,13 @@ struct Unknowns {
     typedef typename Layout::V V;
     const int64_t stages, blocks, size;
     const typename Layout::Coefficient* mix;
+    int64_t work;  // about how many multiplications an iteration takes
     V *base = nullptr, *error = nullptr;
     Room<A> points, slopes, before, kept, change, moved, least, noise;
 
     Unknowns(int64_t stages, int64_t size, const typename Layout::Coefficient* mix)
-        : stages(stages), blocks(Layout::blocks(stages)), size(size), mix(mix), points(blocks * size),
+        : stages(stages), blocks(Layout::blocks(stages)), size(size), mix(mix),
+          work(stages * stages * size), points(blocks * size),
           slopes(blocks * size), before(blocks * size), kept(Numbers<V>::lanes > 1 ? blocks * size : 0),
           change(blocks * size), moved(blocks), least(blocks * size), noise(blocks) {}
 
@@ -128,6 +132,8 @@ struct Outcome {
 // keeps its slopes. `iterate` sets the slopes at the points, then the points, told whether their moves are watched;
 // `keep` is told which lanes settled, to keep more of them. Outcomes have the residual only of what failed.
 //
+// Where nobody goes nothing is done, and nobody has settled.
+//
 // A trajectory has settled when nothing moves, or when for some iterations in a row no component's correction has
 // fallen below all that it was since the corrections became small. It fails when corrections grow or fall slowly.
 //
@@ -141,6 +147,8 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask going, int64_t blocks, int64_t s
     const V infinite(std::numeric_limits<double>::infinity());
     const auto nobody = !(V(0.0) == V(0.0));
     Outcome<V> outcome{nobody, V(0.0), V(0.0), V(0.0)};
+    if (!any(going)) return outcome;
+    const bool slow = y.work >= LONG;
     double unwatched = TRUSTED;
     for (int lane = 0; lane < Numbers<V>::lanes; ++lane)
         if (at(going, lane)) unwatched = smaller(unwatched, lane_of(trusted, lane));
@@ -150,10 +158,12 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask going, int64_t blocks, int64_t s
     std::fill_n(y.least.at, blocks * size, A(std::numeric_limits<double>::infinity()));
     V first = infinite, looked = infinite, quiet(0.0);
     bool kept = false;
-    for (;; ++passed) {
+    // By the last of them everybody has settled or failed.
+    for (; passed <= MOST; ++passed) {
         iterate(std::true_type());
+        if (__builtin_expect(slow, 0)) Hearing::of_this_call().after(y.work * Numbers<V>::lanes);
         const V count = V(double(passed));
-        auto small = going & (count > trusted), ended = nobody, failed = nobody, still = nobody;
+        typename Numbers<V>::Mask small = going & (count > trusted), ended = nobody, failed = nobody, still = nobody;
         for (int64_t b = 0; b < blocks; ++b) small = small & Layout::every(y.moved.at[b] <= y.noise.at[b]);
         if (any(small)) {
             still = small;
@@ -176,6 +186,7 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask going, int64_t blocks, int64_t s
             const auto bounded = now <= V(GROWTH) * first, fast = now <= V(SLOW) * looked;
             failed = going & !ended & !(bounded & (small | fast));
             looked = now;
+            Hearing::of_this_call().after(LOOK * y.work * Numbers<V>::lanes);
             if (passed >= MOST) failed = going & !ended;
         }
         const auto over = ended | failed;
@@ -206,6 +217,7 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask going, int64_t blocks, int64_t s
             return outcome;
         }
     }
+    return outcome;
 }
 
 // The same, where `evaluate` sets the slopes only, and every iteration is watched.

@@ -9,6 +9,7 @@
 constexpr int64_t UNDEFINED = 3;  // status of a step that its scheme does not define
 
 struct StepScheme {
+    int64_t work = 0;       // about how many multiplications a step takes
     double residual = 0.0;  // the last correction of the last step
     int64_t evaluations = 0, iterations = 0;
     double* memory = nullptr;  // what the scheme remembers of a member from step to step, NaN before the first

@@ -52,6 +52,7 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
     const int64_t eights = (n + 7) / 8;
     Room<Lanes<8>> momentum(2 * eights);
     double *x = reinterpret_cast<double*>(momentum.at), *dx = x + 8 * eights;
+    const int64_t watched = work_of_terms(watch.terms, 0, watch.terms.size);
     std::unique_ptr<StepScheme> own;
     StepScheme* scheme = crew.stride || n > SMALL ? nullptr : remembered_step(tables);
     for (int64_t place = crew.first; place < crew.last; ++place) {
@@ -63,6 +64,8 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
             scheme = own.get();
         }
         scheme->memory = state.remembered ? loop.memory_of(member) : nullptr;
+        // Beyond the last coordinate there is nothing, and nothing that the member before may have left.
+        std::fill_n(x, 16 * eights, 0.0);
         std::copy_n(state.momenta + member * n, n, x);
         std::copy_n(state.errors + member * n, n, dx);
         double *g = state.groups + member * square, *dg = state.group_errors + member * square;
@@ -70,6 +73,7 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
             const double start = schedule.t0 + double(k - 1) * schedule.h;
             int64_t status = DONE;
             for (int64_t part = 0; part < tables.substeps && status == DONE; ++part) {
+                loop.hearing.after(watched + scheme->work);
                 scheme->evaluations = scheme->iterations = 0;
                 status = scheme->step(x, dx, g, dg, start + tables.moment[part] * schedule.h,
                                       tables.fraction[part] * schedule.h);

@@ -5,6 +5,22 @@
 
 constexpr int LINEAR = 0, POLYNOMIAL = 1;
 
+constexpr int64_t WORK_OF_A_CALL = int64_t(1) << 16;  // functions of the user may take long: so many multiplications
+
+// About how many multiplications the terms first to last - 1 take.
+inline int64_t work_of_terms(const Terms& terms, int64_t first, int64_t last) {
+    int64_t work = 0;
+    for (int64_t k = first; k < last; ++k) {
+        work += terms.entry[terms.row[k + 1]] - terms.entry[terms.row[k]];
+        if (terms.kind[k] == POLYNOMIAL)
+            for (uint32_t f = terms.factor[terms.monomial[k]]; f < terms.factor[terms.monomial[k + 1]]; ++f)
+                work += terms.exponent[f];
+        else if (terms.kind[k] != LINEAR)
+            work += WORK_OF_A_CALL;
+    }
+    return work;
+}
+
 typedef void (*UserFunction)(const double* y, double t, double* out);
 
 // Calls a compiled function of the user, lane by lane: it reads `count` numbers and fills `results`.
