@@ -79,8 +79,10 @@ class Crew:
         wrong = self._advance(layout.address, schedule, results.address, work.address, k0, k1, stop.address)
         if wrong >= 0:
             return wrong
-        raise MemoryError("there is no memory for the working arrays of the loop") if wrong == NO_MEMORY else (
-            KeyboardInterrupt()
+        raise (
+            MemoryError("there is no memory for the working arrays of the loop")
+            if wrong == NO_MEMORY
+            else (KeyboardInterrupt())
         )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action
-from coadjoint.program.blocks import CUBIC_HEADER, Kind
+from coadjoint.program.blocks import CUBIC_HEADER, MOST_SUBSTEPS, Kind
 from coadjoint.program.elementary import elementary
 from coadjoint.program.numbers import array_of, roundoff
 from coadjoint.program.rational import bent
@@ -222,7 +222,13 @@ class Reading:
         return self._series(angle, action.constants[action.constant[run]], int(action.degree[run]), block, own)
 
     def _series(self, angle: Any, norm: Any, degree: int, block: NDArray[Any], own: NDArray[Any]) -> Any:
-        substeps = max(1, self.functions.ceil(abs(angle) * norm))
+        reach = abs(angle) * norm
+        if not reach <= MOST_SUBSTEPS:
+            raise ValueError(
+                f"a flow goes {float(reach):.3g} times as far as one term of its series reaches, and "
+                f"{MOST_SUBSTEPS} times is the most; take a smaller step, or start nearer to the origin"
+            )
+        substeps = max(1, self.functions.ceil(reach))
         h, start = angle / substeps, own
         for _ in range(substeps):
             power, k, total = own, 0, 0 * own

@@ -3,15 +3,22 @@
 
 #include "crew.hpp"
 
+constexpr int64_t LOOKED_AFTER = int64_t(1) << 16;  // numbers that are filled without listening
+
 // Put one value in the rows of the members first to last - 1, in each of the planes.
 static void fill(double* at, int64_t planes, int64_t members, int64_t first, int64_t last, int64_t length,
                  double value) {
-    if (last - first == members) {
-        std::fill_n(at, planes * members * length, value);
-        return;
+    // Of all members at once the planes are one piece.
+    const bool whole = last - first == members;
+    const int64_t pieces = whole ? 1 : planes, all = (whole ? planes * members : last - first) * length;
+    for (int64_t piece = 0; piece < pieces; ++piece) {
+        double* from = at + (piece * members + first) * length;
+        for (int64_t done = 0, count; done < all; done += count) {
+            count = std::min(all - done, LOOKED_AFTER);
+            std::fill_n(from + done, count, value);
+            Hearing::of_this_call().after(count);
+        }
     }
-    for (int64_t plane = 0; plane < planes; ++plane)
-        std::fill_n(at + (plane * members + first) * length, (last - first) * length, value);
 }
 
 void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, const Crew& crew) {
@@ -31,7 +38,9 @@ void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, c
     blank(state.group_errors, 1, state.square, 0.0);
     blank(state.memory, 1, state.remembered, NAN);
     std::vector<double> y(watch.longest + 1), room(2 * watch.longest + 2);
+    const int64_t work = work_of_terms(watch.terms, 0, watch.terms.size) + 64 + state.size + state.square;
     for (int64_t place = crew.first; place < crew.last; ++place) {
+        Hearing::of_this_call().after(work);
         const int64_t member = crew.members[place];
         report.status[member] = DONE;
         report.step[member] = report.evaluations[member] = report.iterations[member] = 0;
@@ -52,6 +61,7 @@ int64_t wrong(const Watch& watch, const Arrays& arrays, const Crew& crew, bool e
     const Saves& saves = arrays.saves;
     int64_t found = 0;
     for (int64_t place = crew.first; place < crew.last; ++place) {
+        Hearing::of_this_call().after(ended ? 4 * arrays.points : 1);
         const int64_t member = crew.members[place];
         bool sound = arrays.report.status[member] == DONE;
         for (int64_t point = 0; ended && sound && point < arrays.points; ++point)

@@ -1,0 +1,152 @@
+"""The loops hear a signal whatever they are at, and what comes after has the bits that it always has."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.kernels import loop
+
+# A hang guard, far above the fraction of a second that is measured.
+GUARD = 30.0
+
+SETUP = """
+import signal, sys, time
+import numpy as np
+import coadjoint as co
+
+class Heard(Exception):
+    pass
+
+def hear(*_):
+    raise Heard
+
+def run_for_ever():
+    {run}
+
+body, y = co.systems.rigid_body((1, 2, 3)), np.array([0.1, 1.0, 0.2])
+rng = np.random.default_rng(7)
+basis = np.eye(10, dtype=int) + np.eye(10, k=1, dtype=int) + np.eye(10, k=3, dtype=int)
+turned = co.LiePoissonSystem(co.algebras.change_of_basis(co.algebras.so(5), basis), co.Quadratic(np.arange(1.0, 11.0)))
+large = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 20000), co.Quadratic(np.tile([1.0, 2, 3], 20000)))
+wide = np.tile(y, (20000, 1))
+signal.signal(signal.SIGALRM, hear)
+signal.setitimer(signal.ITIMER_REAL, 1.0)
+try:
+    run_for_ever()
+except Heard:
+    print("heard")
+after = co.integrate(body, y, (0, 5), 0.1, {after})
+print(after.x.tobytes().hex())
+"""
+SHORT = "co.integrate(body, y, (0, 1e8), 0.001, {}, save_every=10**9, watch={})"
+RUNS = {
+    "splitting": (SHORT.format("co.Splitting(order=2)", False), "co.Splitting(order=2)"),
+    "splitting, watched": (SHORT.format("co.Splitting(order=2)", True), "co.Splitting(order=2)"),
+    "Gauss-Legendre": (SHORT.format("co.GaussLegendre(2)", False), "co.GaussLegendre(2)"),
+    "explicit": (SHORT.format("co.ExplicitRungeKutta('rk4')", True), "co.ExplicitRungeKutta('rk4')"),
+    "Taylor": (SHORT.format("co.Taylor(8)", True), "co.Taylor(8)"),
+    "Radau": (SHORT.format("co.RadauEnergy(2)", False), "co.RadauEnergy(2)"),
+    "substeps of a series, far too large a step": (
+        "co.integrate(turned, 2e4 * rng.standard_normal((17, 10)), (0, 300), 1.0, "
+        "co.Splitting(order=10, parts='coordinates'), threads=1)",
+        "co.Splitting(order=10, parts='coordinates')",
+    ),
+    "a large system": (
+        "co.integrate(large, np.tile(y, 20000), (0, 1e6), 0.1, co.GaussLegendre(8), save_every=10**9)",
+        "co.GaussLegendre(8)",
+    ),
+    "threads": (
+        "co.integrate(body, wide, (0, 1e6), 0.01, co.Splitting(order=2), save_every=10**9, threads=2)",
+        "co.Splitting(order=2)",
+    ),
+    "a batch": (
+        "co.integrate(co.batch([co.systems.rigid_body((1, 2, 3 + 0.01 * k)) for k in range(40)]), y, (0, 1e7), 0.01,"
+        " co.GaussLegendre(2), save_every=10**9)",
+        "co.GaussLegendre(2)",
+    ),
+    "a progress bar": (
+        "co.integrate(body, y, (0, 1e8), 0.001, co.Splitting(order=2), save_every=10**9, progress=True)",
+        "co.Splitting(order=2)",
+    ),
+}
+
+
+def told_by(script: str) -> list[str]:
+    """Return the lines that a process prints, which must not take long."""
+    environment = os.environ | {"PYTHONPATH": str(Path(co.__file__).parents[1])}
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=GUARD, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="timers of signals are POSIX's")
+@pytest.mark.parametrize("name", RUNS)
+def test_a_signal_is_heard_and_leaves_nothing_behind(name):
+    run, after = RUNS[name]
+    body = co.systems.rigid_body((1, 2, 3))
+    expected = co.integrate(body, (0.1, 1.0, 0.2), (0, 5), 0.1, eval(after, {"co": co})).x
+    assert told_by(SETUP.format(run=run, after=after)) == ["heard", expected.tobytes().hex()]
+
+
+def test_other_threads_hear_that_they_are_to_stop(monkeypatch):
+    """A run in a thread of its own hears no signal, but what is said to it."""
+    monkeypatch.setattr(loop.Stop, "__init__", lambda self: _said(self))
+    with pytest.raises(KeyboardInterrupt):
+        co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (0, 1e6), 0.001, watch=False, save_every=10**9)
+
+
+def _said(stop):
+    stop._said = loop.ctypes.c_int64(1)
+    stop.address = loop.ctypes.byref(stop._said)
+
+
+def test_no_memory_is_said_and_does_not_end_the_process(monkeypatch):
+    """A loop that finds no room says so: here the library answers in its place."""
+    monkeypatch.setattr(loop, "_loop", lambda name: lambda *given: loop.NO_MEMORY)
+    with pytest.raises(MemoryError, match="working arrays"):
+        co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (0, 1), 0.1)
+
+
+def test_what_does_not_settle_ends():
+    """Nobody of a block settles in the momentum: the group iteration has nobody to go for, alone and in a crowd."""
+    script = """
+import numpy as np, coadjoint as co
+x = np.array([[5., 5.005, 5.01], [5.015, 5.02, 5.025], [5.03, 5.035, 5.04]])
+body = co.systems.rigid_body((1, 2, 3))
+whole = co.integrate(body, x, (0, 3), 1.0, co.GaussLegendre(2), attitude=True)
+for m in range(3):
+    alone = co.integrate(body, x[m], (0, 3), 1.0, co.GaussLegendre(2), attitude=True)
+    print(np.array_equal(whole.x[:, m], alone.x) and np.array_equal(whole.attitude[:, m], alone.attitude))
+try:
+    co.integrate(body, 1e6 * x, (0, 3), 1.0, co.ModifiedGaussLegendre(2, freeze="gradient"), attitude=True)
+except co.IntegrationError as error:
+    pass
+print("ended")
+"""
+    assert told_by(script) == ["True", "True", "True", "ended"]
+
+
+@pytest.mark.parametrize("n", [3, 4, 5])
+@pytest.mark.parametrize("method", [co.Taylor(8), co.Taylor(3, projected=False), co.RadauEnergy(1)], ids=str)
+def test_a_member_that_overflows_leaves_nothing_to_the_next(n, method):
+    """Dimensions 3, 6 and 10 leave lanes of a row empty; a member after the failing one finds zeros there."""
+    algebra = co.algebras.so(n)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(np.linspace(1.0, 2.0, algebra.dim)))
+    calm = np.linspace(0.1, 1.0, algebra.dim)
+    wild = 1e200 * np.roll(calm, 1)
+    alone = co.integrate(system, calm, (0, 1), 0.1, method)
+    for order in ([wild, calm], [calm, wild], [wild, calm, wild, calm]):
+        with pytest.raises(co.IntegrationError) as raised:
+            co.integrate(system, np.array(order), (0, 1), 0.1, method, threads=1)
+        partial = raised.value.partial
+        assert partial.failed.tolist() == [state is wild for state in order]
+        for member in np.flatnonzero(~partial.failed):
+            assert np.array_equal(partial.x[:, member], alone.x)
+            assert np.array_equal(partial.energy[:, member], alone.energy)

@@ -1,0 +1,1 @@
+"""Random systems, schemes and crowds, each made again from its seed, and what must not change their bits."""

@@ -1,0 +1,126 @@
+"""A random run from a seed: system or batch, scheme, crowd, span, and what is carried and watched."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+import coadjoint as co
+
+from .algebras import some_algebra
+from .hamiltonians import matrix, some_hamiltonian
+
+MEMBERS = (1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 31, 32, 33, 34, 40)
+STEPS = (0, 1, 2, 3, 5, 7, 8, 11, 16, 17, 23, 29, 40)
+TRIPLE_JUMP = (1 / (2 - 2 ** (1 / 3)), 1 - 2 / (2 - 2 ** (1 / 3)), 1 / (2 - 2 ** (1 / 3)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """What `integrate` is given; `systems` are those of the members."""
+
+    systems: tuple[Any, ...]
+    x0: np.ndarray
+    t_span: tuple[float, float]
+    step: float
+    method: Any
+    attitude: Any
+    save_every: int
+    watch: bool
+
+    @property
+    def batch(self) -> bool:
+        return len(self.systems) > 1
+
+    def __str__(self) -> str:
+        return (
+            f"{self.systems[0]!r}{' and others' if self.batch else ''} by {self.method}, {len(self.x0)} members, "
+            f"t_span={self.t_span}, step={self.step}, attitude={self.attitude!r}, save_every={self.save_every}"
+        )
+
+
+def some_method(rng: np.random.Generator) -> Any:
+    """Return a random scheme with random options."""
+    kind = rng.integers(12)
+    if kind <= 3:
+        compensated = (None, True, False)[rng.integers(3)]
+        if rng.random() < 0.25:
+            schemes = (
+                "yoshida4",
+                "suzuki4",
+                "blanes_moan6",
+                "blanes_casas_murua6",
+                "kahan_li8a",
+                "sofroniou_spaletta10",
+            )
+            return co.Splitting(scheme=schemes[rng.integers(len(schemes))], compensated=compensated)
+        order = int(rng.choice([1, 2, 4, 6, 8, 10], p=[0.15, 0.4, 0.25, 0.1, 0.05, 0.05]))
+        parts = "coordinates" if rng.random() < 0.3 else "auto"
+        rotation = "rational" if rng.random() < 0.2 else "exact"
+        adjoint = bool(order == 1 and rng.random() < 0.5)
+        return co.Splitting(order=order, parts=parts, compensated=compensated, rotation=rotation, adjoint=adjoint)
+    if kind == 4:
+        return co.GaussLegendre(int(rng.choice([1, 2, 3, 4, 5, 6, 8, 9, 12, 16, 17])))
+    if kind == 5:
+        return co.ModifiedGaussLegendre(int(rng.integers(1, 5)), freeze=("structure", "gradient")[rng.integers(2)])
+    if kind == 6:
+        return co.IteratedGaussLegendre(int(rng.integers(1, 5)), iterations=(None, 1, 4)[rng.integers(3)])
+    if kind == 7:
+        return co.ExplicitRungeKutta(("rk4", "runge2")[rng.integers(2)])
+    if kind == 8:
+        return co.RadauEnergy(int(rng.integers(1, 4)))
+    if kind <= 10:
+        order = int(rng.choice([1, 2, 3, 5, 8, 16, 17, 24, 33, 64]))
+        return co.Taylor(order, projected=bool(rng.random() < 0.7))
+    bases = (co.Splitting(order=2), co.GaussLegendre(1), co.Splitting(order=2, compensated=True))
+    return co.Composition(bases[rng.integers(3)], TRIPLE_JUMP)
+
+
+def crowd(rng: np.random.Generator, members: int, n: int) -> np.ndarray:
+    """Return states that are strangers to each other, or neighbours; some at rest, some far beyond all others."""
+    states = 10.0 ** rng.choice([-3, 0, 0, 0, 1]) * rng.standard_normal((members, n))
+    if rng.random() < 0.3:
+        # Neighbours meet the limits of an iteration in the same step.
+        states = states[0] * (1.0 + 10.0 ** -rng.integers(1, 7) * np.arange(members)[:, None])
+    if rng.random() < 0.25:
+        far = rng.random(members) < 0.3
+        states[far] *= 10.0 ** rng.choice([1, 3, 20, 100, 200])
+    if rng.random() < 0.1:
+        states[rng.integers(members)] = 0.0
+    return states
+
+
+def some_systems(rng: np.random.Generator, members: int) -> tuple[Any, ...]:
+    """Return one system, or as many as members that differ in their constants."""
+    algebra, sign = some_algebra(rng), int(rng.choice([-1, 1]))
+    if members > 1 and rng.random() < 0.15:
+        M = matrix(rng, algebra.dim)
+        factors = 1.0 + 0.1 * rng.random(members)
+        return tuple(co.LiePoissonSystem(algebra, co.Quadratic(f * np.asarray(M)), sign=sign) for f in factors)
+    return (co.LiePoissonSystem(algebra, some_hamiltonian(rng, algebra.dim), sign=sign),)
+
+
+def case_of(seed: int) -> tuple[Case, np.random.Generator]:
+    """Return the case of a seed, and where to draw from for what is compared."""
+    rng = np.random.default_rng(seed)
+    while True:
+        members = int(rng.choice(MEMBERS))
+        try:
+            systems, method = some_systems(rng, members), some_method(rng)
+            keeps = method.properties(systems[0])
+        except ValueError:
+            # Refused by name, as the tests of refusals see; another is drawn.
+            continue
+        n = systems[0].dim
+        step = float(rng.choice([0.01, 0.0625, 0.1, 0.3, 1.0]))
+        t0, steps = float(rng.choice([0.0, 0.0, 1.5, -2.0])), int(rng.choice(STEPS))
+        end = t0 + step * steps * float(rng.choice([-1.0, 1.0, 1.0]))
+        attitude: Any = False
+        if keeps.attitude != "none" and n <= 30 and rng.random() < 0.7:
+            own = systems[0].representation is not None and rng.random() < 0.5
+            attitude = True if own else "coadjoint"
+        save_every, watch = int(rng.choice([1, 1, 2, 3, 5, 7, 9, 13, 100])), bool(rng.random() < 0.6)
+        x0 = crowd(rng, members, n)
+        return Case(systems, x0, (t0, end), step, method, attitude, save_every, watch), rng

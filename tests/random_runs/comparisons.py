@@ -1,0 +1,134 @@
+"""The same run in other company, in another order, prepared, watched or not, on other threads: the same bits."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import time
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import coadjoint as co
+
+from .cases import Case, case_of
+
+SLOW = 2.0  # seconds: near a blow-up a run may take that, and is then compared with itself alone
+
+
+class Left(NamedTuple):
+    """What a run leaves: arrays by name, members second where the name has no star; and how it failed."""
+
+    arrays: dict[str, np.ndarray]
+    failure: tuple[Any, ...] | None
+
+
+def left_by(solution: co.Solution, failure: tuple[Any, ...] | None) -> Left:
+    """Return every number of a solution; of one state it is an ensemble of one."""
+    along = {"x": solution.x, "energy": solution.energy, **{f"C {n}": v for n, v in solution.casimirs.items()}}
+    if solution.attitude is not None:
+        along["attitude"] = solution.attitude
+    single = solution.x.ndim == 2
+    arrays = {name: values[:, None] if single else values for name, values in along.items()}
+    for name, drift in solution.drift().items():
+        arrays[f"*{name}"] = np.atleast_2d(drift.tenths)
+    return Left(arrays, failure)
+
+
+def run(case: Case, members: Any = slice(None), **changes: Any) -> Left:
+    """Run the case, or some of its members, with something changed."""
+    chosen = np.arange(len(case.x0))[members]
+    if case.batch:
+        system = case.systems[int(chosen)] if chosen.ndim == 0 else co.batch([case.systems[m] for m in chosen])
+    else:
+        system = case.systems[0]
+    given = {"attitude": case.attitude, "save_every": case.save_every, "watch": case.watch, "threads": 1} | changes
+    try:
+        with contextlib.redirect_stderr(io.StringIO()):
+            return left_by(co.integrate(system, case.x0[chosen], case.t_span, case.step, case.method, **given), None)
+    except co.IntegrationError as error:
+        return left_by(error.partial, (error.step, error.time, repr(error.residual), str(error)))
+
+
+def prepared_twice(case: Case) -> Left:
+    """Run the case by a prepared run that has just run other states."""
+    system = co.batch(list(case.systems)) if case.batch else case.systems[0]
+    ready = co.prepare(system, case.method, case.step, attitude=case.attitude, watch=case.watch, threads=1)
+    with contextlib.suppress(co.IntegrationError):
+        ready.run(0.7 * case.x0[::-1], case.t_span, 3)
+    try:
+        return left_by(ready.run(case.x0, case.t_span, case.save_every), None)
+    except co.IntegrationError as error:
+        return left_by(error.partial, (error.step, error.time, repr(error.residual), str(error)))
+
+
+def same(one: np.ndarray, other: np.ndarray) -> bool:
+    """Return whether two arrays have the same bits; one NaN is as good as another."""
+    one, other = np.ascontiguousarray(one), np.ascontiguousarray(other)
+    if one.shape != other.shape:
+        return False
+    none = np.isnan(one)
+    return bool((none == np.isnan(other)).all()) and one[~none].tobytes() == other[~none].tobytes()
+
+
+def differing(one: Left, other: Left, members: Any = slice(None), points: Any = slice(None)) -> list[str]:
+    """Return the names of arrays whose bits differ: of these members of the first, at these saved points."""
+    found = []
+    for name in other.arrays.keys() & one.arrays.keys():
+        mine, theirs = one.arrays[name], other.arrays[name]
+        mine = mine[members] if name.startswith("*") else mine[points][:, members]
+        if not name.startswith("*") and other.failure is not None and theirs.shape[1] == 1:
+            mine = mine[: len(theirs)]  # of a single state what comes after its failure is left out
+        if not same(mine, theirs):
+            found.append(name)
+    return found
+
+
+def differences(seed: int) -> Iterator[str]:
+    """Yield what changes bits in the case of a seed, in a sentence each."""
+    case, rng = case_of(seed)
+    began = time.perf_counter()
+    try:
+        whole = run(case)
+    except (ValueError, TypeError):
+        return  # refused, before the first step
+    count = len(case.x0)
+
+    def told(what: str, other: Left, failing: bool = True, **where: Any) -> Iterator[str]:
+        names = differing(whole, other, **where)
+        if names:
+            yield f"{what}: {', '.join(sorted(names))} differ"
+        if failing and whole.failure != other.failure:
+            yield f"{what}: failed as {other.failure}, not as {whole.failure}"
+
+    yield from told("again", run(case))
+    if time.perf_counter() - began > 2 * SLOW:
+        return
+    yield from told("threads", run(case, threads=int(rng.integers(2, 5))))
+    yield from told("with a progress bar, in pieces", run(case, progress=True))
+    yield from told("prepared, after other states", prepared_twice(case))
+    unwatched = run(case, watch=not case.watch)
+    saved = Left({n: v for n, v in unwatched.arrays.items() if not n.startswith("*")}, unwatched.failure)
+    yield from told("watched or not", saved)
+    steps = round(abs(case.t_span[1] - case.t_span[0]) / case.step)
+    every = run(case, save_every=1)
+    kept = sorted({*range(0, steps + 1, case.save_every), steps})
+    within = {
+        n: v if n.startswith("*") else v[[k for k in kept if k < len(v)]]
+        for n, v in every.arrays.items()
+        if case.watch or not n.startswith("*")
+    }
+    yield from told("every step saved", Left(within, every.failure))
+    if case.attitude is not False:
+        yield from told("without attitude", run(case, attitude=False), failing=False)
+    turned = rng.permutation(count)[: max(1, count // 2)]
+    yield from told("some, in another order", run(case, turned), failing=False, members=turned)
+    backward = np.arange(count)[::-1]
+    yield from told("in the opposite order", run(case, backward), failing=False, members=backward)
+    for m in sorted({0, count - 1, int(rng.integers(count))}):
+        alone = run(case, m)
+        yield from told(f"member {m} alone", alone, failing=False, members=slice(m, m + 1))
+        if count > 1 and (alone.failure is not None) != bool(np.isnan(whole.arrays["x"][-1, m]).any()):
+            if not (alone.failure and "energy" in alone.failure[3]):
+                yield f"member {m} alone: failed as {alone.failure}, other than in the crowd"

@@ -1,0 +1,33 @@
+"""Random systems, schemes and crowds: every run has the bits that it has alone, and ends.
+
+`make soak` tries thousands of them.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import coadjoint as co
+
+SEEDS, EACH = 300, 25
+# The limit of a single seed ends a process earlier.
+GUARD = 600.0
+
+
+@pytest.mark.parametrize("first", range(0, SEEDS, EACH))
+def test_random_runs_have_the_same_bits_in_any_company(first):
+    command = [sys.executable, "-m", "random_runs.soak", str(first), str(EACH)]
+    done = subprocess.run(
+        command,
+        cwd=Path(__file__).parents[1],
+        env=os.environ | {"PYTHONPATH": str(Path(co.__file__).parents[1])},
+        capture_output=True,
+        text=True,
+        timeout=GUARD,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
+    assert done.stdout.splitlines()[-1] == f"{EACH} seeds, 0 wrong"
