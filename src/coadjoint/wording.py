@@ -1,0 +1,118 @@
+"""How a value from outside is shown in a message: in one line, cut short, whatever it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+DEPTH = 6
+"""Containers inside containers that are shown; what lies deeper is left out."""
+
+
+def short(value: Any, limit: int = 80) -> str:
+    """Return a representation of at most `limit` characters, in one line.
+
+    It is `repr` for what is small. Arrays, containers, strings and integers are read only as far as they are shown, so
+    the time does not grow with them. An object whose ``__repr__`` fails is called by its type.
+
+    Parameters
+    ----------
+    value : object
+        Anything.
+    limit : int, optional
+        Most characters, from 4.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> short((1.0, "two"))
+    "(1.0, 'two')"
+    >>> short(list(range(10**6)), 20)
+    '[0, 1, 2, 3, 4, 5...'
+    >>> short(10**400), short(np.ones((1000, 1000)))
+    ('<int of about 401 digits>', '<array of shape (1000, 1000), float64>')
+    """
+    text = ""
+    for piece in _pieces(value, limit, DEPTH):
+        text += piece
+        if len(text) > limit:
+            text = f"{text[: limit - 3]}..."
+            break
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
+def _pieces(value: Any, limit: int, depth: int) -> Iterator[str]:
+    """Yield the representation in pieces; whoever has enough stops asking."""
+    shown_by: Any = type(value).__repr__
+    if shown_by in (str.__repr__, bytes.__repr__, bytearray.__repr__):
+        yield repr(value[:limit])
+        if len(value) > limit:
+            yield "..."
+    elif shown_by is int.__repr__:
+        digits = value.bit_length() * 0.30103
+        yield repr(value) if digits < limit else f"<int of about {int(digits) + 1} digits>"
+    elif shown_by in _BRACKETS:
+        yield from _container(value, limit, depth)
+    elif isinstance(value, np.ndarray):
+        yield from _array(value, limit, depth)
+    else:
+        yield _own(value, limit)
+
+
+_BRACKETS: dict[Any, tuple[str, str]] = {
+    list.__repr__: ("[", "]"),
+    tuple.__repr__: ("(", ")"),
+    dict.__repr__: ("{", "}"),
+    set.__repr__: ("{", "}"),
+    frozenset.__repr__: ("frozenset({", "})"),
+}
+
+
+def _container(value: Any, limit: int, depth: int) -> Iterator[str]:
+    first, last = _BRACKETS[type(value).__repr__]
+    if not value and first.endswith("{") and not isinstance(value, dict):
+        yield f"{type(value).__name__}()"
+        return
+    yield first
+    if depth == 0 and value:
+        yield "..."
+    else:
+        entries: Iterable[Any] = value.items() if isinstance(value, dict) else value
+        for number, entry in enumerate(islice(entries, limit)):
+            if number:
+                yield ", "
+            if isinstance(value, dict):
+                yield from _pieces(entry[0], limit, depth - 1)
+                yield ": "
+                yield from _pieces(entry[1], limit, depth - 1)
+            else:
+                yield from _pieces(entry, limit, depth - 1)
+    if isinstance(value, tuple) and len(value) == 1:
+        yield ","
+    yield last
+
+
+def _array(value: Any, limit: int, depth: int) -> Iterator[str]:
+    plain, small = type(value) is np.ndarray, value.size <= limit and value.ndim <= 3
+    if small and value.dtype == object and plain and depth:
+        yield "array("
+        yield from _pieces(value.tolist(), limit, depth - 1)
+        yield ", dtype=object)"
+    elif small and value.dtype != object:
+        yield _own(value, limit)
+    else:
+        yield f"<{'array' if plain else type(value).__name__} of shape {value.shape}, {value.dtype.name}>"
+
+
+def _own(value: Any, limit: int) -> str:
+    """Return the start of what an object says of itself, or its type where it fails to."""
+    try:
+        return " ".join(repr(value)[: 8 * limit].split())
+    except Exception:
+        return f"<{type(value).__name__} object without a representation>"

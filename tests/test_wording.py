@@ -1,0 +1,103 @@
+"""How values from outside are shown: short, in one line, in bounded time."""
+
+import time
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from coadjoint.wording import short
+
+
+class Raises:
+    def __repr__(self):
+        raise RuntimeError("no")
+
+
+class NoString:
+    def __repr__(self):
+        return 3
+
+
+class Endless:
+    def __repr__(self):
+        return "x" * 10**6
+
+
+class ManyLines:
+    def __repr__(self):
+        return "a\n  b\x1b[31m"
+
+
+def deep(levels):
+    nested = []
+    for _ in range(levels):
+        nested = [nested]
+    return nested
+
+
+def itself():
+    endless = []
+    endless.append(endless)
+    return endless
+
+
+HOSTILE = {
+    "a long list": list(range(10**6)),
+    "a long tuple of long strings": ("x" * 10**6,) * 1000,
+    "a large dict": dict.fromkeys(range(10**5)),
+    "a large set": set(range(10**5)),
+    "a large frozenset": frozenset(range(10**5)),
+    "a deep list": deep(100_000),
+    "a list of itself": itself(),
+    "a wide tree": [[[[list(range(1000))] * 1000] * 1000] * 1000] * 1000,
+    "a large int": 10**100_000,
+    "a negative one": -(10**4400),
+    "a large fraction": Fraction(10**5000, 3),
+    "large ints in a list": [10**100_000] * 3,
+    "a large array": np.ones(10**6),
+    "an array of many dimensions": np.ones((7,) * 7),
+    "an array of objects": np.array([[10**5000, Raises()], [NoString(), list(range(10**6))]], dtype=object),
+    "a masked array": np.ma.masked_array(np.ones(10**5)),
+    "a masked array of objects": np.ma.masked_array(np.array([Raises(), 1], dtype=object)),
+    "records": np.zeros(3, dtype=[(f"field {i}", float) for i in range(1000)]),
+    "bytes": b"\0" * 10**6,
+    "a bytearray": bytearray(10**6),
+    "a repr that raises": Raises(),
+    "such a class in a dict": {Raises(): [Raises()]},
+    "a repr that is no string": NoString(),
+    "a long repr": Endless(),
+    "lines and a terminal code": ManyLines(),
+    "a string of lines": "a\nb\x1b" * 1000,
+}
+
+
+@pytest.mark.parametrize("limit", [4, 20, 80, 200])
+@pytest.mark.parametrize("name", HOSTILE)
+def test_anything_is_shown_in_one_short_line(name, limit):
+    start = time.perf_counter()
+    text = short(HOSTILE[name], limit)
+    assert time.perf_counter() - start < 10  # an unbounded one takes minutes, or all memory
+    assert 0 < len(text) <= limit
+    assert text.isprintable()
+
+
+@pytest.mark.parametrize(
+    "value",
+    [None, True, 3, -(2**64), 0.1, 1 + 2j, "text", b"text", bytearray(b"a"), [], (), {}, set(), frozenset(), (1,),
+     [1, "a", [2.0]], {"a": 1, (0, 1): {2: 3.0}}, {1}, frozenset({1}), Fraction(1, 3), np.float64(2.0),
+     np.array([1.0, 2.0]), range(3), int],
+)  # fmt: skip
+def test_what_is_small_is_its_repr(value):
+    assert short(value) == repr(value)
+
+
+def test_an_array_of_objects_shows_them():
+    assert short(np.array(["1", 2], dtype=object)) == "array(['1', 2], dtype=object)"
+
+
+def test_a_list_subclass_without_its_own_repr_is_cut_as_a_list():
+    class Own(list):
+        pass
+
+    assert short(Own(range(10**6)), 12) == "[0, 1, 2,..."
