@@ -6,6 +6,8 @@ import difflib
 from collections.abc import Iterable
 from typing import Any
 
+from coadjoint.wording import short
+
 
 class IntegrationError(RuntimeError):
     """A run failed while running: a fixed point did not converge, or a number overflowed.
@@ -47,7 +49,7 @@ def _restored(message: str, step: int, time: float, residual: float, partial: An
     return IntegrationError(message, step=step, time=time, residual=residual, partial=partial)
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
+def unknown_name(kind: str, name: Any, known: Iterable[str]) -> ValueError:
     """Return the error for an unknown name, with the nearest known one.
 
     Parameters
@@ -55,7 +57,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
     kind : str
         What is named, for instance ``"algebra"``.
     name : str
-        The name that was given.
+        The name that was given; what is no string is refused without a guess.
     known : iterable of str
         The names that exist.
 
@@ -70,5 +72,9 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
     unknown algebra 'so4'; did you mean 'so(4)'?
     """
     names = sorted(known)
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.0)
-    return ValueError(f"unknown {kind} {name!r}; did you mean {close[0]!r}?")
+    if not isinstance(name, str):
+        return ValueError(f"unknown {kind} {short(name)}; give a name, such as {names[0]!r}")
+    # What is much longer than every name is compared by its beginning: the time grows like the square of it.
+    beginning = name[: 2 * max(map(len, names))]
+    close = difflib.get_close_matches(beginning, names, n=1, cutoff=0.0)
+    return ValueError(f"unknown {kind} {short(name)}; did you mean {close[0]!r}?")

@@ -151,7 +151,7 @@ def test_ten_thousand_monomials():
         ({(1, 0): 1j}, None, TypeError, "not 1j"),
         ({}, None, ValueError, "dim must be given"),
         ({(): 1}, None, ValueError, "at least one coordinate"),
-        ({(1,): 1}, 0, ValueError, "positive integer, not 0"),
+        ({(1,): 1}, 0, ValueError, "whole number from 1 up, not 0"),
         ([((1,), 1)], None, TypeError, "must be a mapping"),
     ],
 )
@@ -169,15 +169,15 @@ def test_wrong_operations_are_refused():
     with pytest.raises(TypeError):
         p + "x"
     for power in (-1, 0.5, True):
-        with pytest.raises(ValueError, match="whole powers"):
+        with pytest.raises(ValueError, match="power of a Polynomial must be a whole number"):
             p**power
-    with pytest.raises(ValueError, match="index 2 of a coordinate"):
+    with pytest.raises(ValueError, match="index of a coordinate must be a whole number from 0 to 1, not 2"):
         p.derivative(2)
     with pytest.raises(ValueError, match="index 3 of a coordinate"):
         Polynomial.variable(3, 3)
     with pytest.raises(ValueError, match=r"shape \(2,\), not \(3,\)"):
         p([1.0, 2.0, 3.0])
-    with pytest.raises(TypeError, match="must hold numbers"):
+    with pytest.raises(TypeError, match="must be an array of real numbers"):
         p(["a", "b"])
     with pytest.raises(ValueError, match="constant is nan"):
         p + float("nan")

@@ -188,7 +188,7 @@ def test_quotients():
     [
         (lambda: direct_sum(), ValueError, "a direct sum needs at least one algebra"),
         (lambda: direct_sum(so(3), 3), TypeError, "not of a int"),
-        (lambda: copies(so(3), 0), ValueError, r"count of copies\(g, count\) must be an integer from 1 up, not 0"),
+        (lambda: copies(so(3), 0), ValueError, r"count of copies\(g, count\) must be a whole number from 1 up, not 0"),
         (lambda: copies("so(3)", 2), TypeError, "not of a str"),
         (lambda: semidirect(get("A4,8")), ValueError, "has no representation; give the matrices by which it acts"),
         (lambda: semidirect(so(3), np.ones((3, 2, 2))), ValueError, "representation violates the commutator"),

@@ -19,6 +19,7 @@ from coadjoint.algebra.generic_rank import generic_rank
 from coadjoint.algebra.joins import Integers
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.rational import rational_constants
+from coadjoint.given import read_whole
 
 MONOMIALS = 40_000  # of one degree in one summand: a minute at most
 TERMS = 10_000_000  # of their derivatives, before like ones are collected: 1 GB
@@ -154,15 +155,14 @@ def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> dict[str, Polyn
     >>> casimirs(Triples(*np.array([[0], [1], [2]]), np.array([1.0])), 3)  # Heisenberg
     {'C1': x3}
     """
-    if isinstance(max_degree, bool) or not isinstance(max_degree, int | np.integer) or max_degree < 1:
-        raise ValueError(f"max_degree must be a whole number from 1 up, not {max_degree!r}")
+    max_degree = read_whole(max_degree, "max_degree")
     known: dict[tuple[int, tuple[bytes, ...]], list[Polynomial]] = {}
     placed: list[tuple[Integers, Polynomial]] = []
     exponents = 0
     for coordinates, constants in summands(triples, dim):
         key = coordinates.size, tuple(column.tobytes() for column in constants)
         if key not in known:  # equal summands are solved once
-            known[key] = summand_casimirs(constants, coordinates.size, int(max_degree))
+            known[key] = summand_casimirs(constants, coordinates.size, max_degree)
         placed += [(coordinates, polynomial) for polynomial in known[key]]
         exponents += sum(len(polynomial.monomials) for polynomial in known[key]) * dim
         if exponents > EXPONENTS:

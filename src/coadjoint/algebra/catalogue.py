@@ -15,6 +15,8 @@ from coadjoint.algebra.products import copies, direct_sum, semidirect
 from coadjoint.algebra.subspaces import change_of_basis, quotient, subalgebra
 from coadjoint.algebra.unitary import su, u
 from coadjoint.errors import unknown_name
+from coadjoint.given import read_whole
+from coadjoint.wording import short
 
 __all__ = [
     "A3_7",
@@ -40,7 +42,7 @@ __all__ = [
 
 
 def _sp_by_half(n: int) -> LieAlgebra:
-    return sp(2 * n if isinstance(n, int) else n)
+    return sp(2 * read_whole(n, "n of sp(2n)"))
 
 
 # pattern -> what builds it, and the names of its numbers
@@ -105,7 +107,7 @@ def get(name: str, **parameters: Any) -> LieAlgebra:
     True
     """
     if not isinstance(name, str):
-        raise TypeError(f"name of an algebra must be a string, not {name!r}")
+        raise TypeError(f"name of an algebra must be a string, not {short(name)}")
     plain = re.sub(r"\s", "", name)
     published = plain.replace(",", "_")
     if published in entries():
@@ -116,7 +118,7 @@ def get(name: str, **parameters: Any) -> LieAlgebra:
         build, wanted = _FAMILIES[plain]
         _check_parameters(name, wanted, parameters)
         return build(*(parameters[key] for key in wanted))
-    match = re.fullmatch(r"(\w+)\((\d+)(?:,(\d+))?\)", plain)
+    match = re.fullmatch(r"([a-z]+)\(([0-9]{1,4000})(?:,([0-9]{1,4000}))?\)", plain)
     if match is None or match[1] not in {pattern.split("(")[0] for pattern in _FAMILIES}:
         raise unknown_name("algebra", name, names())
     if match[3] is not None and match[1] != "so":
@@ -133,4 +135,4 @@ def _check_parameters(name: str, wanted: tuple[str, ...], given: Mapping[str, An
     extra = sorted(set(given) - set(wanted))
     if extra:
         accepted = ", ".join(wanted) or "none"
-        raise ValueError(f"algebra {name!r} has no parameter {extra[0]!r}; it takes: {accepted}")
+        raise ValueError(f"algebra {name!r} has no parameter {short(extra[0])}; it takes: {accepted}")

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from coadjoint.algebra.joins import Floats, Integers
+from coadjoint.given import read_numbers, read_whole
+from coadjoint.memory import check_room
+from coadjoint.wording import short
+
+# While an algebra is made: names and their table; four columns, twice.
+BYTES_PER_DIMENSION = 140
+BYTES_PER_CONSTANT = 90
 
 
 class Triples(NamedTuple):
@@ -53,28 +60,27 @@ def triple_name(indices: Sequence[int], names: Sequence[str]) -> str:
     return f"({', '.join(names[q] for q in indices)}) = indices ({', '.join(str(q) for q in indices)})"
 
 
-def read_numbers(values: Any, what: str) -> Floats:
-    """Return a float64 copy of real numbers, or say by name what is wrong with them.
+def check_room_of_algebra(name: str, dim: int, constants: int) -> None:
+    """Refuse an algebra that does not fit in memory, before anything of it is made.
+
+    Parameters
+    ----------
+    name : str
+        What it is called in the message.
+    dim, constants : int
+        Dimension, and about how many constants c_ij^k with i < j are not zero.
+
+    Raises
+    ------
+    ValueError
+        With the estimate, and with what is free.
 
     Examples
     --------
-    >>> read_numbers([[1, 2]], "M")
-    array([[1., 2.]])
+    >>> check_room_of_algebra("so(3)", 3, 3)
     """
-    try:
-        given = np.asarray(values)
-        if given.dtype.kind not in "iufO":
-            raise TypeError
-        numbers = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        shown = " ".join(repr(values).split())
-        shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
-        raise TypeError(
-            f"{what} is {shown}; it must be an array of real numbers, all rows of the same length"
-        ) from None
-    except OverflowError:
-        raise ValueError(f"{what} holds a number that is too large for float64") from None
-    return numbers
+    need = BYTES_PER_DIMENSION * dim + BYTES_PER_CONSTANT * constants
+    check_room(need, f"{name}, of dimension {short(dim)},", "take a smaller one")
 
 
 def read_constants(constants: Any, dim: int | None) -> tuple[int, Triples, bool]:
@@ -105,8 +111,9 @@ def read_constants(constants: Any, dim: int | None) -> tuple[int, Triples, bool]
     >>> dim, triples.c, complete
     (2, array([1.]), False)
     """
-    if dim is not None and (isinstance(dim, bool) or not isinstance(dim, int | np.integer) or dim < 1):
-        raise ValueError(f"dim must be a positive integer, not {dim!r}")
+    if dim is not None:
+        dim = read_whole(dim, "dim")
+        check_room_of_algebra("the Lie algebra", dim, 0)
     if isinstance(constants, Triples):
         columns = [
             read_numbers(column, f"column {name} of the triples") for name, column in constants._asdict().items()
@@ -178,9 +185,9 @@ def read_brackets(dim: int, brackets: Any) -> list[tuple[Any, Any, Any, Any]]:
     rows: list[tuple[Any, Any, Any, Any]] = []
     for pair, components in brackets.items():
         if not (isinstance(pair, tuple) and len(pair) == 2):
-            raise TypeError(f"each key of brackets must be a pair of indices (i, j), not {pair!r}")
+            raise TypeError(f"each key of brackets must be a pair of indices (i, j), not {short(pair)}")
         if not isinstance(components, Mapping):
-            raise TypeError(f"bracket {pair} must be a mapping {{k: c}}, not {components!r}")
+            raise TypeError(f"bracket {short(pair)} must be a mapping {{k: c}}, not {short(components)}")
         rows.extend((*pair, k, c) for k, c in components.items())
         if not components:
             rows.append((*pair, 0, 0.0))
@@ -197,13 +204,17 @@ def read_basis(basis: Sequence[str] | None, dim: int) -> tuple[str, ...]:
     """
     if basis is None:
         return tuple(f"e{i}" for i in range(1, dim + 1))
+    if not isinstance(basis, Iterable):
+        raise TypeError(f"basis must be a sequence of names, not {short(basis)}")
     names = (basis,) if isinstance(basis, str) else tuple(basis)
     if len(names) != dim:
         raise ValueError(f"basis must have {dim} names, one for each dimension, not {len(names)}")
     for position, label in enumerate(names):
         if not isinstance(label, str) or not label:
-            raise TypeError(f"name {position} of the basis must be a nonempty string, not {label!r}")
-    if len(set(names)) != dim:
-        twice = next(label for position, label in enumerate(names) if label in names[:position])
-        raise ValueError(f"basis name {twice!r} is given twice; names must differ")
+            raise TypeError(f"name {position} of the basis must be a nonempty string, not {short(label)}")
+    seen: set[str] = set()
+    for label in names:
+        if label in seen:
+            raise ValueError(f"basis name {short(label)} is given twice; names must differ")
+        seen.add(label)
     return names

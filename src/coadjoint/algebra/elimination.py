@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
-from numbers import Rational
 from typing import Any
 
 import numpy as np
 
 from coadjoint.algebra.exact import exact_number
+from coadjoint.given import read_number, refuse_what_is_lost
+from coadjoint.wording import short
 
 Number = int | Fraction
 Vector = dict[int, Number]
@@ -23,16 +24,16 @@ def read_vector(given: Any, dim: int, what: str) -> Vector:
     >>> read_vector([0, 0.5, Fraction(1, 3)], 3, "v")
     {1: Fraction(1, 2), 2: Fraction(1, 3)}
     """
-    values = given.tolist() if isinstance(given, np.ndarray) else list(given)
+    refuse_what_is_lost(given, what)
+    if not isinstance(given, Iterable):
+        raise TypeError(f"{what} is {short(given)}; it must be a sequence of numbers")
+    values = given.tolist() if isinstance(given, np.ndarray) and given.ndim else list(given)
     if len(values) != dim:
         raise ValueError(f"{what} must have {dim} components, not {len(values)}")
     vector: Vector = {}
     for i, value in enumerate(values):
-        if isinstance(value, bool) or not isinstance(value, Rational | float | np.number):
-            raise TypeError(f"component {i} of {what} must be a real number, not {value!r}")
-        if isinstance(value, float | np.floating) and not np.isfinite(value):
-            raise ValueError(f"component {i} of {what} is {value}; it must be finite")
-        number = exact_number(value if isinstance(value, int | Fraction) else float(value))
+        plain = type(value) in (int, Fraction)
+        number = exact_number(value if plain else read_number(value, f"component {i} of {what}"))
         if number:
             vector[i] = number
     return vector

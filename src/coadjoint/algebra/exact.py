@@ -25,6 +25,20 @@ def exact_number(value: int | float | Fraction) -> int | Fraction:
     return value
 
 
+def rounded(value: int | float | Fraction) -> float:
+    """Return a number in float64, or refuse one that is too large for it.
+
+    Examples
+    --------
+    >>> rounded(Fraction(1, 2))
+    0.5
+    """
+    try:
+        return float(value)
+    except OverflowError:
+        raise ValueError("a constant of the new algebra is too large for float64; take a smaller basis") from None
+
+
 def exact_numbers(values: Iterable[int | float | Fraction]) -> NDArray[Any]:
     """Return an object array of exact numbers.
 

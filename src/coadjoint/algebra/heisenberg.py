@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from coadjoint.algebra.constants import Triples, check_room_of_algebra
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.matrix_algebras import Sparse, matrices, whole
+from coadjoint.algebra.matrix_algebras import LARGEST, Sparse, matrices
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.given import read_whole
+from coadjoint.wording import short
 
 
 def heisenberg(n: int = 1) -> LieAlgebra:
@@ -33,15 +38,15 @@ def heisenberg(n: int = 1) -> LieAlgebra:
     >>> heisenberg().basis
     ('q1', 'p1', 'z')
     """
-    n = whole(n, 1, "n of heisenberg(n)")
-    basis = [f"q{i}" for i in range(1, n + 1)] + [f"p{i}" for i in range(1, n + 1)] + ["z"]
-    upper = [(i, 0, i + 1, 1.0) for i in range(n)] + [(n + i, i + 1, n + 1, 1.0) for i in range(n)]
-    rho = matrices(Sparse([*upper, (2 * n, 0, n + 1, 1.0)]), 2 * n + 1, n + 2)
-    return LieAlgebra(
-        [(i, n + i, 2 * n, 1.0) for i in range(n)],
-        dim=2 * n + 1,
-        basis=basis,
-        name=f"heisenberg({n})",
-        representation=rho,
-        casimirs={"z": Polynomial.variable(2 * n, 2 * n + 1)},
-    )
+    n = read_whole(n, "n of heisenberg(n)")
+    check_room_of_algebra(f"heisenberg({short(n)})", 2 * n + 1, n)
+    basis = (*(f"q{i}" for i in range(1, n + 1)), *(f"p{i}" for i in range(1, n + 1)), "z")
+    rho = None
+    if (2 * n + 1) * (n + 2) ** 2 <= LARGEST:
+        upper = [(i, 0, i + 1, 1.0) for i in range(n)] + [(n + i, i + 1, n + 1, 1.0) for i in range(n)]
+        rho = matrices(Sparse([*upper, (2 * n, 0, n + 1, 1.0)]), 2 * n + 1, n + 2)
+    q = np.arange(n, dtype=np.int64)
+    # Every bracket of three elements is zero: nothing is left to check.
+    constants = Triples(q, q + n, np.full(n, 2 * n, dtype=np.int64), np.ones(n))
+    z = {"z": Polynomial.variable(2 * n, 2 * n + 1)}
+    return LieAlgebra._proved(constants, 2 * n + 1, basis, f"heisenberg({n})", rho, z)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+
+from coadjoint.given import read_number
+from coadjoint.wording import short
 
 
 @dataclass(frozen=True)
@@ -45,15 +47,12 @@ class Invariant:
 
     def __post_init__(self) -> None:
         if not callable(self.value):
-            raise TypeError(f"value of an Invariant must be a function of x, not {self.value!r}")
+            raise TypeError(f"value of an Invariant must be a function of x, not {short(self.value)}")
         if self.gradient is not None and not callable(self.gradient):
-            raise TypeError(f"gradient of an Invariant must be a function of x or None, not {self.gradient!r}")
-        try:
-            period = float(self.period)
-        except (TypeError, ValueError):
-            raise TypeError(f"period of an Invariant must be a number, not {self.period!r}") from None
-        if not (math.isfinite(period) and period >= 0.0):
-            raise ValueError(f"period of an Invariant must be finite and not negative, not {self.period!r}")
+            raise TypeError(f"gradient of an Invariant must be a function of x or None, not {short(self.gradient)}")
+        period = read_number(self.period, "period of an Invariant")
+        if period < 0.0:
+            raise ValueError(f"period of an Invariant is {period!r}; it must not be negative")
         object.__setattr__(self, "period", period)
 
     def __call__(self, x: Any) -> Any:

@@ -14,6 +14,7 @@ from coadjoint.algebra.joins import Floats
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
 from coadjoint.algebra.structure import Structure
+from coadjoint.wording import short
 
 
 class LieAlgebra(Structure):
@@ -80,7 +81,7 @@ class LieAlgebra(Structure):
         size, given, complete = read_constants(constants, dim)
         names = read_basis(basis, size)
         if name is not None and not isinstance(name, str):
-            raise TypeError(f"name of a Lie algebra must be a string, not {name!r}")
+            raise TypeError(f"name of a Lie algebra must be a string, not {short(name)}")
         triples = antisymmetric(given, size, names, complete)
         check_jacobi(triples, size, names)
         if casimirs is not None and not isinstance(casimirs, Mapping):

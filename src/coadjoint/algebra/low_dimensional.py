@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import importlib.resources
 import json
-import math
 import re
 from collections.abc import Mapping
 from fractions import Fraction
@@ -21,6 +20,8 @@ from coadjoint.algebra.joins import Floats
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.logarithmic import LOGARITHM, LogarithmicSum
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.given import read_number
+from coadjoint.wording import short
 
 Constants = dict[tuple[int, int], Polynomial]
 
@@ -69,15 +70,14 @@ def read_parameters(name: str, given: Mapping[str, Any]) -> dict[str, Number]:
     extra = sorted(set(given) - set(expected))
     if extra:
         accepted = ", ".join(expected) or "none"
-        raise ValueError(f"algebra {name!r} has no parameter {extra[0]!r}; it takes: {accepted}")
+        raise ValueError(f"algebra {name!r} has no parameter {short(extra[0])}; it takes: {accepted}")
     values: dict[str, Number] = {}
     for key in expected:
         value = given[key]
-        if isinstance(value, bool) or not isinstance(value, Rational | float | np.floating | np.integer):
-            raise TypeError(f"{key} of {name} must be a real number, not {value!r}")
-        if not math.isfinite(value):
-            raise ValueError(f"{key} of {name} must be finite, not {value}")
-        values[key] = exact_number(float(value)) if not isinstance(value, Rational) else exact_number(Fraction(value))
+        number = read_number(value, f"{key} of {name}")
+        # Whole numbers of NumPy would wrap.
+        rational = isinstance(value, Rational)
+        values[key] = exact_number(Fraction(int(value.numerator), int(value.denominator)) if rational else number)
     condition = entries()[name].get("range")
     if condition is not None and not satisfied(condition, values):
         shown = ", ".join(f"{key} = {_shown(value)}" for key, value in values.items())
@@ -86,8 +86,8 @@ def read_parameters(name: str, given: Mapping[str, Any]) -> dict[str, Number]:
 
 
 def _shown(value: Number) -> str:
-    short = f"{float(value):g}"
-    return short if Fraction(short) == value or float(short) == float(value) else repr(float(value))
+    text = f"{float(value):g}"
+    return text if Fraction(text) == value or float(text) == float(value) else repr(float(value))
 
 
 def exact_constants(name: str, parameters: Mapping[str, Number]) -> Constants:

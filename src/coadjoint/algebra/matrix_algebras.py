@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.joins import Floats, Integers, expand, groups
+from coadjoint.algebra.constants import Triples, read_basis
+from coadjoint.algebra.joins import Floats, Integers, chunks, expand, groups
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.quadratic_forms import linear, quadratic, within
 
@@ -19,21 +18,8 @@ Entry = tuple[int, int, int, float]
 Form = list[tuple[int, int, int | Fraction]]
 
 
-def whole(value: Any, least: int, what: str) -> int:
-    """Return a size, or say what is wrong with it.
-
-    Examples
-    --------
-    >>> whole(3, 2, "n of so(n)")
-    3
-    """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"{what} must be an integer from {least} up, not {value!r}")
-    return int(value)
-
-
 class Sparse:
-    """Entries (number, row, column, value) of a list of sparse matrices, as arrays.
+    """Entries (number, row, column, value) of a list of sparse matrices, as arrays, matrix after matrix.
 
     Parameters
     ----------
@@ -47,6 +33,7 @@ class Sparse:
 
     def __init__(self, entries: Iterable[Entry]) -> None:
         table = np.array(list(entries), dtype=np.float64).reshape(-1, 4)
+        table = table[np.argsort(table[:, 0], kind="stable")]
         self.number, self.row, self.column = (column.astype(np.int64) for column in table.T[:3])
         self.value: Floats = table[:, 3].copy()
 
@@ -76,23 +63,32 @@ def commutator_constants(basis: Sparse, coordinates: Sparse, size: int) -> Tripl
     >>> commutator_constants(affine, affine, 2)
     Triples(i=array([0]), j=array([1]), k=array([1]), c=array([1.]))
     """
-    order, _ = groups(basis.row, basis.column)
-    rows = basis.row[order]
-    left, at = expand(np.searchsorted(rows, basis.column), np.searchsorted(rows, basis.column, side="right"))
-    right = order[at]
-    first, second = basis.number[left], basis.number[right]
-    place = basis.row[left] * size + basis.column[right]
-    value = basis.value[left] * basis.value[right]
-    apart = first != second
-    first, second, place, value = first[apart], second[apart], place[apart], value[apart]
-    value = np.where(first < second, value, -value)  # X_b X_a enters [X_a, X_b] with a minus
-    first, second = np.minimum(first, second), np.maximum(first, second)
+    by_row, _ = groups(basis.row, basis.number)
+    by_column, _ = groups(basis.column, basis.number)
+    dim = int(basis.number.max(initial=0)) + 1
+    joins: list[tuple[Integers, Integers]] = []
+    # X_a X_b and X_b X_a for b > a: the other factor begins where X_a ends, or ends where it begins.
+    for order, own, middle in ((by_row, basis.row, basis.column), (by_column, basis.column, basis.row)):
+        key = (own * dim + basis.number)[order]
+        start = np.searchsorted(key, middle * dim + basis.number, side="right")
+        joins.append((start, np.maximum(np.searchsorted(key, (middle + 1) * dim), start)))
     position = coordinates.row * size + coordinates.column
-    order = np.argsort(position, kind="stable")
-    sorted_position = position[order]
-    entry, at = expand(np.searchsorted(sorted_position, place), np.searchsorted(sorted_position, place, side="right"))
-    weight = order[at]
-    return _summed(first[entry], second[entry], coordinates.number[weight], value[entry] * coordinates.value[weight])
+    weights, _ = groups(position)
+    position = position[weights]
+    cost = sum(stop - start for start, stop in joins)
+    found: list[Triples] = []
+    for part in chunks(basis.number, np.asarray(cost, dtype=np.int64)):
+        (one, at), (two, also) = (expand(start[part], stop[part]) for start, stop in joins)
+        one, two, at, also = one + part.start, two + part.start, by_row[at], by_column[also]
+        first = np.concatenate([basis.number[one], basis.number[two]])
+        second = np.concatenate([basis.number[at], basis.number[also]])
+        place = np.concatenate([basis.row[one] * size + basis.column[at], basis.row[also] * size + basis.column[two]])
+        value = np.concatenate([basis.value[one] * basis.value[at], -basis.value[also] * basis.value[two]])
+        entry, at = expand(np.searchsorted(position, place), np.searchsorted(position, place, side="right"))
+        weight = weights[at]
+        k, c = coordinates.number[weight], value[entry] * coordinates.value[weight]
+        found.append(_summed(first[entry], second[entry], k, c))
+    return Triples(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
 def _summed(i: Integers, j: Integers, k: Integers, c: Floats) -> Triples:
@@ -178,13 +174,9 @@ def matrix_algebra(
     if within(sum(map(len, forms.values())), dim):
         casimirs = {key: linear(dict.fromkeys(indices, 1), dim) for key, indices in (sums or {}).items()}
         casimirs |= {key: quadratic(form, dim) for key, form in forms.items()}
-    return LieAlgebra(
-        commutator_constants(given, Sparse(coordinates), size),
-        dim=dim,
-        name=name,
-        representation=matrices(given, dim, size),
-        casimirs=casimirs,
-    )
+    # Matrices have a Lie algebra for a bracket, and are a representation of it: nothing is left to check.
+    constants = commutator_constants(given, Sparse(coordinates), size)
+    return LieAlgebra._proved(constants, dim, read_basis(None, dim), name, matrices(given, dim, size), casimirs)
 
 
 def pairs(n: int) -> list[tuple[int, int]]:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from coadjoint.algebra.constants import check_room_of_algebra
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.matrix_algebras import Entry, Form, matrix_algebra, pairs, whole
+from coadjoint.algebra.matrix_algebras import Entry, Form, matrix_algebra, pairs
+from coadjoint.given import read_whole
+from coadjoint.wording import short
 
 
 def rotations(p: int, q: int = 0) -> tuple[list[Entry], list[Entry]]:
@@ -59,11 +62,12 @@ def so(n: int, q: int = 0) -> LieAlgebra:
     >>> so(3, 1).casimirs_known["quadratic"]
     x1^2 + x2^2 - x3^2 + x4^2 - x5^2 - x6^2
     """
-    q = whole(q, 0, "q of so(p, q)")
-    n = whole(n, 2, "n of so(n)") if q == 0 else whole(n, max(0, 2 - q), "p of so(p, q)")
+    q = read_whole(q, "q of so(p, q)", 0)
+    n = read_whole(n, "n of so(n)", 2) if q == 0 else read_whole(n, "p of so(p, q)", max(0, 2 - q))
     if n == 0:
         return so(q)
     size = n + q
+    check_room_of_algebra(f"so({short(size)})", size * (size - 1) // 2, size * (size - 1) * (size - 2) // 2)
     basis, weights = rotations(n, q)
     sign = [1] * n + [-1] * q
     casimirs: dict[str, Form] = {}
@@ -106,7 +110,8 @@ def e(n: int = 3) -> LieAlgebra:
     >>> e(2).casimirs_known["|p|^2"]
     x2^2 + x3^2
     """
-    n = whole(n, 2, "n of e(n)")
+    n = read_whole(n, "n of e(n)", 2)
+    check_room_of_algebra(f"e({short(n)})", n * (n + 1) // 2, n * n * (n - 1) // 2)
     basis, weights = rotations(n)
     begin = n * (n - 1) // 2
     translations = [(begin + i, i, n, 1.0) for i in range(n)]
@@ -138,4 +143,4 @@ def se(n: int = 3) -> LieAlgebra:
     >>> se(3) == e(3)
     True
     """
-    return e(whole(n, 2, "n of se(n)"))
+    return e(read_whole(n, "n of se(n)", 2))

@@ -15,8 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.product_sums import Coefficient, ProductSum, differentiated
+from coadjoint.given import array_given, read_whole
+from coadjoint.memory import check_room
+from coadjoint.wording import short
 
 Exponents = tuple[int, ...]
+
+MOST_DEGREE = 1024
+TOO_HIGH = "from there on even powers of 2 leave float64"
+BYTES_PER_EXPONENT = 30  # while one monomial is made
 
 
 class Polynomial:
@@ -52,8 +59,8 @@ class Polynomial:
     def __init__(self, monomials: Mapping[Exponents, Coefficient], dim: int | None = None) -> None:
         if not isinstance(monomials, Mapping):
             raise TypeError(f"monomials must be a mapping {{exponents: coefficient}}, not {type(monomials).__name__}")
-        if dim is not None and (isinstance(dim, bool) or not isinstance(dim, int | np.integer) or dim < 1):
-            raise ValueError(f"dim of a Polynomial must be a positive integer, not {dim!r}")
+        if dim is not None:
+            dim = read_whole(dim, "dim of a Polynomial")
         if not monomials and dim is None:
             raise ValueError("dim must be given for a Polynomial without monomials")
         collected: dict[Exponents, Coefficient] = {}
@@ -63,15 +70,18 @@ class Polynomial:
                 dim = len(exponents)
             if len(exponents) != dim:
                 raise ValueError(
-                    f"exponents {given!r} have length {len(exponents)}; this Polynomial has dimension {dim}"
+                    f"exponents {short(given)} have length {len(exponents)}; this Polynomial has dimension {short(dim)}"
                 )
-            collected[exponents] = _read_coefficient(value, f"coefficient of {given!r}")
+            collected[exponents] = _read_coefficient(value, f"the coefficient of {short(given)}")
         if dim is None or dim < 1:
             raise ValueError("a Polynomial needs at least one coordinate; its exponents are empty")
         self._fill(collected, int(dim))
 
     def _fill(self, monomials: Mapping[Exponents, Coefficient], dim: int) -> None:
         order = sorted(monomials, key=lambda e: (sum(e), tuple(map(operator.neg, e))))
+        if order and sum(order[-1]) > MOST_DEGREE:
+            degree = short(sum(order[-1]))
+            raise ValueError(f"a Polynomial has at most degree {MOST_DEGREE}, and this one has {degree}; {TOO_HIGH}")
         self._monomials = {e: monomials[e] for e in order if monomials[e] != 0}
         self._dim = dim
 
@@ -79,8 +89,8 @@ class Polynomial:
     def _of(cls, monomials: Mapping[Exponents, Coefficient], dim: int) -> Polynomial:
         """Build from valid monomials; only overflow can make a coefficient wrong."""
         for exponents, value in monomials.items():
-            if not math.isfinite(value):
-                raise ValueError(f"coefficient of {exponents!r} overflows to {value}; use Fraction coefficients")
+            if not _fits(value):
+                raise ValueError(f"the coefficient of {short(exponents)} overflows; it must stay within float64")
         result = cls.__new__(cls)
         result._fill(monomials, dim)
         return result
@@ -94,9 +104,10 @@ class Polynomial:
         >>> Polynomial.variable(1, 3)
         x2
         """
-        if not 0 <= i < dim:
-            raise ValueError(f"index {i!r} of a coordinate must be from 0 to {dim - 1}")
-        return cls({tuple(int(j == i) for j in range(dim)): 1})
+        dim = read_whole(dim, "dim of a Polynomial")
+        i = read_whole(i, "the index of a coordinate", 0, dim - 1)
+        check_room(BYTES_PER_EXPONENT * dim, f"a coordinate among {short(dim)}")
+        return cls._of({(0,) * i + (1,) + (0,) * (dim - i - 1): 1}, dim)
 
     @property
     def dim(self) -> int:
@@ -176,9 +187,10 @@ class Polynomial:
     __rmul__ = __mul__
 
     def __pow__(self, power: int) -> Polynomial:
-        if isinstance(power, bool) or not isinstance(power, int | np.integer) or power < 0:
-            raise ValueError(f"a Polynomial can be raised to whole powers from 0 only, not to {power!r}")
-        result, square, left = Polynomial({(0,) * self._dim: 1}), self, int(power)
+        left = read_whole(power, "the power of a Polynomial", 0, MOST_DEGREE, why=TOO_HIGH)
+        if self.degree * left > MOST_DEGREE:
+            raise ValueError(f"a Polynomial has at most degree {MOST_DEGREE}, not {self.degree * left}; {TOO_HIGH}")
+        result, square = Polynomial({(0,) * self._dim: 1}), self
         while left:
             if left & 1:
                 result = result * square
@@ -209,8 +221,7 @@ class Polynomial:
         >>> Polynomial({(3, 1): 2}).derivative(0)
         6*x1^2*x2
         """
-        if not 0 <= i < self._dim:
-            raise ValueError(f"index {i!r} of a coordinate must be from 0 to {self._dim - 1}")
+        i = read_whole(i, "the index of a coordinate", 0, self._dim - 1)
         terms = {e[:i] + (e[i] - 1,) + e[i + 1 :]: e[i] * value for e, value in self._monomials.items() if e[i]}
         return Polynomial._of(terms, self._dim)
 
@@ -232,11 +243,9 @@ class Polynomial:
         return ProductSum(twice, self._dim**2)
 
     def _point(self, x: Any) -> NDArray[Any]:
-        point = np.asarray(x)
+        point = array_given(x, "x", "iufc")
         if point.shape != (self._dim,):
             raise ValueError(f"x must have shape ({self._dim},), not {point.shape}")
-        if point.dtype != object and point.dtype.kind not in "iufc":
-            raise TypeError(f"x must hold numbers, not {point.dtype}")
         return point if point.dtype == object else point.astype(np.result_type(point.dtype, np.float64), copy=False)
 
     def __call__(self, x: Any) -> Any:
@@ -262,29 +271,40 @@ class Polynomial:
         array([[10.,  6.],
                [ 6.,  0.]])
         """
+        check_room(8 * self._dim**2, f"a matrix of second derivatives in {self._dim} coordinates")
         return self._hessian_sum(self._point(x)).reshape(self._dim, self._dim)
 
 
 def _read_exponents(given: Any) -> Exponents:
     if not isinstance(given, tuple | list):
-        raise TypeError(f"exponents must be a tuple of whole numbers, one for each coordinate, not {given!r}")
+        raise TypeError(f"exponents must be a tuple of whole numbers, one for each coordinate, not {short(given)}")
     if set(map(type, given)) <= {int} and min(given, default=0) >= 0:  # the same checks, fast for many coordinates
         return tuple(given)
     for exponent in given:
         if isinstance(exponent, bool) or not isinstance(exponent, int | np.integer):
-            raise TypeError(f"exponents {given!r} must be whole numbers; {exponent!r} is not")
+            raise TypeError(f"exponents {short(given)} must be whole numbers; {short(exponent)} is not")
         if exponent < 0:
-            raise ValueError(f"exponents {given!r} must not be negative")
+            raise ValueError(f"exponents {short(given)} must not be negative")
     return tuple(map(int, given))
 
 
 def _read_coefficient(value: Any, what: str) -> Coefficient:
     if isinstance(value, bool) or not isinstance(value, Rational | float | np.floating):
-        raise TypeError(f"{what} must be an int, float or Fraction, not {value!r}")
+        raise TypeError(f"{what} must be an int, float or Fraction, not {short(value)}")
     if isinstance(value, Integral):
-        return int(value)
-    if isinstance(value, Rational):
-        return Fraction(int(value.numerator), int(value.denominator))
-    if not math.isfinite(value):
-        raise ValueError(f"{what} is {value}; it must be finite")
-    return float(value)
+        number: Coefficient = int(value)
+    elif isinstance(value, Rational):
+        number = Fraction(int(value.numerator), int(value.denominator))
+    else:
+        number = float(value)
+    if not _fits(number):
+        raise ValueError(f"{what} is {short(value)}; it must be finite and within float64")
+    return number
+
+
+def _fits(value: Coefficient) -> bool:
+    """Say whether a coefficient is a finite number in float64, exact as it may be."""
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False

@@ -8,14 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.joins import Floats
+from coadjoint.algebra.constants import Triples, check_room_of_algebra
+from coadjoint.algebra.joins import Floats, groups
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.logarithmic import LogarithmicInvariant
-from coadjoint.algebra.matrix_algebras import LARGEST, whole
+from coadjoint.algebra.matrix_algebras import LARGEST
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.quadratic_forms import embedded, within
 from coadjoint.algebra.representation import check_representation
+from coadjoint.given import read_whole
+from coadjoint.wording import short
 
 
 def shifted(triples: Triples, begin: int) -> Triples:
@@ -81,17 +83,19 @@ def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
     if not algebras:
         raise ValueError("a direct sum needs at least one algebra")
     begins = np.cumsum([0] + [algebra.dim for algebra in algebras]).tolist()
+    check_room_of_algebra("the direct sum", begins[-1], sum(algebra.triples.c.size for algebra in algebras))
     parts = [shifted(algebra.triples, begin) for algebra, begin in zip(algebras, begins, strict=False)]
     names = [label for algebra in algebras for label in algebra.basis]
     if len(set(names)) < len(names):
         names = [f"{label}[{number}]" for number, algebra in enumerate(algebras, 1) for label in algebra.basis]
-    return LieAlgebra(
+    # The identities are those of the summands, which were checked.
+    return LieAlgebra._proved(
         joined(parts),
-        dim=begins[-1],
-        basis=names,
-        name=" + ".join(algebra.name or f"g{number}" for number, algebra in enumerate(algebras, 1)),
-        representation=_block_diagonal([algebra.representation for algebra in algebras]),
-        casimirs=_of_summands(algebras, begins),
+        begins[-1],
+        tuple(names),
+        " + ".join(algebra.name or f"g{number}" for number, algebra in enumerate(algebras, 1)),
+        _block_diagonal([algebra.representation for algebra in algebras]),
+        _of_summands(algebras, begins),
     )
 
 
@@ -127,8 +131,9 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     """
     if not isinstance(g, LieAlgebra):
         raise TypeError(f"copies are made of a LieAlgebra, not of a {type(g).__name__}")
-    count = whole(count, 1, "count of copies(g, count)")
+    count = read_whole(count, "count of copies(g, count)")
     i, j, k, c = g.triples
+    check_room_of_algebra(f"the sum of {short(count)} copies", g.dim * count, c.size * count)
     shift = np.repeat(np.arange(count, dtype=np.int64) * g.dim, c.size)
     i, j, k = (np.tile(column, count) + shift for column in (i, j, k))
     size = 0 if g.representation is None else g.representation.shape[1]
@@ -215,12 +220,13 @@ def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | No
         raise TypeError("a semidirect product is made of LieAlgebras")
     given = g.representation if representation is None else representation
     if given is None:
-        raise ValueError(f"{g!r} has no representation; give the matrices by which it acts, shape ({g.dim}, d, d)")
+        raise ValueError(f"{short(g)} has no representation; give the matrices by which it acts, shape ({g.dim}, d, d)")
     rho = check_representation(given, g.triples, g.dim, g.basis)
     n, d = g.dim, rho.shape[1]
     if ideal is not None and ideal.dim != d:
         raise ValueError(f"the ideal has dimension {ideal.dim}; the matrices act on {d} dimensions")
     element, row, column = (index.astype(np.int64) for index in np.nonzero(rho))
+    check_room_of_algebra("the semidirect product", n + d, g.triples.c.size + element.size)
     parts = [g.triples, Triples(element, column + n, row + n, rho[element, row, column])]
     names = list(g.basis)
     if ideal is not None:
@@ -237,10 +243,9 @@ def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | No
         affine[:n, :d, :d] = rho
         affine[range(n, n + d), range(d), d] = 1.0
     acted = f"R^{d}" if ideal is None else ideal.name or "h"
-    return LieAlgebra(
-        joined(parts),
-        dim=n + d,
-        basis=names + space,
-        name=f"{g.name or 'g'} ⋉ {acted}",
-        representation=affine,
-    )
+    constants = joined(parts)
+    name = f"{g.name or 'g'} ⋉ {acted}"
+    if ideal is not None:  # whether the matrices are derivations of it is left to check
+        return LieAlgebra(constants, dim=n + d, basis=names + space, name=name)
+    constants = constants.rows(groups(constants.i, constants.j, constants.k)[0])
+    return LieAlgebra._proved(constants, n + d, tuple(names + space), name, affine, {})

@@ -38,7 +38,7 @@ def quadratic(entries: Iterable[tuple[int, int, Coefficient]], dim: int) -> Poly
         else:
             exponents = zero[:low] + (1,) + zero[low + 1 : high] + (1,) + zero[high + 1 :]
         total[exponents] = total.get(exponents, 0) + value
-    return Polynomial(total, dim=dim)
+    return Polynomial._of(total, dim)
 
 
 def linear(entries: Mapping[int, Coefficient], dim: int) -> Polynomial:
@@ -49,7 +49,8 @@ def linear(entries: Mapping[int, Coefficient], dim: int) -> Polynomial:
     >>> linear({0: 1, 2: 5}, 3)
     x1 + 5*x3
     """
-    return Polynomial({tuple(int(j == i) for j in range(dim)): value for i, value in entries.items()}, dim=dim)
+    zero = (0,) * dim
+    return Polynomial._of({zero[:i] + (1,) + zero[i + 1 :]: value for i, value in entries.items()}, dim)
 
 
 def substituted(p: Polynomial, rows: Sequence[Mapping[int, Coefficient]], dim: int) -> Polynomial:
@@ -94,4 +95,4 @@ def embedded(p: Polynomial, begin: int, dim: int) -> Polynomial:
     x2^2*x3
     """
     before, after = (0,) * begin, (0,) * (dim - begin - p.dim)
-    return Polynomial({before + exponents + after: value for exponents, value in p.monomials.items()}, dim=dim)
+    return Polynomial._of({before + exponents + after: value for exponents, value in p.monomials.items()}, dim)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.constants import Triples, read_numbers, triple_name
+from coadjoint.algebra.constants import Triples, triple_name
 from coadjoint.algebra.joins import (
     DEFECT_FACTOR,
     UNIT_ROUNDOFF,
@@ -20,6 +20,8 @@ from coadjoint.algebra.joins import (
     largest_alike,
     violated,
 )
+from coadjoint.given import read_numbers
+from coadjoint.memory import check_room
 
 FOLDED_ROWS = 1 << 12  # equations of the linear systems that are folded into a triangle at a time
 
@@ -127,6 +129,8 @@ def _solutions(left: Floats, right: Floats) -> Floats:
     size = np.where(size > 0.0, size, 1.0)[:, None, None]  # every i counts alike, whatever its units
     left, right = left / size, right / size
     per_fold = max(1, FOLDED_ROWS // (m * d))
+    folded = 8 * (m * d) ** 2 * (per_fold + 3)
+    check_room(folded, f"to look at a representation by {d} x {d} matrices")
     triangle: Floats = np.zeros((0, m * d))
     for begin in range(0, left.shape[0], per_fold):
         blocks = [

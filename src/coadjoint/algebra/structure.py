@@ -14,6 +14,8 @@ from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact import exact_numbers
 from coadjoint.algebra.generic_rank import generic_rank
 from coadjoint.algebra.joins import Integers
+from coadjoint.given import array_given, read_whole
+from coadjoint.memory import check_room
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
@@ -34,14 +36,18 @@ class Structure:
 
     def _vector(self, values: Any, what: str) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return a vector of g or g*, and the constants in the kind of number that goes with it."""
-        vector = np.asarray(values)
+        vector = array_given(values, what, "iufc")
         if vector.shape != (self._dim,):
             raise ValueError(f"{what} must have shape ({self._dim},), not {vector.shape}")
         if vector.dtype == object:
             return vector, self._exact_constants
-        if vector.dtype.kind not in "iufc":
-            raise TypeError(f"{what} must hold numbers, not {vector.dtype}")
         return vector.astype(np.result_type(vector.dtype, np.float64), copy=False), self._triples.c
+
+    def _zeros(self, dtype: Any, what: str) -> NDArray[Any]:
+        """Return an (n, n) array of zeros, where there is room for it."""
+        need = self._dim**2 * np.dtype(dtype).itemsize + 24 * self._triples.c.size
+        check_room(need, f"{what} of dimension {self._dim}", "take the sparse entries, or the operator")
+        return np.zeros((self._dim, self._dim), dtype=dtype)
 
     def structure_matrix(self, x: Any) -> NDArray[Any]:
         """Return J(x), J_ij = sum_k c_ij^k x_k: the Poisson bracket {F, G} = grad F . J(x) grad G (equation (2)).
@@ -73,7 +79,7 @@ class Structure:
         """
         point, constants = self._vector(x, "x")
         i, j, k, _ = self._triples
-        matrix = np.zeros((self._dim, self._dim), dtype=point.dtype)
+        matrix = self._zeros(point.dtype, "the structure matrix")
         entries = constants * point[k]
         np.add.at(matrix, (i, j), entries)
         np.subtract.at(matrix, (j, i), entries)
@@ -144,7 +150,7 @@ class Structure:
         """
         vector, constants = self._vector(u, "u")
         i, j, k, _ = self._triples
-        matrix = np.zeros((self._dim, self._dim), dtype=vector.dtype)
+        matrix = self._zeros(vector.dtype, "the matrix of the coadjoint action")
         np.add.at(matrix, (i, k), constants * vector[j])
         np.subtract.at(matrix, (j, k), constants * vector[i])
         return matrix
@@ -190,15 +196,10 @@ class Structure:
         [[0, 1], [1, 0], [-2.0, 2.0]]
         """
         if isinstance(u, Mapping):
-            wrong = [
-                i for i in u if isinstance(i, bool) or not isinstance(i, int | np.integer) or not 0 <= i < self._dim
-            ]
-            if wrong:
-                raise ValueError(f"index {wrong[0]!r} of u must be an integer from 0 to {self._dim - 1}")
+            for i in u:
+                read_whole(i, "an index of u", 0, self._dim - 1)
             indices = np.array(sorted(u), dtype=np.int64)
-            coefficients = np.array([u[i] for i in sorted(u)]) if u else np.zeros(0)
-            if coefficients.dtype != object and coefficients.dtype.kind not in "iufc":
-                raise TypeError(f"u must hold numbers, not {coefficients.dtype}")
+            coefficients = array_given([u[i] for i in sorted(u)], "u", "iufc") if u else np.zeros(0)
         else:
             vector, _ = self._vector(u, "u")
             indices = np.flatnonzero(vector != 0).astype(np.int64)
@@ -309,9 +310,7 @@ class Structure:
         >>> g.commuting(0, 1), g.commuting(2, 0)
         (True, False)
         """
-        for index in (i, j):
-            if not 0 <= index < self._dim:
-                raise ValueError(f"index {index!r} of a basis element must be from 0 to {self._dim - 1}")
+        i, j = (read_whole(index, "the index of a basis element", 0, self._dim - 1) for index in (i, j))
         indptr, indices = self._neighbours
         row = indices[indptr[i] : indptr[i + 1]]
         at = int(np.searchsorted(row, j))

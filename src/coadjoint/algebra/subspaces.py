@@ -11,12 +11,17 @@ import numpy as np
 
 from coadjoint.algebra.constants import read_basis
 from coadjoint.algebra.elimination import Number, Span, Vector, added, read_vector
-from coadjoint.algebra.exact import exact_number
+from coadjoint.algebra.exact import exact_number, rounded
 from coadjoint.algebra.joins import Floats
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.logarithmic import LogarithmicInvariant
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.quadratic_forms import substituted
+from coadjoint.given import array_given
+from coadjoint.memory import check_room
+from coadjoint.wording import short
+
+BYTES_PER_FRACTION = 300  # in a dictionary, with what it is computed from
 
 Rows = dict[int, list[tuple[int, int, Number]]]
 Brackets = Mapping[tuple[int, int], Mapping[int, Number]]
@@ -26,14 +31,17 @@ def _vectors(g: LieAlgebra, given: Any, what: str) -> list[Vector]:
     """Read vectors of g: components, or names of basis elements."""
     if not isinstance(g, LieAlgebra):
         raise TypeError(f"{what} belongs to a LieAlgebra, not to a {type(g).__name__}")
-    if isinstance(given, str) or len(np.shape(given)) == 0:
-        raise TypeError(f"{what} must be a sequence of vectors or of names of basis elements, not {given!r}")
+    if isinstance(given, np.ndarray) and given.dtype.kind == "U":
+        given = given.tolist()
+    if not isinstance(given, list | tuple) and np.ndim(given := array_given(given, what)) == 0:
+        raise TypeError(f"{what} must be a sequence of vectors or of names of basis elements, not {short(given)}")
     place = {label: i for i, label in enumerate(g.basis)}
     vectors: list[Vector] = []
     for number, vector in enumerate(given):
         if isinstance(vector, str):
             if vector not in place:
-                raise ValueError(f"{vector!r} in {what} is no basis element of {g!r}: {', '.join(g.basis[:8])}, ...")
+                known = ", ".join(map(short, g.basis[:8]))
+                raise ValueError(f"{short(vector)} in {what} is no basis element of {short(g)}: {known}, ...")
             vectors.append({place[vector]: 1})
         else:
             vectors.append(read_vector(vector, g.dim, f"vector {number} of {what}"))
@@ -67,7 +75,7 @@ def _bracket(rows: Rows, u: Mapping[int, Number], v: Mapping[int, Number]) -> Ve
 
 
 def _constants(brackets: Brackets) -> list[tuple[int, int, int, float]]:
-    return [(i, j, k, float(c)) for (i, j), components in brackets.items() for k, c in components.items()]
+    return [(i, j, k, rounded(c)) for (i, j), components in brackets.items() for k, c in components.items()]
 
 
 def _combined(g: LieAlgebra, vectors: Sequence[Vector]) -> Floats | None:
@@ -84,7 +92,7 @@ def _combined(g: LieAlgebra, vectors: Sequence[Vector]) -> Floats | None:
         for j, value in vector.items():
             added(total, value, entries[j])
         for place, value in total.items():
-            rho[number].flat[place] = float(value)
+            rho[number].flat[place] = rounded(value)
     return rho
 
 
@@ -96,7 +104,7 @@ def _casimirs(g: LieAlgebra, rows: Sequence[Mapping[int, Number]], dim: int, exa
 
     def changed(p: Polynomial) -> Polynomial:
         q = substituted(p, rows, dim)
-        return q if exact else Polynomial({key: float(value) for key, value in q.monomials.items()}, dim=dim)
+        return q if exact else Polynomial({key: rounded(value) for key, value in q.monomials.items()}, dim=dim)
 
     result: dict[str, Any] = {}
     for name, casimir in g.casimirs_known.items():
@@ -110,7 +118,7 @@ def _casimirs(g: LieAlgebra, rows: Sequence[Mapping[int, Number]], dim: int, exa
 
 
 def _is_exact(brackets: Brackets) -> bool:
-    return all(float(c) == c for components in brackets.values() for c in components.values())
+    return all(rounded(c) == c for components in brackets.values() for c in components.values())
 
 
 def _whole(vectors: Sequence[Mapping[int, Number]]) -> tuple[list[dict[int, int]], int]:
@@ -165,6 +173,11 @@ def change_of_basis(g: LieAlgebra, matrix: Any, basis: Sequence[str] | None = No
     for number, vector in enumerate(new):
         for j in vector:
             having[j].append(number)
+    # Each old constant goes to so many new ones at most, and there are no more than all.
+    spread, joined = np.array([len(numbers) for numbers in having]), np.array([len(vector) for vector in inverse])
+    most = 2 * int((spread[g.triples.i] * spread[g.triples.j] * joined[g.triples.k]).sum())
+    constants = min(most, g.dim**2 * (g.dim - 1) // 2)
+    check_room(BYTES_PER_FRACTION * constants, f"{g.name or 'the algebra'} in the new basis")
     for i, u in enumerate(new):
         for other in sorted({v for a in u for j, _, _ in rows[a] for v in having[j] if v > i}):
             components: Vector = {}

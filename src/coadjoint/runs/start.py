@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.constants import read_numbers
+from coadjoint.given import read_numbers
 from coadjoint.methods.attitude import check_attitude
 from coadjoint.methods.base import Method, System
 from coadjoint.systems.batch import Batch

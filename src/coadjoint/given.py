@@ -1,0 +1,241 @@
+"""What was given? Numbers, arrays, names and flags from outside: read, or refused by name."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import unknown_name
+from coadjoint.memory import check_room
+from coadjoint.wording import short
+
+Floats = NDArray[np.float64]
+
+REAL = "iuf"
+DEEPEST = 64  # lists in lists, as many as an array has dimensions at most
+
+
+def is_real(value: Any) -> bool:
+    """Say whether a value is a real number: no truth value, no text, no array, nothing that merely turns into a float.
+
+    Examples
+    --------
+    >>> is_real(2.5), is_real(np.uint8(3)), is_real(True), is_real("2.5"), is_real(1j)
+    (True, True, False, False, False)
+    """
+    if isinstance(value, numbers.Real):
+        return not isinstance(value, bool)
+    # Decimal is a number, but registered as no kind of it.
+    return isinstance(value, numbers.Number) and not isinstance(value, numbers.Complex)
+
+
+def array_given(values: Any, what: str, kinds: str = REAL) -> NDArray[Any]:
+    """Return an array of what was given, or say by name what is wrong with it; not copied where it is an array.
+
+    Parameters
+    ----------
+    values : array_like
+        Of real numbers. An array of objects may hold any real numbers, such as fractions.
+    what : str
+        What it is called in a message.
+    kinds : str, optional
+        NumPy's kinds of numbers that are accepted beside objects; with ``"c"`` in them objects are not looked at.
+
+    Returns
+    -------
+    ndarray
+
+    Raises
+    ------
+    TypeError
+        Not numbers, truth values among them, ragged, or a pandas object whose labels would be lost.
+    ValueError
+        Masked entries.
+
+    Examples
+    --------
+    >>> array_given([[1, 2]], "M")
+    array([[1, 2]])
+    """
+    if type(values) is np.ndarray:
+        array = values
+    else:
+        refuse_what_is_lost(values, what)
+        try:
+            array = np.asarray(values)
+        except (TypeError, ValueError, OverflowError, RecursionError):
+            raise no_numbers(values, what) from None
+    kind = array.dtype.kind
+    if kind in kinds:
+        return array
+    if kind != "O" or ("c" not in kinds and not all(map(is_real, array.flat))):
+        raise no_numbers(values, what)
+    return array
+
+
+def read_numbers(values: Any, what: str) -> Floats:
+    """Return a float64 copy of real numbers, or say by name what is wrong with them.
+
+    Examples
+    --------
+    >>> read_numbers([[1, 2]], "M")
+    array([[1., 2.]])
+    """
+    array = array_given(values, what)
+    check_room(8 * array.size, f"a copy of {what}, of shape {array.shape},")
+    try:
+        with np.errstate(over="ignore"):
+            return np.array(array, dtype=np.float64)
+    except OverflowError:
+        raise ValueError(f"{what} holds a number that is too large for float64") from None
+    except (TypeError, ValueError):
+        raise no_numbers(values, what) from None
+
+
+def read_finite(values: Any, what: str) -> Floats:
+    """Return a float64 copy of finite real numbers; the first entry that is not finite is named.
+
+    Examples
+    --------
+    >>> read_finite([1, 2], "axis")
+    array([1., 2.])
+    """
+    found = read_numbers(values, what)
+    check_finite(found, what)
+    return found
+
+
+def check_finite(values: Floats, what: str) -> None:
+    """Refuse NaN and infinity; the first of them is named."""
+    if not np.isfinite(values).all():
+        place = np.argwhere(~np.isfinite(values))[0].tolist()
+        where = f"[{', '.join(map(str, place))}]" if place else ""
+        raise ValueError(f"{what}{where} is {values[tuple(place)]}; give finite numbers")
+
+
+def no_numbers(values: Any, what: str) -> TypeError:
+    """Return the error for what is no array of real numbers."""
+    return TypeError(f"{what} is {short(values, 60)}; it must be an array of real numbers, all rows of the same length")
+
+
+def refuse_what_is_lost(values: Any, what: str, depth: int = 0) -> None:
+    """Refuse masks, labels and truth values, which an array of floats would not have."""
+    if isinstance(values, list | tuple):
+        kinds = set(map(type, values))
+        if kinds <= {float, int} or depth == DEEPEST:
+            return
+        if bool in kinds or np.bool_ in kinds:
+            raise no_numbers(values, what)
+        for entry in values:
+            refuse_what_is_lost(entry, what, depth + 1)
+    elif isinstance(values, np.ma.MaskedArray):
+        if np.ma.is_masked(values):
+            raise ValueError(f"{what} has masked entries, which no number stands for; fill them in, or leave them out")
+    elif hasattr(values, "iloc") and hasattr(values, "axes"):
+        # Of pandas, which is not imported for it. Labels other than 0, 1, ... could say another order.
+        if any(list(axis) != list(range(len(axis))) for axis in values.axes):
+            raise TypeError(
+                f"{what} is a {type(values).__name__} with labels other than 0, 1, 2, ..., and they would be lost; "
+                "give its to_numpy(), where the order is right"
+            )
+
+
+def read_number(value: Any, what: str) -> float:
+    """Return one finite real number as a float, or refuse it by name.
+
+    Examples
+    --------
+    >>> read_number(2, "step")
+    2.0
+    """
+    if type(value) is not float:
+        if isinstance(value, np.ndarray) and value.ndim == 0 and not isinstance(value, np.ma.MaskedArray):
+            value = value[()]
+        if not is_real(value):
+            raise TypeError(f"{what} is {short(value)}; it must be a number")
+        try:
+            value = float(value)
+        except (OverflowError, ValueError):
+            raise ValueError(f"{what} is {short(value)}, which is too large for float64") from None
+    if not math.isfinite(value):
+        raise ValueError(f"{what} is {value!r}; it must be finite")
+    return value
+
+
+def read_positive(value: Any, what: str) -> float:
+    """Return one positive number as a float, or refuse it by name.
+
+    Examples
+    --------
+    >>> read_positive(0.5, "step")
+    0.5
+    """
+    number = read_number(value, what)
+    if number <= 0.0:
+        raise ValueError(f"{what} is {number!r}; it must be positive")
+    return number
+
+
+def read_whole(
+    value: Any, what: str, least: int = 1, most: int | None = None, *, floats: bool = False, why: str = ""
+) -> int:
+    """Return a whole number between bounds as an int of Python, which does not wrap, or refuse it by name.
+
+    Parameters
+    ----------
+    value : object
+        What was given. A truth value is no number.
+    what : str
+        What it is called in a message.
+    least, most : int
+        The bounds.
+    floats : bool, optional
+        Whether a float that is whole is taken, such as 1e6 for a number of steps.
+    why : str, optional
+        Why there is no more; said where the value is too large.
+
+    Examples
+    --------
+    >>> read_whole(np.uint8(200), "stages") * 2
+    400
+    """
+    whole = type(value) is int or (isinstance(value, numbers.Integral) and not isinstance(value, bool))
+    if floats and not whole and isinstance(value, float | np.floating):
+        whole = float(value).is_integer()
+    if not whole or value < least or (most is not None and value > most and not why):
+        bounds = f"from {least} up" if most is None or why else f"from {least} to {most}"
+        raise ValueError(f"{what} must be a whole number {bounds}, not {short(value)}")
+    if most is not None and value > most:
+        raise ValueError(f"{what} must be at most {most}, not {short(value)}; {why}")
+    return int(value)
+
+
+def read_flag(value: Any, what: str) -> bool:
+    """Return True or False, or refuse anything else by name.
+
+    Examples
+    --------
+    >>> read_flag(True, "watch")
+    True
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise TypeError(f"{what} is {short(value)}; it must be True or False")
+    return bool(value)
+
+
+def read_choice(value: Any, what: str, known: Collection[str]) -> str:
+    """Return a name that is known, or refuse it with the nearest known one.
+
+    Examples
+    --------
+    >>> read_choice("exact", "rotation", ("exact", "rational"))
+    'exact'
+    """
+    if not isinstance(value, str) or value not in known:
+        raise unknown_name(what, value, known)
+    return str(value)
