@@ -15,7 +15,9 @@ Names are loaded when they are first used: importing this package loads NumPy an
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+
+# The module typing would take most of the time that an import of this package takes.
+TYPE_CHECKING = False
 
 __version__ = "0.1.0"
 
@@ -56,6 +58,8 @@ _MODULES = {
 __all__ = ["__version__", "algebras", *sorted(_HOME), *sorted(_MODULES.keys() - {"algebras"})]
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from coadjoint import methods as methods
     from coadjoint import systems as systems
     from coadjoint.algebra import catalogue as algebras

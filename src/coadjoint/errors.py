@@ -78,3 +78,30 @@ def unknown_name(kind: str, name: Any, known: Iterable[str]) -> ValueError:
     beginning = name[: 2 * max(map(len, names))]
     close = difflib.get_close_matches(beginning, names, n=1, cutoff=0.0)
     return ValueError(f"unknown {kind} {short(name)}; did you mean {close[0]!r}?")
+
+
+def in_one_line(message: str, limit: int = 400) -> str:
+    """Return a message in one line of printable letters, its middle left out where it is long.
+
+    Parameters
+    ----------
+    message : str
+        Of any length; only its ends are read where it is long.
+    limit : int
+        Most letters of the line.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> in_one_line("two   words")
+    'two words'
+    >>> in_one_line("a" * 10**6, 12)
+    'aaaa ... aaa'
+    """
+    ends = message if len(message) <= 8 * limit else f"{message[: 4 * limit]} ... {message[-4 * limit :]}"
+    line = "".join(letter if letter.isprintable() else "?" for letter in " ".join(ends.split()))
+    head, tail = limit // 2 - 2, limit - limit // 2 - 3
+    return line if len(line) <= limit else f"{line[:head]} ... {line[-tail:]}"

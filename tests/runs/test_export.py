@@ -161,25 +161,6 @@ def test_other_datasets_are_refused():
         solution_inputs(xarray.Dataset())
 
 
-@pytest.mark.parametrize("name", ["run.nc", "run.zarr"])
-def test_result_is_replaced_whole_and_survives_a_failure(tmp_path, monkeypatch, name):
-    target, engine = tmp_path / name, {"run.nc": "h5netcdf", "run.zarr": "zarr"}[name]
-    write_dataset(xarray.Dataset({"x": ("time", np.arange(3.0))}), target)
-    write_dataset(xarray.Dataset({"y": ("time", np.arange(4.0))}), target)
-
-    def full(*given, **more):
-        raise OSError("no space left on device")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(xarray.Dataset, "to_netcdf", full)
-        patch.setattr(xarray.Dataset, "to_zarr", full)
-        with pytest.raises(OSError, match="no space left"):
-            write_dataset(xarray.Dataset(), target)
-    with xarray.open_dataset(target, engine=engine) as kept:
-        assert list(kept) == ["y"]
-    assert [path.name for path in tmp_path.iterdir()] == [name]
-
-
 def test_netcdf_without_its_library_is_refused_before_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
+import io
 import os
-import tempfile
 from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from coadjoint.runs.netcdf_file import write_netcdf
+from coadjoint.runs.unfinished import Unfinished, remove_leftovers
+from coadjoint.runs.zarr_store import INDEX, write_zarr, written_by_coadjoint
 
 if TYPE_CHECKING:
     import xarray
@@ -20,6 +26,8 @@ class OutputError(ValueError):
 
 DATASETS = (".nc", ".zarr")
 FIGURES = (".png", ".pdf", ".svg")
+PACKAGES = {".nc": ("h5py", "h5netcdf"), ".zarr": ("zarr",), **dict.fromkeys(FIGURES, ("matplotlib",))}
+NAMED = {".nc": "NetCDF", ".zarr": "Zarr", **dict.fromkeys(FIGURES, "a figure")}
 
 
 def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
@@ -52,22 +60,51 @@ def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
     target, allowed = Path(path), tuple(suffixes)
     if target.suffix not in allowed:
         raise OutputError(f"{path}: the suffix says the format; it must be {', '.join(allowed[:-1])} or {allowed[-1]}")
-    if not target.parent.is_dir():
-        raise OutputError(f"{path}: the folder {target.parent} does not exist; make it first")
-    if target.suffix == ".zarr":
-        if target.exists() and not any((target / name).exists() for name in (".zgroup", "zarr.json")):
-            raise OutputError(f"{path}: exists and is not a Zarr store, so it is not replaced; give another name")
-    elif target.is_dir():
-        raise OutputError(f"{path}: is a folder; give the name of a file")
-    # xarray's engine for NetCDF leaves the choice of its own HDF5 library to who installs it.
-    if target.suffix == ".nc" and importlib.util.find_spec("h5py") is None:
-        raise OutputError(f"{path}: NetCDF needs the package h5py, which is not installed; install it, or write .zarr")
+    missing = next((name for name in PACKAGES[target.suffix] if importlib.util.find_spec(name) is None), None)
+    if missing is not None:
+        others = " or ".join(other for other in allowed if missing not in PACKAGES[other])
+        instead = f", or write {others}" if others else ""
+        raise OutputError(
+            f"{path}: {NAMED[target.suffix]} needs the package {missing}, which is not installed; install it{instead}"
+        )
     try:
-        with tempfile.TemporaryFile(dir=target.parent):
-            pass
-    except OSError as reason:
-        raise OutputError(f"{path}: cannot be written ({reason.strerror}); give another folder") from None
+        if not target.parent.is_dir():
+            raise OutputError(f"{path}: the folder {target.parent} does not exist; make it first")
+        remove_leftovers(target)
+        _check_replaced(target)
+        _rehearse(target)
+    except (OSError, ValueError) as reason:
+        if isinstance(reason, OutputError):
+            raise
+        wanted = "a shorter name" if getattr(reason, "errno", None) == errno.ENAMETOOLONG else "another folder"
+        said = getattr(reason, "strerror", None) or reason
+        raise OutputError(f"{path}: cannot be written ({said}); give {wanted}") from None
     return target
+
+
+def _check_replaced(target: Path) -> None:
+    """Refuse to replace what is no result."""
+    if target.suffix != ".zarr":
+        if target.is_dir():
+            raise OutputError(f"{target}: is a folder; give the name of a file")
+    elif os.path.lexists(target):
+        if not any((target / name).exists() for name in (".zgroup", "zarr.json")):
+            raise OutputError(f"{target}: exists and is not a Zarr store, so it is not replaced; give another name")
+        other = written_by_coadjoint(target)
+        if other:
+            raise OutputError(
+                f"{target}: holds {other}, which coadjoint did not write, so it is not replaced; give another name"
+            )
+
+
+def _rehearse(target: Path) -> None:
+    """Make and remove what will be written: a name may be too long, a disk full, a folder not ours to write to."""
+    with Unfinished(target) as trial:
+        if target.suffix == ".zarr":
+            trial.place.mkdir()
+            (trial.place / INDEX).touch()
+        else:
+            trial.place.touch()
 
 
 def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
@@ -96,15 +133,21 @@ def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
     array([1., 2.])
     """
     target = check_target(path)
+    write = write_netcdf if target.suffix == ".nc" else write_zarr
+    with Unfinished(target) as unfinished:
+        _in_a_thread(lambda: write(dataset, unfinished.place, unfinished.writing), unfinished.give_up)
+        unfinished.finish()
 
-    def write(temporary: Path) -> None:
-        if target.suffix == ".nc":
-            dataset.to_netcdf(temporary, engine="h5netcdf")
-        else:
-            # Format 2: format 3 has no agreed encoding of text, which the names of components are.
-            dataset.to_zarr(temporary, mode="w", zarr_format=2, consolidated=True)
 
-    _replace(target, write)
+def _in_a_thread(work: Callable[[], None], give_up: Callable[[], None]) -> None:
+    """Do a work that no interrupt may cut: HDF5 does not survive it. Only the main thread hears interrupts."""
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(work)
+        try:
+            done.result()
+        except BaseException:
+            give_up()
+            raise
 
 
 def write_figure(figure: Figure, path: str | Path) -> None:
@@ -129,15 +172,9 @@ def write_figure(figure: Figure, path: str | Path) -> None:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_figure(Figure(), f"{folder}/empty.png")
     """
-    _replace(check_target(path, FIGURES), lambda temporary: figure.savefig(temporary))
-
-
-def _replace(target: Path, write: Callable[[Path], object]) -> None:
-    """Write beside the target, on the same disk, and rename."""
-    with tempfile.TemporaryDirectory(prefix=f".{target.stem}-", dir=target.parent) as folder:
-        temporary = Path(folder) / target.name
-        write(temporary)
-        if target.is_dir():
-            # A folder cannot be renamed over one that is not empty: the old store steps aside, and is deleted with it.
-            os.replace(target, Path(folder) / "replaced")
-        os.replace(temporary, target)
+    target = check_target(path, FIGURES)
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format=target.suffix[1:])
+    with Unfinished(target) as unfinished:
+        unfinished.place.write_bytes(drawn.getbuffer())
+        unfinished.finish()

@@ -1,0 +1,247 @@
+"""The commands of ``coadjoint``: a thin skin over the library. Exit statuses are in `coadjoint.cli`."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import inspect
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coadjoint import __version__
+from coadjoint.errors import in_one_line
+
+UNREAD = 141  # nobody reads what is printed
+
+if TYPE_CHECKING:
+    from coadjoint.errors import IntegrationError
+    from coadjoint.runs.configuration import Configuration
+    from coadjoint.runs.solution import Solution
+
+
+class _Commands(click.Group):
+    """Commands, with the nearest name for one that does not exist."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
+            raise click.UsageError(f"unknown command {args[0]!r}; {_nearest(args[0], self.list_commands(ctx))}", ctx)
+        return super().resolve_command(ctx, args)
+
+
+@click.group(cls=_Commands, invoke_without_command=True)
+@click.version_option(__version__, prog_name="coadjoint", message="%(prog)s %(version)s")
+@click.pass_context
+def commands(context: click.Context) -> None:
+    """Integrate generalized Euler equations x' = J(x) grad H(x) with their structure kept."""
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())
+
+
+@commands.command("run")
+@click.argument("file", type=click.Path())
+@click.option("--out", metavar="PATH", help="Where to write the solution: .nc or .zarr; otherwise what the file says.")
+@click.option("--figure", metavar="PATH", help="Where to draw it: .png, .pdf or .svg; otherwise what the file says.")
+@click.option("--progress", is_flag=True, help="Show a progress bar.")
+@click.option("--quiet", is_flag=True, help="Print nothing.")
+def run_file(file: str, out: str | None, figure: str | None, progress: bool, quiet: bool) -> None:
+    """Run the configuration FILE (TOML).
+
+    A run that fails while running writes what it had, marked as failed, and ends with exit status 1.
+    """
+    from coadjoint.errors import IntegrationError
+    from coadjoint.runs.configuration import load
+    from coadjoint.runs.output import DATASETS, FIGURES, write_dataset, write_figure
+
+    configuration = load(file)
+    target = _place(configuration, "file", out, DATASETS)
+    drawing = _place(configuration, "figure", figure, FIGURES)
+    try:
+        solution = configuration.integrate(progress=progress)
+    except IntegrationError as error:
+        raise _failed(configuration, error, target) from error
+    if target is not None:
+        with _writing(configuration, target):
+            write_dataset(configuration.dataset(solution), target)
+    if drawing is not None:
+        with _writing(configuration, drawing):
+            write_figure(solution.plot(), drawing)
+    if not quiet:
+        _summarize(solution, [place for place in (target, drawing) if place is not None])
+
+
+def _place(configuration: Configuration, key: str, option: str | None, suffixes: Sequence[str]) -> Path | None:
+    """Return where a result goes, by the option or else by the key of the file, checked before the run."""
+    from coadjoint.runs.configuration_parts import section
+    from coadjoint.runs.output import check_target
+
+    if option is not None:
+        return check_target(option, suffixes)
+    written = configuration.output if key == "file" else configuration.figure
+    if written is None:
+        return None
+    with section(configuration.path, f"output.{key}"):
+        return check_target(written, suffixes)
+
+
+class _RunFailed(click.ClickException):
+    """A run that failed while running, or whose result could not be written: exit status 1."""
+
+    exit_code = 1
+
+
+@contextmanager
+def _writing(configuration: Configuration, target: Path) -> Iterator[None]:
+    """Say in one line that a result cannot be written, after its run."""
+    from coadjoint.runs.output import OutputError
+
+    try:
+        yield
+    except (OSError, OutputError, MemoryError) as reason:
+        raise _RunFailed(f"{configuration.path}: {_unwritten(target, reason)}") from reason
+
+
+def _unwritten(target: Path, reason: BaseException) -> str:
+    said = getattr(reason, "strerror", None) or str(reason) or "it does not fit into memory"
+    return f"{target} could not be written ({said}); nothing was replaced"
+
+
+def _failed(configuration: Configuration, error: IntegrationError, target: Path | None) -> _RunFailed:
+    """Write what there is, and return what is to be said."""
+    written = ""
+    if target is not None and error.partial is not None:
+        from coadjoint.runs.export import mark_failed
+        from coadjoint.runs.output import OutputError, write_dataset
+
+        try:
+            write_dataset(mark_failed(configuration.dataset(error.partial), error), target)
+            written = f"; the solution so far is in {target}"
+        except (OSError, OutputError, MemoryError) as reason:
+            written = f"; the solution so far is lost: {_unwritten(target, reason)}"
+    return _RunFailed(f"{configuration.path}: the run failed: {error}{written}")
+
+
+def _summarize(solution: Solution, written: Sequence[Path]) -> None:
+    stats = solution.stats
+    click.echo(
+        in_one_line(f"{solution.system.name}, {solution.method}")
+        + f": {stats.steps} steps of {solution.step:g}, {stats.seconds:.3g} s"
+    )
+    over = "every step" if solution.watched else "the saved points"
+    click.echo(f"largest deviation from the start, over {over}:")
+    drifts = {in_one_line(name, 60): drift for name, drift in solution.drift().items()}
+    width = max(map(len, drifts))
+    for name, drift in drifts.items():
+        click.echo(f"  {name:{width}}  {drift:.3g}")
+    for place in written:
+        click.echo(f"written: {place}")
+
+
+@commands.command("systems")
+def list_systems() -> None:
+    """List the ready-made systems with their parameters."""
+    from coadjoint.systems.ready_made import ready_made_systems
+
+    for name, builder in sorted(ready_made_systems().items()):
+        signature = inspect.signature(builder).parameters
+        _describe(name, {key: p.default for key, p in signature.items()}, inspect.getdoc(builder) or "")
+
+
+@commands.command("methods")
+def list_methods() -> None:
+    """List the schemes with their parameters."""
+    from coadjoint.methods import registry
+
+    for name in registry.names():
+        _describe(name, registry.parameters_of(name), registry.summary_of(name))
+
+
+def _describe(name: str, parameters: Mapping[str, Any], documentation: str) -> None:
+    empty = inspect.Parameter.empty
+    shown = ", ".join(key if default is empty else f"{key}={default!r}" for key, default in parameters.items())
+    click.echo(f"{name}({shown})\n    {documentation.partition(chr(10))[0]}")
+
+
+@commands.command("reproduce")
+@click.option("--out", metavar="DIR", default="figures", show_default=True, help="Folder for the figures.")
+def reproduce(out: str) -> None:
+    """Repeat the experiments of Reich (1993), print a table of them and draw their figures."""
+    folder = Path(out)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as reason:
+        raise click.UsageError(f"--out {out}: cannot be made a folder ({reason.strerror}); give another") from None
+    experiments = importlib.import_module("coadjoint.experiments.reich1993")
+    result = experiments.reproduce(folder, click.echo)
+    for row in result.table:
+        click.echo(f"{row.verdict:18}  {row.place}: {row.statement}\n{'':20}{row.measured}")
+    for figure in result.figures:
+        click.echo(f"written: {figure}")
+
+
+def _nearest(name: str, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+
+
+def _said(error: click.ClickException) -> str:
+    """Return what is wrong in one line."""
+    if isinstance(error, click.NoSuchOption) and error.ctx is not None:
+        known = [
+            name for parameter in error.ctx.command.get_params(error.ctx) for name in parameter.opts if name[0] == "-"
+        ]
+        return f"coadjoint: unknown option {error.option_name!r}; {_nearest(error.option_name, known)}"
+    message = in_one_line(error.format_message())
+    if isinstance(error, click.UsageError):
+        usage = f" (see '{error.ctx.command_path} --help')" if error.ctx is not None and "; " not in message else ""
+        return f"coadjoint: {message[:1].lower()}{message[1:].rstrip('.')}{usage}"
+    return message
+
+
+def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
+    """Run a command.
+
+    Parameters
+    ----------
+    arguments : sequence of str or None
+        Those of the command line if None.
+
+    Returns
+    -------
+    status : int
+        The exit status, see `coadjoint.cli`.
+    said : str
+        One line for the standard error, or nothing.
+
+    Examples
+    --------
+    >>> perform(["run", "no_such_file.toml"])
+    (2, 'no_such_file.toml: cannot be read (No such file or directory)')
+    """
+    from coadjoint.runs.configuration import ConfigurationError
+    from coadjoint.runs.output import OutputError
+
+    try:
+        # The parts of click's own main that are wanted: that one prints an empty line at an interrupt.
+        with commands.make_context("coadjoint", list(sys.argv[1:] if arguments is None else arguments)) as context:
+            commands.invoke(context)
+    except click.exceptions.Exit as done:
+        return done.exit_code, ""
+    except click.ClickException as error:
+        return error.exit_code, in_one_line(_said(error))
+    except (ConfigurationError, OutputError) as error:
+        return 2, in_one_line(str(error))
+    except (ValueError, TypeError, ArithmeticError, RecursionError, MemoryError) as error:
+        # What no reader foresaw: bad input all the same.
+        return 2, in_one_line(f"coadjoint: {type(error).__name__}: {error}")
+    except BrokenPipeError:
+        return UNREAD, ""
+    except OSError as error:
+        return 1, in_one_line(f"coadjoint: {error}")
+    return 0, ""

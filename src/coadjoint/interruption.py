@@ -1,0 +1,81 @@
+"""How does the command end when it is told to stop? At once, in one line, with nothing half written left behind.
+
+An exception will not do: Python drops those that are raised while a weak reference is cleared or a module is loaded,
+and the run would go on. Nothing is imported here that takes time: an interrupt is heard from the first line on.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType
+
+_SAID = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
+_unfinished: list[Callable[[], object]] = []
+
+
+def hear() -> None:
+    """End the process at an interrupt, with the exit status 128 + number of the signal.
+
+    Signals that whoever started the process has set to be ignored (``nohup``, a job in the background) stay so.
+
+    Examples
+    --------
+    >>> import subprocess, sys
+    >>> code = "from coadjoint.interruption import hear; hear(); import signal; signal.raise_signal(signal.SIGTERM)"
+    >>> subprocess.run([sys.executable, "-c", code], capture_output=True).returncode
+    143
+    """
+    for number in _heard():
+        if signal.getsignal(number) not in (signal.SIG_IGN, None):
+            signal.signal(number, _leave)
+
+
+def ignore() -> None:
+    """Hear no interrupt any more: all is done, and the interpreter is about to end.
+
+    While it does so it would be killed without a word, for it takes handlers away first.
+    """
+    for number in _heard():
+        signal.signal(number, signal.SIG_IGN)
+
+
+def begin(abandon: Callable[[], object]) -> None:
+    """Have something done where the process is ended before `end`: the removal of what is half written.
+
+    Examples
+    --------
+    >>> begin(print)
+    >>> end(print)
+    """
+    _unfinished.append(abandon)
+
+
+def end(abandon: Callable[[], object]) -> None:
+    """Take back a `begin`."""
+    _unfinished.remove(abandon)
+
+
+def _heard() -> list[signal.Signals]:
+    return [getattr(signal, name) for name in _SAID if hasattr(signal, name)]
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    ignore()
+    for act in (*reversed(_unfinished), sys.stdout.flush):
+        try:
+            act()
+        except Exception:  # whatever it is, the process ends now; the next run removes what is left
+            pass
+    try:
+        # A terminal has shown ^C, or a progress bar, on this line.
+        begun = "\n" if os.isatty(2) else ""
+        os.write(2, f"{begun}coadjoint: {_SAID[signal.Signals(number).name]}\n".encode())
+    except OSError:
+        pass
+    os._exit(128 + number)

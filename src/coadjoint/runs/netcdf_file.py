@@ -1,0 +1,175 @@
+"""How is a NetCDF file written so that a full disk is an error, and not the end of the interpreter?"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import xarray
+
+PAGE = 2**16
+LARGEST_KEPT = 2**20
+
+
+class SteadfastFile:
+    """A file in which no write fails: the first failure is kept for `close`, which raises it.
+
+    HDF5 cannot close a file that it fails to write, and crashes when the interpreter ends. What comes after a failure
+    is kept in memory, for HDF5 may read what it has written; but pieces of more than 2^20 bytes are dropped: those are
+    numbers, which it does not read again.
+
+    Parameters
+    ----------
+    path : Path
+        Made or emptied.
+    writing : callable
+        A context in which each piece is written, `Unfinished.writing`; an exception that it raises is a failure too.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from contextlib import nullcontext
+    >>> with tempfile.TemporaryDirectory() as folder, SteadfastFile(Path(folder, "a"), nullcontext) as file:
+    ...     _ = file.write(b"momentum"), file.seek(0)
+    ...     file.read(3)
+    b'mom'
+    """
+
+    def __init__(self, path: Path, writing: Callable[[], AbstractContextManager[None]]) -> None:
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666)
+        self._writing, self._at, self._size = writing, 0, 0
+        self._failure: BaseException | None = None
+        self._pages: dict[int, bytearray] = {}
+
+    def __enter__(self) -> SteadfastFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file, and raise what failed first."""
+        try:
+            os.close(self._descriptor)
+        finally:
+            if self._failure is not None:
+                raise self._failure
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Go to a place, and return it."""
+        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._size}[whence]
+        return self._at
+
+    def tell(self) -> int:
+        """Return the place."""
+        return self._at
+
+    def write(self, piece: Any) -> int:
+        """Write bytes at the place, and go behind them."""
+        view = memoryview(piece).cast("B")
+        if not self._attempt(lambda: self._written(view)):
+            self._keep(view)
+        self._at += len(view)
+        self._size = max(self._size, self._at)
+        return len(view)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the length of the file."""
+        length = self._at if size is None else size
+        self._attempt(lambda: os.ftruncate(self._descriptor, length))
+        self._size = length
+        return length
+
+    def flush(self) -> None:
+        """Do nothing: nothing is held back."""
+
+    def readinto(self, piece: Any) -> int:
+        """Fill a buffer from the place on, with zeros behind the end, and return its length."""
+        view = memoryview(piece).cast("B")
+        view[:] = self._stored(self._at, len(view))
+        for number in range(self._at // PAGE, (self._at + len(view)) // PAGE + 1):
+            if number in self._pages:
+                first, last = max(self._at, number * PAGE), min(self._at + len(view), (number + 1) * PAGE)
+                if first < last:
+                    within = self._pages[number][first - number * PAGE : last - number * PAGE]
+                    view[first - self._at : last - self._at] = within
+        self._at += len(view)
+        return len(view)
+
+    def read(self, length: int = -1) -> bytes:
+        """Return bytes from the place on."""
+        rest = max(0, self._size - self._at)
+        piece = bytearray(rest if length < 0 else min(length, rest))
+        self.readinto(piece)
+        return bytes(piece)
+
+    def _attempt(self, work: Callable[[], object]) -> bool:
+        """Return whether it could be done on the disk, where nothing had failed before."""
+        if self._failure is None:
+            try:
+                with self._writing():
+                    work()
+                return True
+            except BaseException as error:
+                self._failure = error
+        return False
+
+    def _written(self, view: memoryview) -> None:
+        done = 0
+        while done < len(view):
+            done += os.pwrite(self._descriptor, view[done:], self._at + done)
+
+    def _stored(self, at: int, length: int) -> bytes:
+        found = bytearray()
+        while len(found) < length:
+            try:
+                piece = os.pread(self._descriptor, length - len(found), at + len(found))
+            except OSError as error:
+                self._failure = self._failure or error
+                break
+            if not piece:
+                break
+            found += piece
+        return bytes(found.ljust(length, b"\0"))
+
+    def _keep(self, view: memoryview) -> None:
+        if len(view) > LARGEST_KEPT:
+            return
+        for number in range(self._at // PAGE, (self._at + len(view)) // PAGE + 1):
+            page = self._pages.get(number)
+            if page is None:
+                page = self._pages[number] = bytearray(self._stored(number * PAGE, PAGE))
+            first, last = max(self._at, number * PAGE), min(self._at + len(view), (number + 1) * PAGE)
+            if first < last:
+                page[first - number * PAGE : last - number * PAGE] = view[first - self._at : last - self._at]
+
+
+def write_netcdf(dataset: xarray.Dataset, path: Path, writing: Callable[[], AbstractContextManager[None]]) -> None:
+    """Write a dataset as NetCDF 4.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        What is written.
+    path : Path
+        A new file.
+    writing : callable
+        As for `SteadfastFile`.
+
+    Raises
+    ------
+    OSError
+        The disk is full, for instance.
+    """
+    import h5netcdf
+    from xarray.backends import H5NetCDFStore
+
+    with SteadfastFile(path, writing) as image, h5netcdf.File(image, "w") as file:
+        dataset.dump_to_store(H5NetCDFStore(file))
