@@ -6,6 +6,7 @@ import difflib
 import importlib
 import inspect
 import sys
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -217,19 +218,27 @@ def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
     status : int
         The exit status, see `coadjoint.cli`.
     said : str
-        One line for the standard error, or nothing.
+        What goes to the standard error: one line where something is wrong; otherwise a line for each warning.
 
     Examples
     --------
     >>> perform(["run", "no_such_file.toml"])
     (2, 'no_such_file.toml: cannot be read (No such file or directory)')
     """
+    with warnings.catch_warnings(record=True) as noticed:
+        status, said = _performed(list(sys.argv[1:] if arguments is None else arguments))
+    if status == 0:
+        said = "\n".join(dict.fromkeys(in_one_line(f"coadjoint: warning: {found.message}") for found in noticed))
+    return status, said
+
+
+def _performed(arguments: list[str]) -> tuple[int, str]:
     from coadjoint.runs.configuration import ConfigurationError
     from coadjoint.runs.output import OutputError
 
     try:
         # The parts of click's own main that are wanted: that one prints an empty line at an interrupt.
-        with commands.make_context("coadjoint", list(sys.argv[1:] if arguments is None else arguments)) as context:
+        with commands.make_context("coadjoint", arguments) as context:
             commands.invoke(context)
     except click.exceptions.Exit as done:
         return done.exit_code, ""

@@ -120,3 +120,48 @@ def test_polynomials_in_other_coordinates():
     assert substituted(p, rows, 2)(x) == p(np.array([x[0] + 2 * x[1], x[1] / 3, Fraction(0)]))
     y = np.array([Fraction(k) for k in range(5)])
     assert embedded(p, 1, 5)(y) == p(y[1:4])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("x1**4000000000", "has the degree 4000000000; there are degrees up to 1024"),
+        ("x1**n", "has the degree 4000000000; there are degrees up to 1024"),
+        ("(x1*x2)**513", "has the degree 1026"),
+        ("x1**600*x2**600", "has the degree 1200"),
+        ("(x1 + x2 + x3 + 1)**1000", "terms when it is multiplied out"),
+        ("(x1 + x2)**100*(x2 + x3)**100", "has about 10201 terms when it is multiplied out"),
+        ("2**4000000000", "is too large for float64"),
+        ("2**1024", "is too large for float64"),
+        ("(2**1000)**1000", "is too large for float64"),
+        ("a**5000", "is too large for float64"),
+        ("10**300*10**300", "is too large for float64"),
+        ("10**308 + 10**308*9", "is too large for float64"),
+        ("2**-1", "powers are whole numbers from 0 up"),
+        ("1/(a - a)", "divides by zero"),
+        ("x1/0", "divides by zero"),
+        ("9" * 5000, "is not a formula|too large"),
+        ("-" * 5000 + "1", "nested too deeply"),
+        ("(" * 4900 + "1" + ")" * 4900, "nested too deeply|not a formula"),
+        ("+".join(["1"] * 4000), "nested too deeply"),
+        ("1+" * 10000 + "1", "has 20001 letters; a formula has at most 10000"),
+        ("x1\0", "is not a formula"),
+    ],
+)
+def test_what_no_machine_can_hold_is_refused(text, said):
+    with pytest.raises(ValueError, match=said) as refused:
+        read_formula(text, {**NAMES, "n": 4000000000})
+    assert len(str(refused.value)) < 300
+
+
+def test_conditions_are_bounded_too():
+    for text in ("2**4000000000 > a", "-" * 5000 + "1 > a", "1/(a - a) > 1"):
+        with pytest.raises(ValueError, match=r"too large|nested|divides"):
+            satisfied(text, NAMES)
+
+
+def test_powers_below_the_bounds():
+    assert read_formula("x1**1024", NAMES).degree == 1024
+    assert read_formula("(x1 + x2)**60", NAMES).monomials[(30, 30, 0)] == math.comb(60, 30)
+    assert read_formula("2**1023", NAMES) == 2**1023 and read_formula("x1**0 - 1", NAMES).monomials == {}
+    assert read_formula("(-1)**1001*a**10", NAMES) == -Fraction(1, 1024)

@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import ast
+import math
 import operator
 from collections.abc import Callable, Mapping
 from fractions import Fraction
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 from coadjoint.algebra.logarithmic import LogarithmicSum
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.errors import in_one_line
+from coadjoint.wording import short
 
 Number = int | Fraction
+Read = TypeVar("Read")
 Formula = Number | Polynomial | LogarithmicSum
+
+# A short text can stand for something that no machine can hold. So there are bounds for what a reader makes of it.
+MOST_DEGREE = 1024
+TOO_HIGH = "since from there on even powers of 2 leave float64"
+MOST_DIGITS = 400
+TOO_LARGE = "is too large for float64, or has too many digits"
+MOST_LETTERS = 10_000
+NESTED = "has brackets or signs that are nested too deeply"
+MOST_TERMS = 10_000
 
 _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.Lt: operator.lt,
@@ -44,7 +57,7 @@ def read_formula(text: str, names: Mapping[str, Number | Polynomial]) -> Formula
     Raises
     ------
     ValueError
-        The text is not such a formula.
+        The text is not such a formula; or a degree, a number or the number of terms is too large.
 
     Examples
     --------
@@ -54,7 +67,7 @@ def read_formula(text: str, names: Mapping[str, Number | Polynomial]) -> Formula
     >>> read_formula("log(x1) - a*x2/x1", x | {"a": 3}).invariant().value([1.0, 2.0])
     -6.0
     """
-    return _value(_parsed(text), names, text)
+    return _read(text, lambda tree: _value(tree, names, text))
 
 
 def satisfied(text: str, parameters: Mapping[str, Number]) -> bool:
@@ -70,14 +83,42 @@ def satisfied(text: str, parameters: Mapping[str, Number]) -> bool:
     >>> satisfied("a != 0 and -1 < a <= 1", {"a": Fraction(1, 2)})
     True
     """
-    return _condition(_parsed(text), parameters, text)
+    return _read(text, lambda tree: _condition(tree, parameters, text))
+
+
+def _read(text: str, meaning: Callable[[ast.expr], Read]) -> Read:
+    tree = _parsed(text)
+    try:
+        return meaning(tree)
+    except RecursionError:
+        raise ValueError(f"{short(text)} {NESTED}") from None
+
+
+def fits(value: float | Number) -> bool:
+    """Say whether a number is finite in float64 and, where it is exact, has so many digits as one can work with.
+
+    Examples
+    --------
+    >>> fits(10**308), fits(10**309), fits(float("inf")), fits(Fraction(1, 10**2000))
+    (True, False, False, False)
+    """
+    try:
+        return math.isfinite(value) and not (isinstance(value, Fraction) and value.denominator.bit_length() > 4096)
+    except OverflowError:
+        return False
 
 
 def _parsed(text: str) -> ast.expr:
+    if len(text) > MOST_LETTERS:
+        raise ValueError(f"{short(text)} has {len(text)} letters; a formula has at most {MOST_LETTERS}")
     try:
         return ast.parse(text, mode="eval").body
     except SyntaxError as error:
-        raise ValueError(f"{text!r} is not a formula: {error.msg}") from None
+        raise ValueError(f"{short(text)} is not a formula: {in_one_line(error.msg, 120)}") from None
+    except (RecursionError, MemoryError):
+        raise ValueError(f"{short(text)} {NESTED}") from None
+    except ValueError as error:
+        raise ValueError(f"{short(text)} is not a formula: {in_one_line(str(error), 120)}") from None
 
 
 def _condition(node: ast.expr, parameters: Mapping[str, Number], text: str) -> bool:
@@ -85,14 +126,14 @@ def _condition(node: ast.expr, parameters: Mapping[str, Number], text: str) -> b
         holds = [_condition(part, parameters, text) for part in node.values]
         return all(holds) if isinstance(node.op, ast.And) else any(holds)
     if not isinstance(node, ast.Compare) or any(type(op) not in _COMPARISONS for op in node.ops):
-        raise ValueError(f"{text!r} must be comparisons of parameters, joined by 'and' or 'or'")
+        raise ValueError(f"{short(text)} must be comparisons of parameters, joined by 'and' or 'or'")
     sides = [_value(side, parameters, text) for side in (node.left, *node.comparators)]
     return all(_COMPARISONS[type(op)](*pair) for op, pair in zip(node.ops, pairwise(sides), strict=True))
 
 
 def _value(node: ast.expr, names: Mapping[str, Number | Polynomial], text: str) -> Formula:
     if isinstance(node, ast.Constant) and type(node.value) is int:
-        return node.value
+        return _within(node.value, text)
     if isinstance(node, ast.Name) and node.id in names:
         return names[node.id]
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
@@ -108,34 +149,70 @@ def _value(node: ast.expr, names: Mapping[str, Number | Polynomial], text: str) 
         left = _value(node.left, names, text)
         right = _value(node.right, names, text)
         if isinstance(node.op, ast.Add):
-            return _sum(left, right)
+            return _sum(left, right, text)
         if isinstance(node.op, ast.Sub):
-            return _sum(left, _product(-1, right, text))
+            return _sum(left, _product(-1, right, text), text)
         if isinstance(node.op, ast.Mult):
             return _product(left, right, text)
         if isinstance(node.op, ast.Div):
             if isinstance(right, Polynomial) and isinstance(left, Polynomial):
                 return LogarithmicSum.quotient(left, right)
             if isinstance(right, int | Fraction):
+                if right == 0:
+                    raise ValueError(f"{short(text)} divides by zero")
                 return _product(left, Fraction(1) / right, text)
         if isinstance(node.op, ast.Pow) and isinstance(right, int) and not isinstance(left, LogarithmicSum):
-            return left**right
-    raise ValueError(f"{ast.unparse(node)!r} in {text!r} is not a number, a known name, or an operation on them")
+            return _power(left, right, text)
+    raise ValueError(
+        f"{short(ast.unparse(node))} in {short(text)} is not a number, a known name, or an operation on them"
+    )
 
 
-def _sum(left: Formula, right: Formula) -> Formula:
+def _sum(left: Formula, right: Formula, text: str) -> Formula:
     if isinstance(left, LogarithmicSum) and isinstance(right, int | Fraction):
         return left + Polynomial({(0,) * left.dim: right})
     if isinstance(right, LogarithmicSum) and isinstance(left, int | Fraction):
-        return _sum(right, left)
+        return _sum(right, left, text)
     total: Any = left
-    return total + right
+    return _within(total + right, text)
 
 
 def _product(left: Formula, right: Formula, text: str) -> Formula:
     if isinstance(left, LogarithmicSum):
         left, right = right, left
     if isinstance(left, LogarithmicSum) or (isinstance(right, LogarithmicSum) and isinstance(left, Polynomial)):
-        raise ValueError(f"{text!r} multiplies a logarithm, an angle or a quotient by more than a number")
+        raise ValueError(f"{short(text)} multiplies a logarithm, an angle or a quotient by more than a number")
+    if isinstance(left, Polynomial) and isinstance(right, Polynomial):
+        _check_size(left.degree + right.degree, len(left.monomials) * len(right.monomials), text)
     product: Any = right
-    return product * left
+    return _within(product * left, text)
+
+
+def _power(base: Number | Polynomial, power: int, text: str) -> Number | Polynomial:
+    """Return a whole power, once it is known that it can be held."""
+    if power < 0:
+        raise ValueError(f"{short(text)} has the power {short(power)}; powers are whole numbers from 0 up")
+    if isinstance(base, Polynomial):
+        _check_size(base.degree * power, 0, text)
+        terms = len(base.monomials)
+        _check_size(0, math.comb(terms + power - 1, power) if terms > 1 and power < MOST_DEGREE else 1, text)
+    elif abs(base) not in (0, 1) and power > MOST_DEGREE:
+        raise ValueError(f"a number in {short(text)} {TOO_LARGE}")
+    result: Any = base
+    return _within(result**power, text)
+
+
+def _check_size(degree: int, terms: int, text: str) -> None:
+    if degree > MOST_DEGREE:
+        raise ValueError(
+            f"{short(text)} has the degree {short(degree)}; there are degrees up to {MOST_DEGREE}, {TOO_HIGH}"
+        )
+    if terms > MOST_TERMS:
+        raise ValueError(f"{short(text)} has about {short(terms)} terms when it is multiplied out, beyond {MOST_TERMS}")
+
+
+def _within(value: Any, text: str) -> Any:
+    """Refuse a number that float64 does not hold."""
+    if isinstance(value, int | Fraction) and not fits(value):
+        raise ValueError(f"a number in {short(text)} {TOO_LARGE}")
+    return value

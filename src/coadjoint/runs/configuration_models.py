@@ -11,6 +11,10 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
+from coadjoint.errors import in_one_line
+from coadjoint.wording import short
+
+SHOWN = 60
 SHAPES = {0: "a number", 1: "a list of numbers", 2: "a list of equally long lists of numbers"}
 
 
@@ -23,7 +27,9 @@ def _number(value: Any) -> bool:
         finite = False
     if not finite:
         raise ValueError(
-            f"every number must be finite, and {value} is not" if len(str(value)) < 40 else "a number is too large"
+            f"every number must be finite, and {value} is not"
+            if isinstance(value, float)
+            else f"{short(value)} is too large; every number must be finite in float64"
         )
     return True
 
@@ -41,7 +47,7 @@ def _depth(value: Any) -> int | None:
 def _numbers(*depths: int) -> AfterValidator:
     def check(value: Any) -> Any:
         if _depth(value) not in depths:
-            raise ValueError(f"must be {' or '.join(SHAPES[depth] for depth in depths)}, not {_shown(value)}")
+            raise ValueError(f"must be {' or '.join(SHAPES[depth] for depth in depths)}, not {short(value, SHOWN)}")
         return value
 
     return AfterValidator(check)
@@ -50,7 +56,7 @@ def _numbers(*depths: int) -> AfterValidator:
 def _attitude(value: Any) -> Any:
     if not (isinstance(value, bool) or value == "coadjoint" or _depth(value) == 2):
         raise ValueError(
-            f"must be true, false, 'coadjoint' or a matrix, the initial group element, not {_shown(value)}"
+            f"must be true, false, 'coadjoint' or a matrix, the initial group element, not {short(value, SHOWN)}"
         )
     return value
 
@@ -58,22 +64,26 @@ def _attitude(value: Any) -> Any:
 def _polynomial(value: Any) -> Any:
     if not isinstance(value, str | list):
         raise ValueError(
-            f"must be text such as '0.5*x1^2 + x2*x3' or a list of [coefficient, [exponents]], not {_shown(value)}"
+            "must be text such as '0.5*x1^2 + x2*x3' or a list of [coefficient, [exponents]], "
+            f"not {short(value, SHOWN)}"
         )
     return value
 
 
 def _sign(value: Any) -> Any:
     if isinstance(value, bool) or value not in (1, -1):
-        raise ValueError(f"must be 1 or -1, not {_shown(value)}")
+        raise ValueError(f"must be 1 or -1, not {short(value, SHOWN)}")
     return value
 
 
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+def _name(value: str) -> str:
+    if not value.isprintable():
+        raise ValueError(f"must be printable letters in one line, not {short(value, SHOWN)}")
+    return value
 
 
+Name = Annotated[str, AfterValidator(_name)]
+Number = Annotated[Any, _numbers(0)]
 Matrix = Annotated[Any, _numbers(0, 1, 2)]
 Sign = Annotated[Any, AfterValidator(_sign)]
 Vector = Annotated[Any, _numbers(1)]
@@ -101,7 +111,7 @@ class AlgebraTable(Table):
     name: str | None = None
     parameters: dict[str, Any] = {}
     dim: Whole | None = None
-    basis: list[str] | None = None
+    basis: list[Name] | None = None
     brackets: list[str] | None = None
 
 
@@ -110,6 +120,7 @@ class HamiltonianTable(Table):
 
     M: Matrix | None = None
     linear: Vector | None = None
+    constant: Number | None = None
     polynomial: Written | None = None
 
 
@@ -140,16 +151,16 @@ class OutputTable(Table):
 class File(Table):
     """The whole file."""
 
-    name: str | None = None
+    name: Name | None = None
     sign: Sign | None = None
     system: SystemTable | None = None
     algebra: AlgebraTable | None = None
     hamiltonian: HamiltonianTable | None = None
-    casimirs: dict[str, Written] | None = None
+    casimirs: dict[Name, Written] | None = None
     initial: InitialTable
     method: dict[str, Any] = {"name": "Splitting"}
     run: RunTable
-    observe: dict[str, Written] = {}
+    observe: dict[Name, Written] = {}
     output: OutputTable = OutputTable()
 
 
@@ -162,7 +173,8 @@ def unknown_key(key: str, known: Iterable[str]) -> str:
     "unknown key; did you mean 'step'?"
     """
     names = sorted(known)
-    near = difflib.get_close_matches(key, names, n=1, cutoff=0.5)
+    # Whatever is much longer than every name is near to none, and would take long to be compared.
+    near = difflib.get_close_matches(key[:SHOWN], names, n=1, cutoff=0.5)
     if near:
         return f"unknown key; did you mean {near[0]!r}?"
     return f"unknown key; known here: {', '.join(names)}" if names else "unknown key; there are none here"
@@ -193,8 +205,10 @@ def first_error(error: ValidationError) -> tuple[str, str]:
     """
     rank = {"extra_forbidden": 0, "missing": 2}
     found = sorted(error.errors(), key=lambda entry: rank.get(entry["type"], 1))[0]
-    place = list(found["loc"])
-    path = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in place).lstrip(".")
+    # Where a key of a table is wrong, "[key]" follows it.
+    place = [key for key in found["loc"] if key != "[key]"]
+    path = "".join(f"[{key}]" if isinstance(key, int) else f".{in_one_line(key, SHOWN)}" for key in place)
+    path = path.lstrip(".")
     return path, _reason(found["type"], found["msg"], found["input"], found.get("ctx", {}), place)
 
 
@@ -220,9 +234,9 @@ def _reason(kind: str, message: str, given: Any, context: Mapping[str, Any], pla
         "finite_number": "finite",
     }.get(kind)
     return (
-        f"must be {wanted}, not {_shown(given)}"
+        f"must be {wanted}, not {short(given, SHOWN)}"
         if wanted
-        else f"{message[:1].lower()}{message[1:]}, not {_shown(given)}"
+        else f"{message[:1].lower()}{message[1:]}, not {short(given, SHOWN)}"
     )
 
 

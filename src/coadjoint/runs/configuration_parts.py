@@ -7,14 +7,22 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.errors import in_one_line
+from coadjoint.memory import check_room
 from coadjoint.methods import registry
 from coadjoint.methods.base import Method, System
 from coadjoint.runs.expressions import read_brackets, read_polynomial
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
+from coadjoint.wording import short
+
+LONGEST = 300
+BYTES_PER_COORDINATE = 400
 
 if TYPE_CHECKING:
     from coadjoint.runs.configuration_models import AlgebraTable, File, HamiltonianTable
@@ -38,7 +46,8 @@ def section(name: str, key: str) -> Iterator[None]:
     Raises
     ------
     ConfigurationError
-        For a ValueError or TypeError inside.
+        For whatever wrong input raises inside: a ValueError or TypeError, a number that is too large to compute with,
+        tables in one another beyond what Python follows, no memory.
 
     Examples
     --------
@@ -48,12 +57,21 @@ def section(name: str, key: str) -> Iterator[None]:
     ...
     coadjoint.runs.configuration_parts.ConfigurationError: run.toml: run.step: step is 0
     """
+    cause: Exception
     try:
         yield
+        return
     except ConfigurationError:
         raise
     except (ValueError, TypeError) as reason:
-        raise ConfigurationError(f"{name}: {key}: {' '.join(str(reason).split())}") from reason
+        said, cause = str(reason), reason
+    except ArithmeticError as reason:
+        said, cause = f"a number is too large, or too small, to compute with ({reason})", reason
+    except RecursionError as reason:
+        said, cause = "lists or tables are nested too deeply; nest less", reason
+    except MemoryError as reason:
+        said, cause = "does not fit into memory; take something smaller", reason
+    raise ConfigurationError(f"{name}: {in_one_line(key, 80)}: {in_one_line(said, LONGEST)}") from cause
 
 
 def system_of_file(name: str, file: File) -> System:
@@ -87,6 +105,8 @@ def system_of_file(name: str, file: File) -> System:
     if file.hamiltonian is None:
         raise ConfigurationError(f"{name}: hamiltonian: is missing; give it beside [algebra]")
     assert file.algebra is not None
+    if file.algebra.brackets is not None:
+        _check_dimension(name, file.algebra, file.initial.x)
     algebra = _algebra(name, file.algebra)
     hamiltonian = _hamiltonian(name, file.hamiltonian, algebra.dim)
     casimirs: dict[str, Polynomial] | None = None if file.casimirs is None else {}
@@ -145,6 +165,19 @@ def method_of_file(name: str, table: Mapping[str, Any]) -> Method:
         return registry.from_description(table)
 
 
+def _check_dimension(name: str, table: AlgebraTable, states: list[Any]) -> None:
+    """Refuse a dimension before anything of that length is made: so long is the state, which the file writes out."""
+    if table.dim is None:
+        return
+    with section(name, "algebra.dim"):
+        check_room(BYTES_PER_COORDINATE * table.dim, f"an algebra of dimension {short(table.dim)}")
+    shape = np.shape(states)
+    if shape[-1] != table.dim and table.basis is None:
+        raise ConfigurationError(
+            f"{name}: initial.x: x0 has the shape {shape}; it must be ({table.dim},) or (members, {table.dim})"
+        )
+
+
 def _algebra(name: str, table: AlgebraTable) -> LieAlgebra:
     own = table.brackets is not None
     for key in ("dim", "basis"):
@@ -178,7 +211,7 @@ def _algebra(name: str, table: AlgebraTable) -> LieAlgebra:
 
 def _hamiltonian(name: str, table: HamiltonianTable, dim: int) -> Any:
     if table.polynomial is not None:
-        for key in ("M", "linear"):
+        for key in ("M", "linear", "constant"):
             if getattr(table, key) is not None:
                 raise ConfigurationError(
                     f"{name}: hamiltonian.{key}: is given beside polynomial; write all of it there"
@@ -188,4 +221,5 @@ def _hamiltonian(name: str, table: HamiltonianTable, dim: int) -> Any:
     if table.M is None and table.linear is None:
         raise ConfigurationError(f"{name}: hamiltonian.M: is missing; give M, linear or both, or polynomial")
     with section(name, "hamiltonian"):
-        return Quadratic(0.0 if table.M is None else table.M, linear=table.linear).bind(dim)
+        M, constant = 0.0 if table.M is None else table.M, table.constant or 0.0
+        return Quadratic(M, linear=table.linear, constant=constant).bind(dim)

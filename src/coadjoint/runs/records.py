@@ -19,6 +19,8 @@ from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
 
+LONGEST_NAME = 64
+
 
 def record_of(system: System | Batch) -> dict[str, Any]:
     """Return a system as plain numbers, lists and text.
@@ -211,7 +213,7 @@ def _hamiltonian_of(record: Mapping[str, Any]) -> Any:
 
 
 def safe_name(name: str) -> str:
-    """Return a name of letters, digits and underscores, for a variable in a file.
+    """Return a name of at most 64 letters, digits and underscores, for a variable in a file, or a file in a store.
 
     Parameters
     ----------
@@ -228,4 +230,4 @@ def safe_name(name: str) -> str:
     'x1_x3_x2_2'
     """
     letters = "".join(letter if letter.isascii() and letter.isalnum() else " " for letter in name)
-    return "_".join(letters.split()) or "unnamed"
+    return "_".join(letters.split())[:LONGEST_NAME] or "unnamed"
