@@ -10,7 +10,9 @@ from scipy.sparse import coo_array
 import coadjoint as co
 from coadjoint.program.reading import Reading
 from coadjoint.program.table import build_program
-from coadjoint.runs.unshift import unshifted
+from coadjoint.runs.start import Start
+from coadjoint.runs.times import Times
+from coadjoint.runs.unshift import Unshift
 
 U = 2.0**-53
 
@@ -88,8 +90,10 @@ def compare(s, method, h, steps):
     program = build_program(s, method, group="coadjoint")
     sol = co.integrate(s, x0, (0.5, 0.5 + steps * h), abs(h), method, attitude="coadjoint", save_every=steps)
     x, K = Reading(program).steps(x0, h, steps, t0=0.5, group=np.eye(s.dim))
-    start, elapsed = (x0[None], np.eye(s.dim)[None]), np.array([steps * h])
-    K = unshifted(s, program.shift, "coadjoint", *start, elapsed, K[None, None])[0, 0]
+    if program.shift:
+        held = np.stack([np.eye(s.dim), K.T]).reshape(2, 1, -1)
+        start = Start(x0[None], np.eye(s.dim)[None], "coadjoint", True)
+        K = Unshift(s, program.shift, "coadjoint")(start, Times(0.5, h, steps, steps), held)[1, 0]
     bound = U * steps * operations(program)
     assert np.abs(sol.x[-1] - x).max() <= bound * np.linalg.norm(K) * np.linalg.norm(x)
     assert np.abs(sol.attitude[-1] - K).max() <= bound * np.linalg.norm(K) ** 2

@@ -4,12 +4,10 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.methods.chosen_parts import ChosenParts
 from coadjoint.program.decompose import best_decomposition, best_decompositions, decompose
-from coadjoint.program.exponential import exponentials
 from coadjoint.program.order_of_parts import best_order
 from coadjoint.program.pencil import singular_factors
 from coadjoint.program.second_order import part_jets, second_order_term
@@ -165,31 +163,6 @@ def test_refusals():
         decompose(system, ChosenParts((0, 1, 2), (("|x|^2", 0.25),)))
     with pytest.raises(ValueError, match="the shift names 'C9'; the quadratic Casimirs are"):
         decompose(system, ChosenParts((0, 1), (("C9", 0.25),)))
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_exponentials(seed):
-    rng = np.random.default_rng(seed)
-    matrices = [
-        rng.standard_normal((4, 4)),
-        np.array([[0.0, -1.3, 0.4], [1.3, 0.0, 0.2], [-0.4, -0.2, 0.0]]),
-        np.kron(np.eye(2), np.array([[0.0, -2.0], [2.0, 0.0]])),
-        np.diag((1.0, -2.0, 0.0)),
-        np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 3.0], [0.0, 0.0, 0.0]]),
-        co.algebras.e(3).coadjoint(rng.standard_normal(6)),
-    ]
-    times = np.array([0.0, 1e-9, 0.3, -2.0, 4.0])
-    for matrix in matrices:
-        for time, found in zip(times, exponentials(matrix, times), strict=True):
-            expected = expm(time * matrix)
-            # Scaling and squaring, here and there: each of the products rounds what the next ones may still multiply.
-            size = np.linalg.norm(time * matrix, 1)
-            assert np.abs(found - expected).max() <= 16 * len(matrix) * U * (1 + size) * np.exp(size)
-
-
-def test_a_rotation_by_a_huge_angle_is_orthogonal():
-    (found,) = exponentials(np.array([[0.0, -1.3, 0.4], [1.3, 0.0, 0.2], [-0.4, -0.2, 0.0]]), np.array([1e9]))
-    assert np.abs(found.T @ found - np.eye(3)).max() <= 16 * U
 
 
 def test_many_systems_at_once_are_decomposed_as_each_alone():

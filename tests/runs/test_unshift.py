@@ -5,6 +5,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.program.decompose import decompose
+from coadjoint.runs.export import rebuild
 
 U = 2.0**-53
 
@@ -76,3 +77,121 @@ def test_the_stepper_gives_the_whole_group_element():
     x = np.array([0.3, 1.0, -0.5])
     g = co.stepper(system, co.Splitting(order=2), 0.01).group(x)
     assert np.abs(g - system.exact(x, 0.01, attitude=True)[1]).max() < 1e-6
+
+
+SHIFTED = {
+    "so(3)": co.systems.rigid_body((1.0, 2.0, 3.0)),
+    "so(4)": co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(np.linspace(0.5, 2, 6)), sign=-1),
+    "so(5)": co.LiePoissonSystem(co.algebras.so(5), co.Quadratic(np.linspace(0.5, 2, 10))),
+    "su(3)": co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(np.linspace(0.5, 2, 8)), sign=-1),
+    "sl(2)": co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic((0.5, 1.0, 0.3))),
+    "e(3)": co.LiePoissonSystem(co.algebras.e(3), co.Quadratic((1, 0.5, 0.3, 0.2, 0.4, 0.9)), sign=-1),
+    "A4,10": co.LiePoissonSystem(co.algebras.get("A4,10"), co.Quadratic((1.0, 0.5, 0.3, 0.4))),
+    "three so(3)": co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 3), co.Quadratic(np.linspace(0.5, 2, 9))),
+}
+
+
+def same_bits(one, other):
+    """Also of zeros, which have a sign."""
+    return one.shape == other.shape and one.tobytes() == other.tobytes()
+
+
+def given(system, attitude, members=None):
+    """Some group elements as they come: rounded, with zeros of both signs, in the order of Fortran."""
+    if attitude == "coadjoint":
+        return "coadjoint", np.eye(system.dim)
+    d = system.representation.shape[1]
+    shape = (d, d) if members is None else (members, d, d)
+    g = np.random.default_rng(d).standard_normal(shape) / 3 + 2 * np.eye(d)
+    g[..., 0, -1] = -0.0
+    return np.asfortranarray(g), g
+
+
+@pytest.mark.parametrize("kind", ["representation", "coadjoint"])
+@pytest.mark.parametrize("span", [(0.0, 0.5), (0.5, 0.0), (1e6, 1e6 + 0.5)], ids=str)
+@pytest.mark.parametrize("name", list(SHIFTED))
+def test_the_element_at_the_start_is_the_one_that_was_given(name, span, kind):
+    system = SHIFTED[name]
+    assert decompose(system, "auto").shift
+    if kind == "representation" and system.representation is None:
+        pytest.skip("no representation")
+    many = 0.3 * np.random.default_rng(2).standard_normal((3, system.dim))
+    for x0, members in ((many[0], None), (many[:1], 1), (many, 3)):
+        for each in {None, members}:
+            attitude, expected = given(system, kind, each)
+            sol = co.integrate(system, x0, span, 0.0625, attitude=attitude, save_every=3)
+            assert same_bits(sol.attitude[0], np.array(np.broadcast_to(expected, sol.attitude[0].shape)))
+
+
+@pytest.mark.parametrize("name", list(SHIFTED))
+def test_an_element_depends_on_its_step_and_the_start_alone(name):
+    """Not on what is saved beside it, where the run ends, how it is cut into calls, or what the clock says."""
+    system = SHIFTED[name]
+    attitude = given(system, "coadjoint" if system.representation is None else "representation")[0]
+    x0 = 0.3 * np.random.default_rng(2).standard_normal((3, system.dim))
+
+    def run(x, start, end, every, **options):
+        return co.integrate(system, x, (start, end), 0.1, attitude=attitude, save_every=every, **options).attitude
+
+    every = run(x0, 0.0, 3.0, 1)
+    assert same_bits(run(x0, 0.0, 3.0, 7), every[[0, 7, 14, 21, 28, 30]])
+    assert same_bits(run(x0, 0.0, 1.3, 5), every[[0, 5, 10, 13]])
+    assert same_bits(run(x0, 0.0, 3.0, 1, threads=2, watch=False), every)
+    assert same_bits(run(x0[1], 0.0, 3.0, 2), every[::2, 1])
+    assert same_bits(run(x0, 1e6, 1e6 + 3.0, 1), every), "the step is what moves it, not a difference of rounded times"
+    assert same_bits(co.stepper(system, co.Splitting(), 0.1).group(x0[0], 7.0, attitude), every[1, 0])
+
+
+def test_long_runs_are_filled_in_several_calls(monkeypatch):
+    from coadjoint.kernels import unshift
+
+    system, x0 = SHIFTED["so(5)"], np.linspace(-0.3, 0.4, 10)
+    once = co.integrate(system, [x0, 2 * x0], (0, 2), 0.1, attitude=True).attitude
+    monkeypatch.setattr(unshift, "MOST_PRODUCTS", 1e4)
+    assert same_bits(co.integrate(system, [x0, 2 * x0], (0, 2), 0.1, attitude=True).attitude, once)
+
+
+def test_members_of_a_batch_keep_what_they_were_given():
+    """Shifted and not, by one Casimir and by factors of their own."""
+    systems = [co.systems.rigid_body((1, 2, third)) for third in (2.5, 2.75, 3.0)]
+    systems.append(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic((0.0, 0.0, 0.5)), sign=-1))
+    shifted = [bool(decompose(system, "auto").shift) for system in systems]
+    assert shifted == [True, True, True, False]
+    x0 = np.array([[0.3, 1.0, -0.5], [1.0, -0.2, 0.4], [0.1, 0.2, 0.3], [0.5, -0.5, 0.2]])
+    attitude, expected = given(systems[0], True, 4)
+    for span in ((0, 1), (3, 2)):
+        sol = co.integrate(co.batch(systems), x0, span, 0.1, attitude=attitude)
+        assert same_bits(sol.attitude[0], np.ascontiguousarray(expected))
+        for m, system in enumerate(systems):
+            alone = co.integrate(system, x0[m], span, 0.1, attitude=attitude[m])
+            assert same_bits(np.ascontiguousarray(sol.attitude[:, m]), np.ascontiguousarray(alone.attitude))
+        assert same_bits(rebuild(sol.to_xarray()).attitude, sol.attitude)
+
+
+@pytest.mark.parametrize("name", list(SHIFTED))
+def test_a_rebuilt_run_has_the_bits_of_the_attitude(name):
+    system = SHIFTED[name]
+    attitude = given(system, "coadjoint" if system.representation is None else "representation")[0]
+    x0 = 0.3 * np.random.default_rng(2).standard_normal((2, system.dim))
+    for x, span in ((x0, (0, 2)), (x0[0], (5, 3))):
+        sol = co.integrate(system, x, span, 0.1, attitude=attitude, save_every=3)
+        assert same_bits(rebuild(sol.to_xarray()).attitude, sol.attitude)
+
+
+@pytest.mark.parametrize("x0", [np.zeros(6), [0, 0, 0, 0, 0, 1.0], [1.0, 0, 0, 0, 0, 0]], ids=str)
+def test_where_the_gradient_of_the_casimir_vanishes_in_part(x0):
+    system = SHIFTED["so(4)"]
+    sol = co.integrate(system, x0, (0, 4), 0.1, co.Splitting(order=4), attitude=True, save_every=10)
+    plain = co.Splitting(order=4, parts="coordinates")
+    other = co.integrate(system, x0, (0, 4), 0.1, plain, attitude=True, save_every=10)
+    # A momentum along an axis stays, and turns by one frequency: every splitting is exact.
+    assert np.abs(sol.attitude - other.attitude).max() <= 40 * 64 * U
+
+
+@pytest.mark.parametrize("name", ["so(3)", "so(4)", "so(5)", "su(3)"])
+def test_a_rotation_stays_one_for_as_long_as_a_run_goes(name):
+    """Three steps at a time of 3e9: the shift turns by 1e9 and the loop by three steps."""
+    system, h = SHIFTED[name], 2.0**30
+    x0 = np.random.default_rng(3).standard_normal(system.dim)
+    g = co.integrate(system, x0, (0, 3 * h), h, attitude=True).attitude[-1]
+    assert np.abs(g.T @ g - np.eye(len(g))).max() <= 3 * 20 * 8 * len(g) * U

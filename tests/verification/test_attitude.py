@@ -99,6 +99,24 @@ def test_initial_attitude_multiplies_from_the_left(scheme):
     assert np.max(np.abs(from_A0.attitude - A0 @ from_one.attitude)) <= group_bound(from_one, 3.0)
 
 
+@pytest.mark.parametrize("scheme", SPLITTINGS + GAUSS)
+@pytest.mark.parametrize("case", ["so(3), full, axes turned", "so(4), diagonal", "e(3), heavy top", "A3,7, full"])
+def test_the_first_element_is_the_given_one_to_the_bit(case, scheme):
+    """In the representation where the scheme carries it, and as the coadjoint matrix; forward, backward, in a crowd."""
+    system, x0, _ = cases()[case]
+    attitudes = [("coadjoint", np.eye(system.dim))]
+    if scheme in SPLITTINGS or case.startswith("so(3)"):
+        d = system.representation.shape[1]
+        given = np.linalg.qr(np.random.default_rng(d).standard_normal((d, d)))[0]
+        given[0, 0] = -0.0
+        attitudes.append((given, given))
+    for attitude, given in attitudes:
+        for span in ((0.0, 0.1), (3.0, 2.9)):
+            for x in (x0, np.array([x0, 0.5 * x0])):
+                first = co.integrate(system, x, span, 0.05, schemes()[scheme], attitude=attitude).attitude[0]
+                assert first.tobytes() == np.broadcast_to(given, first.shape).tobytes()
+
+
 @pytest.mark.parametrize("scheme", SPLITTINGS)
 def test_group_element_of_one_step(scheme):
     for case in ("e(3), full, axes permuted", "A3,7, full", "so(4), full, another basis"):

@@ -89,10 +89,8 @@ def listening_kernels() -> ctypes.PyDLL:
 @functools.cache
 def structures() -> dict[str, Any]:
     """Return the C structures of the tables by name, as the library itself describes them."""
-    describe = kernels().table_fields
-    describe.restype = ctypes.c_char_p
     found: dict[str, Any] = {}
-    for line in describe().decode().splitlines():
+    for line in "".join(_described(name) for name in ("table_fields", "unshift_fields")).splitlines():
         name, _, fields = line.partition(":")
         pairs = [field.split(" ") for field in fields.split(";") if field]
         members = [
@@ -100,6 +98,12 @@ def structures() -> dict[str, Any]:
         ]
         found[name] = type(name, (ctypes.Structure,), {"_fields_": members, "kinds": [kind for kind, _ in pairs]})
     return found
+
+
+def _described(name: str) -> str:
+    describe = getattr(kernels(), name)
+    describe.restype = ctypes.c_char_p
+    return str(describe().decode())
 
 
 def pointed(table: Any) -> Any:

@@ -53,7 +53,7 @@ def quadratic_casimirs(system: LiePoissonSystem) -> dict[str, QuadraticCasimir]:
     found = {}
     for name, casimir in system.casimirs.items():
         if isinstance(casimir, Polynomial):
-            entries = (_remembered_entries if casimir.dim <= LARGEST_PATTERN else _entries)(casimir)
+            entries = quadratic_entries(casimir)
             if entries is not None:
                 found[name] = QuadraticCasimir(casimir, *entries)
     return found
@@ -62,8 +62,18 @@ def quadratic_casimirs(system: LiePoissonSystem) -> dict[str, QuadraticCasimir]:
 Entries = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 
 
+def quadratic_entries(casimir: Polynomial) -> Entries | None:
+    """Return rows, columns and values of A, C = x.A x/2; None where a polynomial is not homogeneous of degree two.
+
+    Examples
+    --------
+    >>> quadratic_entries(Polynomial({(2, 0): 3, (1, 1): 1}))
+    (array([0, 0, 1]), array([0, 1, 0]), array([6., 1., 1.]))
+    """
+    return (_remembered_entries if casimir.dim <= LARGEST_PATTERN else _entries)(casimir)
+
+
 def _entries(casimir: Polynomial) -> Entries | None:
-    """Return rows, columns and values of A; None where a polynomial is not homogeneous of degree two."""
     monomials = casimir.monomials
     pairs = [factors_of(exponents) for exponents in monomials]
     if not pairs or any(len(pair) != 2 for pair in pairs):

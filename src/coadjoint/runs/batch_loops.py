@@ -15,9 +15,11 @@ from coadjoint.kernels.loop import Crew
 from coadjoint.kernels.varied_tables import BLOCK
 from coadjoint.methods.base import FlowMethod, Method
 from coadjoint.program.decompose import decompose_all
-from coadjoint.runs.loops import Loops, shared_out, start_of_loop, unshifted_groups
+from coadjoint.runs.loops import Loops, as_rows, shared_out, unit_row
 from coadjoint.runs.prepare import Prepared, loop_of
 from coadjoint.runs.start import Representation, Start
+from coadjoint.runs.times import Times
+from coadjoint.runs.unshift import Unshift, plainly
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
@@ -72,8 +74,11 @@ class BatchLoops(Loops):
         self.groups = groups_of(prepared, [watch.tables for watch in watches])
         members = np.concatenate([group.members for group in self.groups])
         self.order = None if len(self.groups) == 1 else members
-        self._shifts = [found.shift for found in prepared]
-        self.turned = partial(turned_each, batch, self._shifts, representations)
+        self._unshifts = [
+            Unshift(system, found.shift, representation) if found.shift and representation is not None else None
+            for system, found, representation in zip(batch, prepared, representations, strict=True)
+        ]
+        self.turned = partial(turned_each, self._unshifts) if any(self._unshifts) else plainly
         self._keep = ([found.keep for found in prepared], [watch.keep for watch in watches])
         self._first = np.cumsum([0] + [len(group.members) for group in self.groups])
         self.names = ["energy", *names]
@@ -90,24 +95,20 @@ class BatchLoops(Loops):
 
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the group elements that the loops start from."""
-        return np.array([start_of_loop(shift, own) for shift, own in zip(self._shifts, groups, strict=True)])
+        rows, shifted = np.array(as_rows(groups)), [unshift is not None for unshift in self._unshifts]
+        rows[shifted] = unit_row(groups.shape[-1])
+        return rows
 
 
 def turned_each(
-    batch: Batch,
-    shifts: Sequence[Any],
-    representations: Sequence[Representation],
-    start: Start,
-    elapsed: NDArray[np.float64],
-    groups: NDArray[np.float64],
+    unshifts: Sequence[Unshift | None], start: Start, times: Times, held: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the group elements (k, members, d, d) of a run from those of the loops."""
-    result = np.empty_like(groups)
-    for m, (system, shift) in enumerate(zip(batch, shifts, strict=True)):
-        own = slice(m, m + 1)
-        alone = Start(start.momenta[own], start.groups[own], representations[m], start.single)
-        result[:, own] = unshifted_groups(system, shift, alone, elapsed, groups[:, own])
-    return result
+    """Return the group elements (k, members, d, d) of a run, each member turned by what was taken off its H."""
+    found = np.array(plainly(start, times, held), order="C")
+    for m, unshift in enumerate(unshifts):
+        if unshift is not None:
+            unshift.fill(found, start, times, held, m, m + 1)
+    return found
 
 
 def groups_of(prepared: Sequence[Prepared], watches: Sequence[Any]) -> list[Group]:

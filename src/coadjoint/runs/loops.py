@@ -4,24 +4,23 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.kernels.arrays import Extent, Layout
 from coadjoint.kernels.loop import Crew
 from coadjoint.kernels.varied_tables import BLOCK
 from coadjoint.methods.base import Method, System
 from coadjoint.runs.prepare import loop_of
 from coadjoint.runs.start import Representation, Start
-from coadjoint.runs.unshift import unshifted
-from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.runs.times import Times
+from coadjoint.runs.unshift import Unshift, plainly
 
-Turned = Callable[[Start, NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+Turned = Callable[[Start, Times, NDArray[np.float64]], NDArray[np.float64]]
 
 
 class Plan:
@@ -53,8 +52,8 @@ class Loops(ABC):
     memory : int
         How many numbers a member remembers from step to step.
     turned : callable
-        ``turned(start, elapsed, groups)`` returns the group elements (k, members, d, d) of the run from those of the
-        loops; it does not hold the tables.
+        ``turned(start, times, held)`` returns the group elements (k, members, d, d) of the run from those of the loops,
+        (k, members, d*d) and transposed; it does not hold the tables of the loops.
     """
 
     order: NDArray[np.int64] | None = None
@@ -79,7 +78,7 @@ class Loops(ABC):
 
     @abstractmethod
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the group elements (members, d, d) that the loops start from."""
+        """Return the group elements that the loops start from, transposed, (members, d*d) or (d*d,) for all."""
 
 
 class SystemLoops(Loops):
@@ -115,8 +114,8 @@ class SystemLoops(Loops):
         prepared, watch = loop_of(system, method, h, representation), watch_tables(system, followed)
         self.names = ["energy", *followed]
         self.size, self.memory = system.dim, prepared.memory
-        self.turned = partial(unshifted_groups, system, prepared.shift)
-        self._shift = prepared.shift
+        self._shifted = representation is not None and bool(prepared.shift)
+        self.turned = Unshift(system, prepared.shift, representation) if self._shifted else plainly
         self._keep = (prepared.keep, watch.keep)
         self._block = BLOCK if system.dim <= widest_crowd() else 1
         # As C structures once, not for each plan.
@@ -128,7 +127,7 @@ class SystemLoops(Loops):
 
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return unit elements for a shifted run (`turned` puts the initial ones before them), else the given ones."""
-        return start_of_loop(self._shift, groups)
+        return unit_row(groups.shape[-1]) if self._shifted else as_rows(groups)
 
 
 def shared_out(first: int, last: int, workers: int, block: int) -> list[tuple[int, int]]:
@@ -144,20 +143,12 @@ def shared_out(first: int, last: int, workers: int, block: int) -> list[tuple[in
     return [(one, other) for one, other in edges if one < other]
 
 
-def start_of_loop(shift: tuple[Any, ...], groups: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the group elements (members, d, d) that a loop starts from: units where a Casimir was taken off H."""
-    return np.broadcast_to(np.eye(groups.shape[-1]), groups.shape) if shift and groups.size else groups
+@lru_cache(maxsize=8)
+def unit_row(size: int) -> NDArray[np.float64]:
+    """Return the unit element as the loops hold it, (d*d,)."""
+    return np.eye(size).ravel()
 
 
-def unshifted_groups(
-    system: System,
-    shift: tuple[tuple[Polynomial, float], ...],
-    start: Start,
-    elapsed: NDArray[np.float64],
-    groups: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Return group elements (k, members, d, d), turned by the Casimirs that were taken off the Hamiltonian."""
-    if not shift or start.representation is None:
-        return groups
-    assert isinstance(system, LiePoissonSystem)
-    return unshifted(system, shift, start.representation, start.momenta, start.groups, elapsed, groups)
+def as_rows(groups: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return group elements (members, d, d) as the loops hold them: transposed, (members, d*d)."""
+    return np.swapaxes(groups, 1, 2).reshape(len(groups), -1)

@@ -49,9 +49,8 @@ class Run:
         held = slice(None) if loops.order is None else loops.order
         self.work["momenta"][:] = start.momenta[held]
         if square:
-            # Group elements are held transposed.
-            groups = np.swapaxes(loops.started(start.groups)[held], 1, 2)
-            self.work["groups"][:] = groups.reshape(members, square)
+            groups = loops.started(start.groups)
+            self.work["groups"][:] = groups[held] if groups.ndim == 2 else groups
         self._schedule = schedule_of(times.t0, times.h, times.steps, times.save_every, watching)
         self.seconds = 0.0
         self.wrong = 0

@@ -63,9 +63,8 @@ class Saved:
         """Group elements, with what was taken off the Hamiltonian put back."""
         if self._start.representation is None:
             return None
-        members, size = self._start.groups.shape[:2]
-        held = self._series("group").reshape(self._kept, members, size, size)
-        return self._picked(self._turned(self._start, self.t - self._times.t0, np.swapaxes(held, 2, 3)))
+        found = self._turned(self._start, self._times, self._results["group"][: self._kept])
+        return found[:, 0] if self._start.single else found
 
     @property
     def stats(self) -> Statistics:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -97,7 +98,7 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
                 f"x0 has the shape {momenta.shape}; a batch of {len(system)} members needs ({len(system)}, {n}), "
                 f"or ({n},) for all of them"
             )
-        momenta, single = np.array(np.broadcast_to(momenta, (len(system), n))), False
+        momenta, single = np.array(np.broadcast_to(momenta, (len(system), n)), order="C"), False
     if momenta.ndim not in (1, 2) or momenta.shape[-1] != n:
         raise ValueError(f"x0 has the shape {momenta.shape}; it must be ({n},) or (members, {n})")
     if not _finite(momenta):
@@ -106,7 +107,7 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
         momenta = momenta[None]
     if not len(momenta):
         raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs at least one member")
-    return momenta, single
+    return np.ascontiguousarray(momenta), single
 
 
 def _finite(momenta: NDArray[np.float64]) -> bool:
@@ -145,18 +146,25 @@ def with_group(
     if representation is None:
         return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single)
     size = system.dim if isinstance(representation, str) else representation.shape[1]
-    unit = isinstance(attitude, bool | str)
-    initial = np.eye(size) if unit else read_numbers(attitude, "attitude")
+    if isinstance(attitude, bool | str):
+        return Start(momenta, _units(len(momenta), size), representation, single)
+    initial = read_numbers(attitude, "attitude")
     if initial.shape not in ((size, size), (len(momenta), size, size)):
         raise ValueError(
             f"attitude has the shape {initial.shape}; the representation of {system.name} needs ({size}, {size})"
         )
-    if not unit and not np.all(np.isfinite(initial)):
+    if not np.all(np.isfinite(initial)):
         raise ValueError("attitude contains NaN or infinity; every entry must be finite")
-    if not unit and np.any(np.linalg.matrix_rank(initial) < size):
+    if np.any(np.linalg.matrix_rank(initial) < size):
         raise ValueError("attitude is a singular matrix; a group element has an inverse")
     groups = np.broadcast_to(initial, (len(momenta), size, size)).copy()
     return Start(momenta, groups, representation, single)
+
+
+@lru_cache(maxsize=8)
+def _units(members: int, size: int) -> NDArray[np.float64]:
+    """Return unit elements; nobody writes to the start of a run, so that many may share it."""
+    return np.broadcast_to(np.eye(size), (members, size, size)).copy()
 
 
 def representations_of(system: System | Batch, method: Method, attitude: Any) -> tuple[Representation, ...]:

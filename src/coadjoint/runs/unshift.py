@@ -2,63 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.program.exponential import exponentials
-from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.methods.base import System
+from coadjoint.program.unshift import unshift_tables
+from coadjoint.runs.start import Representation, Start
+from coadjoint.runs.times import Times
 
-Shift = Sequence[tuple[Polynomial, float]]
+if TYPE_CHECKING:
+    from coadjoint.kernels.unshift import Unshifting
+
+Shift = tuple[tuple[Polynomial, float], ...]
 
 
-def unshifted(
-    system: LiePoissonSystem,
-    shift: Shift,
-    representation: NDArray[np.float64] | str,
-    x0: NDArray[np.float64],
-    g0: NDArray[np.float64],
-    elapsed: NDArray[np.float64],
-    groups: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Return the group elements of the whole Hamiltonian H from those of H - sum c C, started at the unit element.
+def plainly(start: Start, times: Times, held: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return group elements (k, members, d, d) as the loops held them, (k, members, d*d) and transposed."""
+    return np.swapaxes(held.reshape(len(held), *start.groups.shape), 2, 3)
 
-    g(t) = g0 exp(-sign c t rho(grad C(x0))) g_shifted(t): the gradient of a Casimir, carried to space, is constant.
+
+class Unshift:
+    """Group elements of the whole Hamiltonian H, from those of H - sum c C, started at the unit element.
+
+    g(t) = g0 exp(-sign c t rho(grad C(x0))) g_shifted(t): the gradient of a Casimir, carried to space, is constant. The
+    element at a saved point depends on the number of steps to it, x0 and g0 alone; at the start it is g0.
 
     Parameters
     ----------
     system : LiePoissonSystem
         The system.
-    shift : sequence of (Polynomial, float)
+    shift : tuple of (Polynomial, float)
         Casimirs C and factors c.
     representation : ndarray of shape (n, d, d), or "coadjoint"
         What the elements are in.
-    x0 : ndarray, shape (members, n)
-        Initial momenta.
-    g0 : ndarray, shape (members, d, d)
-        Initial elements.
-    elapsed : ndarray, shape (k,)
-        Times since the start.
-    groups : ndarray, shape (k, members, d, d)
-        Elements of the shifted run.
-
-    Returns
-    -------
-    ndarray, shape (k, members, d, d)
-        The elements of the run.
     """
-    result = np.empty_like(groups)
-    for member, x in enumerate(x0):
-        gradient = sum((factor * np.asarray(casimir.gradient(x), dtype=np.float64) for casimir, factor in shift), 0 * x)
-        if isinstance(representation, str):
-            generator = system.algebra.coadjoint(gradient)
-        else:
-            generator = np.einsum("i,ijk->jk", gradient, representation)
-        turned = exponentials(np.asarray(-system.sign * generator), elapsed)
-        if isinstance(representation, str) and not np.array_equal(generator, -generator.T):
-            # The gradient of a Casimir leaves x where it is; rounded, it would push it away in proportion to time.
-            turned -= np.einsum("ki,j->kij", turned @ x - x, x / max(float(x @ x), np.finfo(float).tiny))
-        result[:, member] = g0[member] @ turned @ groups[:, member]
-    return result
+
+    def __init__(self, system: System, shift: Shift, representation: Representation) -> None:
+        self._system, self._shift, self._representation = system, shift, representation
+
+    @cached_property
+    def _unshifting(self) -> Unshifting:
+        """The tables, when they are first needed."""
+        from coadjoint.kernels.unshift import Unshifting
+
+        system, shift, rate = self._system, self._shift, 1.0
+        if len(shift) == 1:
+            # The factor of a single Casimir is that of the time: a scan over constants shares the tables.
+            ((casimir, rate),) = shift
+            shift = ((casimir, 1.0),)
+        rho = None if isinstance(self._representation, str) else self._representation
+        assert system.algebra is not None
+        return Unshifting(unshift_tables(system.algebra, rho, system.sign, shift), rate)
+
+    def __call__(self, start: Start, times: Times, held: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return group elements (k, members, d, d) from those of the loops, (k, members, d*d) and transposed."""
+        found = np.empty((len(held), *start.groups.shape))
+        self.fill(found, start, times, held, 0, len(start.groups))
+        return found
+
+    def fill(
+        self, out: NDArray[np.float64], start: Start, times: Times, held: NDArray[np.float64], first: int, last: int
+    ) -> None:
+        """Do the same for the members `first` to `last` - 1 of `out`."""
+        _, h, steps, save_every = times
+        self._unshifting.fill(out, held, start.momenta, start.groups, first, last, h, save_every, steps)

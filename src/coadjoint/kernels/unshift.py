@@ -1,0 +1,89 @@
+"""exp(t X) before the group elements of a run, X of a Casimir that was taken off the Hamiltonian."""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.arrays import number_at
+from coadjoint.kernels.library import kernels, pointed, structures
+from coadjoint.program.unshift import UnshiftTables
+
+# Products of numbers in one call: between two of them the interpreter hears an interrupt.
+MOST_PRODUCTS = 2e7
+UNSHIFTED = (
+    *("momenta", "initial", "held", "out"),
+    *("members", "first", "last", "k0", "k1"),
+    *("h", "rate", "save_every", "steps"),
+)
+"""The fields of the table `Unshifted`, in the order in which they are given."""
+
+
+class Unshifting:
+    """The tables of one shift, ready to be acted by.
+
+    Parameters
+    ----------
+    tables : UnshiftTables
+        The generator X.
+    rate : float
+        It acts so many times as fast.
+    """
+
+    def __init__(self, tables: UnshiftTables, rate: float) -> None:
+        self._keep, self._rate = pointed(tables), rate
+        self._address, self._packed = ctypes.byref(self._keep), _packing().pack
+        self._unshift = kernels().unshift
+        width = max(np.diff(tables.begin).tolist(), default=0)
+        self._products = tables.size**3 + 30 * width**3
+
+    def fill(
+        self,
+        out: NDArray[np.float64],
+        held: NDArray[np.float64],
+        momenta: NDArray[np.float64],
+        initial: NDArray[np.float64],
+        first: int,
+        last: int,
+        h: float,
+        save_every: int,
+        steps: int,
+    ) -> None:
+        """Fill out (k, members, d, d) with the elements of the members `first` to `last` - 1.
+
+        Parameters
+        ----------
+        out : ndarray, shape (k, members, d, d)
+            C-contiguous, as all of these.
+        held : ndarray, shape (k, members, d*d)
+            Transposed elements of the shifted run, started at the unit element.
+        momenta, initial : ndarray, shape (members, n) and (members, d, d)
+            The start; the elements at step 0 are `initial`, to the bit.
+        first, last : int
+            Members.
+        h : float
+            The signed step.
+        save_every, steps : int
+            Every how many steps something was saved, and how many steps there are.
+        """
+        places = [ctypes.addressof(number_at(array)) for array in (momenta, initial, held, out)]
+        points, members = out.shape[:2]
+        size = int(MOST_PRODUCTS / ((last - first) * self._products)) or 1
+        for k in range(0, points, size):
+            stop = min(k + size, points)
+            # The table as plain bytes: a tenth of the time that a structure takes.
+            numbers = members, first, last, k, stop, h, self._rate, save_every, steps
+            self._unshift(self._address, self._packed(*places, *numbers))
+
+
+@cache
+def _packing() -> struct.Struct:
+    """Return how the table `Unshifted` is laid out: numbers of eight bytes all."""
+    kind = structures()["Unshifted"]
+    if tuple(name for name, _ in kind._fields_) != UNSHIFTED:
+        raise ImportError("the compiled kernels have another table Unshifted: they are of another version, build again")
+    return struct.Struct("=" + "".join("d" if token == "number" else "q" for token in kind.kinds))
