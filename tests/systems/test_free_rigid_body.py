@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from coadjoint import systems
 from coadjoint.systems.free_rigid_body import amplitude, free_rigid_body, third_kind
+from coadjoint.systems.rigid_body import so3_body
 
 U = 2.0**-53
 CASES = json.loads((Path(__file__).parent / "rigid_body_reference.json").read_text())["cases"]
@@ -204,3 +205,38 @@ def test_the_closed_form_solves_the_systems_own_equation(make):
     np.testing.assert_allclose(weights @ x, system.vector_field(now), rtol=0, atol=tolerance)
     slope = np.tensordot(weights, A, axes=1)
     np.testing.assert_allclose(slope, -system.sign * attitude @ rho, rtol=0, atol=tolerance)
+
+
+FOUR_POINTS = np.array([-2.0, -1.0, 1.0, 2.0])
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_random_full_tensors_solve_their_own_equation(sign):
+    """Both frames of eigenvectors, orders of the moments, regions of the sphere, signs, and directions of time."""
+    rng = np.random.default_rng(8)
+    h = 2.0**-8
+    weights = np.array([1.0, -8.0, 8.0, -1.0]) / (12.0 * h)
+    frames, regions = set(), set()
+    for _ in range(40):
+        B = rng.uniform(-1.0, 1.0, (3, 3))
+        M = np.diag(rng.uniform(0.5, 2.0, 3)) + 0.4 * (B + B.T)
+        system = so3_body(M, sign=sign, name="body", parameters={})
+        masses, axes = np.linalg.eigh(M)
+        frames.add(round(float(np.linalg.det(axes))))
+        x0 = rng.uniform(-1.5, 1.5, 3)
+        regions.add(bool(x0 @ M @ x0 > masses[1] * (x0 @ x0)))
+        middle = float(rng.choice([-3.0, 3.0]))
+        first = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        x, A = system.exact(x0, middle + h * FOUR_POINTS, attitude=first)
+        now, attitude = system.exact(x0, middle, attitude=first)
+        # A difference of order 4: h^4 |x^(5)| / 30, each derivative at most |M| |x| < 8 times the one before.
+        tolerance = h**4 * 8.0**5 * 3.0 / 30
+        np.testing.assert_allclose(weights @ x, system.vector_field(now), rtol=0, atol=tolerance)
+        rho = np.einsum("i,ijk->jk", system.hamiltonian.gradient(now), system.representation)
+        slope = np.tensordot(weights, A, axes=1)
+        np.testing.assert_allclose(slope, -sign * attitude @ rho, rtol=0, atol=tolerance)
+        start = system.exact(x0, 0.0, attitude=first)
+        np.testing.assert_allclose(start[0], x0, rtol=0, atol=2.0**6 * U)
+        np.testing.assert_allclose(start[1], first, rtol=0, atol=2.0**6 * U)
+        np.testing.assert_allclose(attitude @ now, first @ x0, rtol=0, atol=2.0**8 * U)
+    assert frames == {1, -1} and regions == {True, False}

@@ -41,13 +41,30 @@ def test_field_energy_and_casimir():
         system.exact(x, 1.0)
 
 
-def test_jacobian_by_complex_steps():
-    system = PoissonSystem(lotka_volterra, SUM, dim=3, derivative=lotka_volterra_slope)
-    x = np.array([0.5, 1.5, 2.0])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("seed", range(4))
+def test_field_and_jacobian_of_random_brackets(seed, sign):
+    """J_ij = x_i x_j B_ij + (Q x)_k, B and J skew, both at random: against its formula, and complex steps of it."""
+    rng = np.random.default_rng(seed)
+    B, Q = rng.uniform(-1.0, 1.0, (4, 4)), rng.uniform(-1.0, 1.0, (4, 4, 4))
+    B, Q = B - B.T, Q - Q.transpose(1, 0, 2)
+
+    def structure(x):
+        return np.outer(x, x) * B + Q @ x
+
+    def derivative(x):
+        e = np.eye(4)
+        return B[:, :, None] * (e[:, None, :] * x[None, :, None] + x[:, None, None] * e[None, :, :]) + Q
+
+    M = rng.uniform(-1.0, 1.0, (4, 4))
+    H = Quadratic(M + M.T, linear=rng.uniform(-1.0, 1.0, 4))
+    system = PoissonSystem(structure, H, derivative=derivative, sign=sign)
+    x = rng.uniform(0.5, 1.5, 4) * rng.choice([-1.0, 1.0], 4)
+    np.testing.assert_allclose(system.vector_field(x), sign * (structure(x) @ H.gradient(x)), rtol=1e-13, atol=1e-13)
     jacobian = system.jacobian(x)
-    for i in range(3):
-        column = np.imag(system.vector_field(x + 1e-30j * np.eye(3)[i])) / 1e-30
-        np.testing.assert_allclose(jacobian[:, i], column, rtol=1e-14, atol=1e-14)
+    for i in range(4):
+        column = np.imag(system.vector_field(x + 1e-30j * np.eye(4)[i])) / 1e-30
+        np.testing.assert_allclose(jacobian[:, i], column, rtol=1e-13, atol=1e-13)
 
 
 @pytest.mark.parametrize(

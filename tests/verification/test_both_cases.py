@@ -1,0 +1,313 @@
+"""What has two cases is tried with both: signs, directions, orders of pairs, of axes and of members, C and Fortran."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.methods.base import FlowMethod
+from coadjoint.program.reading import Reading
+from coadjoint.program.table import build_program
+
+from .drawn_systems import ALGEBRAS, drawn, drawn_bracket
+from .measures import U
+
+STEP = 0.125
+T0 = 0.75
+DIRECTIONS = [(sign, direction) for sign in (1, -1) for direction in (1, -1)]
+SCHEMES = {
+    "Splitting 1": co.Splitting(order=1),
+    "Splitting 1 adjoint": co.Splitting(order=1, adjoint=True),
+    "Splitting 2": co.Splitting(order=2),
+    "Splitting 4 compensated": co.Splitting(order=4, compensated=True),
+    "Splitting processed": co.Splitting(scheme="blanes_casas_murua6"),
+    "GaussLegendre 1": co.GaussLegendre(1),
+    "GaussLegendre 3": co.GaussLegendre(3),
+    "Modified structure": co.ModifiedGaussLegendre(2, iterations=2),
+    "Modified gradient": co.ModifiedGaussLegendre(2, iterations=2, freeze="gradient"),
+    "Iterated": co.IteratedGaussLegendre(2),
+    "rk4": co.ExplicitRungeKutta("rk4"),
+    "RadauEnergy": co.RadauEnergy(2),
+    "Taylor": co.Taylor(5),
+    "Composition": co.Composition(co.GaussLegendre(1), (0.75, -0.5, 0.75)),
+}
+# What a Poisson system without a Lie algebra is served by, too.
+WITHOUT_ALGEBRA = [n for n in SCHEMES if not n.startswith(("Splitting", "Taylor", "Modified gradient"))]
+
+
+def served(method, system):
+    """Whether a scheme takes a system, with a linear term in H or without."""
+    try:
+        method.properties(system)
+    except ValueError:
+        return False
+    return True
+
+
+def without_linear(system):
+    """The same system with a homogeneous energy, where a scheme needs one."""
+    M = system.hamiltonian.hessian(np.zeros(system.dim))
+    return co.LiePoissonSystem(system.algebra, co.Quadratic(M), sign=system.sign, casimirs={})
+
+
+def pairs():
+    """Names of schemes and of algebras; every scheme on four of them, every algebra with half of the schemes."""
+    algebras = list(ALGEBRAS)
+    return [(s, a) for i, s in enumerate(SCHEMES) for j, a in enumerate(algebras) if (i + j) % 2 == 0]
+
+
+def system_for(scheme, algebra, sign, seed=1):
+    system, x0 = drawn(algebra, seed, sign)
+    return (system if served(SCHEMES[scheme], system) else without_linear(system)), x0
+
+
+def read_step(method, system, x, t, h):
+    """One step by the plain reading in floats."""
+    if isinstance(method.innermost, FlowMethod):
+        return Reading(build_program(system, method)).steps(np.array(x), h, 1, t0=t)
+    for fraction in method.fractions:
+        x, t = method.innermost.step(system, x, t, fraction * h), t + fraction * h
+    return x
+
+
+def rounding(system, x):
+    """Some hundred operations on each component, in systems and over a time of size one."""
+    return 2.0**10 * system.dim * U * np.max(np.abs(x))
+
+
+@pytest.mark.parametrize(("scheme", "algebra"), pairs())
+def test_the_compiled_step_is_the_plain_one_for_both_signs_and_directions(scheme, algebra):
+    method = SCHEMES[scheme]
+    ends = []
+    for sign, direction in DIRECTIONS:
+        system, x0 = system_for(scheme, algebra, sign)
+        h = direction * STEP
+        x = co.stepper(system, method, h)(x0, T0)
+        np.testing.assert_allclose(x, read_step(method, system, x0, T0, h), rtol=0, atol=rounding(system, x))
+        # It moves the way the field says: the rest is of order h^2, with derivatives of size one in these systems.
+        moved = system.vector_field(x0)
+        assert (x - x0) @ moved * h > 0.5 * h * h * (moved @ moved)
+        ends.append(x)
+    assert np.max(np.abs(ends[0] - ends[2])) > 0.05 * STEP
+
+
+@pytest.mark.parametrize("scheme", WITHOUT_ALGEBRA)
+@pytest.mark.parametrize("seed", range(2))
+def test_the_compiled_step_is_the_plain_one_where_j_is_a_function(scheme, seed):
+    method = SCHEMES[scheme]
+    for sign, direction in DIRECTIONS:
+        system, x0 = drawn_bracket(seed, sign)
+        h = direction * STEP
+        x = co.stepper(system, method, h)(x0, T0)
+        np.testing.assert_allclose(x, read_step(method, system, x0, T0, h), rtol=0, atol=rounding(system, x))
+        moved = system.vector_field(x0)
+        assert (x - x0) @ moved * h > 0.5 * h * h * (moved @ moved)
+
+
+def check_tangent(method, system, x0, h):
+    """Central differences of the compiled step, e = 2^-17: off by e^2 psi'''/6, psi''' below 2^5 here, and by u/e."""
+    step, e = co.stepper(system, method, h), 2.0**-17
+    P = step.tangent(x0, T0)
+    columns = [(step(x0 + e * d, T0) - step(x0 - e * d, T0)) / (2 * e) for d in np.eye(system.dim)]
+    bound = 2.0**5 * e * e + rounding(system, x0) / e
+    np.testing.assert_allclose(P, np.array(columns).T, rtol=0, atol=bound)
+    assert np.max(np.abs(P - np.eye(system.dim))) > 2.0**10 * bound
+
+
+@pytest.mark.parametrize(("scheme", "algebra"), pairs())
+def test_tangents_for_both_signs_and_directions(scheme, algebra):
+    for sign, direction in DIRECTIONS:
+        check_tangent(SCHEMES[scheme], *system_for(scheme, algebra, sign), direction * STEP)
+
+
+@pytest.mark.parametrize("scheme", WITHOUT_ALGEBRA)
+@pytest.mark.parametrize("seed", range(2))
+def test_tangents_where_j_is_a_function(scheme, seed):
+    for sign, direction in DIRECTIONS:
+        check_tangent(SCHEMES[scheme], *drawn_bracket(seed, sign), direction * STEP)
+
+
+def attitudes(method, system):
+    """What a scheme carries on a system."""
+    kind = method.properties(system).attitude
+    if kind == "none":
+        return [False]
+    return (
+        ["coadjoint", True] if kind == "every representation" and system.representation is not None else ["coadjoint"]
+    )
+
+
+@pytest.mark.parametrize(("scheme", "algebra"), pairs())
+def test_the_other_sign_is_the_other_direction(scheme, algebra):
+    """x' = -J grad H is x' = J grad H run backward, with its group element, in the same bits."""
+    method = SCHEMES[scheme]
+    (one, x0), (other, _) = (system_for(scheme, algebra, sign) for sign in (1, -1))
+    for attitude in attitudes(method, one):
+        forth = co.integrate(one, x0, (0.0, 4 * STEP), STEP, method, attitude=attitude)
+        back = co.integrate(other, x0, (0.0, -4 * STEP), STEP, method, attitude=attitude)
+        assert np.array_equal(forth.x, back.x)
+        if attitude is not False:
+            assert np.array_equal(forth.attitude, back.attitude)
+
+
+CARRIED = [(s, a) for s, a in pairs() if SCHEMES[s].properties(system_for(s, a, 1)[0]).attitude != "none"]
+
+
+@pytest.mark.parametrize(("scheme", "algebra"), CARRIED)
+def test_the_group_element_belongs_to_the_motion_for_both_signs_and_directions(scheme, algebra):
+    """K x is constant, and g^-1 rho(e_i) g = sum_j K_ij rho(e_j), from any element at the start and any t0."""
+    method, (system, x0) = SCHEMES[scheme], system_for(scheme, algebra, 1)
+    rng = np.random.default_rng(5)
+    for sign, direction in DIRECTIONS:
+        system, x0 = system_for(scheme, algebra, sign)
+        span, keeps = (T0, T0 + direction * 4 * STEP), scheme != "rk4"
+        run = co.integrate(system, x0, span, STEP, method, attitude="coadjoint")
+        size = np.linalg.norm(run.attitude[-1]) * np.linalg.norm(run.x[-1])
+        if keeps:
+            np.testing.assert_allclose(run.attitude[-1] @ run.x[-1], x0, rtol=0, atol=2.0**4 * rounding(system, size))
+        if True not in attitudes(method, system) or not keeps:
+            continue
+        rho = system.representation
+        first = np.eye(rho.shape[1]) + rng.uniform(-0.25, 0.25, rho.shape[1:])
+        g = co.integrate(system, x0, span, STEP, method, attitude=first).attitude[-1]
+        turned = np.linalg.solve(first, g)
+        expected = np.einsum("ij,jab->iab", run.attitude[-1], rho)
+        bound = 2.0**6 * rounding(system, np.linalg.cond(g) ** 2 * np.linalg.norm(expected))
+        np.testing.assert_allclose(np.linalg.solve(turned, rho @ turned), expected, rtol=0, atol=bound)
+
+
+@pytest.mark.parametrize("name", list(ALGEBRAS))
+def test_pairs_may_be_given_in_either_order(name):
+    """[e_j, e_i] in place of [e_i, e_j], rows shuffled: the same algebra, the same bits."""
+    algebra, rng = ALGEBRAS[name](), np.random.default_rng(3)
+    i, j, k, c = (column.copy() for column in algebra.triples)
+    for _ in range(4):
+        # All components of a bracket are given in one order.
+        flip = (rng.random((algebra.dim, algebra.dim)) < 0.5)[i, j]
+        one, two = np.where(flip, j, i), np.where(flip, i, j)
+        order = rng.permutation(len(c))
+        rows = np.stack([one, two, k, np.where(flip, -c, c)], axis=1)[order]
+        again = co.LieAlgebra(np.asfortranarray(rows), dim=algebra.dim, basis=algebra.basis)
+        assert again == algebra
+        x = rng.standard_normal(algebra.dim)
+        assert np.array_equal(again.structure_matrix(x), algebra.structure_matrix(x))
+    dense = np.zeros((algebra.dim,) * 3)
+    np.add.at(dense, (i, j, k), c)
+    np.subtract.at(dense, (j, i, k), c)
+    for layout in (np.ascontiguousarray, np.asfortranarray):
+        assert co.LieAlgebra(layout(dense)) == algebra
+
+
+def test_arrays_may_have_any_layout():
+    """C, Fortran, and every other row of a larger array: the same bits."""
+    system, x0 = drawn("so(4)", 2, -1)
+    rng = np.random.default_rng(7)
+    crowd = x0 + 0.25 * rng.standard_normal((5, 6))
+    element = np.eye(4) + 0.25 * rng.standard_normal((5, 4, 4))
+    M, linear = system.hamiltonian.hessian(x0), system.hamiltonian.gradient(np.zeros(6))
+    rho = system.algebra.representation
+
+    def every_other(array):
+        return np.repeat(array, 2, axis=0)[::2]
+
+    runs = []
+    for layout in (np.ascontiguousarray, np.asfortranarray, every_other):
+        given = co.LiePoissonSystem(
+            system.algebra,
+            co.Quadratic(layout(M), linear=layout(linear)),
+            sign=-1,
+            representation=layout(rho),
+            casimirs={},
+        )
+        runs.append(
+            co.integrate(given, layout(crowd), (0.0, -1.0), STEP, co.Splitting(order=4), attitude=layout(element))
+        )
+    assert not np.array_equal(element, element.transpose(0, 2, 1))
+    for run in runs[1:]:
+        assert np.array_equal(run.x, runs[0].x) and np.array_equal(run.attitude, runs[0].attitude)
+    for m in range(5):
+        alone = co.integrate(system, crowd[m], (0.0, -1.0), STEP, co.Splitting(order=4), attitude=element[m])
+        assert np.array_equal(alone.attitude, runs[0].attitude[:, m])
+
+
+def test_a_function_may_return_either_layout():
+    """J as it is, and as the transpose of its negative: the same numbers in Fortran order."""
+    system, x0 = drawn_bracket(4, -1)
+    structure = system.structure_function
+
+    def transposed(x):
+        return (-structure(x)).T
+
+    # Numba compiles only what it sees: the same formula written once more.
+    a = structure.__closure__[0].cell_contents
+
+    def in_fortran_order(x):
+        w0, w1, w2 = x[0] + a[0] * x[1] * x[2], x[1] + a[1] * x[0] * x[0], x[2] + a[2] * x[0] * x[1]
+        return np.array([[0.0 * w0, w2, -w1], [-w2, 0.0 * w0, w0], [w1, -w0, 0.0 * w0]]).T
+
+    assert np.array_equal(in_fortran_order(x0), structure(x0)) and np.array_equal(transposed(x0), structure(x0))
+    other = co.PoissonSystem(in_fortran_order, system.hamiltonian, sign=-1, dim=3)
+    for method in (co.GaussLegendre(2), co.ModifiedGaussLegendre(2), co.ExplicitRungeKutta("rk4")):
+        one, two = (co.integrate(s, x0, (0.0, 1.0), STEP, method) for s in (system, other))
+        np.testing.assert_allclose(two.x, one.x, rtol=0, atol=rounding(system, x0))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_members_of_a_batch_in_any_order(seed):
+    """Members of several structures (a shift, other parts, a diagonal M), with attitudes: each has its own bits."""
+    rng = np.random.default_rng(seed)
+    so4 = co.algebras.so(4)
+    energies = [co.Quadratic(rng.uniform(0.5, 1.5, 6)) for _ in range(3)]
+    energies += [drawn("so(4)", int(s), 1)[0].hamiltonian for s in rng.integers(1, 100, 3)]
+    energies += [co.Quadratic([1.0, 1.0, 2.0, 1.0, 2.0, 2.0])]
+    systems = [co.LiePoissonSystem(so4, H, sign=-1) for H in energies]
+    x0 = rng.standard_normal((7, 6))
+    first = np.eye(4) + 0.25 * rng.standard_normal((7, 4, 4))
+    runs = {}
+    for order in (np.arange(7), rng.permutation(7)):
+        run = co.integrate(
+            co.batch([systems[m] for m in order]), x0[order], (T0, T0 - 1.0), STEP, attitude=first[order]
+        )
+        for place, m in enumerate(order):
+            kept = run.x[:, place], run.attitude[:, place], run.energy[:, place]
+            for one, two in zip(kept, runs.setdefault(int(m), kept), strict=True):
+                assert np.array_equal(one, two)
+    for m, (x, attitude, energy) in runs.items():
+        alone = co.integrate(systems[m], x0[m], (T0, T0 - 1.0), STEP, attitude=first[m])
+        assert np.array_equal(alone.x, x) and np.array_equal(alone.energy, energy)
+        assert np.array_equal(alone.attitude, attitude)
+
+
+PERMUTED = [
+    co.GaussLegendre(2),
+    co.Taylor(8),
+    co.ExplicitRungeKutta("rk4"),
+    co.ModifiedGaussLegendre(2, freeze="gradient"),
+]
+
+
+@pytest.mark.parametrize("name", list(ALGEBRAS))
+def test_axes_in_any_order(name):
+    """Even and odd permutations of the basis: the same motion and coadjoint matrix, in other coordinates."""
+    system, x0 = drawn(name, 3, -1)
+    n, rng = system.dim, np.random.default_rng(11)
+    i, j, k, c = system.algebra.triples
+    M, linear = system.hamiltonian.hessian(x0), system.hamiltonian.gradient(np.zeros(n))
+    orders = [rng.permutation(n) for _ in range(4)]
+    orders.append(np.r_[orders[0][1::-1], orders[0][2:]])  # of the other parity
+    for order in orders:
+        place = np.argsort(order)
+        rows = np.stack([place[i], place[j], place[k], c], axis=1)
+        H = co.Quadratic(M[np.ix_(order, order)], linear=linear[order])
+        other = co.LiePoissonSystem(co.LieAlgebra(rows, dim=n), H, sign=-1, casimirs={})
+        for method in PERMUTED:
+            attitude = "coadjoint" if method.properties(other).attitude != "none" else False
+            one, two = (
+                co.integrate(s, x, (0.0, 4 * STEP), STEP, method, attitude=attitude)
+                for s, x in ((system, x0), (other, x0[order]))
+            )
+            bound = 2.0**4 * rounding(system, one.x)
+            np.testing.assert_allclose(two.x, one.x[:, order], rtol=0, atol=bound)
+            if attitude:
+                np.testing.assert_allclose(two.attitude, one.attitude[:, order][:, :, order], rtol=0, atol=bound)
