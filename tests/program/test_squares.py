@@ -5,6 +5,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from coadjoint.program.sparse_rows import SparseRows
+from coadjoint.program.sparse_squares import sparse_squares
 from coadjoint.program.squares import LARGEST_RATIONAL, complete_squares
 
 U = 2.0**-53
@@ -80,6 +82,24 @@ def test_forms_have_no_large_coefficients():
         scale = 10.0 ** rng.uniform(-18, 0, n)
         M = symmetric(100 + trial, n, diagonal=False) + np.diag(scale * rng.standard_normal(n))
         assert max(abs(float(v)) for v in complete_squares(M, np.zeros(n)).forms.ravel()) <= 15.0
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_pair_is_squared_along_the_better_diagonal(side):
+    """Of e_i + e_j and e_i - e_j the first square is taken along the one where it is at least half of the entry."""
+    rng = np.random.default_rng(18)
+    for n in (2, LARGEST_RATIONAL + 4):
+        for entry in (1.0, -1.0):
+            M = np.zeros((n, n))
+            M[0, 1] = M[1, 0] = entry
+            M[[0, 1], [0, 1]] = side * entry * rng.uniform(0.3, 0.6, 2)
+            rows = SparseRows.of_lists(
+                [[0, 1], [0, 1], *[[]] * (n - 2)], [M[0, :2].tolist(), M[1, :2].tolist(), *[[]] * (n - 2)]
+            )
+            for squares in (complete_squares(M, np.zeros(n)), sparse_squares(rows, np.zeros(n))):
+                assert len(squares.weights) == 2
+                assert abs(squares.weights[0]) >= 0.5
+                assert np.sign(float(squares.weights[0])) == side * entry
 
 
 @pytest.mark.parametrize("kind", ["definite", "indefinite", "zero diagonal", "singular"])

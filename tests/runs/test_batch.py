@@ -43,6 +43,11 @@ REFUSED = {
         ValueError,
         r"member 1 of the batch has sign=\+1 and member 0 has -1",
     ),
+    "the other sign": (
+        lambda: [co.systems.paper_rigid_body(), body(1, 2, 3)],
+        ValueError,
+        r"member 1 of the batch has sign=-1 and member 0 has \+1",
+    ),
     "algebra": (
         lambda: [spiral(1.0), spiral(2.0), co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1.0))],
         ValueError,

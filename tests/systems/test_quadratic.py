@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse
 
+import coadjoint as co
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.systems.quadratic import Quadratic
 
@@ -134,6 +135,23 @@ def test_input_is_copied():
     H = Quadratic(M)
     M[0] = 9.0
     assert H.gradient([1.0, 1.0])[0] == 1.0
+
+
+@pytest.mark.parametrize(
+    "M",
+    [2.0, [2.0] * 3, 2.0 * np.eye(3), scipy.sparse.eye_array(3) * 2.0],
+    ids=["number", "diagonal", "full", "sparse"],
+)
+@pytest.mark.parametrize("constant", [-3.25, Fraction(-13, 4)])
+def test_the_constant_stays_in_every_form_of_m(M, constant):
+    """Also where a number becomes a matrix, once the system says the dimension."""
+    H = Quadratic(M, constant=constant)
+    x = np.array([1.0, -2.0, 0.5])
+    for same in (H, H.bind(3), co.LiePoissonSystem(co.algebras.so(3), H).hamiltonian):
+        assert same.value(x) == x @ x - 3.25
+    assert H.bind(3).terms()[0].constant == -3.25
+    system = co.LiePoissonSystem(co.algebras.so(3), H)
+    assert co.integrate(system, x, (0.0, 1.0), 0.5).energy[0] == x @ x - 3.25
 
 
 def test_polynomial_of_degree_two():

@@ -12,8 +12,10 @@ from coadjoint.program.table import build_program
 
 from .drawn_systems import ALGEBRAS, drawn, drawn_bracket
 from .measures import U
+from .systems_under_test import cases
 
 STEP = 0.125
+COUNT = 3
 T0 = 0.75
 DIRECTIONS = [(sign, direction) for sign in (1, -1) for direction in (1, -1)]
 SCHEMES = {
@@ -31,9 +33,11 @@ SCHEMES = {
     "RadauEnergy": co.RadauEnergy(2),
     "Taylor": co.Taylor(5),
     "Composition": co.Composition(co.GaussLegendre(1), (0.75, -0.5, 0.75)),
+    # Its first and its last flow are not the same part of a step.
+    "lopsided": co.Composition(co.Splitting(order=2), (0.25, 0.75)),
 }
 # What a Poisson system without a Lie algebra is served by, too.
-WITHOUT_ALGEBRA = [n for n in SCHEMES if not n.startswith(("Splitting", "Taylor", "Modified gradient"))]
+WITHOUT_ALGEBRA = [n for n in SCHEMES if not n.startswith(("Splitting", "Taylor", "Modified gradient", "lopsided"))]
 
 
 def served(method, system):
@@ -62,12 +66,30 @@ def system_for(scheme, algebra, sign, seed=1):
     return (system if served(SCHEMES[scheme], system) else without_linear(system)), x0
 
 
-def read_step(method, system, x, t, h):
-    """One step by the plain reading in floats."""
-    if isinstance(method.innermost, FlowMethod):
-        return Reading(build_program(system, method)).steps(np.array(x), h, 1, t0=t)
-    for fraction in method.fractions:
-        x, t = method.innermost.step(system, x, t, fraction * h), t + fraction * h
+def read_steps(method, system, x, t, h):
+    """Some steps by the plain reading in floats, each of them begun and finished: nothing is joined to the next."""
+    reading = Reading(build_program(system, method)) if isinstance(method.innermost, FlowMethod) else None
+    for k in range(COUNT):
+        moment = t + k * h
+        if reading is not None:
+            x = reading.steps(np.array(x), h, 1, t0=moment)
+            continue
+        for fraction in method.fractions:
+            x, moment = method.innermost.step(system, x, moment, fraction * h), moment + fraction * h
+    return x
+
+
+def check_steps(method, system, x0, h):
+    """One state and five at once against the plain reading; return where the first ends."""
+    span = (T0, T0 + COUNT * h)
+    crowd = x0 * np.array([[1.0], [0.75], [-1.0], [0.5], [1.25]])
+    x, ends = (co.integrate(system, start, span, abs(h), method).x[-1] for start in (x0, crowd))
+    for start, end in [(x0, x), *zip(crowd, ends, strict=True)]:
+        expected = read_steps(method, system, start, T0, h)
+        np.testing.assert_allclose(end, expected, rtol=0, atol=rounding(system, expected))
+    # It moves the way the field says: the rest is of order t^2, with derivatives of size one in these systems.
+    moved = system.vector_field(x0, T0)
+    assert (x - x0) @ moved * h > 0.25 * COUNT * h * h * (moved @ moved)
     return x
 
 
@@ -78,31 +100,26 @@ def rounding(system, x):
 
 @pytest.mark.parametrize(("scheme", "algebra"), pairs())
 def test_the_compiled_step_is_the_plain_one_for_both_signs_and_directions(scheme, algebra):
-    method = SCHEMES[scheme]
     ends = []
     for sign, direction in DIRECTIONS:
         system, x0 = system_for(scheme, algebra, sign)
-        h = direction * STEP
-        x = co.stepper(system, method, h)(x0, T0)
-        np.testing.assert_allclose(x, read_step(method, system, x0, T0, h), rtol=0, atol=rounding(system, x))
-        # It moves the way the field says: the rest is of order h^2, with derivatives of size one in these systems.
-        moved = system.vector_field(x0)
-        assert (x - x0) @ moved * h > 0.5 * h * h * (moved @ moved)
-        ends.append(x)
+        ends.append(check_steps(SCHEMES[scheme], system, x0, direction * STEP))
     assert np.max(np.abs(ends[0] - ends[2])) > 0.05 * STEP
 
 
 @pytest.mark.parametrize("scheme", WITHOUT_ALGEBRA)
 @pytest.mark.parametrize("seed", range(2))
 def test_the_compiled_step_is_the_plain_one_where_j_is_a_function(scheme, seed):
-    method = SCHEMES[scheme]
     for sign, direction in DIRECTIONS:
-        system, x0 = drawn_bracket(seed, sign)
-        h = direction * STEP
-        x = co.stepper(system, method, h)(x0, T0)
-        np.testing.assert_allclose(x, read_step(method, system, x0, T0, h), rtol=0, atol=rounding(system, x))
-        moved = system.vector_field(x0)
-        assert (x - x0) @ moved * h > 0.5 * h * h * (moved @ moved)
+        check_steps(SCHEMES[scheme], *drawn_bracket(seed, sign), direction * STEP)
+
+
+@pytest.mark.parametrize("scheme", [s for s, m in SCHEMES.items() if served(m, cases()["sl(2), driven"].system)])
+def test_the_compiled_step_is_the_plain_one_at_any_time(scheme):
+    """A driven system, from a time that is not zero, forward and backward."""
+    system, x0, _ = cases()["sl(2), driven"]
+    ends = [check_steps(SCHEMES[scheme], system, x0, direction * STEP) for direction in (1, -1)]
+    assert np.max(np.abs(ends[0] - ends[1])) > 0.05 * STEP
 
 
 def check_tangent(method, system, x0, h):
