@@ -99,3 +99,25 @@ def test_groups_hold_members_of_one_structure():
             for varied, own in ((group.tables, prepared[m].tables), (group.watch, watches[m])):
                 for one, other in zip(leaves(picked(varied.source, column)), leaves(own), strict=True):
                     assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other
+
+
+# Numbers of a scheme and its step, which a batch has in common: the kernels read them by place alone.
+COMMON = {"tau", "moment", "node", "scale", "mix", "out", "forecast", "fraction", "coefficients"}
+
+
+def shared_numbers(stack, one):
+    """Names of the float64 arrays that a stack has as a member alone has them."""
+    for name, many, own in zip(stack._fields, stack, one, strict=True):
+        if isinstance(own, tuple):
+            yield from shared_numbers(many, own)
+        elif isinstance(own, np.ndarray) and own.dtype == np.float64 and many.shape == own.shape:
+            yield name
+
+
+@pytest.mark.parametrize("method", METHODS, ids=str)
+def test_all_constants_but_those_of_the_scheme_stand_by_member(method):
+    """Also where members agree in them, as in the period of an angle: the kernels read a column for each."""
+    tables = [loop_of(system, method, 0.1, None).tables for system in members()]
+    assert COMMON.issuperset(shared_numbers(stacked(tables), tables[0]))
+    watches = [watch_tables(system, system.casimirs).tables for system in members()]
+    assert not list(shared_numbers(stacked(watches), watches[0]))

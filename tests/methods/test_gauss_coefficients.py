@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from coadjoint.methods.gauss_coefficients import gauss_legendre, radau
+from coadjoint.methods.gauss_coefficients import extrapolation, gauss_legendre, radau
 
 U = 2.0**-53
 COUNTS = (1, 2, 3, 4, 5, 8, 13, 20, 32)
@@ -58,3 +58,20 @@ def test_coefficients_are_shared_and_read_only():
     assert gauss_legendre(3).mu is gauss_legendre(3).mu
     with pytest.raises(ValueError, match="read-only"):
         gauss_legendre(3).mu[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("stages", [1, 2, 3, 5, 9])
+@pytest.mark.parametrize("ratio", [1.0, 0.5, -0.25, -1.0, 1.5])
+def test_the_polynomial_of_a_step_is_continued_to_the_nodes_of_the_next(stages, ratio):
+    """Forward and backward, exact for polynomials of degree s: what is continued is x, from the end of the old step."""
+    nodes, weights, _ = gauss_legendre(stages)
+    E = extrapolation(stages, ratio)
+    draw = np.random.default_rng(stages).uniform(-1.0, 1.0, stages)
+    slope = np.polynomial.Polynomial(draw)
+    x = slope.integ()
+    ahead = 1.0 + ratio * nodes
+    found = x(1.0) + E @ (weights * slope(nodes))
+    # The Legendre polynomials are about 6^degree at the end of the next step.
+    bound = 2.0**6 * 2.0**-53 * 6.0 ** (stages + 1) * np.sum(np.abs(draw))
+    np.testing.assert_allclose(found, x(ahead), rtol=0, atol=bound)
+    assert np.max(np.abs(found - x(1.0))) > 2.0**-10

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.methods.stages import linear_solve
 
 GAUSS, ITERATED, MODIFIED, EXPLICIT = (
     co.GaussLegendre,
@@ -287,3 +288,16 @@ def test_no_convergence_says_so():
     with pytest.raises(co.IntegrationError, match="do not converge") as caught:
         GAUSS(2).step(system, x0, 0.0, 10.0)
     assert caught.value.residual > 1.0
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 5])
+def test_linear_systems_are_solved_exactly_in_fractions(size):
+    """Random ones, and ones whose pivots are zero until rows are exchanged."""
+    rng = np.random.default_rng(size)
+    for trial in range(12):
+        lower = np.tril(rng.integers(-3, 4, (size, size)), -1) + np.eye(size, dtype=int)
+        upper = np.triu(rng.integers(-3, 4, (size, size)), 1) + np.diag(rng.choice([-2, -1, 1, 3], size))
+        order = rng.permutation(size) if trial % 2 else np.arange(size)[::-1]
+        A = np.vectorize(Fraction, otypes=[object])((upper if trial % 3 == 0 else lower @ upper)[order])
+        X = np.vectorize(Fraction, otypes=[object])(rng.integers(-5, 6, (size, 2)))
+        assert np.array_equal(linear_solve(A, A @ X), X)

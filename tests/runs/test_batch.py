@@ -190,3 +190,22 @@ def test_a_scan_looks_for_the_casimirs_of_an_algebra_once(monkeypatch):
     systems = [co.LiePoissonSystem(co.LieAlgebra.from_brackets(3, brackets), co.Quadratic(float(m))) for m in (1, 2, 3)]
     names = [list(system.casimirs) for system in co.batch(systems)]
     assert names == [["C2"]] * 3 and len(searched) == 1
+
+
+def test_angles_of_every_member_are_unwrapped_by_its_own_period():
+    """A4,6 with other constants, other periods and the same: x2 and x3 turn many times."""
+
+    def system(a, b):
+        g = co.algebras.get("A4,6", a=a, b=b)
+        return co.LiePoissonSystem(g, co.Quadratic([0.0, 0.0, 0.0, 1.0], linear=[0.0, 0.0, 0.0, 1.0]))
+
+    for constants in ([(0.5, 0.25)] * 3, [(0.5, 0.25), (0.25, 0.125), (0.125, 0.5), (0.5, 0.0)]):
+        systems = [system(*pair) for pair in constants]
+        x0 = np.array([1.0, 1.0, 0.5, 0.25])
+        together = co.integrate(co.batch(systems[:3]), x0, (0.0, 16.0), 0.125)
+        for m, own in enumerate(systems[:3]):
+            alone = co.integrate(own, x0, (0.0, 16.0), 0.125)
+            (name,) = (name for name in alone.casimirs if name.startswith("log|x1|"))
+            assert np.array_equal(together.casimirs[name][:, m], alone.casimirs[name])
+            # Not one whole turn is lost: the invariant stays, to rounding that grows with the time.
+            assert np.ptp(alone.casimirs[name]) < 2.0**12 * 2.0**-53 * 128
