@@ -7,8 +7,12 @@ import pytest
 
 import coadjoint as co
 from coadjoint.methods.base import FlowMethod
+from coadjoint.methods.chosen_parts import ChosenParts
 from coadjoint.program.reading import Reading
+from coadjoint.program.shift import quadratic_casimirs, shifted_terms
+from coadjoint.program.split import split
 from coadjoint.program.table import build_program
+from coadjoint.systems.rigid_body import so3_body
 
 from .drawn_systems import ALGEBRAS, drawn, drawn_bracket
 from .measures import U
@@ -192,6 +196,50 @@ def test_the_group_element_belongs_to_the_motion_for_both_signs_and_directions(s
         expected = np.einsum("ij,jab->iab", run.attitude[-1], rho)
         bound = 2.0**6 * rounding(system, np.linalg.cond(g) ** 2 * np.linalg.norm(expected))
         np.testing.assert_allclose(np.linalg.solve(turned, rho @ turned), expected, rtol=0, atol=bound)
+
+
+AXES = [sense * axis for axis in np.eye(3) for sense in (1.0, -1.0)]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("x0", [*AXES, np.array([0.6, 0.0, -0.8]), np.array([0.5, -0.75, 0.25])], ids=str)
+def test_a_shifted_run_turns_about_every_axis_in_both_senses(x0, sign):
+    """What a Casimir shift takes off turns the body about its momentum: against the closed form, both ways in time."""
+    system = so3_body(np.array([1.0, 0.5, 0.25]), sign=sign, name="body", parameters={})
+    method = co.Splitting(order=8)
+    assert build_program(system, method).shift
+    first = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
+    for direction in (1, -1):
+        span = (T0, T0 + direction * 2.0)
+        x, g = system.exact(x0, span[1] - span[0], attitude=first)
+        run = co.integrate(system, x0, span, 2.0**-5, method, attitude=first)
+        # Order 8 with 2^-5 of a unit of time, in which nothing turns by more than a radian.
+        np.testing.assert_allclose(run.x[-1], x, rtol=0, atol=2.0**-36)
+        np.testing.assert_allclose(run.attitude[-1], g, rtol=0, atol=2.0**-36)
+
+
+@pytest.mark.parametrize("make", [lambda: co.algebras.so(4), lambda: co.algebras.so(5), lambda: co.algebras.su(3)])
+def test_a_shift_is_taken_back_in_every_block(make):
+    """Generators of several frequencies, and sparse ones: against the same run without a shift."""
+    algebra, rng = make(), np.random.default_rng(6)
+    n = algebra.dim
+    M = rng.uniform(0.5, 1.5, n)
+    states = [rng.standard_normal(n), rng.standard_normal(n) * (rng.random(n) < 0.4)]
+    for sign, direction in DIRECTIONS:
+        system = co.LiePoissonSystem(algebra, co.Quadratic(M), sign=sign)
+        casimirs = quadratic_casimirs(system)
+        shift = ((next(iter(casimirs)), 0.375),)
+        count = len(split(system, "auto", shifted_terms(system.hamiltonian.terms(), casimirs, shift)))
+        shifted = co.Splitting(order=8, parts=ChosenParts(tuple(range(count)), shift))
+        for x0 in states:
+            x0 = x0 / np.linalg.norm(x0)
+            for attitude in (True, "coadjoint"):
+                one, two = (
+                    co.integrate(system, x0, (T0, T0 + direction), 2.0**-5, method, attitude=attitude).attitude[-1]
+                    for method in (shifted, co.Splitting(order=8, parts="coordinates"))
+                )
+                np.testing.assert_allclose(one, two, rtol=0, atol=2.0**-30)
+                assert np.max(np.abs(one - np.eye(len(one)))) > 0.1
 
 
 @pytest.mark.parametrize("name", list(ALGEBRAS))
