@@ -11,7 +11,7 @@ from coadjoint.runs.candidates import admitted
 from coadjoint.runs.growth import Growth
 from coadjoint.runs.pilot import Pilot, Trial
 from coadjoint.runs.roundoff import roundoff
-from coadjoint.runs.work import flow_work, iteration_work, step_work
+from coadjoint.runs.work import FUNCTION, MULTIPLICATION, flow_work, iteration_work, step_work
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X0 = (1.0, 0.2, 0.5)
@@ -203,6 +203,24 @@ def test_the_weights_mean_what_they_say():
     assert 90 / 11 < step_work(BODY, co.Taylor(16), None, 1.0, 16.0, None) < 130 / 11
     assert iteration_work(BODY, 8.0, None) < iteration_work(BODY, 8.0, "coadjoint")
     assert iteration_work(BODY, 9.0, None) > 1.5 * iteration_work(BODY, 8.0, None)
+
+
+def test_functions_of_the_user_are_paid():
+    """The same energy as numbers and as functions: a call for each flow, and for each evaluation of the field."""
+    numbers = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]))
+    functions = co.LiePoissonSystem(
+        co.algebras.so(3),
+        co.Separable(
+            {i: (lambda y, m=m: 0.5 * m * y * y, lambda y, m=m: m * y) for i, m in enumerate((1.0, 0.5, 0.25))}
+        ),
+    )
+    coordinates = co.Splitting(parts="coordinates")
+    plain, called = (flow_work(build_program(system, coordinates), False) for system in (numbers, functions))
+    flows = build_program(functions, coordinates).rows
+    count = int(flows.section[2] - flows.section[1])
+    assert called - plain == pytest.approx(count * (FUNCTION - MULTIPLICATION), abs=count * 2 * MULTIPLICATION)
+    apart = iteration_work(functions, 8.0, None) - iteration_work(numbers, 8.0, None)
+    assert apart > 8.0 * 3 * FUNCTION * 0.9
 
 
 def test_rounding_is_told_from_the_model_within_a_factor():

@@ -87,3 +87,17 @@ def test_refusals(span, step, every, error, message):
     with pytest.raises(error, match=message) as refusal:
         times_of(span, step, every)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("span", [(0.0, 3.0), (3.0, 0.0), (-7.0, -4.0), (1e3, 1e3 + 3.0)])
+@pytest.mark.parametrize("miss", [2.0**-12, 2.0**-30, 2.0**-44])
+def test_a_span_that_misses_a_whole_number_of_steps_by_little_is_refused(span, miss):
+    """Forward, backward and far from zero, as soon as rounding cannot explain it; and taken where it can."""
+    first, last = span
+    size = abs(last - first)
+    # The ends are rounded: 16 times that is more than they explain.
+    step = size / 24 * (1.0 + max(miss, 16 * 2.0**-53 * max(1.0, abs(first) / size)))
+    with pytest.raises(ValueError, match="the nearest steps that do are"):
+        times_of(span, step, 1)
+    times = times_of(span, size / 24 * (1.0 + 2.0**-53), 1)
+    assert times.steps == 24 and times.h * (last - first) > 0
