@@ -198,6 +198,25 @@ def test_the_group_element_belongs_to_the_motion_for_both_signs_and_directions(s
         np.testing.assert_allclose(np.linalg.solve(turned, rho @ turned), expected, rtol=0, atol=bound)
 
 
+@pytest.mark.parametrize("n", range(2, 10))
+def test_rotations_of_every_number_of_planes(n):
+    """so(n), its elements n x n: n - 2 planes turn by one angle, and n rows are carried in vectors of four."""
+    algebra, rng = co.algebras.so(n), np.random.default_rng(n)
+    method = co.Splitting(order=2, parts="coordinates")
+    x0 = rng.uniform(0.5, 1.0, algebra.dim) * rng.choice([-1.0, 1.0], algebra.dim)
+    first = np.eye(n) + 0.25 * rng.standard_normal((n, n))
+    system = co.LiePoissonSystem(algebra, co.Quadratic(rng.uniform(0.5, 1.5, algebra.dim)), sign=-1, casimirs={})
+    for direction in (1, -1):
+        span, h = (0.0, 2 * direction * STEP), direction * STEP
+        read = Reading(build_program(system, method, group=system.representation))
+        x, g = read.steps(x0, h, 2, group=first)
+        for start in (x0, np.tile(x0, (3, 1))):
+            run = co.integrate(system, start, span, STEP, method, attitude=first)
+            found = run.x[-1], run.attitude[-1]
+            for one, two in zip(found, (x, g), strict=True):
+                np.testing.assert_allclose(one.reshape(-1, *two.shape)[-1], two, rtol=0, atol=rounding(system, two))
+
+
 AXES = [sense * axis for axis in np.eye(3) for sense in (1.0, -1.0)]
 
 
