@@ -192,23 +192,17 @@ def test_threads_with_short_calls_of_any_shape():
     assert wrong == []
 
 
-def test_one_call_for_a_short_run_and_many_for_a_long_one(monkeypatch):
-    """By the pace of the run before; that of a run that failed says nothing."""
+def test_one_call_for_a_run_and_many_under_a_progress_bar(monkeypatch, capsys):
+    """The loops listen by themselves; a bar moves between calls."""
     cuts, real = [], Crew.advance
-    monkeypatch.setattr(Crew, "advance", lambda crew, *given: cuts.append(given[-2:]) or real(crew, *given))
+    monkeypatch.setattr(Crew, "advance", lambda crew, *given: cuts.append(given[-3:-1]) or real(crew, *given))
     monkeypatch.setattr(run, "SECONDS_BETWEEN_LOOKS", 1e-3)
     ready = co.prepare(BODY, co.ExplicitRungeKutta("rk4"), 0.01, threads=1)
-    ready.run(X, (0, 0.1), 1000)
+    whole = ready.run(X, (0, 1e3), 10**4)
+    assert cuts == [(0, 10**5)]
     cuts.clear()
-    ready.run(X, (0, 0.01), 1000)
-    assert cuts == [(0, 1)]
-    ready.run(X, (0, 1e3), 10**6)
-    ready.run(X, (0, 1e3), 10**6)
-    pace = ready.loops(0.01)._plan.pace
-    with pytest.raises(co.IntegrationError):
-        ready.run(1e150 * X, (0, 1e3), 10**6)
-    assert ready.loops(0.01)._plan.pace == pace > 0
-    cuts.clear()
-    ready.run(X, (0, 1e4), 10**7)
-    assert len(cuts) > 10 and cuts[0][1] < 10**6 / 2
-    assert [k0 for k0, _ in cuts[1:]] == [k1 for _, k1 in cuts[:-1]] and cuts[-1][1] == 10**6
+    pieces = ready.run(X, (0, 1e3), 10**4, progress=True)
+    assert len(cuts) > 10
+    assert [k0 for k0, _ in cuts[1:]] == [k1 for _, k1 in cuts[:-1]] and cuts[-1][1] == 10**5
+    assert np.array_equal(whole.x, pieces.x)
+    assert "100%" in capsys.readouterr().err
