@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from coadjoint.wording import short
 Floats = NDArray[np.float64]
 
 REAL = "iuf"
+LONGEST_TITLE = 200
 DEEPEST = 64  # lists in lists, as many as an array has dimensions at most
 
 
@@ -226,6 +227,48 @@ def read_flag(value: Any, what: str) -> bool:
     if not isinstance(value, bool | np.bool_):
         raise TypeError(f"{what} is {short(value)}; it must be True or False")
     return bool(value)
+
+
+def read_title(value: Any, what: str) -> str:
+    """Return a name that messages and pictures can show, or refuse it by name.
+
+    Examples
+    --------
+    >>> read_title("so(3)", "name of the algebra")
+    'so(3)'
+    """
+    if not isinstance(value, str) or not value:
+        raise TypeError(f"{what} must be a nonempty string, not {short(value)}")
+    if len(value) > LONGEST_TITLE or not value.isprintable():
+        raise ValueError(f"{what} is {short(value)}; it must be one line of at most {LONGEST_TITLE} characters")
+    return value
+
+
+def title(text: str) -> str:
+    """Return a name that is made of others, cut where it is too long to be shown.
+
+    Examples
+    --------
+    >>> title("so(3) + so(4)")
+    'so(3) + so(4)'
+    """
+    return text if len(text) <= LONGEST_TITLE else f"{text[: LONGEST_TITLE - 3]}..."
+
+
+def read_list(values: Any, what: str, rule: str) -> tuple[Any, ...]:
+    """Return the entries of what can be gone through, or refuse it by name, saying what would be right.
+
+    Examples
+    --------
+    >>> read_list([1, 2], "methods", "give a list of schemes")
+    (1, 2)
+    """
+    try:
+        if not isinstance(values, str | bytes | Mapping):
+            return tuple(values)
+    except TypeError:
+        pass
+    raise TypeError(f"{what} is {short(values)}; {rule}")
 
 
 def read_choice(value: Any, what: str, known: Collection[str]) -> str:

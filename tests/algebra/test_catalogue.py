@@ -151,7 +151,7 @@ def test_invariants():
         ((abs, 3), TypeError, "gradient of an Invariant"),
         ((abs, None, -1.0), ValueError, "is -1.0; it must not be negative"),
         ((abs, None, float("nan")), ValueError, "is nan; it must be finite"),
-        ((abs, None, "x"), TypeError, "period of an Invariant must be a number"),
+        ((abs, None, "x"), TypeError, "period of an Invariant is 'x'; it must be a number"),
     ):
         with pytest.raises(error, match=message):
             Invariant(*arguments)

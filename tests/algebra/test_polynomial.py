@@ -173,7 +173,7 @@ def test_wrong_operations_are_refused():
             p**power
     with pytest.raises(ValueError, match="index of a coordinate must be a whole number from 0 to 1, not 2"):
         p.derivative(2)
-    with pytest.raises(ValueError, match="index 3 of a coordinate"):
+    with pytest.raises(ValueError, match="index of a coordinate must be a whole number from 0 to 2, not 3"):
         Polynomial.variable(3, 3)
     with pytest.raises(ValueError, match=r"shape \(2,\), not \(3,\)"):
         p([1.0, 2.0, 3.0])
@@ -181,5 +181,5 @@ def test_wrong_operations_are_refused():
         p(["a", "b"])
     with pytest.raises(ValueError, match="constant is nan"):
         p + float("nan")
-    with pytest.raises(ValueError, match="overflows to inf"):
+    with pytest.raises(ValueError, match="overflows; it must stay within float64"):
         Polynomial({(1,): 1e300}) ** 2

@@ -290,7 +290,11 @@ def test_names_and_orders():
         ({"rotation": "exactly"}, ValueError, "unknown rotation 'exactly'; did you mean 'exact'"),
         ({"parts": "coordinate"}, ValueError, "unknown choice of parts 'coordinate'; did you mean 'coordinates'"),
         ({"parts": [0, 1, 2]}, TypeError, r"sets of coordinates such as \[\[0, 1\], \[2\]\]"),
-        ({"parts": [[0.5], [1]]}, TypeError, "sets of coordinates"),
+        (
+            {"parts": [[0.5], [1]]},
+            ValueError,
+            "a coordinate in parts must be a whole number from 0 to 4294967295, not 0.5",
+        ),
     ],
 )
 def test_refusals(options, error, message):

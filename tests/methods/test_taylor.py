@@ -232,8 +232,8 @@ def test_casimirs_that_are_functions_are_not_restored():
 @pytest.mark.parametrize(
     ("given", "error", "said"),
     [
-        ({"order": 0}, ValueError, "order of Taylor must be a whole number from 1 up, not 0"),
-        ({"order": 65}, ValueError, "at most 64, not 65"),
+        ({"order": 0}, ValueError, "order of Taylor must be a whole number from 1 to 64, not 0"),
+        ({"order": 65}, ValueError, "from 1 to 64, not 65"),
         ({"order": 2.5}, ValueError, "not 2.5"),
         ({"projected": 1}, TypeError, "projected is 1; it must be True or False"),
     ],

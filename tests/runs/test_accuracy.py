@@ -110,8 +110,8 @@ def test_a_processor_is_paid_only_where_one_looks():
     [
         ({}, "integrate was given neither of step and accuracy; give step="),
         ({"step": 0.1, "accuracy": 1e-6}, "integrate was given both of step and accuracy"),
-        ({"accuracy": "1e-6"}, "accuracy is '1e-6'; it must be a number between 0 and 1"),
-        ({"accuracy": True}, "accuracy is True; it must be a number between 0 and 1"),
+        ({"accuracy": "1e-6"}, "accuracy is '1e-6'; it must be a number"),
+        ({"accuracy": True}, "accuracy is True; it must be a number"),
     ],
 )
 def test_wrong_types(options, sentence):
@@ -121,14 +121,14 @@ def test_wrong_types(options, sentence):
 
 @pytest.mark.parametrize("accuracy", (0.0, -1e-6, 1.0, math.inf, math.nan))
 def test_wrong_numbers(accuracy):
-    with pytest.raises(ValueError, match=r"accuracy is .*; it must lie between 0 and 1"):
+    with pytest.raises(ValueError, match=r"accuracy is .*; it must (lie between 0 and 1|be finite)"):
         co.choose(BODY, X0, SPAN, accuracy)
 
 
 def test_wrong_schemes():
     with pytest.raises(TypeError, match="methods contains 3; it must be one or more schemes"):
         co.choose(BODY, X0, SPAN, 1e-6, methods=[3])
-    with pytest.raises(TypeError, match="methods contains empty"):
+    with pytest.raises(TypeError, match="methods contains nothing"):
         co.choose(BODY, X0, SPAN, 1e-6, methods=[])
     with pytest.raises(ValueError, match="Splitting needs a Lie algebra"):
         skew = co.PoissonSystem(lambda x: np.array([[0.0, x[0]], [-x[0], 0.0]]), co.Quadratic([1.0, 2.0]))
@@ -138,7 +138,7 @@ def test_wrong_schemes():
 def test_other_wrong_input_is_refused_as_ever():
     with pytest.raises(ValueError, match=r"x0 has the shape \(2,\)"):
         co.choose(BODY, (1.0, 2.0), SPAN, 1e-6)
-    with pytest.raises(ValueError, match="t_span contains inf"):
+    with pytest.raises(ValueError, match="the end of t_span is inf"):
         co.choose(BODY, X0, (0, math.inf), 1e-6)
     with pytest.raises(ValueError, match="attitude is 'spin'"):
         co.choose(BODY, X0, SPAN, 1e-6, attitude="spin")

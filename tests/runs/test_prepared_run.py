@@ -110,7 +110,7 @@ def test_initial_group_element_of_each_run():
         ({"step": 0.0}, ValueError, "it must be positive"),
         ({"step": "a"}, TypeError, "it must be a number"),
         ({"watch": 1}, TypeError, "watch is 1"),
-        ({"threads": 0}, ValueError, "threads is 0"),
+        ({"threads": 0}, ValueError, r"threads .* must be a whole number from 1 up, not 0"),
         ({"observe": [1]}, TypeError, "it must map names"),
         ({"attitude": "spin"}, ValueError, "attitude is 'spin'"),
         ({"system": 3}, TypeError, "system is 3"),

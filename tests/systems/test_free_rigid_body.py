@@ -156,7 +156,7 @@ def test_shapes_and_attitudes():
     np.testing.assert_array_equal(turned, A @ A)
     for arguments, message in (
         (([1.0, 2.0], 1.0), "three finite numbers"),
-        (([1.0, np.nan, 0.0], 1.0), "three finite numbers"),
+        (([1.0, np.nan, 0.0], 1.0), "x0.1. is nan; give finite numbers"),
         ((x0, np.inf), "finite"),
         ((x0, np.zeros((2, 2))), "shape"),
         ((x0, 1.0, np.eye(2)), "attitude has shape"),

@@ -185,8 +185,8 @@ def test_functions_with_a_domain():
     ("make", "error", "message"),
     [
         (lambda: Separable({}), TypeError, "at least one"),
-        (lambda: Separable({-1: (np.sin, np.cos)}), ValueError, "negative"),
-        (lambda: Separable({"a": (np.sin, np.cos)}), TypeError, "no integer"),
+        (lambda: Separable({-1: (np.sin, np.cos)}), ValueError, "whole number from 0 to 4294967295, not -1"),
+        (lambda: Separable({"a": (np.sin, np.cos)}), ValueError, "whole number from 0 to 4294967295, not 'a'"),
         (lambda: Separable({0: (np.sin,)}), TypeError, "coordinate 0"),
         (lambda: Separable({0: (np.sin, 2.0)}), TypeError, "dH_0 is 2.0"),
         (lambda: Separable({5: (np.sin, np.cos)}).bind(3), ValueError, "coordinates 0 to 2"),

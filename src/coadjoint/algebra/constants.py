@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coadjoint.algebra.joins import Floats, Integers
-from coadjoint.given import read_numbers, read_whole
+from coadjoint.given import read_numbers, read_title, read_whole
 from coadjoint.memory import check_room
 from coadjoint.wording import short
 
@@ -210,8 +210,7 @@ def read_basis(basis: Sequence[str] | None, dim: int) -> tuple[str, ...]:
     if len(names) != dim:
         raise ValueError(f"basis must have {dim} names, one for each dimension, not {len(names)}")
     for position, label in enumerate(names):
-        if not isinstance(label, str) or not label:
-            raise TypeError(f"name {position} of the basis must be a nonempty string, not {short(label)}")
+        read_title(label, f"name {position} of the basis")
     seen: set[str] = set()
     for label in names:
         if label in seen:

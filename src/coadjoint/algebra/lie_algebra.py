@@ -14,7 +14,7 @@ from coadjoint.algebra.joins import Floats
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
 from coadjoint.algebra.structure import Structure
-from coadjoint.wording import short
+from coadjoint.given import read_title
 
 
 class LieAlgebra(Structure):
@@ -80,8 +80,8 @@ class LieAlgebra(Structure):
     ) -> None:
         size, given, complete = read_constants(constants, dim)
         names = read_basis(basis, size)
-        if name is not None and not isinstance(name, str):
-            raise TypeError(f"name of a Lie algebra must be a string, not {short(name)}")
+        if name is not None:
+            read_title(name, "name of a Lie algebra")
         triples = antisymmetric(given, size, names, complete)
         check_jacobi(triples, size, names)
         if casimirs is not None and not isinstance(casimirs, Mapping):

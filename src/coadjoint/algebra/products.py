@@ -16,7 +16,7 @@ from coadjoint.algebra.matrix_algebras import LARGEST
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.quadratic_forms import embedded, within
 from coadjoint.algebra.representation import check_representation
-from coadjoint.given import read_whole
+from coadjoint.given import read_whole, title
 from coadjoint.wording import short
 
 
@@ -93,7 +93,7 @@ def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
         joined(parts),
         begins[-1],
         tuple(names),
-        " + ".join(algebra.name or f"g{number}" for number, algebra in enumerate(algebras, 1)),
+        title(" + ".join(algebra.name or f"g{number}" for number, algebra in enumerate(algebras, 1))),
         _block_diagonal([algebra.representation for algebra in algebras]),
         _of_summands(algebras, begins),
     )
@@ -144,7 +144,7 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
         Triples(i, j, k, np.tile(c, count)),
         g.dim * count,
         tuple(f"{label}[{number}]" for number in range(1, count + 1) for label in g.basis),
-        f"{count} {g.name or 'g'}",
+        title(f"{count} {g.name or 'g'}"),
         _block_diagonal([g.representation] * count) if fits else None,
         _of_summands(summands, [a * g.dim for a in range(count)] + [g.dim * count]),
     )
@@ -244,7 +244,7 @@ def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | No
         affine[range(n, n + d), range(d), d] = 1.0
     acted = f"R^{d}" if ideal is None else ideal.name or "h"
     constants = joined(parts)
-    name = f"{g.name or 'g'} ⋉ {acted}"
+    name = title(f"{g.name or 'g'} ⋉ {acted}")
     if ideal is not None:  # whether the matrices are derivations of it is left to check
         return LieAlgebra(constants, dim=n + d, basis=names + space, name=name)
     constants = constants.rows(groups(constants.i, constants.j, constants.k)[0])

@@ -17,7 +17,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.logarithmic import LogarithmicInvariant
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.quadratic_forms import substituted
-from coadjoint.given import array_given
+from coadjoint.given import array_given, title
 from coadjoint.memory import check_room
 from coadjoint.wording import short
 
@@ -188,7 +188,7 @@ def change_of_basis(g: LieAlgebra, matrix: Any, basis: Sequence[str] | None = No
         _constants(brackets),
         dim=g.dim,
         basis=read_basis(basis, g.dim),
-        name=None if g.name is None else f"{g.name} in another basis",
+        name=None if g.name is None else title(f"{g.name} in another basis"),
         representation=_combined(g, vectors),
         casimirs=_casimirs(g, old, g.dim, _is_exact(brackets)),
     )
@@ -236,7 +236,7 @@ def subalgebra(g: LieAlgebra, vectors: Any, basis: Sequence[str] | None = None) 
         _constants(brackets),
         dim=len(given),
         basis=basis,
-        name=None if g.name is None else f"subalgebra of {g.name}",
+        name=None if g.name is None else title(f"subalgebra of {g.name}"),
         representation=_combined(g, given),
     )
 
@@ -295,7 +295,7 @@ def quotient(g: LieAlgebra, ideal: Any) -> LieAlgebra:
         _constants(brackets),
         dim=len(kept),
         basis=[g.basis[k] for k in kept],
-        name=None if g.name is None else f"{g.name} / ideal",
+        name=None if g.name is None else title(f"{g.name} / ideal"),
         representation=rho,
         casimirs=_casimirs(g, restricted, len(kept), _is_exact(brackets)),
     )

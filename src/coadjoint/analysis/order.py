@@ -7,6 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.given import read_finite
+from coadjoint.wording import short
+
 FEWEST_POINTS = 3
 
 
@@ -59,15 +62,18 @@ def fit_order(steps: npt.ArrayLike, errors: npt.ArrayLike, floor: npt.ArrayLike 
     >>> fit_order([0.4, 0.2, 0.1, 0.05], [1.6e-1, 4e-2, 1e-2, 9.9e-3]).order.__round__(12)
     2.0
     """
-    h, e = np.array(steps, dtype=np.float64), np.array(errors, dtype=np.float64)
+    h, e = read_finite(steps, "steps"), read_finite(errors, "errors")
     if h.ndim != 1 or h.shape != e.shape:
         raise ValueError(f"steps and errors have the shapes {h.shape} and {e.shape}; they must both be (k,)")
-    if not (np.all(np.isfinite(h)) and np.all(h > 0.0) and len(np.unique(h)) == len(h)):
-        raise ValueError(f"steps are {h.tolist()}; they must be positive and different")
-    if not (np.all(np.isfinite(e)) and np.all(e >= 0.0)):
-        raise ValueError(f"errors are {e.tolist()}; they must be finite and not negative")
+    if not (np.all(h > 0.0) and len(np.unique(h)) == len(h)):
+        raise ValueError(f"steps are {short(h.tolist())}; they must be positive and different")
+    if not np.all(e >= 0.0):
+        raise ValueError(f"errors are {short(e.tolist())}; they must be finite and not negative")
+    least = read_finite(floor, "floor")
+    if least.shape not in ((), h.shape):
+        raise ValueError(f"floor has the shape {least.shape}; it must be a number or {h.shape}, as the errors are")
     down = np.argsort(-h)
-    h, e, least = h[down], e[down], np.broadcast_to(np.asarray(floor, dtype=np.float64), h.shape)[down]
+    h, e, least = h[down], e[down], np.broadcast_to(least, h.shape)[down]
     kept = 0
     while kept < len(h) and e[kept] > least[kept]:
         if kept and e[kept] > e[kept - 1] * np.sqrt(h[kept] / h[kept - 1]):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.given import read_finite
+from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 MOST_ITERATIONS = 30
@@ -51,7 +53,8 @@ def phase_error(
     >>> phase_error(body, (1.0, 2.0, 0.5), t, early).round(12)
     array([0.01, 0.01])
     """
-    times, states = np.array(t, dtype=np.float64), np.array(x, dtype=np.float64)
+    check_one_system(system)
+    times, states = read_finite(t, "t"), read_finite(x, "x")
     if times.ndim != 1 or states.shape != (len(times), system.dim):
         raise ValueError(
             f"x has the shape {states.shape}; it must be ({times.size}, {system.dim}), a state for each time"

@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.given import read_finite, read_whole
 from coadjoint.runs.stepper import Stepper
+from coadjoint.wording import short
 
 UNIT_ROUNDOFF = 2.0**-53
 
@@ -60,8 +62,13 @@ def defect_of_tangent(
     >>> defect_of_tangent([[2.0, 0.0], [0.0, 0.5]], J, J, operations=1).poisson
     True
     """
-    tangent, J = np.asarray(P, dtype=np.float64), np.asarray(before, dtype=np.float64)
-    defect = float(np.linalg.norm(tangent @ J @ tangent.T - np.asarray(after)))
+    tangent, J, image = read_finite(P, "P"), read_finite(before, "before"), read_finite(after, "after")
+    operations = read_whole(operations, "operations")
+    if tangent.ndim != 2 or not tangent.shape == J.shape == image.shape or tangent.shape[0] != tangent.shape[1]:
+        raise ValueError(
+            f"P, before and after have the shapes {tangent.shape}, {J.shape} and {image.shape}; they must all be (n, n)"
+        )
+    defect = float(np.linalg.norm(tangent @ J @ tangent.T - image))
     size = float(np.linalg.norm(tangent) ** 2 * np.linalg.norm(J))
     return PoissonDefect(defect, 64 * UNIT_ROUNDOFF * operations * size)
 
@@ -94,7 +101,9 @@ def poisson_defect(step: Stepper, x: npt.ArrayLike, operations: int | None = Non
     """
     from coadjoint.runs.integrate import integrate
 
-    y = np.array(x, dtype=np.float64)
+    if not isinstance(step, Stepper):
+        raise TypeError(f"step is {short(step)}; it must be a Stepper, from co.stepper(system, method, h)")
+    y = read_finite(x, "x")
     if operations is None:
         ends = (0.0, step.h)
         run = integrate(step.system, y, ends, abs(step.h), step.method, watch=False)

@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.given import read_finite
+from coadjoint.wording import short
+
 
 def attitude_angle(A: npt.ArrayLike, B: npt.ArrayLike) -> Any:
     """Return the angle of the rotation that takes one attitude into another.
@@ -70,16 +73,17 @@ def precession_error(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) ->
     >>> precession_error(np.eye(3), quarter, [0.0, 0.0, 5.0]) == -np.pi / 2
     True
     """
-    direction = np.asarray(axis, dtype=np.float64)
+    direction = read_finite(axis, "axis")
     if direction.shape != (3,) or not np.any(direction):
-        raise ValueError(f"axis is {axis!r}; it must be three numbers, not all zero")
+        raise ValueError(f"axis is {short(axis)}; it must be three numbers, not all zero")
+    direction /= np.max(np.abs(direction))  # whose square does not overflow
     turned, angle = _axis_and_angle(_checked(A, "A") @ np.swapaxes(_checked(B, "B"), -1, -2))
     along = turned @ (direction / np.linalg.norm(direction)) * angle
     return float(along) if along.ndim == 0 else along
 
 
 def _checked(given: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
-    matrices = np.asarray(given, dtype=np.float64)
+    matrices = read_finite(given, name)
     if matrices.shape[-2:] != (3, 3):
         raise ValueError(f"{name} has the shape {matrices.shape}; it must be (..., 3, 3)")
     return matrices

@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.invariant import Invariant
+from coadjoint.given import read_finite, read_whole
+from coadjoint.runs.solution import check_solution
+from coadjoint.systems.batch import Batch
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,10 @@ def random_walk(deviations: NDArray[np.float64], early: int) -> RandomWalk:
     >>> bool(5 < walk.growth < 20 and abs(walk.bias) < 3)
     True
     """
+    deviations = read_finite(deviations, "deviations")
+    if deviations.ndim < 2 or 0 in deviations.shape:
+        raise ValueError(f"deviations has the shape {deviations.shape}; it must be (k, members) or (k, members, ...)")
+    early = read_whole(early, "early", 0, len(deviations) - 1)
     last = deviations[-1]
     means = last.reshape(len(last), -1).mean(axis=1)
     spread = float(np.std(means)) / np.sqrt(len(means))
@@ -108,14 +115,18 @@ def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
     >>> round_off(sol)["|x|^2"].growth < 20
     True
     """
+    check_solution(solution)
     if solution.energy.ndim == 1:
         raise ValueError("round-off is judged over an ensemble, and the solution has one trajectory; give x0 members")
     found = {}
     for name, values in {"energy": solution.energy, **solution.casimirs}.items():
         size = np.max(np.abs(values), axis=0)
-        invariant = solution.system.hamiltonian if name == "energy" else solution.system.casimirs[name]
-        if not isinstance(invariant, Invariant):
-            size = np.array([np.linalg.norm(invariant.gradient(x)) * np.linalg.norm(x) for x in solution.x[0]])
+        of = solution.system
+        systems = list(of) if isinstance(of, Batch) else [of] * len(solution.x[0])
+        invariants = [own.hamiltonian if name == "energy" else own.casimirs[name] for own in systems]
+        if not any(isinstance(own, Invariant) for own in invariants):
+            pairs = zip(invariants, solution.x[0], strict=True)
+            size = np.array([np.linalg.norm(own.gradient(x)) * np.linalg.norm(x) for own, x in pairs])
         found[name] = random_walk((values - values[0]) / size, early)
     return found
 
@@ -143,6 +154,11 @@ def orthogonality(solution: Any, size: int | None = None) -> RandomWalk:
     >>> orthogonality(co.integrate(body, x0, (0, 100), 0.1, save_every=10, attitude=True)).worst < 1e-14
     True
     """
+    check_solution(solution)
+    if solution.attitude is None or solution.attitude.ndim != 4:
+        raise ValueError("the solution is not of an ensemble with an attitude; give x0 members, and attitude=True")
+    if size is not None:
+        size = read_whole(size, "size", 1, solution.attitude.shape[-1])
     g = solution.attitude[..., :size, :size]
     return random_walk(g @ np.swapaxes(g, -1, -2) - np.eye(g.shape[-1]), 1)
 
@@ -168,6 +184,11 @@ def spatial_momentum(solution: Any) -> RandomWalk:
     >>> spatial_momentum(co.integrate(body, x0, (0, 100), 0.1, save_every=10, attitude="coadjoint")).worst < 1e-14
     True
     """
+    check_solution(solution)
+    if solution.carried != "coadjoint" or solution.x.ndim != 3:
+        raise ValueError(
+            'the solution is not of an ensemble with the coadjoint matrix; give x0 members, and attitude="coadjoint"'
+        )
     spatial = np.einsum("kmij,kmj->kmi", solution.attitude, solution.x)
     size = np.linalg.norm(solution.attitude, axis=(2, 3), ord=2) * np.linalg.norm(solution.x, axis=2)
     return random_walk((spatial - spatial[0]) / size[..., None], 1)

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from coadjoint.wording import short
+
 # What a field is, by its type in `source/tables.hpp`: a number, or the elements of an array.
 SCALARS: dict[str, Any] = {"integer": ctypes.c_int64, "number": ctypes.c_double, "flag": ctypes.c_int64}
 ARRAYS: dict[str, Any] = {
@@ -68,7 +70,7 @@ def kernels() -> ctypes.CDLL:
     level = os.environ.get("COADJOINT_LEVEL", f"v{highest}")
     usable = [f"v{known}" for known in LEVELS if known <= highest]
     if level not in usable:
-        raise ImportError(f"COADJOINT_LEVEL is {level!r}, but this processor can use {', '.join(usable)}")
+        raise ImportError(f"COADJOINT_LEVEL is {short(level)}, but this processor can use {', '.join(usable)}")
     return _load(f"_kernels_{level}")
 
 

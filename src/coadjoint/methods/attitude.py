@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.representation import intertwiner, invariant_form
+from coadjoint.memory import check_room
 from coadjoint.methods.base import Method, System
 
 
@@ -66,4 +67,5 @@ def check_attitude(method: Method, system: System, representation: Any) -> None:
 
 def coadjoint_matrices(system: Any) -> NDArray[np.float64]:
     """Return the matrices D_(e_i), shape (n, n, n)."""
+    check_room(16 * system.dim**3, f"the coadjoint matrices of {system.name}, of dimension {system.dim},")
     return np.stack([system.algebra.coadjoint(unit) for unit in np.eye(system.dim)])

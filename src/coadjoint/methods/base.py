@@ -7,10 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, ClassVar, NamedTuple
 
-import numpy as np
-
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
+from coadjoint.wording import short
+
+LONGEST = 200  # characters of a parameter in a message
 
 System = LiePoissonSystem | PoissonSystem
 
@@ -52,7 +53,7 @@ class Method(ABC):
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name in ("order", "stages") or value != field.default:
-                shown.append(f"{field.name}={value if isinstance(value, Method) else repr(value)}")
+                shown.append(f"{field.name}={value if isinstance(value, Method) else short(value, LONGEST)}")
         return f"{type(self).__name__}({', '.join(shown)})"
 
     @property
@@ -144,11 +145,3 @@ def has_quadratic_energy(system: System) -> bool:
     from coadjoint.systems.terms import QuadraticTerm
 
     return all(isinstance(term, QuadraticTerm) for term in system.hamiltonian.terms())
-
-
-def no_nan(values: Sequence[float], what: str) -> tuple[float, ...]:
-    """Return the values as floats; refuse any that is not finite."""
-    numbers = tuple(float(value) for value in values)
-    if not np.all(np.isfinite(numbers)):
-        raise ValueError(f"{what} must be finite numbers, not {numbers}")
-    return numbers

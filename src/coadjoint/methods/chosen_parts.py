@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from coadjoint.given import read_list, read_number, read_whole
+from coadjoint.wording import short
+
 
 @dataclass(frozen=True)
 class ChosenParts:
@@ -33,19 +36,29 @@ class ChosenParts:
     shift: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
-        if sorted(self.order) != list(range(len(self.order))):
-            raise ValueError(f"the order of parts {self.order} is not a permutation of 0, 1, ...")
+        order = [
+            read_whole(k, "a part", 0) for k in read_list(self.order, "the order of parts", "give numbers of parts")
+        ]
+        if sorted(order) != list(range(len(order))):
+            raise ValueError(f"the order of parts {short(order)} is not a permutation of 0, 1, ...")
+        object.__setattr__(self, "order", tuple(order))
+        rule = "give pairs of the name of a Casimir and a factor"
+        pairs = [read_list(pair, "a shift", rule) for pair in read_list(self.shift, "the shift", rule)]
+        if any(len(pair) != 2 or not isinstance(pair[0], str) for pair in pairs):
+            raise TypeError(f"the shift is {short(self.shift)}; {rule}")
+        shift = tuple((name, read_number(factor, f"the factor of {short(name)}")) for name, factor in pairs)
+        object.__setattr__(self, "shift", shift)
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any]) -> ChosenParts:
         """Return the choice from its written form, ``{"order": [...], "shift": {...}}``."""
-        unknown = sorted(set(given) - {"order", "shift"})
+        unknown = set(given) - {"order", "shift"}
         if unknown or "order" not in given:
-            raise ValueError(f"parts has the keys {sorted(given)}; it must have 'order' and may have 'shift'")
-        return cls(
-            tuple(int(k) for k in given["order"]),
-            tuple((str(name), float(factor)) for name, factor in dict(given.get("shift", {})).items()),
-        )
+            raise ValueError(f"parts has the keys {short(list(given))}; it must have 'order' and may have 'shift'")
+        shift = given.get("shift", {})
+        if not isinstance(shift, Mapping):
+            raise TypeError(f"the shift is {short(shift)}; give a mapping from the name of a Casimir to a factor")
+        return cls(given["order"], tuple(shift.items()))
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the written form."""

@@ -6,10 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from coadjoint.methods.base import FlowMethod, Method, Properties, Sweep, System, no_nan
+from coadjoint.given import read_finite
+from coadjoint.methods.base import FlowMethod, Method, Properties, Sweep, System
+from coadjoint.wording import short
 
 HIGHEST_ORDER = 12
 LARGEST_SUM = 1000.0
+MOST_SUBSTEPS = 1000
 
 
 @dataclass(frozen=True)
@@ -49,12 +52,12 @@ class Composition(FlowMethod):
 
     def __post_init__(self) -> None:
         if not isinstance(self.base, Method):
-            raise TypeError(f"the base of a Composition is a scheme such as Splitting(order=2), not {self.base!r}")
-        object.__setattr__(self, "coefficients", no_nan(self.coefficients, "coefficients"))
+            raise TypeError(f"the base of a Composition is a scheme such as Splitting(order=2), not {short(self.base)}")
+        object.__setattr__(self, "coefficients", _fractions_given(self.coefficients, self.base))
         if not self.base.symmetric:
             processed = isinstance(self.base, FlowMethod) and len(self.base.processor()) > 0
             raise ValueError(
-                f"Composition needs a symmetric base, which {self.base!r} is not; "
+                f"Composition needs a symmetric base, which {self.base} is not; "
                 + (
                     "of a processed scheme P K P^-1 only the kernel K is; take a scheme without a processor"
                     if processed
@@ -144,7 +147,7 @@ class Composition(FlowMethod):
             If the base is not a splitting.
         """
         if not isinstance(self.base, FlowMethod):
-            raise TypeError(f"{self.base!r} is not made of flows")
+            raise TypeError(f"{short(self.base)} is not made of flows")
         inner = self.base.sweeps(number)
         result, passed = [], number(0)
         for coefficient in map(number, self.coefficients):
@@ -154,6 +157,17 @@ class Composition(FlowMethod):
             ]
             passed = passed + coefficient
         return result
+
+
+def _fractions_given(coefficients: Any, base: Method) -> tuple[float, ...]:
+    found = read_finite(coefficients, "coefficients")
+    if found.ndim != 1:
+        raise ValueError(f"coefficients has shape {found.shape}; give a sequence of numbers")
+    if found.size * len(base.fractions) > MOST_SUBSTEPS:
+        raise ValueError(
+            f"a step of the Composition has {found.size * len(base.fractions)} substeps; there may be {MOST_SUBSTEPS}"
+        )
+    return tuple(found.tolist())
 
 
 def composition_order(coefficients: Sequence[float], base_order: int) -> int:

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import unknown_name
+from coadjoint.given import read_choice
 from coadjoint.methods.base import Properties, System
 from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients, Step
 from coadjoint.program.numbers import Number, convert
+from coadjoint.systems.kinds import check_one_system
 
 HALF = Fraction(1, 2)
 TABLEAUX: dict[str, tuple[int, tuple[Any, ...], tuple[tuple[Any, ...], ...], tuple[Any, ...]]] = {
@@ -63,8 +64,7 @@ class ExplicitRungeKutta(RungeKuttaMethod):
     symmetric = False
 
     def __post_init__(self) -> None:
-        if self.name not in TABLEAUX:
-            raise unknown_name("explicit Runge-Kutta method", str(self.name), TABLEAUX)
+        read_choice(self.name, "explicit Runge-Kutta method", TABLEAUX)
 
     @property
     def solver(self) -> str:
@@ -93,6 +93,7 @@ class ExplicitRungeKutta(RungeKuttaMethod):
         -------
         Properties
         """
+        check_one_system(system)
         attitude = "none" if system.algebra is None else "integrated"
         return Properties(poisson=False, energy=False, casimirs="none", attitude=attitude)
 

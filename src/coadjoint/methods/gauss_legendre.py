@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.given import read_whole
 from coadjoint.methods.base import Properties, System, has_quadratic_energy
 from coadjoint.methods.gauss_coefficients import extrapolation, gauss_legendre
 from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod, settle
 from coadjoint.methods.stages import Coefficients, Step
 from coadjoint.program.numbers import Number
+from coadjoint.systems.kinds import check_one_system
 
 
 def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
@@ -31,19 +33,15 @@ def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
 MOST = 256
 
 
-def whole_number(value: Any, least: int, name: str, most: int = MOST) -> int:
-    """Return a whole number from `least` to `most`, or refuse it by name.
+def stages_given(value: Any, what: str) -> int:
+    """Return a number of stages or iterations, or refuse it by name.
 
     Examples
     --------
-    >>> whole_number(2, 1, "stages")
+    >>> stages_given(2, "stages")
     2
     """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"{name} must be a whole number from {least} up, not {value!r}")
-    if value > most:
-        raise ValueError(f"{name} must be at most {most}, not {value!r}; no step is worth more")
-    return int(value)
+    return read_whole(value, what, 1, MOST, why="no step is worth more")
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,7 @@ class GaussLegendre(RungeKuttaMethod):
     symmetric = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", whole_number(self.stages, 1, "stages of GaussLegendre"))
+        object.__setattr__(self, "stages", stages_given(self.stages, "stages of GaussLegendre"))
 
     @property
     def solver(self) -> str:
@@ -118,6 +116,7 @@ class GaussLegendre(RungeKuttaMethod):
         -------
         Properties
         """
+        check_one_system(system)
         attitude = "none" if system.algebra is None else "coadjoint"
         return Properties(poisson=False, energy=has_quadratic_energy(system), casimirs="quadratic", attitude=attitude)
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from coadjoint.methods.base import Properties, System
-from coadjoint.methods.gauss_legendre import gauss_tableau, whole_number
+from coadjoint.methods.gauss_legendre import gauss_tableau, stages_given
 from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod, iterate, iterate_tangents
 from coadjoint.methods.stages import Coefficients, Step
 from coadjoint.program.numbers import Number
+from coadjoint.systems.kinds import check_one_system
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,9 @@ class IteratedGaussLegendre(RungeKuttaMethod):
     symmetric = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", whole_number(self.stages, 1, "stages of IteratedGaussLegendre"))
+        object.__setattr__(self, "stages", stages_given(self.stages, "stages of IteratedGaussLegendre"))
         if self.iterations is not None:
-            count = whole_number(self.iterations, 1, "iterations of IteratedGaussLegendre")
+            count = stages_given(self.iterations, "iterations of IteratedGaussLegendre")
             object.__setattr__(self, "iterations", count)
 
     @property
@@ -85,6 +86,7 @@ class IteratedGaussLegendre(RungeKuttaMethod):
         -------
         Properties
         """
+        check_one_system(system)
         return Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 
     def coefficients(self, number: Number = float) -> Coefficients:

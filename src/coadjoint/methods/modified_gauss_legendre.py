@@ -7,12 +7,13 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from coadjoint.errors import unknown_name
+from coadjoint.given import read_choice
 from coadjoint.methods.base import Properties, System, has_quadratic_energy
-from coadjoint.methods.gauss_legendre import gauss_tableau, whole_number
+from coadjoint.methods.gauss_legendre import gauss_tableau, stages_given
 from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod, iterate, iterate_tangents
 from coadjoint.methods.stages import Coefficients, Step
 from coadjoint.program.numbers import Number
+from coadjoint.systems.kinds import check_one_system
 
 FREEZES = ("structure", "gradient")
 
@@ -73,12 +74,11 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
     symmetric = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", whole_number(self.stages, 1, "stages of ModifiedGaussLegendre"))
+        object.__setattr__(self, "stages", stages_given(self.stages, "stages of ModifiedGaussLegendre"))
         if self.iterations is not None:
-            count = whole_number(self.iterations, 1, "iterations of ModifiedGaussLegendre")
+            count = stages_given(self.iterations, "iterations of ModifiedGaussLegendre")
             object.__setattr__(self, "iterations", count)
-        if self.freeze not in FREEZES:
-            raise unknown_name("freeze", str(self.freeze), FREEZES)
+        read_choice(self.freeze, "freeze", FREEZES)
 
     @property
     def function_iterations(self) -> int:
@@ -113,6 +113,7 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
             The Hamiltonian is not quadratic (``freeze="structure"``), or there is no Lie algebra
             (``freeze="gradient"``).
         """
+        check_one_system(system)
         if self.freeze == "structure":
             if not has_quadratic_energy(system):
                 raise ValueError(

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Properties, System
 from coadjoint.methods.gauss_coefficients import radau
-from coadjoint.methods.gauss_legendre import whole_number
+from coadjoint.methods.gauss_legendre import stages_given
 from coadjoint.methods.runge_kutta import settle
 from coadjoint.methods.stages import Coefficients, Step, begin, linear_solve
 from coadjoint.methods.step_method import UNDEFINED, StepMethod
 from coadjoint.program.numbers import Number
+from coadjoint.systems.kinds import check_one_system
 
 NO_MULTIPLIER = (
     "x . grad H(x) vanishes or changes its sign, and there the multiplier of the energy constraint is undefined; "
@@ -62,7 +63,7 @@ class RadauEnergy(StepMethod):
     failures: ClassVar[Mapping[int, str]] = {UNDEFINED: NO_MULTIPLIER}
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", whole_number(self.stages, 1, "stages of RadauEnergy"))
+        object.__setattr__(self, "stages", stages_given(self.stages, "stages of RadauEnergy"))
 
     @property
     def order(self) -> int:
@@ -86,6 +87,7 @@ class RadauEnergy(StepMethod):
         ValueError
             The Hamiltonian depends on time.
         """
+        check_one_system(system)
         if system.hamiltonian.timed:
             raise ValueError(
                 f"RadauEnergy keeps the energy, but that of {system.name} depends on time; "

@@ -11,8 +11,10 @@ from functools import cache
 from typing import Any
 
 from coadjoint.errors import unknown_name
+from coadjoint.given import read_choice
 from coadjoint.methods.base import Method
 from coadjoint.methods.chosen_parts import ChosenParts
+from coadjoint.wording import short
 
 
 @cache
@@ -72,8 +74,7 @@ def get(name: str, /, **parameters: Any) -> Method:
     2
     """
     schemes = _schemes()
-    if name not in schemes:
-        raise unknown_name("method", str(name), schemes)
+    read_choice(name, "method", schemes)
     known = parameters_of(name)
     for parameter in parameters:
         if parameter not in known:
@@ -109,15 +110,20 @@ def from_description(description: Mapping[str, Any]) -> Method:
     ... )
     True
     """
+    if not isinstance(description, Mapping):
+        raise TypeError(
+            f"a scheme is described by a mapping, not by {short(description)}; give its name and parameters"
+        )
     beside = dict(description)
     name, inside = beside.pop("name", None), beside.pop("parameters", {})
     if not isinstance(name, str) or not isinstance(inside, Mapping):
         raise ValueError(
-            f"{dict(description)!r} is no scheme; give its name and parameters, such as name = 'Splitting', order = 2"
+            f"{short(dict(description))} is no scheme; "
+            "give its name and parameters, such as name = 'Splitting', order = 2"
         )
     twice = sorted(beside.keys() & inside.keys())
     if twice:
-        raise ValueError(f"the parameter {twice[0]!r} of {name} is given twice; give it once")
+        raise ValueError(f"the parameter {short(twice[0])} of {name} is given twice; give it once")
     return get(name, **{**beside, **inside})
 
 
@@ -192,7 +198,7 @@ def description_of(method: Method) -> dict[str, Any]:
     True
     """
     if not dataclasses.is_dataclass(method):
-        raise TypeError(f"{method!r} is not a dataclass, so its parameters cannot be written down")
+        raise TypeError(f"{short(method)} is not a dataclass, so its parameters cannot be written down")
     fields = [field.name for field in dataclasses.fields(method) if field.init]
     return {"name": type(method).__name__, "parameters": {key: _plain(getattr(method, key)) for key in fields}}
 

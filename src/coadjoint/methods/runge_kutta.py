@@ -139,7 +139,7 @@ class RungeKuttaMethod(Method):
         step = begin(self.coefficients, system, np.asarray(x, dtype=np.float64), t, h)
         slopes, derivatives = self.evaluate(step, tangent=True)
         if derivatives is None:
-            raise TypeError(f"{self!r} gives no derivatives")
+            raise TypeError(f"{self} gives no derivatives")
         out = step.coefficients.out
         return step.x + out @ slopes, np.eye(step.x.size) + np.einsum("j,jab->ab", out, derivatives)
 

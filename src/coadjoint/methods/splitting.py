@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -10,12 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.errors import unknown_name
+from coadjoint.given import read_choice, read_finite, read_flag, read_list, read_number, read_whole
 from coadjoint.methods.base import FlowMethod, Properties, Sweep, System
 from coadjoint.methods.chosen_parts import ChosenParts
 from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES, SplittingScheme
+from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
+from coadjoint.systems.separable import MOST_COORDINATES
+from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from coadjoint.program.describe import Description
@@ -97,26 +99,26 @@ class Splitting(FlowMethod):
     adjoint: bool = False
 
     def __post_init__(self) -> None:
-        for name, kinds in (("compensated", bool | None), ("adjoint", bool)):
-            if not isinstance(getattr(self, name), kinds):
-                raise TypeError(f"{name} is {getattr(self, name)!r}; it must be True or False")
-        if isinstance(self.order, bool):
-            raise TypeError(f"order is {self.order!r}; it must be a whole number")
+        for name in ("compensated", "adjoint"):
+            if name == "adjoint" or self.compensated is not None:
+                object.__setattr__(self, name, read_flag(getattr(self, name), name))
+        order = read_number(self.order, "order")
+        if order.is_integer():
+            object.__setattr__(self, "order", int(order))
         if self.scheme is not None:
-            if self.scheme not in SCHEMES:
-                raise unknown_name("splitting scheme", self.scheme, SCHEMES)
+            read_choice(self.scheme, "splitting scheme", SCHEMES)
             if self.order not in (2, SCHEMES[self.scheme].order):
-                raise ValueError(f"scheme {self.scheme!r} has order {SCHEMES[self.scheme].order}, not {self.order!r}")
+                raise ValueError(
+                    f"scheme {self.scheme!r} has order {SCHEMES[self.scheme].order}, not {short(self.order)}"
+                )
             object.__setattr__(self, "order", SCHEMES[self.scheme].order)
         elif self.order != 1 and self.order not in DEFAULT_SCHEMES:
-            raise ValueError(f"Splitting has the orders 1, 2, 4, 6, 8 and 10, not {self.order!r}")
+            raise ValueError(f"Splitting has the orders 1, 2, 4, 6, 8 and 10, not {short(self.order)}")
         if self.adjoint and self.order != 1:
             raise ValueError(f"adjoint=True is for order 1, a single sweep, not for order {self.order}")
-        if self.rotation not in ("exact", "rational"):
-            raise unknown_name("rotation", str(self.rotation), ["exact", "rational"])
+        read_choice(self.rotation, "rotation", ("exact", "rational"))
         if isinstance(self.parts, str):
-            if self.parts not in ("auto", "coordinates"):
-                raise unknown_name("choice of parts", self.parts, ["auto", "coordinates"])
+            read_choice(self.parts, "choice of parts", ("auto", "coordinates"))
         elif isinstance(self.parts, Mapping):
             object.__setattr__(self, "parts", ChosenParts.from_mapping(self.parts))
         elif not isinstance(self.parts, ChosenParts):
@@ -151,11 +153,10 @@ class Splitting(FlowMethod):
         """
         from coadjoint.program.decompose import best_decomposition
 
-        points = np.atleast_2d(np.array(x0, dtype=np.float64))
-        if points.ndim != 2 or points.shape[1] != system.dim or not np.all(np.isfinite(points)):
-            raise ValueError(
-                f"x0 has the shape {points.shape}; it must be finite, ({system.dim},) or (k, {system.dim})"
-            )
+        cls(order=order, **options).properties(system)
+        points = np.atleast_2d(read_finite(x0, "x0"))
+        if points.ndim != 2 or points.shape[1] != system.dim:
+            raise ValueError(f"x0 has the shape {points.shape}; it must be ({system.dim},) or (k, {system.dim})")
         return cls(order=order, parts=best_decomposition(system, points).choice, **options)
 
     def describe(self, system: LiePoissonSystem) -> Description:
@@ -182,6 +183,7 @@ class Splitting(FlowMethod):
         """
         from coadjoint.program.describe import describe
 
+        self.properties(system)
         return describe(system, self)
 
     @property
@@ -217,6 +219,7 @@ class Splitting(FlowMethod):
         ValueError
             For a system without a Lie algebra, whose split flows are not linear.
         """
+        check_one_system(system)
         if isinstance(system, PoissonSystem):
             raise ValueError(
                 f"Splitting needs a Lie algebra, which {system.name} does not have (its split flows are not linear); "
@@ -263,14 +266,12 @@ class Splitting(FlowMethod):
 
 
 def _sets_of_coordinates(parts: Any) -> tuple[tuple[int, ...], ...]:
-    try:
-        sets = tuple(tuple(operator.index(i) for i in group) for group in parts)
-    except TypeError:
-        raise TypeError(
-            f"parts is {parts!r}; it must be 'auto', 'coordinates', or sets of coordinates such as [[0, 1], [2]]"
-        ) from None
-    everything = [i for group in sets for i in group]
-    if len(set(everything)) < len(everything):
-        twice = next(i for i in everything if everything.count(i) > 1)
-        raise ValueError(f"parts name coordinate {twice} more than once")
+    rule = "it must be 'auto', 'coordinates', or sets of coordinates such as [[0, 1], [2]]"
+    groups = [read_list(group, "a set of parts", rule) for group in read_list(parts, "parts", rule)]
+    sets = tuple(tuple(read_whole(i, "a coordinate in parts", 0, MOST_COORDINATES) for i in group) for group in groups)
+    seen: set[int] = set()
+    for i in (i for group in sets for i in group):
+        if i in seen:
+            raise ValueError(f"parts name coordinate {i} more than once")
+        seen.add(i)
     return sets

@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.given import read_flag, read_whole
 from coadjoint.methods.base import Properties, System
-from coadjoint.methods.gauss_legendre import whole_number
 from coadjoint.methods.power_series import Dual, expand
 from coadjoint.methods.projection import project
 from coadjoint.methods.stages import linear_solve
 from coadjoint.methods.step_method import Operations, StepMethod
 from coadjoint.program.numbers import Number
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
+from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 
@@ -71,9 +72,8 @@ class Taylor(StepMethod):
     symmetric = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "order", whole_number(self.order, 1, "order of Taylor", MOST))
-        if not isinstance(self.projected, bool):
-            raise TypeError(f"projected is {self.projected!r}; it must be True or False")
+        object.__setattr__(self, "order", read_whole(self.order, "order of Taylor", 1, MOST))
+        object.__setattr__(self, "projected", read_flag(self.projected, "projected"))
 
     @property
     def explicit(self) -> bool:
@@ -97,6 +97,7 @@ class Taylor(StepMethod):
         ValueError
             The field is not a polynomial: J is a function, or the Hamiltonian has functions in it.
         """
+        check_one_system(system)
         if system.algebra is None:
             raise ValueError(
                 f"Taylor multiplies series, but the structure matrix of {system.name} is a function; take GaussLegendre"

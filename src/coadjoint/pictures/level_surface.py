@@ -10,6 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.given import read_finite, read_number, read_whole
+from coadjoint.memory import check_room
+from coadjoint.wording import short
+
+BYTES_PER_CELL = 2000  # corners and values of its six tetrahedra
 
 # A cube is six tetrahedra around its diagonal, one for each order of the axes: neighbouring cubes then fit.
 _CUBE = np.array(list(itertools.product((0, 1), repeat=3)))
@@ -53,9 +58,11 @@ def level_surface(
     >>> bool(np.all(np.abs(np.linalg.norm(sphere, axis=2) - 1) < 0.02))
     True
     """
-    edges = np.array(box, dtype=np.float64)
+    edges, level, period = read_finite(box, "box"), read_number(level, "level"), read_number(period, "period")
+    cells = read_whole(cells, "cells")
+    check_room(BYTES_PER_CELL * cells**3, f"a level surface with {short(cells)} cells along each edge")
     if edges.shape != (3, 2) or not np.all(edges[:, 1] > edges[:, 0]):
-        raise ValueError(f"box is {edges.tolist()}; it must be three pairs (smallest, largest)")
+        raise ValueError(f"box is {short(edges.tolist())}; it must be three pairs (smallest, largest)")
     axes = [np.linspace(low, high, cells + 1) for low, high in edges.tolist()]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     values = values_at(function, points) - level

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.pictures.orbit import draw_orbit
 from coadjoint.pictures.style import colour, key, plain_axes, symbol
+from coadjoint.runs.solution import check_solution
 from coadjoint.systems.batch import Batch
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ def draw_solution(solution: Solution) -> Figure:
     """
     from matplotlib.figure import Figure
 
+    check_solution(solution)
     drawn = _thinned(solution)
     spatial = drawn.x.shape[-1] == 3
     figure = Figure(figsize=(11.0, 5.6) if spatial else (7.2, 5.8), layout="constrained")

@@ -20,6 +20,7 @@ from coadjoint.program.quadratic_atoms import coupled_atoms, quadratic_atoms
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+from coadjoint.wording import short
 
 Choice = str | Sequence[Sequence[int]]
 
@@ -132,7 +133,7 @@ def _polynomial_atoms(system: LiePoissonSystem, polynomial: Polynomial, commutat
             monomial, coordinates = Polynomial({exponents: own[exponents]}), variables[exponents]
             clash = commutation.first_clash(coordinates)
             if clash is not None:
-                raise _not_split(system, f"its monomial {monomial!r}", clash)
+                raise _not_split(system, f"its monomial {short(monomial)}", clash)
             found.append(Parts.single(PolynomialShare(tuple(coordinates), monomial), coordinates))
     return Parts.concatenate(found)
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from coadjoint.given import read_flag, read_list, read_number
 from coadjoint.methods.base import Method, System
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.splitting import Splitting
@@ -19,6 +19,8 @@ from coadjoint.runs.roundoff import least_roundoff
 from coadjoint.runs.sampling import sample_of
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import span_of
+from coadjoint.systems.kinds import check_one_system
+from coadjoint.wording import short
 
 # The error is aimed this much below the accuracy, and rounding alone may leave no more than half of it.
 SAFETY = 3.0
@@ -149,7 +151,8 @@ def choose(
     >>> co.choose(body, (1.0, 0.2, 0.5), (0, 100), 1e-9, methods=poisson).method.properties(body).poisson
     True
     """
-    wanted = _checked(accuracy)
+    check_one_system(system)
+    wanted, processed = _checked(accuracy), read_flag(processed, "processed")
     t0, t1 = span_of(t_span)
     momenta = start_of(system, GaussLegendre(2), x0, False).momenta
     candidates = admitted(system, _schemes(methods, processed, system.dim), x0, attitude, strict=methods is not None)
@@ -172,22 +175,21 @@ def choose(
 
 
 def _checked(accuracy: Any) -> float:
-    if isinstance(accuracy, bool) or not isinstance(accuracy, numbers.Real):
-        raise TypeError(f"accuracy is {accuracy!r}; it must be a number between 0 and 1, such as 1e-6")
-    if not 0.0 < float(accuracy) < 1.0:
-        raise ValueError(f"accuracy is {float(accuracy):g}; it must lie between 0 and 1, such as 1e-6")
-    return float(accuracy)
+    wanted = read_number(accuracy, "accuracy")
+    if not 0.0 < wanted < 1.0:
+        raise ValueError(f"accuracy is {wanted:g}; it must lie between 0 and 1, such as 1e-6")
+    return wanted
 
 
 def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
     if methods is None:
         known = (*SCHEMES, *PROCESSED) if processed else SCHEMES
         return tuple(each for each in known if dim <= LARGEST_SERIES or not isinstance(each, Taylor))
-    given = (methods,) if isinstance(methods, Method) else tuple(methods)
+    rule = "it must be one or more schemes such as Splitting(order=4)"
+    given = (methods,) if isinstance(methods, Method) else read_list(methods, "methods", rule)
     wrong = [each for each in given if not isinstance(each, Method)]
     if wrong or not given:
-        shown = repr(wrong[0]) if wrong else "empty"
-        raise TypeError(f"methods contains {shown}; it must be one or more schemes such as Splitting(order=4)")
+        raise TypeError(f"methods contains {short(wrong[0]) if wrong else 'nothing'}; {rule}")
     return given
 
 

@@ -9,6 +9,8 @@ from coadjoint.methods.base import Method, System
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.kinds import check_system
+from coadjoint.wording import short
 
 
 def integrate(
@@ -94,13 +96,14 @@ def integrate(
     True
     """
     if method is not None and not isinstance(method, Method):
-        raise TypeError(f"method is {method!r}; it must be a scheme such as Splitting(order=2)")
+        raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
     if (step is None) == (accuracy is None):
         given = "neither" if step is None else "both"
         raise TypeError(
             f"integrate was given {given} of step and accuracy; give step=, or accuracy= to have the step chosen"
         )
     if accuracy is not None:
+        check_system(system)
         if isinstance(system, Batch):
             raise TypeError("accuracy chooses the step for one system, and this is a batch; choose for a member")
         from coadjoint.runs.accuracy import choose

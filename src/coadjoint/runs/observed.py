@@ -13,6 +13,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.methods.base import System
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.user_functions import takes_time
+from coadjoint.wording import short
 
 
 class Observed:
@@ -40,7 +41,9 @@ class Observed:
         for name, given in observe.items():
             value = _value_at(given, name, x0)
             if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
-                raise TypeError(f"observe[{name!r}] returns {value!r} at the start; it must return one real number")
+                raise TypeError(
+                    f"observe[{short(name)}] returns {short(value)} at the start; it must return one real number"
+                )
         self._names = list(observe)
         kinds = (Polynomial, Quadratic, Invariant)
         wrapped = {name: given if isinstance(given, kinds) else Invariant(given) for name, given in observe.items()}
@@ -72,10 +75,12 @@ def check_observe(observe: Any) -> dict[str, Any]:
         Something else.
     """
     if not isinstance(observe, Mapping) or not all(isinstance(name, str) for name in observe):
-        raise TypeError(f"observe is {observe!r}; it must map names to Polynomials or functions of x")
+        raise TypeError(f"observe is {short(observe)}; it must map names to Polynomials or functions of x")
     for name, given in observe.items():
         if not isinstance(given, Polynomial | Quadratic | Invariant) and not callable(given):
-            raise TypeError(f"observe[{name!r}] is {given!r}; it must be a Polynomial or a function, or a Quadratic")
+            raise TypeError(
+                f"observe[{short(name)}] is {short(given)}; it must be a Polynomial or a function, or a Quadratic"
+            )
     return dict(observe)
 
 

@@ -77,4 +77,4 @@ def loop_of(system: System, method: Method, h: float, representation: NDArray[An
 
         found = step_tables(system, innermost, representation, method.fractions)
         return Prepared(stepping.LOOP, found.tables, found.keep, memory=stepping.memory_of(found.tables))
-    raise TypeError(f"no loop is known for {innermost!r}")
+    raise TypeError(f"no loop is known for {innermost}")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.given import read_flag, read_whole
 from coadjoint.methods.base import Method, System
 from coadjoint.methods.splitting import Splitting
 from coadjoint.runs.batch_loops import BatchLoops
@@ -17,9 +18,11 @@ from coadjoint.runs.loops import Loops, SystemLoops
 from coadjoint.runs.observed import Observed, check_observe
 from coadjoint.runs.run import Run
 from coadjoint.runs.solution import Solution
-from coadjoint.runs.start import Start, check_system, momenta_of, representations_of, with_group
-from coadjoint.runs.times import Times, checked_step, is_positive_whole, span_of, times_between
+from coadjoint.runs.start import Start, momenta_of, representations_of, with_group
+from coadjoint.runs.times import Times, checked_step, span_of, times_between
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.kinds import check_system
+from coadjoint.wording import short
 
 
 class PreparedRun:
@@ -46,17 +49,15 @@ class PreparedRun:
     ) -> None:
         scheme = Splitting() if method is None else method
         if not isinstance(scheme, Method):
-            raise TypeError(f"method is {method!r}; it must be a scheme such as Splitting(order=2)")
-        if not isinstance(watch, bool | np.bool_):
-            raise TypeError(f"watch is {watch!r}; it must be True or False")
-        if threads is not None and not is_positive_whole(threads):
-            raise ValueError(f"threads is {threads!r}; it must be a positive whole number, or None for all cores")
+            raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
+        watching = read_flag(watch, "watch")
+        workers = None if threads is None else read_whole(threads, "threads (None is all cores)", floats=True)
         check_system(system)
         self.system, self.method, self.step = system, scheme, checked_step(step)
-        self._attitude, self._watching = attitude, bool(watch)
+        self._attitude, self._watching = attitude, watching
         self._representations = representations_of(system, scheme, attitude)
-        self._observe = check_observe(observe or {})
-        self._threads = int(threads) if threads is not None else os.cpu_count() or 1
+        self._observe = check_observe({} if observe is None else observe)
+        self._threads = workers or os.cpu_count() or 1
         self._made: dict[float, Loops] = {}
         self._observed: Observed | None = None
         self._making = threading.RLock()
@@ -93,6 +94,7 @@ class PreparedRun:
         IntegrationError
             As in `integrate`.
         """
+        progress = read_flag(progress, "progress")
         times = times_between(span_of(t_span), self.step, save_every)
         return self.follow(times, self.start(x0, attitude), progress)
 
@@ -102,7 +104,7 @@ class PreparedRun:
         if attitude is not None and (representation is None or isinstance(attitude, bool | str)):
             raise ValueError(
                 "attitude of a run is an initial group element, an array; which matrices are carried is said "
-                f"when it is prepared, with attitude=True or 'coadjoint' (here {self._attitude!r})"
+                f"when it is prepared, with attitude=True or 'coadjoint' (here {short(self._attitude)})"
             )
         momenta, single = momenta_of(self.system, x0)
         initial = self._attitude if attitude is None else attitude

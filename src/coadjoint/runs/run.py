@@ -18,6 +18,7 @@ from coadjoint.kernels.watching import NOT_CONVERGED, schedule_of
 from coadjoint.methods.base import Method, System
 from coadjoint.runs.loops import Loops
 from coadjoint.runs.observed import Observed
+from coadjoint.runs.room import check_room_of_run
 from coadjoint.runs.saved import Saved
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start
@@ -45,6 +46,7 @@ class Run:
         self.times, self.start, self.watching, self.workers = times, start, watching, workers
         members, square = len(start.momenta), start.groups.shape[1] ** 2
         self.plan = loops.plan(members, times.points, square, workers)
+        check_room_of_run(self.plan.layout, times, members)
         self.results, self.work = Block(self.plan.layout.results), Block(self.plan.layout.work)
         held = slice(None) if loops.order is None else loops.order
         self.work["momenta"][:] = start.momenta[held]
@@ -115,7 +117,7 @@ class Run:
         failed = report["status"].nonzero()[0]
         if not len(failed):
             raise self._energy_error(self._solution(kept, observed))
-        if len(self.start.momenta) == 1:
+        if self.start.single:
             kept = int(np.searchsorted(self.times.saved, report["step"][0]))
         raise self._error(int(failed[0]), len(failed), self._solution(kept, observed))
 
@@ -141,7 +143,7 @@ class Run:
         if status in self.method.failures:
             what = self.method.failures[status]
         elif status == NOT_CONVERGED:
-            what = f"the iteration of {self.method!r} did not converge (last correction {residual:.3g})"
+            what = f"the iteration of {self.method} did not converge (last correction {residual:.3g})"
         else:
             what = "a number overflowed"
         message = f"in step {step}, at t = {when:g}, {what}{who}; take a smaller step than {abs(self.times.h):g}"

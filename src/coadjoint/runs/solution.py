@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.base import Method, System
 from coadjoint.systems.batch import Batch
+from coadjoint.wording import short
 
 if TYPE_CHECKING:
     import xarray
@@ -182,6 +183,12 @@ class Solution:
         from coadjoint.pictures.solution import draw_solution
 
         return draw_solution(self)
+
+
+def check_solution(solution: Any) -> None:
+    """Refuse what is no solution of a run, before it fails somewhere else."""
+    if not isinstance(solution, Solution):
+        raise TypeError(f"solution is {short(solution)}; it must be a Solution, from co.integrate")
 
 
 PARTS = frozenset(part.name for part in fields(Solution))

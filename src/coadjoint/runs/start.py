@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_numbers
+from coadjoint.memory import check_room
 from coadjoint.methods.attitude import check_attitude
 from coadjoint.methods.base import Method, System
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.poisson import PoissonSystem
+from coadjoint.systems.kinds import check_system
+from coadjoint.wording import short
 
 FEW = 64
 Representation = NDArray[np.float64] | str | None
@@ -146,8 +147,10 @@ def with_group(
     if representation is None:
         return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single)
     size = system.dim if isinstance(representation, str) else representation.shape[1]
-    if isinstance(attitude, bool | str):
-        return Start(momenta, _units(len(momenta), size), representation, single)
+    check_room(8 * (len(momenta) + 2) * size**2, f"the group elements of {len(momenta)} members, {size} x {size},")
+    if isinstance(attitude, bool | np.bool_ | str):
+        units = _unit(size) if len(momenta) == 1 else np.broadcast_to(_unit(size), (len(momenta), size, size))
+        return Start(momenta, units, representation, single)
     initial = read_numbers(attitude, "attitude")
     if initial.shape not in ((size, size), (len(momenta), size, size)):
         raise ValueError(
@@ -155,16 +158,22 @@ def with_group(
         )
     if not np.all(np.isfinite(initial)):
         raise ValueError("attitude contains NaN or infinity; every entry must be finite")
-    if np.any(np.linalg.matrix_rank(initial) < size):
+    if np.any(_ranks(initial) < size):
         raise ValueError("attitude is a singular matrix; a group element has an inverse")
     groups = np.broadcast_to(initial, (len(momenta), size, size)).copy()
     return Start(momenta, groups, representation, single)
 
 
-@lru_cache(maxsize=8)
-def _units(members: int, size: int) -> NDArray[np.float64]:
-    """Return unit elements; nobody writes to the start of a run, so that many may share it."""
-    return np.broadcast_to(np.eye(size), (members, size, size)).copy()
+@lru_cache(maxsize=4)
+def _unit(size: int) -> NDArray[np.float64]:
+    """Return one unit element; nobody writes to the start of a run, so that many may share it."""
+    return np.eye(size)[None]
+
+
+def _ranks(matrices: NDArray[np.float64]) -> NDArray[np.int64]:
+    # A multiple has the same rank, and the squares of its entries do not overflow.
+    size = np.max(np.abs(matrices), axis=(-2, -1), keepdims=True)
+    return np.asarray(np.linalg.matrix_rank(matrices / np.where(size > 0.0, size, 1.0)), dtype=np.int64)
 
 
 def representations_of(system: System | Batch, method: Method, attitude: Any) -> tuple[Representation, ...]:
@@ -201,50 +210,15 @@ def representations_of(system: System | Batch, method: Method, attitude: Any) ->
     return found
 
 
-def check_system(system: Any) -> None:
-    """Refuse what is no system, before it fails somewhere else.
-
-    Parameters
-    ----------
-    system : object
-        What was given as one.
-
-    Raises
-    ------
-    TypeError
-        It is neither a `LiePoissonSystem` nor a `PoissonSystem`, nor a `Batch` of them.
-    """
-    if not isinstance(system, LiePoissonSystem | PoissonSystem | Batch):
-        raise TypeError(
-            f"system is {system!r}; it must be a LiePoissonSystem or a PoissonSystem, such as co.systems.rigid_body()"
-        )
-
-
-def check_one_system(system: Any) -> None:
-    """Refuse a batch where one system is needed, and what is no system.
-
-    Parameters
-    ----------
-    system : object
-        What was given.
-
-    Raises
-    ------
-    TypeError
-        It is neither a `LiePoissonSystem` nor a `PoissonSystem`.
-    """
-    check_system(system)
-    if isinstance(system, Batch):
-        raise TypeError(f"system is {system!r}; it must be one system, such as a member of the batch, batch[0]")
-
-
 def _representation(system: System, method: Method, attitude: Any) -> Representation:
-    if isinstance(attitude, bool) and not attitude:
+    if isinstance(attitude, bool | np.bool_) and not attitude:
         return None
     if system.algebra is None:
         raise ValueError(f"{system.name} has no Lie algebra, so it moves no group element; use attitude=False")
     if isinstance(attitude, str) and attitude != "coadjoint":
-        raise ValueError(f"attitude is {attitude!r}; it must be True, False, 'coadjoint' or an initial group element")
+        raise ValueError(
+            f"attitude is {short(attitude)}; it must be True, False, 'coadjoint' or an initial group element"
+        )
     if not isinstance(attitude, str) and system.representation is None:
         raise ValueError(
             f"{system.name} has no representation for an attitude; give representation=, or use attitude='coadjoint'"

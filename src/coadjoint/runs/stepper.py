@@ -8,13 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.given import read_number
+from coadjoint.memory import check_room
 from coadjoint.methods.base import FlowMethod, Method, System
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.step_method import StepMethod
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.start import check_one_system, momenta_of
+from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times
+from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.wording import short
 
 
 class Stepper:
@@ -32,10 +36,10 @@ class Stepper:
 
     def __init__(self, system: System, method: Method, h: float) -> None:
         if not isinstance(method, Method):
-            raise TypeError(f"method is {method!r}; it must be a scheme such as Splitting(order=2)")
-        self.h = float(h)
-        if not np.isfinite(self.h) or self.h == 0.0:
-            raise ValueError(f"h is {h!r}; it must be finite and not zero")
+            raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
+        self.h = read_number(h, "h")
+        if self.h == 0.0:
+            raise ValueError(f"h is {self.h!r}; it must not be zero")
         check_one_system(system)
         method.properties(system)
         self.system, self.method = system, method
@@ -51,7 +55,7 @@ class Stepper:
         if ready is None:
             ready = PreparedRun(self.system, self.method, abs(self.h), attitude=kind, watch=False, threads=1)
             self._prepared[kind] = ready
-        return ready.follow(Times(float(t), self.h, 1, 1), ready.start(x, initial))
+        return ready.follow(Times(read_number(t, "t"), self.h, 1, 1), ready.start(x, initial))
 
     def __call__(self, x: Any, t: float = 0.0) -> NDArray[np.float64]:
         """Return the state after one step.
@@ -119,7 +123,8 @@ class Stepper:
             raise ValueError(
                 f"x has the shape {np.shape(x)}; a tangent is taken at one state, of shape ({self.system.dim},)"
             )
-        x = momenta[0]
+        x, t = momenta[0], read_number(t, "t")
+        check_room(8 * 4 * x.size**2, f"a tangent of dimension {x.size}")
         innermost = self.method.innermost
         if isinstance(innermost, FlowMethod):
             return np.asarray(self._reading.steps(x, self.h, 1, t0=t, tangent=np.eye(len(x)))[1])

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import numbers
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-# Asked for first: whether something is any other real number takes longer to find out.
-PLAIN = (float, int)
+from coadjoint.given import read_number, read_numbers, read_whole
+from coadjoint.wording import short
 
 
 class Times(NamedTuple):
@@ -75,10 +74,11 @@ def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
 
 def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Times:
     """Return the times of a run between checked ends, with a checked step; see `times_of`."""
-    if not is_positive_whole(save_every):
-        raise ValueError(f"save_every is {save_every!r}; it must be a positive whole number of steps")
+    every = read_whole(save_every, "save_every", floats=True)
     first, last = ends
     span = last - first
+    if not math.isfinite(span):
+        raise ValueError(f"t_span is {list(ends)}; the time between its ends is too large for float64")
     quotient = abs(span) / size
     if not quotient < 2.0**53:
         raise ValueError(f"step {size!r} is too small for the time {abs(span)!r}: the steps could not be counted")
@@ -95,12 +95,12 @@ def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Ti
             f"step {size!r} is too small beside the times {list(ends)}: neighbouring ones would be the same number; "
             "shift t_span towards zero"
         )
-    return Times(first, math.copysign(size, span), steps, min(int(save_every), max(1, steps)))
+    return Times(first, math.copysign(size, span), steps, min(every, max(1, steps)))
 
 
 def checked_step(step: Any) -> float:
     """Return a step as a float, or refuse one that is not a positive number."""
-    size = _finite(step, "step")
+    size = read_number(step, "step")
     if size <= 0.0:
         raise ValueError(f"step is {size!r}; it must be positive (the direction comes from t_span)")
     return size
@@ -114,28 +114,8 @@ def span_of(t_span: Any) -> tuple[float, float]:
     >>> span_of([0, 2])
     (0.0, 2.0)
     """
-    # A tuple of numbers is what it looks like; the shape of anything else takes longer to say.
-    plain = type(t_span) is tuple and len(t_span) == 2 and all(isinstance(end, PLAIN) for end in t_span)
-    if not plain and np.shape(t_span) != (2,):
-        raise ValueError(f"t_span is {t_span!r}; it must be two numbers, the start and the end")
-    first, last = t_span
-    return _finite(first, "t_span"), _finite(last, "t_span")
-
-
-def is_positive_whole(value: Any) -> bool:
-    """Return whether a value is one of 1, 2, 3, ...; True is not a number here."""
-    if type(value) is int:
-        return value >= 1
-    if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        return False
-    number = float(value)
-    return number >= 1 and number.is_integer()
-
-
-def _finite(value: Any, what: str) -> float:
-    if not isinstance(value, PLAIN) and not isinstance(value, numbers.Real):
-        raise TypeError(f"{what} contains {value!r}; it must be a number")
-    number = float(value)
-    if not math.isfinite(number):
-        raise ValueError(f"{what} contains {number!r}; it must be finite")
-    return number
+    # A tuple is what it looks like; what is in anything else takes longer to say.
+    ends = t_span if type(t_span) is tuple else read_numbers(t_span, "t_span").tolist()
+    if not isinstance(ends, list | tuple) or len(ends) != 2 or any(isinstance(end, list) for end in ends):
+        raise ValueError(f"t_span is {short(t_span)}; it must be two numbers, the start and the end")
+    return read_number(ends[0], "the start of t_span"), read_number(ends[1], "the end of t_span")

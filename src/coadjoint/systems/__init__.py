@@ -6,6 +6,7 @@ import inspect
 from typing import Any
 
 from coadjoint.errors import unknown_name
+from coadjoint.given import read_choice
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.ready_made import ready_made_systems
@@ -55,8 +56,7 @@ def get(name: str, **parameters: Any) -> LiePoissonSystem | PoissonSystem:
     {'inertia': (1.0, 2.0, 4.0)}
     """
     systems = ready_made_systems()
-    if name not in systems:
-        raise unknown_name("system", name, systems)
+    read_choice(name, "system", systems)
     known = inspect.signature(systems[name]).parameters
     for parameter in parameters:
         if parameter not in known:

@@ -6,8 +6,10 @@ from collections.abc import Iterable, Iterator
 from itertools import zip_longest
 from typing import Any
 
+from coadjoint.given import read_list
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
+from coadjoint.wording import short
 
 Member = LiePoissonSystem | PoissonSystem
 
@@ -29,15 +31,16 @@ class Batch:
     """
 
     def __init__(self, systems: Iterable[Member]) -> None:
-        if isinstance(systems, Member | Batch) or not isinstance(systems, Iterable):
-            raise TypeError(f"batch was given {systems!r}; give a list of systems, one for each member")
-        self.systems = tuple(systems)
+        rule = "give a list of systems, one for each member"
+        if isinstance(systems, Member | Batch):
+            raise TypeError(f"what batch was given is {short(systems)}; {rule}")
+        self.systems = read_list(systems, "what batch was given", rule)
         if not self.systems:
             raise ValueError("the batch is empty; give at least one system")
         for m, system in enumerate(self.systems):
             if not isinstance(system, Member):
                 raise TypeError(
-                    f"member {m} of the batch is {system!r}; it must be a LiePoissonSystem or a PoissonSystem"
+                    f"member {m} of the batch is {short(system)}; it must be a LiePoissonSystem or a PoissonSystem"
                 )
             difference = _difference(self.systems[0], system)
             if difference:
@@ -80,7 +83,7 @@ def _difference(first: Any, other: Any) -> str:
             return bracket
     for mine, theirs in zip_longest(first.casimirs, other.casimirs):
         if mine != theirs and set(first.casimirs) != set(other.casimirs):
-            return f"has the Casimirs {list(other.casimirs)} and member 0 has {list(first.casimirs)}"
+            return f"has the Casimirs {short(list(other.casimirs))} and member 0 has {short(list(first.casimirs))}"
     return ""
 
 

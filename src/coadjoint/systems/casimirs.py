@@ -17,6 +17,7 @@ from coadjoint.systems.points import UNIT_ROUNDOFF, scatter
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import QuadraticTerm
 from coadjoint.systems.user_functions import sample_points
+from coadjoint.wording import short
 
 # A system looks for Casimirs by itself where that takes a fraction of a second: monomials times constants a coordinate.
 LARGEST_SEARCH = 5000
@@ -71,10 +72,11 @@ def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size
             casimir = Invariant(given)
         else:
             raise TypeError(
-                f"the Casimir {name!r} is {given!r}; give a Polynomial, a Quadratic, an Invariant or a function of x"
+                f"the Casimir {short(name)} is {short(given)}; "
+                "give a Polynomial, a Quadratic, an Invariant or a function of x"
             )
         if isinstance(casimir, Polynomial) and casimir.dim != n:
-            raise ValueError(f"the Casimir {name!r} has {casimir.dim} variables but the system has dimension {n}")
+            raise ValueError(f"the Casimir {short(name)} has {casimir.dim} variables but the system has dimension {n}")
         if casimir.gradient is not None:
             _check(str(name), casimir, n, product, size)
         result[str(name)] = casimir
@@ -135,7 +137,7 @@ def _check(name: str, casimir: Polynomial | Quadratic | Invariant, n: int, produ
         with np.errstate(all="ignore"):
             slope = np.asarray(gradient(x), dtype=np.float64)
         if slope.shape != (n,):
-            raise ValueError(f"the gradient of the Casimir {name!r} has shape {slope.shape}; it must have ({n},)")
+            raise ValueError(f"the gradient of the Casimir {short(name)} has shape {slope.shape}; it must have ({n},)")
         if not np.all(np.isfinite(slope)):
             continue
         if isinstance(casimir, Polynomial):
@@ -155,6 +157,6 @@ def _check(name: str, casimir: Polynomial | Quadratic | Invariant, n: int, produ
         if defect.max(initial=0.0) > tolerance:
             i = int(np.argmax(defect))
             raise ValueError(
-                f"{name!r} is not a Casimir: component {i} of J(x) grad C(x) is {defect[i]:.3g} at a sample point, "
-                "and it must vanish everywhere"
+                f"{short(name)} is not a Casimir: component {i} of J(x) grad C(x) is {defect[i]:.3g} at a sample "
+                "point, and it must vanish everywhere"
             )

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.given import read_finite
+
 Floats = npt.NDArray[np.float64]
 
 
@@ -226,16 +228,16 @@ def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False)
     >>> exact_solution(np.array([1.0, 0.5, 0.25]), -1, [0.0, 0.0, 2.0], 7.0)
     array([0., 0., 2.])
     """
-    start, times = np.array(x0, dtype=np.float64), np.array(t, dtype=np.float64)
-    if start.shape != (3,) or not np.all(np.isfinite(start)):
-        raise ValueError(f"x0 is {x0!r}; give three finite numbers")
-    if times.ndim > 1 or not np.all(np.isfinite(times)):
-        raise ValueError(f"t has shape {times.shape} or is not finite; give one finite time or several, (k,)")
+    start, times = read_finite(x0, "x0"), read_finite(t, "t")
+    if start.shape != (3,):
+        raise ValueError(f"x0 has shape {start.shape}; give three finite numbers")
+    if times.ndim > 1:
+        raise ValueError(f"t has shape {times.shape}; give one finite time or several, (k,)")
     first = np.eye(3)
     if not isinstance(attitude, bool | np.bool_):
-        first = np.array(attitude, dtype=np.float64)
-        if first.shape != (3, 3) or not np.all(np.isfinite(first)):
-            raise ValueError(f"attitude has shape {first.shape} or is not finite; give True or a finite (3, 3)")
+        first = read_finite(attitude, "attitude")
+        if first.shape != (3, 3):
+            raise ValueError(f"attitude has shape {first.shape}; give True or a finite (3, 3)")
     axes, m = np.eye(3), M
     if M.ndim == 2 and np.array_equal(M, np.diag(np.diag(M))):
         m = np.diag(M)

@@ -11,10 +11,14 @@ import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.representation import check_representation
+from coadjoint.memory import check_room
 from coadjoint.systems.casimirs import casimirs_of, checked_casimirs
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
-from coadjoint.systems.points import checked_sign, matching, point, scatter
+from coadjoint.systems.points import checked_name, checked_sign, matching, point, scatter
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
+from coadjoint.wording import short
+
+BYTES_PER_CONSTANT = 120  # both orders of every bracket, and what J(x) u needs
 
 
 @dataclass(frozen=True, init=False, repr=False, eq=False)
@@ -109,6 +113,7 @@ class LiePoissonSystem:
         keep(self, "hamiltonian", as_hamiltonian(hamiltonian, algebra.dim))
         self._check_pieces()
         i, j, k, c = algebra.triples
+        check_room(BYTES_PER_CONSTANT * c.size, f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},")
         # J(x) u: the row i gets c x_k u_j, and, by antisymmetry, the row j gets -c x_k u_i.
         keep(self, "_rows", np.concatenate([i, j]))
         keep(self, "_factors", np.concatenate([j, i]))
@@ -123,7 +128,11 @@ class LiePoissonSystem:
         else:
             checked = check_representation(representation, algebra.triples, algebra.dim, algebra.basis)
             keep(self, "representation", checked)
-        keep(self, "name", name if name is not None else f"Lie-Poisson system on {algebra.name or 'g*'}")
+        keep(self, "name", checked_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
+        if not isinstance(parameters, Mapping | None):
+            raise TypeError(f"parameters is {short(parameters)}; give a mapping from names to values, or None")
+        if exact is not None and not callable(exact):
+            raise TypeError(f"exact is {short(exact)}; give a function of (x0, t, attitude), or None")
         keep(self, "_parameters", None if parameters is None else dict(parameters))
         keep(self, "_exact", exact)
 

@@ -8,36 +8,36 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.joins import distinct
+from coadjoint.given import REAL, array_given, read_finite
+from coadjoint.memory import check_room
 from coadjoint.systems.points import UNIT_ROUNDOFF
+
+BYTES_PER_ENTRY = 200  # while its place is sorted, and compared with the one across the diagonal
+SPARSE = "give a sparse matrix, or a diagonal"
 
 
 def real_array(given: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
     """Return a copy as float64, or as it is where it holds fractions; refuse what is not a finite real number."""
-    array = np.array(given)
-    if array.dtype.kind not in "biufO":
-        raise TypeError(f"{name} has numbers of type {array.dtype}; give real numbers")
-    try:
-        floats = array.astype(np.float64)
-    except (TypeError, ValueError) as reason:
-        raise TypeError(f"{name} has an entry that is not a real number ({reason}); give real numbers") from None
-    _check_finite(floats, np.argwhere(~np.isfinite(floats)), name)
-    return array if array.dtype == object else floats
-
-
-def _check_finite(values: npt.NDArray[np.float64], bad: npt.NDArray[Any], name: str) -> None:
-    if len(bad):
-        where = ", ".join(str(int(i)) for i in bad[0])
-        place = f"{name}[{where}]" if where else name
-        raise ValueError(f"{place} is {values[tuple(bad[0])]}; give finite numbers")
+    array = array_given(given, name)
+    check_room(BYTES_PER_ENTRY * array.size, f"{name} of shape {array.shape}", SPARSE)
+    floats = read_finite(array, name)
+    if array.dtype != object:
+        return floats
+    exact = np.empty(array.shape, dtype=object)
+    # Numbers of NumPy in an array of objects would wrap.
+    for place, entry in np.ndenumerate(array):
+        exact[place] = entry.item() if isinstance(entry, np.generic) else entry
+    return exact
 
 
 def sparse_entries(M: Any) -> tuple[int, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]]:
     """Return n and the rows, columns and values of a SciPy sparse matrix, without importing SciPy."""
     if M.ndim != 2 or M.shape[0] != M.shape[1]:
         raise ValueError(f"M has shape {M.shape}; give a symmetric (n, n)")
+    check_room(BYTES_PER_ENTRY * M.nnz + 40 * M.shape[0], f"M of shape {M.shape}, with {M.nnz} entries,")
     csr = M.tocsr().copy()
     csr.sum_duplicates()
-    if csr.dtype.kind not in "biuf":
+    if csr.dtype.kind not in REAL:
         raise TypeError(f"M has numbers of type {csr.dtype}; give real numbers")
     n, entries = int(M.shape[0]), csr.data.astype(np.float64)
     rows = np.repeat(np.arange(n, dtype=np.int64), np.diff(csr.indptr))

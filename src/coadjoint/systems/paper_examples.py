@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
+from coadjoint.given import read_finite, read_number
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
@@ -13,9 +14,9 @@ from coadjoint.systems.rigid_body import so3_body
 
 
 def _three(masses: npt.ArrayLike) -> tuple[float, ...]:
-    values = np.array(masses, dtype=np.float64)
-    if values.shape != (3,) or not np.all(np.isfinite(values)):
-        raise ValueError(f"masses is {values.tolist()}; give three finite numbers, the diagonal of M")
+    values = read_finite(masses, "masses")
+    if values.shape != (3,):
+        raise ValueError(f"masses has shape {values.shape}; give three finite numbers, the diagonal of M")
     return tuple(values.tolist())
 
 
@@ -53,12 +54,12 @@ def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePo
     >>> paper_a37().vector_field([1.0, 1.0, 1.0])
     array([ 0.01,  0.03, -7.  ])
     """
-    values = _three(masses)
+    values, parameter = _three(masses), read_number(a, "a")
     return LiePoissonSystem(
-        catalogue.get("A3,7", a=float(a)),
+        catalogue.get("A3,7", a=parameter),
         Quadratic(values),
         name="paper_a37",
-        parameters={"a": float(a), "masses": values},
+        parameters={"a": parameter, "masses": values},
     )
 
 

@@ -12,20 +12,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.given import REAL, array_given, is_real, read_title
+from coadjoint.wording import short
+
 UNIT_ROUNDOFF = 2.0**-53
 
 
 def point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
     """Return `x` as a float64, complex128 or object array of shape (n,)."""
-    array = np.asarray(x)
+    array = array_given(x, "x", "iufc")
     if array.ndim != 1 or (n is not None and array.size != n):
         expected = "(n,)" if n is None else f"({n},)"
         raise ValueError(f"x has shape {array.shape}; a point of this system has shape {expected}")
-    if array.dtype.kind in "biuf":
-        return array.astype(np.float64)
-    if array.dtype.kind in "cO":
-        return array
-    raise TypeError(f"x has numbers of type {array.dtype}; give real numbers")
+    return array.astype(np.float64) if array.dtype.kind in REAL else array
 
 
 def matching(coefficients: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -54,8 +53,13 @@ def scatter(rows: npt.NDArray[np.int64], entries: npt.NDArray[Any], n: int) -> n
     return sums
 
 
+def checked_name(name: Any, otherwise: str) -> str:
+    """Return a name that was given, or another where there is none."""
+    return otherwise if name is None else read_title(name, "name of a system")
+
+
 def checked_sign(sign: int) -> int:
     """Return `sign` if it is +1 or -1."""
-    if isinstance(sign, bool) or sign not in (1, -1):
-        raise ValueError(f"sign is {sign!r}; give +1 (x' = J(x) grad H) or -1 (body systems)")
+    if not is_real(sign) or sign not in (1, -1):
+        raise ValueError(f"sign is {short(sign)}; give +1 (x' = J(x) grad H) or -1 (body systems)")
     return int(sign)

@@ -9,10 +9,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.given import read_numbers, read_whole
+from coadjoint.memory import check_room
 from coadjoint.systems.casimirs import checked_casimirs
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
-from coadjoint.systems.points import UNIT_ROUNDOFF, checked_sign, point
+from coadjoint.systems.points import UNIT_ROUNDOFF, checked_name, checked_sign, point
 from coadjoint.systems.user_functions import check_derivative, sample_points
+from coadjoint.wording import short
+
+BYTES_PER_PRODUCT = 40  # while J(x) is checked
 
 
 @dataclass(frozen=True, init=False, repr=False, eq=False)
@@ -94,14 +99,16 @@ class PoissonSystem:
                 raise TypeError(f"{what} is a {type(function).__name__}; give a function of x")
         n = dim if dim is not None else getattr(hamiltonian, "dim", None)
         if n is None:
-            raise TypeError(f"the dimension is unknown: {hamiltonian!r} fits any; give dim=")
+            raise TypeError(f"the dimension is unknown: {short(hamiltonian)} fits any; give dim=")
+        n = read_whole(n, "dim")
+        check_room(BYTES_PER_PRODUCT * n**2, f"a Poisson system of dimension {short(n)}, whose J(x) is dense,")
         keep = object.__setattr__
         keep(self, "sign", checked_sign(sign))
-        keep(self, "dim", int(n))
+        keep(self, "dim", n)
         keep(self, "hamiltonian", as_hamiltonian(hamiltonian, self.dim))
         keep(self, "structure_function", structure_matrix)
         keep(self, "derivative_function", derivative)
-        keep(self, "name", name if name is not None else f"Poisson system of dimension {n}")
+        keep(self, "name", checked_name(name, f"Poisson system of dimension {n}"))
         for x in sample_points(self.dim):
             self._check_skew(x)
         if derivative is not None:
@@ -114,7 +121,7 @@ class PoissonSystem:
 
     def _check_skew(self, x: npt.NDArray[np.float64]) -> None:
         with np.errstate(all="ignore"):
-            J = np.asarray(self.structure_function(x), dtype=np.float64)
+            J = read_numbers(self.structure_function(x), "what structure_matrix returns")
         if J.shape != (self.dim, self.dim):
             raise ValueError(f"structure_matrix returns shape {J.shape}; it must return ({self.dim}, {self.dim})")
         size = np.abs(J).max(initial=0.0)

@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.systems.matrix_entries import check_symmetric, real_array, sparse_entries
+from coadjoint.given import read_number
+from coadjoint.memory import check_room
+from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY, check_symmetric, real_array, sparse_entries
 from coadjoint.systems.points import matching, point, scatter
 from coadjoint.systems.terms import QuadraticTerm, Term
 
@@ -65,9 +67,8 @@ class Quadratic:
         self._linear: npt.NDArray[Any] | None = None if linear is None else real_array(linear, "linear")
         if self._linear is not None and self._linear.ndim != 1:
             raise ValueError(f"linear has shape {self._linear.shape}; give one coefficient for each coordinate, (n,)")
-        self._constant = constant if isinstance(constant, Fraction) else float(constant)
-        if not np.isfinite(float(constant)):
-            raise ValueError(f"constant is {constant}; give a finite number")
+        size = read_number(constant, "constant")
+        self._constant = constant if isinstance(constant, Fraction) else size
         self._scalar: Any = None
         self.dim: int | None = None
         if hasattr(M, "tocsr"):
@@ -177,6 +178,7 @@ class Quadratic:
             M is for another dimension.
         """
         if self._scalar is not None:
+            check_room(BYTES_PER_ENTRY * n, f"M of dimension {n}")
             kind = object if not isinstance(self._scalar, float) else np.float64
             return Quadratic(np.full(n, self._scalar, dtype=kind), constant=self._constant)
         if self.dim != n:
@@ -205,6 +207,7 @@ class Quadratic:
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return M as a dense array, shape (n, n)."""
         bound, y = self._at(x)
+        check_room(8 * y.size**2, f"M as a dense {y.size} x {y.size} array")
         entries = bound._numbers(bound._entries, y)
         dense = np.zeros((y.size, y.size), dtype=entries.dtype)
         dense[bound._rows, bound._indices] = entries

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.given import read_whole
 from coadjoint.systems.points import point
 from coadjoint.systems.terms import FunctionTerm, Term
 from coadjoint.systems.user_functions import all_take_time, check_derivative
+from coadjoint.wording import short
+
+MOST_COORDINATES = 2**32 - 1
 
 
 class Separable:
@@ -49,15 +52,10 @@ class Separable:
         self.dim: int | None = None
         self._terms: list[FunctionTerm] = []
         for key in functions:
-            try:
-                i = operator.index(key)
-            except TypeError:
-                raise TypeError(f"the coordinate {key!r} is no integer; give its 0-based number") from None
-            if i < 0:
-                raise ValueError(f"the coordinate {i} is negative; coordinates are numbered from 0")
+            i = read_whole(key, "a coordinate of Separable", 0, MOST_COORDINATES)
             given = functions[key]
             if not isinstance(given, tuple | list) or len(given) not in (2, 3):
-                raise TypeError(f"coordinate {i} has {given!r}; give (H_i, dH_i) or (H_i, dH_i, d2H_i)")
+                raise TypeError(f"coordinate {i} has {short(given)}; give (H_i, dH_i) or (H_i, dH_i, d2H_i)")
             value, slope = given[0], given[1]
             curvature = given[2] if len(given) == 3 else None
             timed = all_take_time({f"H_{i}": value, f"dH_{i}": slope, f"d2H_{i}": curvature})

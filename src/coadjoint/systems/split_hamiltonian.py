@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,9 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.given import read_list, read_whole
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.points import point
+from coadjoint.systems.separable import MOST_COORDINATES
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+from coadjoint.wording import short
 
 
 class SplitHamiltonian:
@@ -59,14 +61,17 @@ class SplitHamiltonian:
         self.dim: int | None = None
         coordinates: list[tuple[int, ...]] = []
         parts: list[HamiltonianLike] = []
-        for number, piece in enumerate(pieces):
+        rule = "give a list of (coordinates, Hamiltonian)"
+        for number, piece in enumerate(read_list(pieces, "what SplitHamiltonian was given", rule)):
+            if not isinstance(piece, tuple | list) or len(piece) != 2:
+                raise TypeError(f"piece {number} is {short(piece)}; give (coordinates, Hamiltonian)")
             try:
                 where, H = piece
-                chosen = tuple(operator.index(i) for i in where)
-            except (TypeError, ValueError):
-                raise TypeError(f"piece {number} is {piece!r}; give (coordinates, Hamiltonian)") from None
-            if not chosen or min(chosen) < 0 or len(set(chosen)) != len(chosen):
-                raise ValueError(f"piece {number} has coordinates {chosen}; give different numbers, from 0")
+                chosen = tuple(read_whole(i, f"a coordinate of piece {number}", 0, MOST_COORDINATES) for i in where)
+            except TypeError:
+                raise TypeError(f"piece {number} is {short(piece)}; give (coordinates, Hamiltonian)") from None
+            if not chosen or len(set(chosen)) != len(chosen):
+                raise ValueError(f"piece {number} has coordinates {short(chosen)}; give different numbers, from 0")
             try:
                 parts.append(as_hamiltonian(H, len(chosen)))
             except (TypeError, ValueError) as reason:
@@ -139,7 +144,7 @@ class SplitHamiltonian:
         return tuple(result)
 
     def __repr__(self) -> str:
-        shown = [f"({chosen}, {part!r})" for chosen, part in zip(self.coordinates, self.pieces, strict=True)]
+        shown = [f"({short(chosen)}, {part!r})" for chosen, part in zip(self.coordinates, self.pieces, strict=True)]
         return (
             f"SplitHamiltonian([{', '.join(shown)}])" if len(shown) <= 4 else f"SplitHamiltonian({len(shown)} pieces)"
         )

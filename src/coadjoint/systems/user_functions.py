@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.systems.points import UNIT_ROUNDOFF
+from coadjoint.wording import short
 
 SEED = 1993
 SAMPLE_TIME = 0.625
@@ -23,13 +24,16 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
     (``lambda x, m=m: ...`` is a function of x alone).
     """
     if not callable(function):
-        raise TypeError(f"{name} is {function!r}; give a function of (x) or (x, t)")
+        raise TypeError(f"{name} is {short(function)}; give a function of (x) or (x, t)")
     if isinstance(function, np.ufunc):
         count = function.nin
     elif isinstance(function, types.BuiltinFunctionType):
         count = 1  # of the math module: some have no signature, and none knows the time
     else:
-        signature = inspect.signature(getattr(function, "py_func", function))
+        try:
+            signature = inspect.signature(getattr(function, "py_func", function))
+        except (TypeError, ValueError):
+            raise TypeError(f"{name} does not say which arguments it takes; give a function of (x) or (x, t)") from None
         positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
         places = [p for p in signature.parameters.values() if p.kind in positional]
         required = [p for p in places if p.default is inspect.Parameter.empty]

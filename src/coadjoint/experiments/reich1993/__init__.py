@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coadjoint.experiments.statement import Statement, markdown, write_csv
+from coadjoint.wording import short
 
 
 @dataclass(frozen=True)
@@ -65,9 +66,9 @@ def reproduce(
         The folder cannot be written.
     """
     if phase_end < 50.0 or phase_end != int(phase_end):
-        raise ValueError(f"phase_end is {phase_end!r}; it must be a whole number from 50 up")
+        raise ValueError(f"phase_end is {short(phase_end)}; it must be a whole number from 50 up")
     if steps < 10_000 or steps % 10_000:
-        raise ValueError(f"steps is {steps!r}; it must be a positive multiple of 10,000")
+        raise ValueError(f"steps is {short(steps)}; it must be a positive multiple of 10,000")
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     began = time.perf_counter()

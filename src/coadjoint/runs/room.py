@@ -1,0 +1,48 @@
+"""Does what a run saves fit in memory?"""
+
+from __future__ import annotations
+
+from coadjoint.kernels.arrays import Layout
+from coadjoint.memory import SMALL, available, in_words
+from coadjoint.runs.times import Times
+from coadjoint.wording import short
+
+BYTES = 8
+PER_POINT = 24  # its time, its number, and what was asked to be observed
+
+
+def check_room_of_run(layout: Layout, times: Times, members: int) -> None:
+    """Refuse a run whose arrays do not fit in memory, and say how many of its points would.
+
+    Parameters
+    ----------
+    layout : Layout
+        Of its arrays, which are not made yet.
+    times : Times
+        Its steps, and how many of them are saved.
+    members : int
+        How many there are.
+
+    Raises
+    ------
+    ValueError
+        With the estimate, with what is free, and with a `save_every` that fits, where there is one.
+    """
+    need = BYTES * (layout.results.size + layout.work.size) + PER_POINT * times.points
+    if need <= SMALL:
+        return
+    free = available()
+    if need <= free:
+        return
+    saved = sum(
+        layout.results.slices[name].stop - layout.results.slices[name].start for name in ("x", "group", "values")
+    )
+    one = BYTES * (saved // times.points) + PER_POINT
+    points = (free - (need - one * times.points)) // one
+    # The start and the end are always saved.
+    every = -(-times.steps // (points - 1)) if points >= 2 else 0
+    right = f"give save_every={every} or more" if every else "run fewer members at a time"
+    raise ValueError(
+        f"{short(times.points)} saved points of {members} member{'s' if members > 1 else ''} need about "
+        f"{in_words(need)}; this machine has {in_words(free)} free; {right}"
+    )
