@@ -24,6 +24,7 @@ SECTIONS = {
     "work_against_precision": "Work against precision",
     "automatic_parts": "Automatic parts",
     "first_result": "The first result",
+    "attitude": "The attitude in short calls",
     "cost_curves": "Cost curves",
     "large_algebras": "Large algebras",
 }

@@ -63,6 +63,14 @@ def runs() -> Iterator[tuple[str, co.Solution]]:
     ]
     for scheme in ("Splitting 4", "GaussLegendre 3", "RadauEnergy 2", "Taylor 5"):
         yield f"{scheme} on a batch", co.integrate(co.batch(spirals), [0.7, -0.4, 0.5], SPAN, STEP, methods[scheme])
+    g = co.algebras
+    shifted = [g.so(4), g.so(5), g.so(6), g.su(3), g.su(4), g.sl(2), g.sl(3), g.e(3), g.get("A4,10")]
+    for algebra in shifted:
+        system = co.LiePoissonSystem(algebra, co.Quadratic(full_matrix(4, algebra.dim)))
+        x0 = np.linspace(-0.3, 0.4, algebra.dim)
+        kinds = ("coadjoint",) if system.representation is None else ("coadjoint", True)
+        for kind in kinds:
+            yield f"attitude {kind} of {algebra.name}", co.integrate(system, x0, (0.0, 4.0), 0.05, attitude=kind)
 
 
 def digests() -> dict[str, str]:

@@ -236,8 +236,8 @@ class Block {
             const Rotation<double> turn = rotation_by(frequency[p] * t);
             for (int64_t j = 0; j < m; ++j) {
                 const double u = right[j * count + 2 * p], w = right[j * count + 2 * p + 1];
-                turned[j * count + 2 * p] = turn.lowered * u - turn.sine * w;
-                turned[j * count + 2 * p + 1] = turn.lowered * w + turn.sine * u;
+                turned[j * count + 2 * p] = fma(turn.lowered, u, -(turn.sine * w));
+                turned[j * count + 2 * p + 1] = fma(turn.lowered, w, turn.sine * u);
             }
         }
         add_product(left.data(), turned.data(), increment.data(), m, count, m);
