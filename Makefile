@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 FIGURES ?= figures
 
-.PHONY: demo test bench check clean
+.PHONY: demo test mutants bench check clean
 
 demo: $(VENV)/installed
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -15,6 +15,10 @@ test: $(VENV)/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2
+
+# Plants the defects of tests/mutants one after the other, in a copy, and prints those that no test notices.
+mutants: $(VENV)/installed
+	$(BIN)/python tests/mutants/plant.py $(MUTANTS)
 
 bench: $(VENV)/peers
 	$(BIN)/python benchmarks/run_all.py
