@@ -127,6 +127,21 @@ def test_the_compiled_step_is_the_plain_one_at_any_time(scheme):
     assert np.max(np.abs(ends[0] - ends[1])) > 0.05 * STEP
 
 
+@pytest.mark.parametrize("algebra", ["so(4)", "A4,7"])
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_every_scheme_follows_the_motion_for_both_signs_and_directions(scheme, algebra):
+    """Against 16 digits of it: what the compiled step and the plain reading have in common is tried as well."""
+    method, h = SCHEMES[scheme], 2.0**-5
+    for sign, direction in DIRECTIONS:
+        system, x0 = system_for(scheme, algebra, sign)
+        span = (T0, T0 + direction)
+        exact = co.integrate(system, x0, span, h, co.GaussLegendre(8)).x[-1]
+        found = co.integrate(system, x0, span, h, method).x[-1]
+        # Of size one: a step of order p is off by about h^p, with derivatives that grow like 2^p at most.
+        bound = (2.0 * h) ** min(method.order, 6) + 2.0**6 * rounding(system, exact)
+        np.testing.assert_allclose(found, exact, rtol=0, atol=bound)
+
+
 def check_tangent(method, system, x0, h):
     """Central differences of the compiled step, e = 2^-17: off by e^2 psi'''/6, psi''' below 2^5 here, and by u/e."""
     step, e = co.stepper(system, method, h), 2.0**-17
@@ -216,6 +231,24 @@ def test_rotations_of_every_number_of_planes(n):
             found = run.x[-1], run.attitude[-1]
             for one, two in zip(found, (x, g), strict=True):
                 np.testing.assert_allclose(one.reshape(-1, *two.shape)[-1], two, rtol=0, atol=rounding(system, two))
+
+
+@pytest.mark.parametrize("count", [3, 8, 9, 17])
+@pytest.mark.parametrize("compensated", [False, True])
+def test_planes_with_frequencies_of_their_own(count, compensated):
+    """Copies of so(3), each with brackets of another size: angles of one part turn side by side, eight at a time."""
+    rng = np.random.default_rng(count)
+    sizes = rng.uniform(0.5, 1.5, count) * rng.choice([-1.0, 1.0], count)
+    rows = [(3 * k + i, 3 * k + (i + 1) % 3, 3 * k + (i + 2) % 3, w) for k, w in enumerate(sizes) for i in range(3)]
+    algebra = co.LieAlgebra(rows, dim=3 * count)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(rng.uniform(0.5, 1.5, 3 * count)), sign=-1, casimirs={})
+    x0 = rng.uniform(0.5, 1.0, 3 * count) * rng.choice([-1.0, 1.0], 3 * count)
+    parts = [[3 * k + i for k in range(count)] for i in range(3)]
+    method = co.Splitting(order=2, parts=parts, compensated=compensated)
+    expected = Reading(build_program(system, method)).steps(x0, STEP, 4)
+    for start in (x0, np.tile(x0, (5, 1))):
+        found = co.integrate(system, start, (0.0, 4 * STEP), STEP, method).x[-1].reshape(-1, 3 * count)
+        np.testing.assert_allclose(found[-1], expected, rtol=0, atol=rounding(system, expected))
 
 
 @pytest.mark.parametrize("compensated", [False, True])
