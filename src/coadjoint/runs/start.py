@@ -149,7 +149,7 @@ def with_group(
     size = system.dim if isinstance(representation, str) else representation.shape[1]
     check_room(8 * (len(momenta) + 2) * size**2, f"the group elements of {len(momenta)} members, {size} x {size},")
     if isinstance(attitude, bool | np.bool_ | str):
-        units = _unit(size) if len(momenta) == 1 else np.broadcast_to(_unit(size), (len(momenta), size, size))
+        units = _unit(size) if len(momenta) == 1 else np.tile(_unit(size), (len(momenta), 1, 1))
         return Start(momenta, units, representation, single)
     initial = read_numbers(attitude, "attitude")
     if initial.shape not in ((size, size), (len(momenta), size, size)):
