@@ -1,10 +1,13 @@
-"""The compiled kernels in a copy of the tree: built once, and again after one source has changed."""
+"""The compiled kernels in a copy of the tree: built as the package is, or by another compiler, or to be looked into."""
 
 from __future__ import annotations
 
 import ast
+import os
 import subprocess
 import sysconfig
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from coadjoint.kernels.library import processor_level
@@ -19,11 +22,24 @@ class Kernels:
     ----------
     tree : Path
         The root of the copy.
+    compiler : sequence of str
+        The command.
+    level : int, optional
+        Of `coadjoint.kernels.library.LEVELS`; that of this machine by default.
+    tuning : sequence of str, optional
+        In place of the options of the level.
     """
 
-    def __init__(self, tree: Path) -> None:
-        self.tree = tree
-        self.flags, self.library = flags_of(tree)
+    def __init__(
+        self,
+        tree: Path,
+        compiler: Sequence[str] = ("g++",),
+        level: int | None = None,
+        tuning: Sequence[str] | None = None,
+    ) -> None:
+        self.tree, self.compiler = tree, list(compiler)
+        self.flags, self.library = flags_of(tree, processor_level() if level is None else level, tuning)
+        self.linking = [option for option in tuning or () if option.startswith("-fsanitize")]
         self.objects = tree / "objects"
         self.sources = sorted(
             path
@@ -36,12 +52,18 @@ class Kernels:
         """Compile all sources, or those named, and link; return what the compiler said if it refused."""
         self.objects.mkdir(exist_ok=True)
         chosen = [path for path in self.sources if not only or path.name in only]
-        for path in chosen:
-            if said := _called(["g++", *self.flags, "-c", str(path), "-o", str(self._object(path))]):
-                return said
+
+        def compiled(path: Path) -> str:
+            return _called([*self.compiler, *self.flags, "-c", str(path), "-o", str(self._object(path))])
+
+        with ThreadPoolExecutor(os.cpu_count() if len(chosen) > 2 else 1) as pool:
+            for said in pool.map(compiled, sorted(chosen, key=lambda path: -path.stat().st_size)):
+                if said:
+                    return said
         # Of a template that several sources have made, the linker takes the first: that of a changed source.
         order = [*chosen, *(path for path in self.sources if path not in chosen)]
-        return _called(["g++", "-shared", "-pthread", *(str(self._object(path)) for path in order), "-o", self.library])
+        objects = [str(self._object(path)) for path in order]
+        return _called([*self.compiler, *self.linking, "-shared", "-pthread", *objects, "-o", self.library])
 
     def restore(self, only: tuple[str, ...], kept: dict[str, bytes]) -> None:
         """Put back the objects that a defect replaced."""
@@ -56,19 +78,19 @@ class Kernels:
         return self.objects / f"{path.stem}.o"
 
 
-def flags_of(tree: Path) -> tuple[list[str], str]:
-    """Return how the sources are compiled for this machine, and the library that they make, as the build says it."""
+def flags_of(tree: Path, level: int | None, tuning: Sequence[str] | None) -> tuple[list[str], str]:
+    """Return how the sources are compiled, and the library that they make, as the build of the package says it."""
     constants = {
         target.id: ast.literal_eval(node.value)
         for node in ast.parse((tree / "setup.py").read_text(encoding="utf-8")).body
         if isinstance(node, ast.Assign) and isinstance(target := node.targets[0], ast.Name)
         if target.id in ("FLAGS", "LEVELS")
     }
-    level = processor_level()
-    tuning = ["-O3"] if level is None else [*constants["LEVELS"][f"v{level}"], "-mtune=generic"]
+    own = ["-O3"] if level is None else [*constants["LEVELS"][f"v{level}"], "-mtune=generic"]
     name = "_kernels" if level is None else f"_kernels_v{level}"
     place = tree / "src/coadjoint/kernels" / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
-    return [*constants["FLAGS"], *tuning, "-fPIC", f"-I{tree / SOURCE}"], str(place)
+    options = [*constants["FLAGS"], *(own if tuning is None else tuning), "-fPIC", f"-I{tree / SOURCE}"]
+    return options, str(place)
 
 
 def _called(command: list[str]) -> str:

@@ -3,7 +3,12 @@
 
 #include "series_field.hpp"
 
-constexpr int UNROLLED = 24;  // orders up to which every sum has its own code: a loop would have to guess where it ends
+// Orders up to which every sum has its own code: a loop would have to guess where it ends. Builds that are for looking
+// into, and would take an hour, have fewer.
+#ifndef COADJOINT_UNROLLED
+#define COADJOINT_UNROLLED 24
+#endif
+constexpr int UNROLLED = COADJOINT_UNROLLED;
 
 template <int W>
 struct Series {
