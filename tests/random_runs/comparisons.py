@@ -57,6 +57,11 @@ def prepared_twice(case: Case) -> Left:
     ready = co.prepare(system, case.method, case.step, attitude=case.attitude, watch=case.watch, threads=1)
     with contextlib.suppress(co.IntegrationError):
         ready.run(0.7 * case.x0[::-1], case.t_span, 3)
+    return prepared_by(ready, case)
+
+
+def prepared_by(ready: co.PreparedRun, case: Case) -> Left:
+    """Run the case by a prepared run."""
     try:
         return left_by(ready.run(case.x0, case.t_span, case.save_every), None)
     except co.IntegrationError as error:

@@ -1,0 +1,62 @@
+"""Random ensembles on several threads at once: `python -m random_runs.on_threads FIRST COUNT`, for a thread sanitizer.
+
+Each is run by four threads of its own, and by three threads of Python that share one prepared run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+
+import coadjoint as co
+
+from .cases import case_of
+from .comparisons import differing, prepared_by, run
+
+
+def differences(seed: int) -> list[str]:
+    """Return the arrays that were not the same on all threads."""
+    case, _ = case_of(seed)
+    try:
+        alone = run(case)
+    except (ValueError, TypeError):
+        return []
+    found = differing(alone, run(case, threads=4))
+    ready = co.prepare(
+        co.batch(list(case.systems)) if case.batch else case.systems[0],
+        case.method,
+        case.step,
+        attitude=case.attitude,
+        watch=case.watch,
+        threads=2,
+    )
+
+    def follow() -> None:
+        found.extend(differing(alone, prepared_by(ready, case)))
+
+    workers = [threading.Thread(target=follow) for _ in range(3)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("first", type=int, help="the first seed")
+    parser.add_argument("count", type=int, help="how many seeds")
+    given = parser.parse_args()
+    wrong = 0
+    for seed in range(given.first, given.first + given.count):
+        names = differences(seed)
+        wrong += bool(names)
+        if names:
+            print(f"seed {seed}: {', '.join(sorted(set(names)))} differ\n    {case_of(seed)[0]}", flush=True)
+    print(f"{given.count} seeds on threads, {wrong} wrong", flush=True)
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

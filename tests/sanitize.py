@@ -1,0 +1,77 @@
+"""Runs tests and random runs on kernels that are built to find their own faults: `python sanitize.py KIND`.
+
+address: reads and writes outside of arrays, and what C++ leaves undefined, over the tests of kernels, methods and runs,
+and 300 random runs. threads: two threads at one place, over random ensembles. Building takes some minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from mutants.building import Kernels
+
+ROOT = Path(__file__).parents[1]
+LEVEL = 3  # of the wide instructions those that every processor of today has
+QUICK = ["-O1", "-march=x86-64-v3", "-mtune=generic", "-g1", "-DCOADJOINT_UNROLLED=2"]
+OPTIONS = {
+    "address": ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"],
+    "threads": ["-fsanitize=thread"],
+}
+# The interpreter is no part of what is looked into: what it leaves to the end of the process is no leak of the kernels.
+SETTINGS = {
+    "ASAN_OPTIONS": "detect_leaks=0:halt_on_error=1:allocator_may_return_null=1",
+    "UBSAN_OPTIONS": "halt_on_error=1:print_stacktrace=1",
+    "TSAN_OPTIONS": "halt_on_error=1:exitcode=66",
+    "COADJOINT_LEVEL": f"v{LEVEL}",
+    "PYTHONMALLOC": "malloc",
+}
+PRELOADED = {"address": ("libasan.so", "libubsan.so", "libstdc++.so.6"), "threads": ("libtsan.so", "libstdc++.so.6")}
+PYTEST = ["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
+# Processes of their own are started by tests of interrupts and of the command; memory is refused there as it is here.
+COMMANDS = {
+    "address": [
+        [*PYTEST, "-n", "2", "tests/kernels", "tests/methods", "tests/runs"],
+        ["-m", "random_runs.soak", "1000000", "300"],
+    ],
+    "threads": [["-m", "random_runs.on_threads", "2000000", "200"]],
+}
+
+
+def library_of_compiler(name: str) -> str:
+    """Return where the compiler keeps a library."""
+    found = subprocess.run(["g++", f"-print-file-name={name}"], capture_output=True, text=True, check=True)
+    return found.stdout.strip()
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("kind", choices=OPTIONS)
+    kind = parser.parse_args().kind
+    with tempfile.TemporaryDirectory(prefix="sanitize-") as folder:
+        tree = Path(folder)
+        for name in ("src", "tests", "docs", "examples"):
+            shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+        for name in ("setup.py", "pyproject.toml", "README.md"):
+            shutil.copy(ROOT / name, tree)
+        if said := Kernels(tree, level=LEVEL, tuning=[*OPTIONS[kind], *QUICK]).build():
+            print(said)
+            return 1
+        print(f"built for {kind}", flush=True)
+        preloaded = " ".join(library_of_compiler(name) for name in PRELOADED[kind])
+        environment = os.environ | SETTINGS | {"PYTHONPATH": str(tree / "src"), "LD_PRELOAD": preloaded}
+        for command in COMMANDS[kind]:
+            where = tree / "tests" if command[1] != "pytest" else tree
+            done = subprocess.run([sys.executable, *command], cwd=where, env=environment, check=False)
+            if done.returncode:
+                return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
