@@ -17,6 +17,7 @@ from coadjoint.wording import short
 Floats = NDArray[np.float64]
 
 REAL = "iuf"
+SMALL = 2**16  # numbers for which there is always room
 LONGEST_TITLE = 200
 DEEPEST = 64  # lists in lists, as many as an array has dimensions at most
 
@@ -88,9 +89,12 @@ def read_numbers(values: Any, what: str) -> Floats:
     array([[1., 2.]])
     """
     array = array_given(values, what)
-    check_room(8 * array.size, f"a copy of {what}, of shape {array.shape},")
+    if array.size > SMALL:
+        check_room(8 * array.size, f"a copy of {what}, of shape {array.shape},")
     try:
-        with np.errstate(over="ignore"):
+        if array.dtype.itemsize <= 8 and array.dtype.kind != "O":
+            return np.array(array, dtype=np.float64)
+        with np.errstate(over="ignore"):  # infinity, which whoever asks for finite numbers refuses
             return np.array(array, dtype=np.float64)
     except OverflowError:
         raise ValueError(f"{what} holds a number that is too large for float64") from None
@@ -155,10 +159,11 @@ def read_number(value: Any, what: str) -> float:
     2.0
     """
     if type(value) is not float:
-        if isinstance(value, np.ndarray) and value.ndim == 0 and not isinstance(value, np.ma.MaskedArray):
-            value = value[()]
-        if not is_real(value):
-            raise TypeError(f"{what} is {short(value)}; it must be a number")
+        if type(value) is not int:
+            if isinstance(value, np.ndarray) and value.ndim == 0 and not isinstance(value, np.ma.MaskedArray):
+                value = value[()]
+            if not is_real(value):
+                raise TypeError(f"{what} is {short(value)}; it must be a number")
         try:
             value = float(value)
         except (OverflowError, ValueError):

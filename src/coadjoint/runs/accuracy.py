@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from coadjoint.given import read_flag, read_list, read_number
 from coadjoint.methods.base import Method, System
 from coadjoint.methods.gauss_legendre import GaussLegendre
@@ -153,7 +155,15 @@ def choose(
     """
     check_one_system(system)
     wanted, processed = _checked(accuracy), read_flag(processed, "processed")
-    t0, t1 = span_of(t_span)
+    # Near a blow-up numbers overflow; what comes of it is looked at, and said.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return _chosen(system, x0, span_of(t_span), wanted, attitude, methods, processed)
+
+
+def _chosen(
+    system: System, x0: Any, span: tuple[float, float], wanted: float, attitude: Any, methods: Any, processed: bool
+) -> Choice:
+    t0, t1 = span
     momenta = start_of(system, GaussLegendre(2), x0, False).momenta
     candidates = admitted(system, _schemes(methods, processed, system.dim), x0, attitude, strict=methods is not None)
     if t0 == t1:

@@ -147,7 +147,8 @@ def with_group(
     if representation is None:
         return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single)
     size = system.dim if isinstance(representation, str) else representation.shape[1]
-    check_room(8 * (len(momenta) + 2) * size**2, f"the group elements of {len(momenta)} members, {size} x {size},")
+    if len(momenta) * size**2 > FEW:
+        check_room(8 * (len(momenta) + 2) * size**2, f"the group elements of {len(momenta)} members, {size} x {size},")
     if isinstance(attitude, bool | np.bool_ | str):
         units = _unit(size) if len(momenta) == 1 else np.tile(_unit(size), (len(momenta), 1, 1))
         return Start(momenta, units, representation, single)

@@ -20,7 +20,7 @@ UNIT_ROUNDOFF = 2.0**-53
 
 def point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
     """Return `x` as a float64, complex128 or object array of shape (n,)."""
-    array = array_given(x, "x", "iufc")
+    array = x if type(x) is np.ndarray and x.dtype == np.float64 else array_given(x, "x", "iufc")
     if array.ndim != 1 or (n is not None and array.size != n):
         expected = "(n,)" if n is None else f"({n},)"
         raise ValueError(f"x has shape {array.shape}; a point of this system has shape {expected}")
