@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sized
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 REAL = "iuf"
 SMALL = 2**16  # numbers for which there is always room
 LONGEST_TITLE = 200
+BYTES_PER_ENTRY = 64
 DEEPEST = 64  # lists in lists, as many as an array has dimensions at most
 
 
@@ -36,6 +37,17 @@ def is_real(value: Any) -> bool:
     return isinstance(value, numbers.Number) and not isinstance(value, numbers.Complex)
 
 
+def is_of_a_ring(value: Any) -> bool:
+    """Say whether a value can be added to numbers and multiplied by them, as numbers of any kind can.
+
+    Examples
+    --------
+    >>> is_of_a_ring(1j), is_of_a_ring("2.5"), is_of_a_ring(None)
+    (True, False, False)
+    """
+    return hasattr(type(value), "__radd__") and hasattr(type(value), "__rmul__")
+
+
 def array_given(values: Any, what: str, kinds: str = REAL) -> NDArray[Any]:
     """Return an array of what was given, or say by name what is wrong with it; not copied where it is an array.
 
@@ -46,7 +58,8 @@ def array_given(values: Any, what: str, kinds: str = REAL) -> NDArray[Any]:
     what : str
         What it is called in a message.
     kinds : str, optional
-        NumPy's kinds of numbers that are accepted beside objects; with ``"c"`` in them objects are not looked at.
+        NumPy's kinds of numbers that are accepted beside objects; with ``"c"`` in them whatever can be added and
+        multiplied counts as a number.
 
     Returns
     -------
@@ -75,7 +88,7 @@ def array_given(values: Any, what: str, kinds: str = REAL) -> NDArray[Any]:
     kind = array.dtype.kind
     if kind in kinds:
         return array
-    if kind != "O" or ("c" not in kinds and not all(map(is_real, array.flat))):
+    if kind != "O" or not all(map(is_of_a_ring if "c" in kinds else is_real, array.flat)):
         raise no_numbers(values, what)
     return array
 
@@ -270,6 +283,8 @@ def read_list(values: Any, what: str, rule: str) -> tuple[Any, ...]:
     """
     try:
         if not isinstance(values, str | bytes | Mapping):
+            size = values.size if isinstance(values, np.ndarray) else len(values) if isinstance(values, Sized) else 0
+            check_room(BYTES_PER_ENTRY * size, f"{what}, of {size} entries,")
             return tuple(values)
     except TypeError:
         pass

@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
+import decimal
+import time
+
 import mpmath
 import numpy as np
 import pytest
 
-from coadjoint.methods.gauss_coefficients import extrapolation, gauss_legendre, radau
+from coadjoint.methods.gauss_coefficients import (
+    DIGITS,
+    FEW,
+    _collocation,
+    _gauss_roots,
+    _in_whole_numbers,
+    _radau_roots,
+    _rounded,
+    extrapolation,
+    gauss_legendre,
+    radau,
+)
+from coadjoint.methods.gauss_legendre import MOST
 
 U = 2.0**-53
 COUNTS = (1, 2, 3, 4, 5, 8, 13, 20, 32)
@@ -75,3 +90,20 @@ def test_the_polynomial_of_a_step_is_continued_to_the_nodes_of_the_next(stages, 
     bound = 2.0**6 * 2.0**-53 * 6.0 ** (stages + 1) * np.sum(np.abs(draw))
     np.testing.assert_allclose(found, x(ahead), rtol=0, atol=bound)
     assert np.max(np.abs(found - x(1.0))) > 2.0**-10
+
+
+@pytest.mark.parametrize("stages", [FEW + 1, 33, 64])
+@pytest.mark.parametrize("roots_of", [_gauss_roots, _radau_roots])
+def test_sums_in_integers_have_the_bits_of_sums_in_decimals(roots_of, stages):
+    with decimal.localcontext(decimal.Context(prec=DIGITS)):
+        roots = roots_of(stages, decimal.Decimal)
+        slow, quick = _rounded(_collocation(roots)), _rounded(_in_whole_numbers(roots))
+    assert all(np.array_equal(a, b) for a, b in zip(slow, quick, strict=True))
+
+
+@pytest.mark.parametrize("family", [gauss_legendre, radau])
+def test_the_most_stages_are_made_in_seconds(family):
+    start = time.perf_counter()
+    c, b, mu = family(MOST)
+    assert time.perf_counter() - start < 60  # a guard: sums in decimals take a quarter of a minute on a good machine
+    assert abs(b.sum() - 1.0) <= MOST * U and np.max(np.abs((mu * b).sum(axis=1) - c)) <= MOST * U

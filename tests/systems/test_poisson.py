@@ -71,7 +71,7 @@ def test_field_and_jacobian_of_random_brackets(seed, sign):
     ("arguments", "keywords", "error", "message"),
     [
         ((lotka_volterra, Quadratic(1.0)), {}, TypeError, "give dim="),
-        ((A, Quadratic(1.0)), {"dim": 3}, TypeError, "structure_matrix is a ndarray"),
+        ((A, Quadratic(1.0)), {"dim": 3}, TypeError, "structure_matrix is array"),
         ((lambda x: np.outer(x, x), Quadratic([1.0, 2.0, 3.0])), {}, ValueError, "not skew"),
         ((lambda x: A[:2], Quadratic([1.0, 2.0, 3.0])), {}, ValueError, r"returns shape \(2, 3\)"),
         ((lotka_volterra, Quadratic([1.0, 2.0])), {"dim": 3}, ValueError, "dimension 3"),
@@ -82,7 +82,7 @@ def test_field_and_jacobian_of_random_brackets(seed, sign):
             ValueError,
             "derivative contradicts structure_matrix",
         ),
-        ((lotka_volterra, Quadratic(1.0)), {"dim": 3, "derivative": A}, TypeError, "derivative is a ndarray"),
+        ((lotka_volterra, Quadratic(1.0)), {"dim": 3, "derivative": A}, TypeError, "derivative is array"),
         (
             (lotka_volterra, Quadratic(1.0)),
             {"dim": 3, "casimirs": {"C": Polynomial({(1, 0, 0): 1.0})}},

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from coadjoint.algebra.joins import Floats, Integers
-from coadjoint.given import read_numbers, read_title, read_whole
+from coadjoint.given import read_list, read_numbers, read_title, read_whole
 from coadjoint.memory import check_room
 from coadjoint.wording import short
 
@@ -204,9 +204,7 @@ def read_basis(basis: Sequence[str] | None, dim: int) -> tuple[str, ...]:
     """
     if basis is None:
         return tuple(f"e{i}" for i in range(1, dim + 1))
-    if not isinstance(basis, Iterable):
-        raise TypeError(f"basis must be a sequence of names, not {short(basis)}")
-    names = (basis,) if isinstance(basis, str) else tuple(basis)
+    names = (basis,) if isinstance(basis, str) else read_list(basis, "basis", "it must be a sequence of names")
     if len(names) != dim:
         raise ValueError(f"basis must have {dim} names, one for each dimension, not {len(names)}")
     for position, label in enumerate(names):

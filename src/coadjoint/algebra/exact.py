@@ -36,7 +36,7 @@ def rounded(value: int | float | Fraction) -> float:
     try:
         return float(value)
     except OverflowError:
-        raise ValueError("a constant of the new algebra is too large for float64; take a smaller basis") from None
+        raise ValueError("a constant of the new algebra is too large for float64; take smaller numbers") from None
 
 
 def exact_numbers(values: Iterable[int | float | Fraction]) -> NDArray[Any]:

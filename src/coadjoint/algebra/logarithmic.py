@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact import exact_number
+from coadjoint.algebra.exact import exact_number, rounded
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.polynomial import Polynomial
 
@@ -134,7 +134,7 @@ class LogarithmicSum:
             multiples.append(simple)
         common = math.lcm(*(multiple.denominator for multiple in multiples))
         shared = math.gcd(*(int(multiple * common) for multiple in multiples))
-        return 2.0 * math.pi * float(weights[0]) * shared / common
+        return 2.0 * math.pi * rounded(weights[0]) * shared / common
 
     def gradient(self, x: NDArray[Any]) -> NDArray[Any]:
         """Return the gradient in the numbers of x, shape (n,): exact where x holds Fractions.
@@ -172,7 +172,7 @@ class LogarithmicSum:
         for kind, weight, first, second in self.terms:
             if kind != LOGARITHM:
                 forms.append((HOLD, 0.0, first))
-            forms.append((kind, float(weight), second))
+            forms.append((kind, rounded(weight), second))
         value, gradient = _functions(forms, self.dim)
         return LogarithmicInvariant(value, gradient, self.period, self)
 

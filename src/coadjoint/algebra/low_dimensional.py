@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 
 from coadjoint.algebra.elimination import Span
-from coadjoint.algebra.exact import exact_number
+from coadjoint.algebra.exact import exact_number, rounded
 from coadjoint.algebra.expressions import Number, read_formula, satisfied
 from coadjoint.algebra.joins import Floats
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.logarithmic import LOGARITHM, LogarithmicSum
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.given import read_number
+from coadjoint.given import read_choice, read_number
 from coadjoint.wording import short
 
 Constants = dict[tuple[int, int], Polynomial]
@@ -86,8 +86,8 @@ def read_parameters(name: str, given: Mapping[str, Any]) -> dict[str, Number]:
 
 
 def _shown(value: Number) -> str:
-    text = f"{float(value):g}"
-    return text if Fraction(text) == value or float(text) == float(value) else repr(float(value))
+    text = f"{rounded(value):g}"
+    return text if Fraction(text) == value or float(text) == rounded(value) else repr(rounded(value))
 
 
 def exact_constants(name: str, parameters: Mapping[str, Number]) -> Constants:
@@ -156,7 +156,7 @@ def _representation(brackets: Constants, dim: int) -> Floats | None:
             k = exponents.index(1)
             adjoint[i][k * dim + j], adjoint[j][k * dim + i] = exact_number(value), exact_number(-value)
             if j == last:
-                rho[last, k, i] = -float(value)
+                rho[last, k, i] = -rounded(value)
     if all(j == last for _, j in brackets) and not np.any(rho[last, last]):
         return rho
     rho[:] = 0.0
@@ -166,7 +166,7 @@ def _representation(brackets: Constants, dim: int) -> Floats | None:
         return None  # there is a centre, which the adjoint matrices do not show
     for i, row in enumerate(adjoint):
         for place, value in row.items():
-            rho[i].flat[place] = float(value)
+            rho[i].flat[place] = rounded(value)
     return rho
 
 
@@ -206,11 +206,12 @@ def low_dimensional(name: str, **parameters: Any) -> LieAlgebra:
     Traceback (most recent call last):
     ValueError: parameters of A3_5 are out of range: it needs a != 0 and -1 < a < 1, not a = 2
     """
+    read_choice(name, "algebra", entries())
     values = read_parameters(name, parameters)
     dim = entries()[name]["dim"]
     brackets = exact_constants(name, values)
     rows = [
-        (i, j, exponents.index(1), float(value))
+        (i, j, exponents.index(1), rounded(value))
         for (i, j), bracket in brackets.items()
         for exponents, value in bracket.monomials.items()
     ]

@@ -21,6 +21,8 @@ from coadjoint.wording import short
 
 Exponents = tuple[int, ...]
 
+QUIET = np.errstate(over="ignore", invalid="ignore")  # a value that leaves float64 is infinite, which says it
+
 MOST_DEGREE = 1024
 TOO_HIGH = "from there on even powers of 2 leave float64"
 BYTES_PER_EXPONENT = 30  # while one monomial is made
@@ -55,6 +57,9 @@ class Polynomial:
     >>> p.derivative(2) * p.derivative(1)
     x2*x3
     """
+
+    # An array does not multiply a polynomial entry by entry.
+    __array_ufunc__ = None
 
     def __init__(self, monomials: Mapping[Exponents, Coefficient], dim: int | None = None) -> None:
         if not isinstance(monomials, Mapping):
@@ -248,10 +253,12 @@ class Polynomial:
             raise ValueError(f"x must have shape ({self._dim},), not {point.shape}")
         return point if point.dtype == object else point.astype(np.result_type(point.dtype, np.float64), copy=False)
 
+    @QUIET
     def __call__(self, x: Any) -> Any:
         """Return the value at x, shape (n,); with dtype object (Fraction, mpmath) as exact as x is."""
         return self._value_sum(self._point(x)).item(0)
 
+    @QUIET
     def gradient(self, x: Any) -> NDArray[Any]:
         """Return the gradient at x, both of shape (n,); dtype object is allowed.
 
@@ -262,6 +269,7 @@ class Polynomial:
         """
         return self._gradient_sum(self._point(x))
 
+    @QUIET
     def hessian(self, x: Any) -> NDArray[Any]:
         """Return the second derivatives at x, shape (n, n); dtype object is allowed.
 

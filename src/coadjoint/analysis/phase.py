@@ -8,6 +8,7 @@ import numpy.typing as npt
 from coadjoint.given import read_finite
 from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.points import QUIET
 
 MOST_ITERATIONS = 30
 
@@ -59,6 +60,13 @@ def phase_error(
         raise ValueError(
             f"x has the shape {states.shape}; it must be ({times.size}, {system.dim}), a state for each time"
         )
+    return _leads(system, x0, times, states)
+
+
+@QUIET
+def _leads(
+    system: LiePoissonSystem, x0: npt.ArrayLike, times: npt.NDArray[np.float64], states: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
     lead = np.zeros(len(times))
     change = np.full(len(times), np.inf)
     for _ in range(MOST_ITERATIONS):

@@ -63,7 +63,7 @@ def defect_of_tangent(
     True
     """
     tangent, J, image = read_finite(P, "P"), read_finite(before, "before"), read_finite(after, "after")
-    operations = read_whole(operations, "operations")
+    operations = read_whole(operations, "operations", 0, 2**53)
     if tangent.ndim != 2 or not tangent.shape == J.shape == image.shape or tangent.shape[0] != tangent.shape[1]:
         raise ValueError(
             f"P, before and after have the shapes {tangent.shape}, {J.shape} and {image.shape}; they must all be (n, n)"

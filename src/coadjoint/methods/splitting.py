@@ -15,6 +15,7 @@ from coadjoint.methods.chosen_parts import ChosenParts
 from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES, SplittingScheme
 from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.points import QUIET
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.separable import MOST_COORDINATES
 from coadjoint.wording import short
@@ -125,6 +126,7 @@ class Splitting(FlowMethod):
             object.__setattr__(self, "parts", _sets_of_coordinates(self.parts))
 
     @classmethod
+    @QUIET
     def tuned(cls, system: LiePoissonSystem, x0: npt.ArrayLike, order: int = 2, **options: Any) -> Splitting:
         """Return a splitting whose parts are chosen for a state: shift and order with the smallest h^2 term there.
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.given import read_finite, read_number, read_whole
 from coadjoint.memory import check_room
+from coadjoint.systems.user_functions import takes_time
 from coadjoint.wording import short
 
 BYTES_PER_CELL = 2000  # corners and values of its six tetrahedra
@@ -58,6 +59,7 @@ def level_surface(
     >>> bool(np.all(np.abs(np.linalg.norm(sphere, axis=2) - 1) < 0.02))
     True
     """
+    takes_time(function, "function")
     edges, level, period = read_finite(box, "box"), read_number(level, "level"), read_number(period, "period")
     cells = read_whole(cells, "cells")
     check_room(BYTES_PER_CELL * cells**3, f"a level surface with {short(cells)} cells along each edge")
@@ -98,11 +100,13 @@ def _one_branch(values: npt.NDArray[np.float64], period: float) -> npt.NDArray[n
     """Return values that differ by less than half a period within a tetrahedron, the first that near zero."""
     if period <= 0.0:
         return values
-    first = values[:, :1] - period * np.rint(values[:, :1] / period)
-    step = values - values[:, :1]
-    step = step - period * np.rint(step / period)
-    # Around the axis of a multivalued function, where it changes by much within a cell, branches cannot be told apart.
-    return np.where(np.max(np.abs(step), axis=1, keepdims=True) < 0.4 * period, first + step, np.nan)
+    with np.errstate(over="ignore", invalid="ignore"):
+        first = values[:, :1] - period * np.rint(values[:, :1] / period)
+        step = values - values[:, :1]
+        step = step - period * np.rint(step / period)
+        # Around the axis of a multivalued function, where it changes by much within a cell, branches cannot be told
+        # apart.
+        return np.where(np.max(np.abs(step), axis=1, keepdims=True) < 0.4 * period, first + step, np.nan)
 
 
 def _cut(corners: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:

@@ -28,6 +28,8 @@ from coadjoint.wording import short
 SAFETY = 3.0
 MODERATE_ORDER = 8
 ROUNDING_SHARE = 0.5
+# No error is aimed at below: it could not be divided by.
+LEAST = 2.0**-1000
 
 # Coordinates up to which series are considered: the coefficients of more do not stay in a cache.
 LARGEST_SERIES = 10_000
@@ -205,7 +207,7 @@ def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
 
 def _goal(candidate: Candidate, wanted: float) -> float:
     """Return the error that is aimed at: errors of a high order vary more, and less costs little."""
-    return wanted / (SAFETY * max(1.0, candidate.method.order / MODERATE_ORDER))
+    return max(wanted / (SAFETY * max(1.0, candidate.method.order / MODERATE_ORDER)), LEAST)
 
 
 def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[Fit]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from coadjoint import memory
 from coadjoint.kernels.arrays import Layout
-from coadjoint.memory import SMALL, available, in_words
+from coadjoint.memory import SMALL, in_words
 from coadjoint.runs.times import Times
 from coadjoint.wording import short
 
@@ -31,7 +32,7 @@ def check_room_of_run(layout: Layout, times: Times, members: int) -> None:
     need = BYTES * (layout.results.size + layout.work.size) + PER_POINT * times.points
     if need <= SMALL:
         return
-    free = available()
+    free = memory.available()
     if need <= free:
         return
     saved = sum(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import IntegrationError
 from coadjoint.given import read_number
 from coadjoint.memory import check_room
 from coadjoint.methods.base import FlowMethod, Method, System
@@ -18,6 +19,7 @@ from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.points import QUIET
 from coadjoint.wording import short
 
 
@@ -98,6 +100,7 @@ class Stepper:
             raise ValueError("attitude is False; a group element needs True, 'coadjoint', an initial one, or None")
         return np.asarray(self._advance(x, t, attitude).attitude[-1])
 
+    @QUIET
     def tangent(self, x: Any, t: float = 0.0) -> NDArray[np.float64]:
         """Return the exact derivative of the step at x, by the chain rule through the scheme.
 
@@ -127,7 +130,11 @@ class Stepper:
         check_room(8 * 4 * x.size**2, f"a tangent of dimension {x.size}")
         innermost = self.method.innermost
         if isinstance(innermost, FlowMethod):
-            return np.asarray(self._reading.steps(x, self.h, 1, t0=t, tangent=np.eye(len(x)))[1])
+            try:
+                return np.asarray(self._reading.steps(x, self.h, 1, t0=t, tangent=np.eye(len(x)))[1])
+            except (OverflowError, ValueError) as error:  # sines of what left float64
+                said = f"in step 1, at t = {t:g}, a number overflowed; take a smaller step than {abs(self.h):g}"
+                raise IntegrationError(said, step=1, time=t, residual=float("nan")) from error
         assert isinstance(innermost, RungeKuttaMethod | StepMethod)
         product = np.eye(len(x))
         for fraction in self.method.fractions:

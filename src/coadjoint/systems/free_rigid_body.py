@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.given import read_finite
+from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
 
@@ -244,8 +245,14 @@ def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False)
     elif M.ndim == 2:
         m, axes = np.linalg.eigh(M)
         axes *= round(float(np.linalg.det(axes)))
-    x, A = free_rigid_body(m, start @ axes, -sign * np.atleast_1d(times))
-    x, A = x @ axes.T, first @ (axes @ A @ axes.T)
+    with np.errstate(over="ignore", invalid="ignore"):
+        x, A = free_rigid_body(m, start @ axes, -sign * np.atleast_1d(times))
+        x, A = x @ axes.T, first @ (axes @ A @ axes.T)
+    if not (np.isfinite(x).all() and np.isfinite(A).all()):
+        raise ValueError(
+            f"the closed form overflows from x0 = {short(start.tolist())} to t = {short(times.tolist())}; "
+            "take smaller ones"
+        )
     if times.ndim == 0:
         x, A = x[0], A[0]
     return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, A)

@@ -10,12 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.given import read_whole
+from coadjoint.memory import check_room
 from coadjoint.systems.points import point
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, Term
 from coadjoint.systems.user_functions import all_take_time, check_derivative
+from coadjoint.wording import short
 
 MOST_REMEMBERED = 64  # monomials
+BYTES_PER_COORDINATE = 200  # at the sample points
 
 
 @runtime_checkable
@@ -99,10 +103,12 @@ class Hamiltonian:
         ValueError
             A shape is wrong, or a derivative contradicts what it is the derivative of.
         """
+        n = read_whole(n, "the dimension")
         if self.dim is not None and self.dim != n:
-            raise ValueError(f"the Hamiltonian is bound to dimension {self.dim}, not {n}; make a new one")
+            raise ValueError(f"the Hamiltonian is bound to dimension {self.dim}, not {short(n)}; make a new one")
         if self.dim == n:
             return self
+        check_room(BYTES_PER_COORDINATE * n, f"a Hamiltonian of {short(n)} coordinates, checked at sample points,")
         functions, derivatives = [("value", self._value), ("gradient", self._gradient)], [("gradient", self._gradient)]
         if self._hessian is not None:
             derivatives.append(("hessian", self._hessian))

@@ -14,7 +14,7 @@ from coadjoint.algebra.representation import check_representation
 from coadjoint.memory import check_room
 from coadjoint.systems.casimirs import casimirs_of, checked_casimirs
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
-from coadjoint.systems.points import checked_name, checked_sign, matching, point, scatter
+from coadjoint.systems.points import QUIET, checked_name, checked_sign, matching, point, scatter
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
 from coadjoint.wording import short
 
@@ -175,6 +175,7 @@ class LiePoissonSystem:
         products = np.abs(self._constants * x[self._states] * u[self._factors])
         return scatter(self._rows, products, self.dim)
 
+    @QUIET
     def vector_field(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return ``sign * J(x) grad H(x, t)``, from the sparse structure constants.
 
@@ -192,6 +193,7 @@ class LiePoissonSystem:
         y = point(x, self.dim)
         return self.sign * self._product(y, self.hamiltonian.gradient(y, t))
 
+    @QUIET
     def energy(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return H(x, t).
 
@@ -222,6 +224,7 @@ class LiePoissonSystem:
         """
         return self.algebra.structure_matrix(point(x, self.dim))
 
+    @QUIET
     def jacobian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the derivative of the vector field, ``sign * (D_grad H + J(x) H'')``, dense.
 

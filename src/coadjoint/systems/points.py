@@ -17,6 +17,9 @@ from coadjoint.wording import short
 
 UNIT_ROUNDOFF = 2.0**-53
 
+QUIET = np.errstate(over="ignore", invalid="ignore", divide="ignore")
+"""At a point where a function leaves float64 its value is infinite or undefined, and no warning is needed to say so."""
+
 
 def point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
     """Return `x` as a float64, complex128 or object array of shape (n,)."""

@@ -13,8 +13,8 @@ from coadjoint.given import read_numbers, read_whole
 from coadjoint.memory import check_room
 from coadjoint.systems.casimirs import checked_casimirs
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
-from coadjoint.systems.points import UNIT_ROUNDOFF, checked_name, checked_sign, point
-from coadjoint.systems.user_functions import check_derivative, sample_points
+from coadjoint.systems.points import QUIET, UNIT_ROUNDOFF, checked_name, checked_sign, point
+from coadjoint.systems.user_functions import check_derivative, sample_points, takes_time
 from coadjoint.wording import short
 
 BYTES_PER_PRODUCT = 40  # while J(x) is checked
@@ -95,8 +95,8 @@ class PoissonSystem:
         name: str | None = None,
     ) -> None:
         for what, function in (("structure_matrix", structure_matrix), ("derivative", derivative)):
-            if not (callable(function) or (function is None and what == "derivative")):
-                raise TypeError(f"{what} is a {type(function).__name__}; give a function of x")
+            if (function is not None or what != "derivative") and takes_time(function, what):  # type: ignore[arg-type]
+                raise TypeError(f"{what} is a function of (x, t); give a function of x alone")
         n = dim if dim is not None else getattr(hamiltonian, "dim", None)
         if n is None:
             raise TypeError(f"the dimension is unknown: {short(hamiltonian)} fits any; give dim=")
@@ -117,7 +117,11 @@ class PoissonSystem:
             check_derivative(
                 structure_matrix, derivative, names=names, shapes=(shape, (*shape, self.dim)), n=self.dim, timed=False
             )
-        keep(self, "_casimirs", checked_casimirs(casimirs or {}, self.dim, self._product, self._absolute_product))
+        keep(
+            self,
+            "_casimirs",
+            checked_casimirs({} if casimirs is None else casimirs, self.dim, self._product, self._absolute_product),
+        )
 
     def _check_skew(self, x: npt.NDArray[np.float64]) -> None:
         with np.errstate(all="ignore"):
@@ -149,6 +153,7 @@ class PoissonSystem:
         """Return J(x), shape (n, n)."""
         return np.asarray(self.structure_function(point(x, self.dim)))
 
+    @QUIET
     def vector_field(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return ``sign * J(x) grad H(x, t)``, shape (n,).
 
@@ -166,10 +171,12 @@ class PoissonSystem:
         y = point(x, self.dim)
         return self.sign * self._product(y, self.hamiltonian.gradient(y, t))
 
+    @QUIET
     def energy(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return H(x, t)."""
         return self.hamiltonian.value(point(x, self.dim), t)
 
+    @QUIET
     def jacobian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the derivative of the vector field, shape (n, n).
 

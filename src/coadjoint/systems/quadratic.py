@@ -10,11 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.given import read_number
+from coadjoint.given import read_number, read_whole
 from coadjoint.memory import check_room
 from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY, check_symmetric, real_array, sparse_entries
-from coadjoint.systems.points import matching, point, scatter
+from coadjoint.systems.points import QUIET, matching, point, scatter
 from coadjoint.systems.terms import QuadraticTerm, Term
+from coadjoint.wording import short
 
 
 class Quadratic:
@@ -134,6 +135,8 @@ class Quadratic:
         array([[ 1., -1.],
                [-1.,  0.]])
         """
+        if not isinstance(polynomial, Polynomial):
+            raise TypeError(f"the polynomial is {short(polynomial)}; give a Polynomial")
         if polynomial.degree > 2:
             raise ValueError(f"the polynomial has degree {polynomial.degree}; a quadratic Hamiltonian has at most 2")
         n = polynomial.dim
@@ -177,8 +180,9 @@ class Quadratic:
         ValueError
             M is for another dimension.
         """
+        n = read_whole(n, "the dimension")
         if self._scalar is not None:
-            check_room(BYTES_PER_ENTRY * n, f"M of dimension {n}")
+            check_room(BYTES_PER_ENTRY * n, f"M of dimension {short(n)}")
             kind = object if not isinstance(self._scalar, float) else np.float64
             return Quadratic(np.full(n, self._scalar, dtype=kind), constant=self._constant)
         if self.dim != n:
@@ -189,6 +193,7 @@ class Quadratic:
         y = point(x, self.dim)
         return (self if self.dim is not None else self.bind(y.size)), y
 
+    @QUIET
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return ``x . M x / 2 + linear . x + constant``."""
         bound, y = self._at(x)
@@ -199,6 +204,7 @@ class Quadratic:
         constant = matching(np.array([bound._constant], dtype=object), y)[0]
         return (half @ y) / 2 + linear @ y + constant
 
+    @QUIET
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return ``M x + linear``, shape (n,)."""
         bound, y = self._at(x)

@@ -81,10 +81,11 @@ class Separable:
         ValueError
             A coordinate does not exist, or a derivative contradicts its function.
         """
+        n = read_whole(n, "the dimension")
         if self.dim == n:
             return self
         if self.dim is not None:
-            raise ValueError(f"Separable is bound to dimension {self.dim}, not {n}; make a new one")
+            raise ValueError(f"Separable is bound to dimension {self.dim}, not {short(n)}; make a new one")
         for term in self._terms:
             i = int(term.coordinates[0])
             if i >= n:

@@ -100,6 +100,7 @@ class SplitHamiltonian:
         ValueError
             A piece has a coordinate that does not exist.
         """
+        n = read_whole(n, "the dimension")
         for number, chosen in enumerate(self.coordinates):
             if max(chosen) >= n:
                 raise ValueError(

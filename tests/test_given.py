@@ -1,0 +1,364 @@
+"""Numbers, names and flags from outside are what they look like, or are refused by name."""
+
+from decimal import Decimal
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+import scipy.sparse
+
+import coadjoint as co
+from coadjoint.errors import unknown_name
+from coadjoint.given import (
+    array_given,
+    read_choice,
+    read_finite,
+    read_flag,
+    read_number,
+    read_numbers,
+    read_positive,
+    read_title,
+    read_whole,
+)
+
+BODY = co.systems.rigid_body()
+X = (0.1, 1.0, 0.2)
+HUGE = 10**400
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        3,
+        3.0,
+        np.uint8(3),
+        np.float16(3),
+        np.float32(3),
+        np.longdouble(3),
+        Fraction(3),
+        Decimal(3),
+        mpmath.mpf(3),
+        np.array(3),
+    ],
+)
+def test_every_real_number_is_one(value):
+    assert read_number(value, "step") == 3.0 and type(read_number(value, "step")) is float
+    entry = value[()] if isinstance(value, np.ndarray) else value
+    held = np.empty(2, dtype=object)
+    held[:] = [entry, entry]
+    assert read_numbers(held, "x").tolist() == [3.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    "value",
+    [None, True, np.True_, "3", b"3", 3j, [3], np.array([3]), np.ma.masked, np.datetime64(3, "D"), mpmath.mpc(3)],
+)
+def test_what_is_no_number_is_refused(value):
+    with pytest.raises(TypeError, match=r"^step is .*; it must be a number$"):
+        read_number(value, "step")
+
+
+@pytest.mark.parametrize(
+    "value", [HUGE, -HUGE, Fraction(HUGE), Decimal(10) ** 400, np.longdouble("1e400"), mpmath.mpf(10) ** 400]
+)
+def test_what_is_too_large_is_refused(value):
+    with pytest.raises(ValueError, match=r"^step is .*(too large for float64|must be finite)$"):
+        read_number(value, "step")
+    held = np.empty(1, dtype=object)
+    held[0] = value
+    with pytest.raises(ValueError, match=r"too large for float64|give finite numbers"):
+        read_finite(held, "x")
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.array(["1", "2"], dtype=object),
+        ["1", "2"],
+        [1.0, "2"],
+        [True, 2.0],
+        [[1.0, 2.0], [True, 2.0]],
+        np.array([True]),
+        [1j, 2.0],
+        np.array([1j]),
+        [None],
+        None,
+        {1: 2},
+        {1, 2},
+        (i for i in range(3)),
+        [[1.0], [1.0, 2.0]],
+        [np.True_, 1.0],
+        np.array([True, 1], dtype=object),
+        b"12",
+        np.zeros(2, dtype="datetime64[D]"),
+    ],
+)
+def test_what_are_no_numbers_are_refused(values):
+    with pytest.raises(TypeError, match=r"^M is .*; it must be an array of real numbers"):
+        read_numbers(values, "M")
+
+
+def test_masks_are_not_lost():
+    masked = np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])
+    for values in (masked, [masked, masked], [np.ma.masked, 1.0, 2.0]):
+        with pytest.raises(ValueError, match="x0 has masked entries"):
+            read_numbers(values, "x0")
+    assert read_numbers(np.ma.masked_array([1.0, 2.0]), "x0").tolist() == [1.0, 2.0]
+    with pytest.raises(ValueError, match="masked entries"):
+        co.integrate(BODY, masked, (0, 1), 0.1)
+    with pytest.raises(ValueError, match="masked entries"):
+        co.Quadratic(masked)
+    with pytest.raises(ValueError, match="masked entries"):
+        BODY.energy(masked)
+
+
+def test_labels_of_pandas_are_not_lost():
+    pd = pytest.importorskip("pandas")
+    series = pd.Series([1.0, 2.0, 3.0])
+    assert co.Quadratic(series).gradient([1.0, 1.0, 1.0]).tolist() == [1.0, 2.0, 3.0]
+    for labelled in (
+        pd.Series([1.0, 2.0, 3.0], index=[2, 0, 1]),
+        pd.Series([1.0, 2.0, 3.0], index=list("abc")),
+        pd.DataFrame(np.eye(3), index=[2, 0, 1]),
+    ):
+        with pytest.raises(TypeError, match=r"labels other than 0, 1, 2, .*to_numpy"):
+            co.Quadratic(labelled)
+        with pytest.raises(TypeError, match=r"labels other than 0, 1, 2, .*to_numpy"):
+            co.integrate(BODY, labelled, (0, 1), 0.1)
+
+
+def objects_of_others():
+    pd = pytest.importorskip("pandas")
+    return [pd.Series([1.0, 2.0, 3.0]), pd.DataFrame(np.eye(3)), scipy.sparse.eye(3), np.eye(3), pd.NA]
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda v: co.integrate(BODY, X, (0, 1), 0.1, progress=v),
+        lambda v: co.integrate(BODY, X, (0, 1), 0.1, observe=v),
+        lambda v: co.integrate(BODY, X, (0, 1), 0.1, watch=v),
+        lambda v: co.integrate(BODY, X, (0, 1), v),
+        lambda v: co.integrate(BODY, X, (0, 1), accuracy=v),
+        lambda v: co.integrate(BODY, X, v, 0.1),
+        lambda v: co.choose(BODY, X, (0, 1), 1e-3, processed=v),
+        lambda v: co.Splitting(order=v),
+        lambda v: co.Splitting(rotation=v),
+        lambda v: co.Splitting(scheme=v),
+        lambda v: co.Splitting(compensated=v),
+        lambda v: co.Taylor(v),
+        lambda v: co.GaussLegendre(v),
+        lambda v: co.ModifiedGaussLegendre(1, freeze=v),
+        lambda v: co.ExplicitRungeKutta(v),
+        lambda v: co.LiePoissonSystem(BODY.algebra, co.Quadratic(1.0), sign=v),
+        lambda v: co.LiePoissonSystem(BODY.algebra, co.Quadratic(1.0), casimirs=v),
+        lambda v: co.LiePoissonSystem(BODY.algebra, co.Quadratic(1.0), name=v),
+        lambda v: co.algebras.get(v),
+        lambda v: co.algebras.so(v),
+        lambda v: co.systems.get(v),
+    ],
+)
+def test_arrays_where_there_is_none_to_be(call):
+    for value in objects_of_others():
+        with pytest.raises((TypeError, ValueError), match=r"(must|give|needs)") as refusal:
+            call(value)
+        assert "ambiguous" not in str(refusal.value) and len(str(refusal.value)) < 1000
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: co.integrate(BODY, X, (0, 1), HUGE),
+        lambda: co.integrate(BODY, X, (0, HUGE), 0.1),
+        lambda: co.integrate(BODY, X, (0, 1), accuracy=HUGE),
+        lambda: co.integrate(BODY, (HUGE, 1, 1), (0, 1), 0.1),
+        lambda: co.stepper(BODY, co.Splitting(), HUGE),
+        lambda: co.stepper(BODY, co.Splitting(), 0.1)(X, t=HUGE),
+        lambda: co.systems.rigid_body((HUGE, 1, 1)),
+        lambda: co.systems.rigid_body([[HUGE, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        lambda: co.systems.paper_rigid_body((HUGE, 1, 1)),
+        lambda: co.systems.paper_a37(a=HUGE),
+        lambda: co.algebras.A3_7(HUGE),
+        lambda: co.algebras.get("A4,9", b=Fraction(HUGE)),
+        lambda: co.LieAlgebra([(0, 1, 1, HUGE)], dim=2),
+        lambda: co.LieAlgebra.from_brackets(2, {(0, 1): {1: HUGE}}),
+        lambda: co.Polynomial({(1, 1): HUGE}),
+        lambda: co.Quadratic(HUGE),
+        lambda: co.Quadratic([HUGE, 1]),
+        lambda: co.Quadratic(1.0, constant=HUGE),
+        lambda: co.Composition(co.Splitting(), (HUGE, -HUGE, 1)),
+        lambda: co.algebras.change_of_basis(co.algebras.so(3), [[1e200, 0, 0], [0, 1e200, 0], [0, 0, 1e-200]]),
+        lambda: BODY.exact(X, HUGE),
+        lambda: co.Separable({2**64: (np.sin, np.cos)}),
+        lambda: co.Invariant(lambda x: x[0], period=HUGE),
+    ],
+)
+def test_what_no_float_holds_is_a_value_error(call):
+    with pytest.raises(ValueError):
+        call()
+
+
+def test_small_integers_do_not_wrap():
+    """200 + 200, 2 * 200 and -200 do not fit into eight bits without a sign."""
+    two, many = np.uint8(2), np.uint8(200)
+    assert co.algebras.get("sp(2n)", n=two) == co.algebras.sp(4)
+    assert co.algebras.so(two, np.uint8(2)).dim == 6
+    assert co.algebras.A3_7(many) == co.algebras.A3_7(200)
+    assert co.GaussLegendre(many).order == 400
+    p = co.Polynomial({(many, np.uint8(100)): many})
+    assert p.degree == 300 and p.derivative(0).monomials == {(199, 100): 40_000}
+    assert (co.Polynomial({(1,): 1}) ** many).degree == 200
+    exact = np.empty(2, dtype=object)
+    exact[:] = [many, Fraction(1, 2)]
+    assert co.Quadratic(exact).gradient(np.array([Fraction(200), Fraction(1)], dtype=object)).tolist() == [40_000, 0.5]
+    sol = co.integrate(
+        BODY, np.array([200, 100, 50], dtype=np.uint8), (np.uint8(200), np.uint8(100)), many / np.uint8(200)
+    )
+    assert sol.t[-1] == 100.0 and sol.x[0].tolist() == [200.0, 100.0, 50.0]
+    assert len(co.integrate(BODY, X, (0, 256), 1, save_every=many).t) == 3
+
+
+@pytest.mark.parametrize("value", [3, None, [], {}, 10**5000, np.eye(3), "x" * 10**6], ids=list("abcdefg"))
+def test_an_unknown_name_of_any_kind(value):
+    assert len(str(unknown_name("algebra", value, ["so(3)", "sl(2)"]))) < 200
+    with pytest.raises(ValueError, match="unknown rotation"):
+        read_choice(value, "rotation", ("exact", "rational"))
+    with pytest.raises((TypeError, ValueError)) as refusal:
+        co.algebras.get(value)
+    assert len(str(refusal.value)) < 1000
+
+
+def test_bounds():
+    assert read_whole(1e6, "save_every", floats=True) == 10**6
+    for value in (1e6, 0, 1.5, "1", None, True, np.nan):
+        with pytest.raises(ValueError, match="n must be a whole number from 1 to 5, not"):
+            read_whole(value, "n", 1, 5)
+    with pytest.raises(ValueError, match="n must be at most 5, not 6; it is enough"):
+        read_whole(6, "n", 1, 5, why="it is enough")
+    assert read_positive(Fraction(1, 2), "h") == 0.5
+    with pytest.raises(ValueError, match=r"h is -0\.0; it must be positive"):
+        read_positive(-0.0, "h")
+    assert read_flag(np.True_, "watch") is True
+    for name in ("a\nb", "x" * 201):
+        with pytest.raises(ValueError, match="one line of at most 200 characters"):
+            read_title(name, "name")
+
+
+def test_an_array_is_not_copied_before_it_must_be():
+    given = np.ones(3)
+    assert array_given(given, "x") is given
+    assert not np.shares_memory(read_numbers(given, "x"), given)
+
+
+def test_polynomials_have_bounded_degrees():
+    assert co.Polynomial({(1024,): 1}).degree == 1024
+    for call in (
+        lambda: co.Polynomial({(1000, 25): 1}),
+        lambda: co.Polynomial({(600,): 1}) ** 2,
+        lambda: co.Polynomial({(600,): 1}) * co.Polynomial({(600,): 1}),
+        lambda: co.Polynomial({(0,): 2}) ** 10**9,
+    ):
+        with pytest.raises(ValueError, match="1024"):
+            call()
+
+
+def test_one_system_is_asked_for_by_name():
+    batch = co.batch([BODY, BODY])
+    calls = [
+        lambda: co.choose(batch, X, (0, 1), 1e-3),
+        lambda: co.integrate(batch, X, (0, 1), accuracy=1e-3),
+        lambda: co.stepper(batch, co.Splitting(), 0.1),
+        lambda: co.Splitting.tuned(batch, X),
+        lambda: co.Splitting().describe(batch),
+        *(
+            lambda m=m: m.properties(batch)
+            for m in (
+                co.Splitting(),
+                co.Taylor(),
+                co.GaussLegendre(),
+                co.ModifiedGaussLegendre(),
+                co.RadauEnergy(),
+                co.IteratedGaussLegendre(),
+                co.ExplicitRungeKutta(),
+                co.Composition(co.Splitting(), (1.0,)),
+            )
+        ),
+    ]
+    for call in calls:
+        with pytest.raises(TypeError, match=r"batch"):
+            call()
+    with pytest.raises(TypeError, match="system is None"):
+        co.Taylor().properties(None)
+
+
+def test_round_off_of_a_batch_is_that_of_its_members():
+    from coadjoint.analysis.round_off import round_off
+
+    bodies = [co.systems.rigid_body((1, 2, third)) for third in (2.5, 3.0)]
+    sol = co.integrate(co.batch(bodies), X, (0, 100), 0.1, save_every=100)
+    alone = [co.integrate(body, [X], (0, 100), 0.1, save_every=100) for body in bodies]
+    found = round_off(sol)
+    worst = max(round_off(one)["energy"].worst for one in alone)
+    assert found["energy"].worst == worst
+
+
+def test_an_ensemble_of_one_that_fails_is_as_long_as_others():
+    g = co.algebras.so(3)
+    system = co.LiePoissonSystem(g, co.Polynomial({(4, 0, 0): 1.0, (0, 4, 0): 2.0, (0, 0, 4): 3.0}))
+    x0 = np.array([1e160, 1e160, 1e160])
+    partial = {}
+    for name, start in (("single", x0), ("one", x0[None]), ("two", np.array([x0, x0]))):
+        with pytest.raises(co.IntegrationError) as failure:
+            co.integrate(system, start, (0, 1), 0.1, co.GaussLegendre(2))
+        partial[name] = failure.value.partial
+    assert partial["single"].x.shape == (1, 3) and np.isfinite(partial["single"].x).all()
+    assert partial["one"].x.shape == (11, 1, 3) and partial["one"].failed.tolist() == [True]
+    assert np.array_equal(partial["one"].x[:, 0], partial["two"].x[:, 0], equal_nan=True)
+    assert np.isnan(partial["one"].x[1:]).all()
+
+
+@pytest.mark.parametrize(
+    "x0", [(1e100, 2e100, 3e100), (1e200, 1e200, 1.0), [(0.1, 1, 0.2), (1e200, 1e200, 1)], [(1e160,) * 3] * 9]
+)
+def test_near_a_blow_up_the_rule_says_so_without_warnings(x0):
+    system = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 2.0, 3.0]))
+    with pytest.raises(ValueError, match=r"not finite|blows up|no step|too rough|rounding|no accuracy"):
+        co.choose(system, x0, (0, 1), 1e-6)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e20, 1e155, 1e300])
+@pytest.mark.parametrize("name", ["so(3)", "so(2,1)", "sl(2)", "so(4)", "su(3)"])
+def test_an_attitude_near_a_blow_up_does_not_warn(name, size):
+    """What a shift leaves to an exponential may overflow where the momentum does not."""
+    g = co.algebras.get(name)
+    system = co.LiePoissonSystem(g, co.Quadratic(np.linspace(1.0, 2.0, g.dim)))
+    x0 = size * np.cos(np.arange(3 * g.dim)).reshape(3, g.dim)
+    with np.errstate(all="raise"):
+        try:
+            found = co.integrate(system, x0, (0, 0.3), 0.1, attitude="coadjoint")
+        except co.IntegrationError as error:
+            found = error.partial
+        assert np.array_equal(found.attitude[0], np.broadcast_to(np.eye(g.dim), (3, g.dim, g.dim)))
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda name: co.LieAlgebra([], dim=1, name=name),
+        lambda name: co.LieAlgebra([], dim=1, basis=[name]),
+        lambda name: co.LiePoissonSystem(BODY.algebra, co.Quadratic(1.0), name=name),
+    ],
+)
+def test_names_can_be_shown(call):
+    for name in ("x" * 10**6, "a\nb", "\x1b[31m"):
+        with pytest.raises(ValueError, match="one line of at most 200 characters") as refusal:
+            call(name)
+        assert len(str(refusal.value)) < 1000
+
+
+def test_names_made_of_names_stay_short():
+    g = co.algebras.direct_sum(*[co.algebras.so(3)] * 100)
+    for _ in range(10):
+        g = co.algebras.subalgebra(g, np.eye(g.dim, dtype=int)[:3].tolist())
+    assert len(g.name) <= 200

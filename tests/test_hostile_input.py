@@ -1,0 +1,224 @@
+"""Every public function, every parameter of it, and what nobody should give: an answer, or a refusal in one line."""
+
+import contextlib
+import inspect
+import linecache
+import signal
+import traceback
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.analysis import order, phase, poisson_defect, rotations, round_off
+from coadjoint.methods import registry
+from coadjoint.pictures.level_surface import level_surface
+from hostile_values import HOSTILE
+
+SOURCE = str(Path(co.__file__).parent)
+LONGEST = 1000  # characters of a message
+PATIENCE = 30  # seconds: a call that is still at work then does not end
+
+SO3, SO4 = co.algebras.so(3), co.algebras.so(4)
+BODY = co.systems.rigid_body()
+X = (0.1, 1.0, 0.2)
+P = co.Polynomial({(2, 0, 0): 0.5, (0, 1, 1): 1})
+CROWD = co.integrate(BODY, [X, X], (0, 1), 0.5, attitude="coadjoint")
+STEP = co.stepper(BODY, co.Splitting(), 0.1)
+READY = co.prepare(BODY, co.Splitting(), 0.1)
+
+
+def square(x):
+    return float(x[0] ** 2)
+
+
+def twice(x):
+    return np.array([2 * x[0], 0.0, 0.0])
+
+
+def J(x):
+    return np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+
+
+H = co.Hamiltonian(square, twice)
+EYE = np.eye(3)
+
+# what is called, and right arguments: each of them is then made wrong
+CALLS = {
+    "LieAlgebra": (co.LieAlgebra, {"constants": [(0, 1, 1, 1.0)], "dim": 2, "basis": ("a", "b"), "name": "g",
+                                   "representation": None, "casimirs": None}),
+    "from_brackets": (co.LieAlgebra.from_brackets, {"dim": 2, "brackets": {(0, 1): {1: 1.0}}}),
+    "a bracket": (lambda c: co.LieAlgebra.from_brackets(2, {(0, 1): {1: c}}), {"c": 1.0}),
+    "an index of a bracket": (lambda k: co.LieAlgebra(((0, 1, k, 1.0),), dim=2), {"k": 1}),
+    "structure_matrix": (SO3.structure_matrix, {"x": X}),
+    "structure_operator": (SO3.structure_operator, {"x": X}),
+    "bracket": (SO3.bracket, {"u": X, "v": X}),
+    "coadjoint": (SO3.coadjoint, {"u": X}),
+    "coadjoint_entries": (SO3.coadjoint_entries, {"u": {0: 1.0}}),
+    "casimirs": (SO3.casimirs, {"max_degree": 2}),
+    "commuting": (SO3.commuting, {"i": 0, "j": 1}),
+    "get": (co.algebras.get, {"name": "so(3)"}),
+    "get(so(n))": (lambda n: co.algebras.get("so(n)", n=n), {"n": 3}),
+    "get(sp(2n))": (lambda n: co.algebras.get("sp(2n)", n=n), {"n": 1}),
+    "get(A3,7)": (lambda a: co.algebras.get("A3,7", a=a), {"a": 1.0}),
+    "get(A4,9)": (lambda b: co.algebras.get("A4,9", b=b), {"b": 0.5}),
+    "A3_7": (co.algebras.A3_7, {"a": 1.0}),
+    "low_dimensional": (lambda name: co.algebras.low_dimensional(name, a=1.0), {"name": "A3_7"}),
+    "so": (co.algebras.so, {"n": 3, "q": 0}),
+    "e": (co.algebras.e, {"n": 3}),
+    "se": (co.algebras.se, {"n": 3}),
+    "gl": (co.algebras.gl, {"n": 2}),
+    "sl": (co.algebras.sl, {"n": 2}),
+    "sp": (co.algebras.sp, {"size": 2}),
+    "su": (co.algebras.su, {"n": 2}),
+    "u": (co.algebras.u, {"n": 2}),
+    "heisenberg": (co.algebras.heisenberg, {"n": 1}),
+    "copies": (co.algebras.copies, {"g": SO3, "count": 2}),
+    "direct_sum": (lambda g: co.algebras.direct_sum(SO3, g), {"g": SO4}),
+    "semidirect": (co.algebras.semidirect, {"g": SO3, "representation": None, "ideal": None}),
+    "change_of_basis": (co.algebras.change_of_basis, {"g": SO3, "matrix": EYE, "basis": None}),
+    "subalgebra": (co.algebras.subalgebra, {"g": SO4, "vectors": ["e1", "e2", "e4"], "basis": None}),
+    "quotient": (co.algebras.quotient, {"g": co.algebras.e(3), "ideal": ["e4", "e5", "e6"]}),
+    "Polynomial": (co.Polynomial, {"monomials": {(1, 2): 3}, "dim": 2}),
+    "a coefficient": (lambda c: co.Polynomial({(1, 2): c})([1.0, 2.0]), {"c": 1.0}),
+    "exponents": (lambda e: co.Polynomial({(1, 1): 1, e: 1}), {"e": (1, 2)}),
+    "an exponent": (lambda e: co.Polynomial({(1, e): 1}).gradient([1.0, 2.0]), {"e": 1}),
+    "a power": (lambda n: P**n, {"n": 2}),
+    "variable": (co.Polynomial.variable, {"i": 0, "dim": 2}),
+    "derivative": (P.derivative, {"i": 0}),
+    "a value": (P, {"x": X}),
+    "Polynomial.gradient": (P.gradient, {"x": X}),
+    "hessian": (P.hessian, {"x": X}),
+    "Invariant": (co.Invariant, {"value": square, "gradient": twice, "period": 0.0}),
+    "Quadratic": (co.Quadratic, {"M": X, "linear": X, "constant": 0.0}),
+    "Quadratic.gradient": (co.Quadratic(X).gradient, {"x": X}),
+    "Quadratic.bind": (co.Quadratic(1.0).bind, {"n": 3}),
+    "from_polynomial": (co.Quadratic.from_polynomial, {"polynomial": P}),
+    "Separable": (co.Separable, {"functions": {0: (np.sin, np.cos)}}),
+    "a coordinate": (lambda i: co.Separable({i: (np.sin, np.cos)}).bind(3), {"i": 0}),
+    "a function of a coordinate": (lambda f: co.Separable({0: (f, np.cos)}).bind(3), {"f": np.sin}),
+    "SplitHamiltonian": (co.SplitHamiltonian, {"pieces": [((0,), co.Quadratic(1.0))]}),
+    "a piece": (lambda where, H: co.SplitHamiltonian([(where, H)]).bind(3), {"where": (0,), "H": co.Quadratic(1.0)}),
+    "Hamiltonian": (co.Hamiltonian, {"value": square, "gradient": twice, "hessian": None}),
+    "Hamiltonian.bind": (H.bind, {"n": 3}),
+    "LiePoissonSystem": (co.LiePoissonSystem, {"algebra": SO3, "hamiltonian": P, "sign": 1, "casimirs": None,
+                         "representation": None, "name": None, "parameters": None, "exact": None}),
+    "PoissonSystem": (co.PoissonSystem, {"structure_matrix": J, "hamiltonian": co.Quadratic(1.0), "sign": 1, "dim": 3,
+                      "derivative": None, "casimirs": None, "name": None}),
+    "what J returns": (lambda value: co.PoissonSystem(lambda x: value, co.Quadratic(X)), {"value": J(X)}),
+    "vector_field": (BODY.vector_field, {"x": X, "t": 0.0}),
+    "energy": (BODY.energy, {"x": X, "t": 0.0}),
+    "jacobian": (BODY.jacobian, {"x": X, "t": 0.0}),
+    "exact": (BODY.exact, {"x0": X, "t": 1.0, "attitude": True}),
+    "batch": (co.batch, {"systems": [BODY, BODY]}),
+    "systems.get": (co.systems.get, {"name": "rigid_body"}),
+    "rigid_body": (co.systems.rigid_body, {"inertia": (1, 2, 3)}),
+    "paper_rigid_body": (co.systems.paper_rigid_body, {"masses": (1, 2, 3)}),
+    "paper_a37": (co.systems.paper_a37, {"a": 2.0, "masses": (1, 2, 3)}),
+    "methods.get": (lambda name: registry.get(name), {"name": "Taylor"}),
+    "from_description": (registry.from_description, {"description": {"name": "Taylor"}}),
+    "description_of": (registry.description_of, {"method": co.Splitting()}),
+    "Splitting": (co.Splitting, {"order": 2, "parts": "auto", "compensated": None, "rotation": "exact", "scheme": None,
+                                 "adjoint": False}),
+    "parts": (lambda parts: co.Splitting(parts=parts).describe(BODY), {"parts": ((0,), (1,), (2,))}),
+    "tuned": (co.Splitting.tuned, {"system": BODY, "x0": X, "order": 2}),
+    "describe": (co.Splitting().describe, {"system": BODY}),
+    "Taylor": (co.Taylor, {"order": 8, "projected": True}),
+    "GaussLegendre": (co.GaussLegendre, {"stages": 2}),
+    "ModifiedGaussLegendre": (co.ModifiedGaussLegendre, {"stages": 1, "iterations": None, "freeze": "structure"}),
+    "IteratedGaussLegendre": (co.IteratedGaussLegendre, {"stages": 2, "iterations": None}),
+    "ExplicitRungeKutta": (co.ExplicitRungeKutta, {"name": "rk4"}),
+    "RadauEnergy": (co.RadauEnergy, {"stages": 2}),
+    "Composition": (co.Composition, {"base": co.Splitting(), "coefficients": (0.5, 0.5)}),
+    **{f"{type(m).__name__}.properties": (m.properties, {"system": BODY})
+       for m in (co.Splitting(), co.Taylor(), co.GaussLegendre(), co.ModifiedGaussLegendre(), co.RadauEnergy(),
+                 co.IteratedGaussLegendre(), co.ExplicitRungeKutta(), co.Composition(co.Splitting(), (1.0,)))},
+    "integrate": (co.integrate, {"system": BODY, "x0": X, "t_span": (0, 1), "step": 0.1, "method": None,
+                  "save_every": 1, "attitude": False, "watch": True, "observe": None, "threads": None,
+                  "progress": False}),
+    "accuracy": (lambda accuracy: co.integrate(BODY, X, (0, 1), accuracy=accuracy), {"accuracy": 1e-3}),
+    "a state": (lambda a: co.integrate(BODY, (a, 1.0, 1.0), (0, 1), 0.5, co.GaussLegendre(2)), {"a": 1.0}),
+    "an observable": (lambda f: co.integrate(BODY, X, (0, 1), 0.5, observe={"f": f}), {"f": P}),
+    "prepare": (co.prepare, {"system": BODY, "method": None, "step": 0.1, "attitude": False, "watch": True,
+                "observe": None, "threads": None}),
+    "run": (READY.run, {"x0": X, "t_span": (0, 1), "save_every": 1, "attitude": None, "progress": False}),
+    "choose": (lambda system, x0, t_span, accuracy, **more: co.choose(system, x0, t_span, accuracy, **more),
+               {"system": BODY, "x0": X, "t_span": (0, 1), "accuracy": 1e-3, "attitude": False,
+                "methods": co.GaussLegendre(2), "processed": False}),
+    "stepper": (co.stepper, {"system": BODY, "method": co.Splitting(), "h": 0.1}),
+    "a step": (STEP, {"x": X, "t": 0.0}),
+    "group": (STEP.group, {"x": X, "t": 0.0, "attitude": None}),
+    "tangent": (STEP.tangent, {"x": X, "t": 0.0}),
+    "fit_order": (order.fit_order, {"steps": [0.4, 0.2, 0.1], "errors": [0.16, 0.04, 0.01], "floor": 0.0}),
+    "phase_error": (phase.phase_error, {"system": BODY, "x0": X, "t": [1.0], "x": [X]}),
+    "defect_of_tangent": (poisson_defect.defect_of_tangent, {"P": EYE, "before": J(X), "after": J(X), "operations": 1}),
+    "poisson_defect": (poisson_defect.poisson_defect, {"step": STEP, "x": X, "operations": 1}),
+    "attitude_angle": (rotations.attitude_angle, {"A": EYE, "B": EYE}),
+    "precession_error": (rotations.precession_error, {"A": EYE, "B": EYE, "axis": X}),
+    "random_walk": (round_off.random_walk, {"deviations": np.ones((3, 4)), "early": 1}),
+    "round_off": (round_off.round_off, {"solution": CROWD, "early": 1}),
+    "orthogonality": (round_off.orthogonality, {"solution": CROWD, "size": 3}),
+    "spatial_momentum": (round_off.spatial_momentum, {"solution": CROWD}),
+    "level_surface": (level_surface, {"function": P, "level": 1.0, "box": [(-1, 1)] * 3, "cells": 4, "period": 0.0}),
+}  # fmt: skip
+
+# Made by the library, or called with nothing.
+NOT_CALLED = {"IntegrationError", "Choice", "PreparedRun", "Solution"}
+BY_OTHER_NAMES = {"LieAlgebra", "Polynomial"}
+
+
+def test_every_public_name_is_called():
+    called = {getattr(function, "__name__", "") for function, _ in CALLS.values()} | set(CALLS)
+    public = {name for name in co.__all__ if name[0] != "_" and callable(getattr(co, name))} - NOT_CALLED
+    assert public <= called
+    assert set(co.algebras.__all__) - {"names"} <= called
+    assert set(co.systems.names()) <= called
+
+
+def ours(error):
+    """Say whether the library itself raised, by its last line; what Python refuses of this file is no question."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    if last.filename == __file__:
+        return True
+    return last.filename.startswith(SOURCE) and "raise" in linecache.getline(last.filename, last.lineno)
+
+
+@contextlib.contextmanager
+def patience():
+    def give_up(*_):
+        raise TimeoutError(f"not done after {PATIENCE} s")
+
+    if not hasattr(signal, "setitimer"):
+        yield
+        return
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.setitimer(signal.ITIMER_REAL, PATIENCE)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize(("name", "parameter"), [(name, key) for name in CALLS for key in CALLS[name][1]])
+def test_an_answer_or_a_refusal(name, parameter, monkeypatch):
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 3 * 10**8)
+    function, arguments = CALLS[name]
+    if name not in ("choose",):
+        parameters = inspect.signature(function).parameters
+        assert set(arguments) <= set(parameters)
+    wrong = []
+    for what, value in HOSTILE.items():
+        try:
+            with patience():
+                function(**{**arguments, parameter: value})
+        except (ValueError, TypeError, co.IntegrationError) as error:
+            message = str(error)
+            if len(message) > LONGEST or "\n" in message or not ours(error):
+                last = traceback.extract_tb(error.__traceback__)[-1]
+                wrong.append(f"{what}: {type(error).__name__}: {message[:300]} ({last.filename}:{last.lineno})")
+        except Exception as error:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            wrong.append(f"{what}: {type(error).__name__}: {str(error)[:200]} ({last.filename}:{last.lineno})")
+    assert not wrong, f"{name}, {parameter}:\n" + "\n".join(wrong)

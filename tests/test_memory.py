@@ -1,0 +1,190 @@
+"""What does not fit is refused before it is made, with the estimate; what fits is made in seconds."""
+
+import time
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint import memory
+from coadjoint.algebra.constants import BYTES_PER_CONSTANT, BYTES_PER_DIMENSION
+from coadjoint.methods.attitude import coadjoint_matrices
+
+BODY = co.systems.rigid_body()
+X = (0.1, 1.0, 0.2)
+GUARD = 30  # seconds, for what took minutes or all memory
+
+
+@pytest.fixture
+def little(monkeypatch):
+    """A machine with 300 MB free."""
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 300 * 10**6)
+
+
+def view(*shape):
+    """As many numbers as one likes, in the memory of one."""
+    return np.broadcast_to(1.0, shape)
+
+
+TOO_LARGE = {
+    "LieAlgebra": lambda: co.LieAlgebra([(0, 1, 1, 1.0)], dim=10**9),
+    "from_brackets": lambda: co.LieAlgebra.from_brackets(10**12, {}),
+    "dense constants": lambda: co.LieAlgebra(view(10**4, 10**4, 10**4)),
+    "so": lambda: co.algebras.so(400),
+    "so, much larger": lambda: co.algebras.so(100_000),
+    "so(p, q)": lambda: co.algebras.so(200, 200),
+    "so, by name": lambda: co.algebras.get("so(1000000000000000000000000000000)"),
+    "so, beyond all floats": lambda: co.algebras.so(10**400),
+    "e": lambda: co.algebras.e(400),
+    "se": lambda: co.algebras.se(400),
+    "gl": lambda: co.algebras.gl(500),
+    "sl": lambda: co.algebras.sl(500),
+    "sp": lambda: co.algebras.sp(500),
+    "su": lambda: co.algebras.su(500),
+    "u": lambda: co.algebras.u(500),
+    "heisenberg": lambda: co.algebras.heisenberg(10**9),
+    "copies": lambda: co.algebras.copies(co.algebras.so(3), 10**9),
+    "direct_sum": lambda: co.algebras.direct_sum(*[co.algebras.copies(co.algebras.so(3), 10**5)] * 20),
+    "variable": lambda: co.Polynomial.variable(0, 10**9),
+    "power": lambda: co.Polynomial({(1,): 2}) ** 10**9,
+    "exponent": lambda: co.Polynomial({(4_000_000_000, 0): 1}),
+    "coefficient": lambda: co.Polynomial({(0,): 2**1000}) ** 1000,
+    "hessian": lambda: co.Polynomial({(0,) * 20_000: 1}).hessian(np.zeros(20_000)),
+    "dense M": lambda: co.Quadratic(view(10**6, 10**6)),
+    "diagonal M": lambda: co.Quadratic(view(10**9)),
+    "scalar M": lambda: co.Quadratic(1.0).bind(10**9),
+    "M, dense again": lambda: co.Quadratic(np.ones(20_000)).hessian(np.zeros(20_000)),
+    "structure matrix": lambda: co.algebras.heisenberg(10_000).structure_matrix(np.zeros(20_001)),
+    "coadjoint matrix": lambda: co.algebras.heisenberg(10_000).coadjoint(np.zeros(20_001)),
+    "coadjoint matrices": lambda: coadjoint_matrices(
+        co.LiePoissonSystem(co.algebras.so(50), co.Quadratic(1.0))
+    ),
+    "Poisson system": lambda: co.PoissonSystem(lambda x: x, co.Quadratic(1.0), dim=10**6),
+    "function": lambda: co.Hamiltonian(lambda x: 0.0, lambda x: x).bind(10**9),
+    "states": lambda: co.integrate(BODY, view(10**10, 3), (0, 1), 0.5),
+    "group elements": lambda: co.integrate(
+        co.LiePoissonSystem(co.algebras.heisenberg(5000), co.Quadratic(1.0)), np.ones(10_001), (0, 1), 0.5,
+        attitude="coadjoint",
+    ),
+    "saved points": lambda: co.integrate(BODY, X, (0, 1e9), 0.1),
+    "basis": lambda: co.LieAlgebra([], dim=2, basis=view(10**12)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TOO_LARGE)
+def test_what_does_not_fit_is_refused_at_once(name, little):
+    start = time.perf_counter()
+    with pytest.raises(ValueError) as refusal:
+        TOO_LARGE[name]()
+    assert time.perf_counter() - start < GUARD
+    message = str(refusal.value)
+    assert len(message) < 1000
+    if name not in ("power", "exponent", "coefficient"):  # refused by their degree, on every machine
+        assert "needs about" in message or "need about" in message
+        assert "this machine has 300 MB free" in message
+
+
+def test_the_estimate_is_said():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("coadjoint.memory.available", lambda: 2_100_000_000)
+        with pytest.raises(ValueError) as refusal:
+            co.algebras.so(400)
+    assert str(refusal.value) == (
+        "so(400), of dimension 79800, needs about 2.9 GB; this machine has 2.1 GB free; take a smaller one"
+    )
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: co.algebras.so(130),
+        lambda: co.algebras.e(110),
+        lambda: co.algebras.sl(100),
+        lambda: co.algebras.su(60),
+        lambda: co.algebras.gl(90),
+        lambda: co.algebras.copies(co.algebras.so(3), 100_000),
+        lambda: co.algebras.heisenberg(100_000),
+        lambda: co.LieAlgebra([], dim=200_000),
+    ],
+)
+def test_an_algebra_needs_no_more_than_is_estimated(make):
+    """Beside the estimate a few tens of MB are for the parts that are at work, and for Casimirs and matrices."""
+    tracemalloc.start()
+    try:
+        g = make()
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    estimate = BYTES_PER_DIMENSION * g.dim + BYTES_PER_CONSTANT * g.triples.c.size
+    assert peak < 1.3 * estimate + 400e6
+    assert peak > 0.2 * estimate
+
+
+def test_large_algebras_are_made_in_seconds():
+    start = time.perf_counter()
+    so, sl = co.algebras.so(150), co.algebras.sl(100)
+    assert time.perf_counter() - start < GUARD  # minutes, when their identities were checked
+    assert (so.dim, so.triples.c.size, sl.dim) == (11175, 150 * 149 * 148 // 2, 9999)
+
+
+@pytest.mark.parametrize("members", [1, 7])
+def test_the_save_every_that_is_said_fits(members, little):
+    x0 = np.tile(X, (members, 1))
+    with pytest.raises(ValueError, match="saved points") as refusal:
+        co.integrate(BODY, x0, (0, 1_000_000), 0.1, save_every=1)
+    every = int(str(refusal.value).split("save_every=")[1].split(" ")[0])
+    ready = co.prepare(BODY, co.Splitting(), 0.1)
+
+    def room(save_every):
+        from coadjoint.runs.room import check_room_of_run
+        from coadjoint.runs.times import times_of
+
+        times = times_of((0, 1_000_000), 0.1, save_every)
+        layout = ready.loops(0.1).plan(members, times.points, 0, 1).layout
+        check_room_of_run(layout, times, members)
+
+    room(every)
+    with pytest.raises(ValueError, match="saved points"):
+        room(every - 1)
+
+
+def test_members_that_do_not_fit_however_few_points_are_saved(monkeypatch):
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 100 * 10**6)
+    with pytest.raises(ValueError, match="run fewer members at a time"):
+        co.integrate(BODY, np.ones((300_000, 3)), (0, 1), 0.5, save_every=2)
+
+
+def test_what_is_small_is_not_asked_about(monkeypatch):
+    def asked():
+        raise AssertionError
+
+    monkeypatch.setattr("coadjoint.memory.available", asked)
+    co.integrate(BODY, X, (0, 10), 0.1)
+    co.algebras.so(20)
+
+
+def test_groups_of_linux(tmp_path):
+    """A batch job has what is left in the group above it; files held in memory do not count as used."""
+    own, root = tmp_path / "cgroup", tmp_path / "fs"
+    job = root / "slurm" / "job"
+    job.mkdir(parents=True)
+    own.write_text("0::/slurm/job\n")
+    (root / "slurm" / "memory.max").write_text("5000\n")
+    (root / "slurm" / "memory.current").write_text("3000\n")
+    (root / "slurm" / "memory.stat").write_text("anon 2000\nfile 1000\n")
+    (job / "memory.max").write_text("max\n")
+    (job / "memory.current").write_text("3000\n")
+    assert memory._left_in_groups(str(root), str(own)) == 3000
+    own.write_text("5:cpu,memory:/job\n")
+    old = root / "memory" / "job"
+    old.mkdir(parents=True)
+    (old / "memory.limit_in_bytes").write_text("700\n")
+    (old / "memory.usage_in_bytes").write_text("300\n")
+    (old / "memory.stat").write_text("total_cache 100\n")
+    assert memory._left_in_groups(str(root), str(own)) == 500
+    assert memory._left_in_groups(str(root), str(tmp_path / "absent")) == memory.UNKNOWN
+
+
+def test_available_is_asked_of_this_machine():
+    assert 2**20 < memory.available() <= memory.UNKNOWN
