@@ -97,7 +97,7 @@ def measure(title: str, algebra: co.LieAlgebra, attitude: Any, steps: int, round
 
 def table(found: list[tuple[Row, Row]]) -> str:
     lines = [
-        f"| | rows | shifted | one step, us | carried | and seen | {POINTS} points, us | carried | and seen |",
+        f"| | rows | shifted | one step, us | carried | and seen | {POINTS} steps, us | carried | and seen |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for one, many in found:

@@ -79,7 +79,7 @@ def moved(algebra, carried, shift, x, time):
     tables = unshift_tables(algebra, carried, -1, shift)
     d = tables.size
     held, out = np.tile(np.eye(d).reshape(1, 1, -1), (2, 1, 1)), np.empty((2, 1, d, d))
-    Unshifting(tables, 1.0).fill(out, held, np.array([x]), np.eye(d)[None], 0, 1, time, 1, 1)
+    Unshifting(tables, 1.0).fill(out, held.ctypes.data, np.array([x]), np.eye(d)[None], 0, 1, time, 1, 1)
     assert np.array_equal(out[0, 0], np.eye(d))
     return out[1, 0]
 

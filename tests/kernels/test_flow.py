@@ -91,9 +91,10 @@ def compare(s, method, h, steps):
     sol = co.integrate(s, x0, (0.5, 0.5 + steps * h), abs(h), method, attitude="coadjoint", save_every=steps)
     x, K = Reading(program).steps(x0, h, steps, t0=0.5, group=np.eye(s.dim))
     if program.shift:
-        held = np.stack([np.eye(s.dim), K.T]).reshape(2, 1, -1)
+        held, out = np.stack([np.eye(s.dim), K.T]), np.empty((2, 1, s.dim, s.dim))
         start = Start(x0[None], np.eye(s.dim)[None], "coadjoint", True)
-        K = Unshift(s, program.shift, "coadjoint")(start, Times(0.5, h, steps, steps), held)[1, 0]
+        Unshift(s, program.shift, "coadjoint").fill(out, start, Times(0.5, h, steps, steps), held.ctypes.data, 0, 1)
+        K = out[1, 0]
     bound = U * steps * operations(program)
     assert np.abs(sol.x[-1] - x).max() <= bound * np.linalg.norm(K) * np.linalg.norm(x)
     assert np.abs(sol.attitude[-1] - K).max() <= bound * np.linalg.norm(K) ** 2

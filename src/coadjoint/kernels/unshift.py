@@ -44,7 +44,7 @@ class Unshifting:
     def fill(
         self,
         out: NDArray[np.float64],
-        held: NDArray[np.float64],
+        held: int,
         momenta: NDArray[np.float64],
         initial: NDArray[np.float64],
         first: int,
@@ -58,9 +58,10 @@ class Unshifting:
         Parameters
         ----------
         out : ndarray, shape (k, members, d, d)
-            C-contiguous, as all of these.
-        held : ndarray, shape (k, members, d*d)
-            Transposed elements of the shifted run, started at the unit element.
+            C-contiguous, as the other arrays.
+        held : int
+            Where the elements of the shifted run, started at the unit element, stand in memory: (k, members, d*d) of
+            them, transposed.
         momenta, initial : ndarray, shape (members, n) and (members, d, d)
             The start; the elements at step 0 are `initial`, to the bit.
         first, last : int
@@ -70,14 +71,14 @@ class Unshifting:
         save_every, steps : int
             Every how many steps something was saved, and how many steps there are.
         """
-        places = [ctypes.addressof(number_at(array)) for array in (momenta, initial, held, out)]
+        x0, g0, whole = [ctypes.addressof(number_at(array)) for array in (momenta, initial, out)]
         points, members = out.shape[:2]
         size = int(MOST_PRODUCTS / ((last - first) * self._products)) or 1
         for k in range(0, points, size):
             stop = min(k + size, points)
             # The table as plain bytes: a tenth of the time that a structure takes.
             numbers = members, first, last, k, stop, h, self._rate, save_every, steps
-            self._unshift(self._address, self._packed(*places, *numbers))
+            self._unshift(self._address, self._packed(x0, g0, held, whole, *numbers))
 
 
 @cache

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.arrays import Block
 from coadjoint.kernels.loop import Crew
 from coadjoint.kernels.varied_tables import BLOCK
 from coadjoint.methods.base import FlowMethod, Method
@@ -101,10 +102,10 @@ class BatchLoops(Loops):
 
 
 def turned_each(
-    unshifts: Sequence[Unshift | None], start: Start, times: Times, held: NDArray[np.float64]
+    unshifts: Sequence[Unshift | None], start: Start, times: Times, results: Block, points: int
 ) -> NDArray[np.float64]:
-    """Return the group elements (k, members, d, d) of a run, each member turned by what was taken off its H."""
-    found = np.array(plainly(start, times, held), order="C")
+    """Return the group elements (points, members, d, d), each member turned by what was taken off its H."""
+    found, held = np.array(plainly(start, times, results, points), order="C"), results.place_of("group")
     for m, unshift in enumerate(unshifts):
         if unshift is not None:
             unshift.fill(found, start, times, held, m, m + 1)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import Extent, Layout
+from coadjoint.kernels.arrays import Block, Extent, Layout
 from coadjoint.kernels.loop import Crew
 from coadjoint.kernels.varied_tables import BLOCK
 from coadjoint.methods.base import Method, System
@@ -20,7 +20,7 @@ from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.runs.unshift import Unshift, plainly
 
-Turned = Callable[[Start, Times, NDArray[np.float64]], NDArray[np.float64]]
+Turned = Callable[[Start, Times, Block, int], NDArray[np.float64]]
 
 
 class Plan:
@@ -52,8 +52,8 @@ class Loops(ABC):
     memory : int
         How many numbers a member remembers from step to step.
     turned : callable
-        ``turned(start, times, held)`` returns the group elements (k, members, d, d) of the run from those of the loops,
-        (k, members, d*d) and transposed; it does not hold the tables of the loops.
+        ``turned(start, times, results, points)`` returns the group elements (points, members, d, d) of the run from
+        those that the loops left; it does not hold the tables of the loops.
     """
 
     order: NDArray[np.int64] | None = None

@@ -63,7 +63,7 @@ class Saved:
         """Group elements, with what was taken off the Hamiltonian put back."""
         if self._start.representation is None:
             return None
-        found = self._turned(self._start, self._times, self._results["group"][: self._kept])
+        found = self._turned(self._start, self._times, self._results, self._kept)
         return found[:, 0] if self._start.single else found
 
     @property

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.kernels.arrays import Block
 from coadjoint.methods.base import System
 from coadjoint.program.unshift import unshift_tables
 from coadjoint.runs.start import Representation, Start
@@ -20,9 +21,9 @@ if TYPE_CHECKING:
 Shift = tuple[tuple[Polynomial, float], ...]
 
 
-def plainly(start: Start, times: Times, held: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return group elements (k, members, d, d) as the loops held them, (k, members, d*d) and transposed."""
-    return np.swapaxes(held.reshape(len(held), *start.groups.shape), 2, 3)
+def plainly(start: Start, times: Times, results: Block, points: int) -> NDArray[np.float64]:
+    """Return group elements (points, members, d, d) as the loops left them; they hold them transposed."""
+    return np.swapaxes(results["group"][:points].reshape(points, *start.groups.shape), 2, 3)
 
 
 class Unshift:
@@ -58,15 +59,13 @@ class Unshift:
         assert system.algebra is not None
         return Unshifting(unshift_tables(system.algebra, rho, system.sign, shift), rate)
 
-    def __call__(self, start: Start, times: Times, held: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return group elements (k, members, d, d) from those of the loops, (k, members, d*d) and transposed."""
-        found = np.empty((len(held), *start.groups.shape))
-        self.fill(found, start, times, held, 0, len(start.groups))
+    def __call__(self, start: Start, times: Times, results: Block, points: int) -> NDArray[np.float64]:
+        """Return group elements (points, members, d, d) from those that the loops left."""
+        found = np.empty((points, *start.groups.shape))
+        self.fill(found, start, times, results.place_of("group"), 0, len(start.groups))
         return found
 
-    def fill(
-        self, out: NDArray[np.float64], start: Start, times: Times, held: NDArray[np.float64], first: int, last: int
-    ) -> None:
-        """Do the same for the members `first` to `last` - 1 of `out`."""
+    def fill(self, out: NDArray[np.float64], start: Start, times: Times, held: int, first: int, last: int) -> None:
+        """Fill in the members `first` to `last` - 1 of `out` from what stands at the address `held`."""
         _, h, steps, save_every = times
         self._unshifting.fill(out, held, start.momenta, start.groups, first, last, h, save_every, steps)

@@ -26,7 +26,9 @@ template <class A>
 INLINE void add_strip(const double* a, const double* b, double* c, int64_t rows, int64_t inner, int64_t columns) {
     int64_t j = 0;
     for (; j + 4 <= columns; j += 4) add_tile<A, 4>(a, b + j * inner, c + j * rows, rows, inner);
-    for (; j < columns; ++j) add_tile<A, 1>(a, b + j * inner, c + j * rows, rows, inner);
+    if (columns - j == 3) return add_tile<A, 3>(a, b + j * inner, c + j * rows, rows, inner);
+    if (columns - j == 2) return add_tile<A, 2>(a, b + j * inner, c + j * rows, rows, inner);
+    if (columns - j == 1) add_tile<A, 1>(a, b + j * inner, c + j * rows, rows, inner);
 }
 
 // C += A B for any sizes: sums in the order of k.
@@ -120,9 +122,9 @@ class SkewPlanesOf {
         std::fill(image.begin(), image.end(), 0.0);
         add_product(T.data(), v.data(), image.data(), m, m, 1);
         for (double& value : image) value *= factor;
-        // v^T T v is 0.
-        for (int64_t j = 0; j < m; ++j)
-            for (int64_t i = 0; i < m; ++i) T[j * m + i] += v[i] * image[j] - image[i] * v[j];
+        // v^T T v is 0, and before row k there is nothing left of the other rows.
+        for (int64_t j = k; j < m; ++j)
+            for (int64_t i = k; i < m; ++i) T[j * m + i] += v[i] * image[j] - image[i] * v[j];
         std::fill(image.begin(), image.end(), 0.0);
         add_product(Q.data(), v.data(), image.data(), m, m, 1);
         for (int64_t j = k + 1; j < m; ++j)
@@ -132,18 +134,22 @@ class SkewPlanesOf {
     // One-sided Jacobi: turn rows against each other, and those of `mixed` with them, until all are orthogonal.
     void make_orthogonal() {
         bool turned = true;
+        std::vector<double> square(odd);
         for (int64_t sweep = 0; turned && sweep < SWEEPS; ++sweep) {
             turned = false;
+            for (int64_t a = 0; a < odd; ++a) square[a] = dot(&rows[a * even], &rows[a * even], even);
             for (int64_t a = 0; a < odd; ++a)
                 for (int64_t b = a + 1; b < odd; ++b) {
                     double *one = &rows[a * even], *other = &rows[b * even];
-                    const double p = dot(one, one, even), q = dot(other, other, even), between = dot(one, other, even);
-                    if (between * between <= 4.0 * UNIT * UNIT * (p * q)) continue;
+                    const double between = dot(one, other, even);
+                    if (between * between <= 4.0 * UNIT * UNIT * (square[a] * square[b])) continue;
                     turned = true;
-                    const double slope = (q - p) / (2.0 * between);
+                    const double slope = (square[b] - square[a]) / (2.0 * between);
                     const double tangent =
                         (slope < 0.0 ? -1.0 : 1.0) / (absolute(slope) + std::sqrt(fma(slope, slope, 1.0)));
                     const double c = 1.0 / std::sqrt(fma(tangent, tangent, 1.0));
+                    square[a] -= tangent * between;
+                    square[b] += tangent * between;
                     turn(one, other, even, c, c * tangent);
                     turn(&mixed[a * odd], &mixed[b * odd], odd, c, c * tangent);
                 }

@@ -98,10 +98,10 @@ class Block {
         if (kind == GENERAL) series_at(t);
         if (!leaned.empty()) {
             // X leaves x where it is; rounded, it would push it away in proportion to time.
-            std::fill(pushed.begin(), pushed.end(), 0.0);
-            add_product(increment.data(), leaned.data(), pushed.data(), m, m, 1);
+            change.assign(m, 0.0);
+            add_product(increment.data(), leaned.data(), change.data(), m, m, 1);
             for (int64_t j = 0; j < m; ++j)
-                for (int64_t i = 0; i < m; ++i) increment[j * m + i] -= pushed[i] * leaned[j];
+                for (int64_t i = 0; i < m; ++i) increment[j * m + i] -= change[i] * leaned[j];
         }
     }
 
@@ -109,20 +109,20 @@ class Block {
     void apply(const double* v, double* w, int64_t size) {
         if (still) return;
         if (m == size) return add_product(increment.data(), v, w, m, m, size);
-        part.resize(m);
-        for (int64_t column = 0; column < size; ++column, v += size, w += size) {
-            for (int64_t i = 0; i < m; ++i) part[i] = v[coordinates[i]];
-            std::fill(pushed.begin(), pushed.end(), 0.0);
-            add_product(increment.data(), part.data(), pushed.data(), m, m, 1);
-            for (int64_t i = 0; i < m; ++i) w[coordinates[i]] += pushed[i];
-        }
+        own.resize(m * size);
+        change.assign(m * size, 0.0);
+        for (int64_t j = 0; j < size; ++j)
+            for (int64_t i = 0; i < m; ++i) own[j * m + i] = v[j * size + coordinates[i]];
+        add_product(increment.data(), own.data(), change.data(), m, m, size);
+        for (int64_t j = 0; j < size; ++j)
+            for (int64_t i = 0; i < m; ++i) w[j * size + coordinates[i]] += change[j * m + i];
     }
 
   private:
     const int64_t m;
     const uint32_t* coordinates;
     const int kind, order;
-    Matrix D, increment, leaned, pushed = Matrix(m), part, left, right, turned;
+    Matrix D, increment, leaned, own, change, left, right, turned;
     std::vector<Matrix> powers;
     std::vector<double> frequency;
     double scale = 1.0, lam = 0.0, root = 0.0, mean = 0.0, other_root = 0.0;
@@ -297,7 +297,7 @@ void transpose(const double* from, double* to, int64_t size) {
 // The group elements of a run from those of its loop. What was given is left to the bit at the start.
 EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run) {
     const int64_t d = tables->size, square = d * d;
-    Matrix moved(square), placed(square), before(square);
+    Matrix moved(square), placed, before;
     std::vector<Block> blocks;
     blocks.reserve(tables->blocks);
     for (int64_t member = run->first; member < run->last; ++member) {
@@ -306,7 +306,10 @@ EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run) {
             blocks.emplace_back(*tables, b, run->momenta + member * tables->dim);
         const double* initial = run->initial + member * square;
         const bool unit = is_unit(initial, d);
-        transpose(initial, before.data(), d);
+        if (!unit) {
+            before.resize(square);
+            transpose(initial, before.data(), d);
+        }
         for (int64_t k = run->k0; k < run->k1; ++k) {
             const int64_t step = std::min(k * run->save_every, run->steps), here = (k * run->members + member) * square;
             if (step == 0) {
@@ -320,7 +323,7 @@ EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run) {
                 block.apply(group, moved.data(), d);
             }
             if (!unit) {
-                std::fill(placed.begin(), placed.end(), 0.0);
+                placed.assign(square, 0.0);
                 add_product(before.data(), moved.data(), placed.data(), d, d, d);
             }
             transpose(unit ? moved.data() : placed.data(), run->out + here, d);
