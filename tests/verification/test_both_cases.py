@@ -251,6 +251,28 @@ def test_planes_with_frequencies_of_their_own(count, compensated):
         np.testing.assert_allclose(found[-1], expected, rtol=0, atol=rounding(system, expected))
 
 
+@pytest.mark.parametrize("method", [co.Splitting(order=2), co.ExplicitRungeKutta("rk4"), co.GaussLegendre(2)], ids=str)
+def test_a_member_that_fails_keeps_what_it_deviated_until_then(method):
+    """Alone or among others, in the tenths before its end; the others are not told of it."""
+    # x1' = -x1 x2, x2' = -x1^2: beyond x2 = -c, c^2 = x2^2 - x1^2, it blows up, elsewhere x2 goes to c.
+    system = co.LiePoissonSystem(co.LieAlgebra.from_brackets(2, {(0, 1): {0: 1.0}}), co.Quadratic([1.0, -1.0]))
+    states = np.column_stack([np.linspace(0.1, 0.2, 9), np.where(np.arange(9) % 4 == 1, -1.0, 0.5)])
+    span = (0.0, 64.0)
+    with pytest.raises(co.IntegrationError) as together:
+        co.integrate(system, states, span, STEP, method, save_every=100)
+    partial = together.value.partial
+    assert partial.failed.tolist() == [m % 4 == 1 for m in range(9)]
+    for m, x0 in enumerate(states):
+        if partial.failed[m]:
+            with pytest.raises(co.IntegrationError) as alone:
+                co.integrate(system, x0, span, STEP, method, save_every=100)
+            own = alone.value.partial
+        else:
+            own = co.integrate(system, x0, span, STEP, method, save_every=100)
+        tenths = own.drift()["energy"].tenths
+        assert np.array_equal(partial.drift()["energy"].tenths[m], tenths) and tenths.max() > 0.0
+
+
 @pytest.mark.parametrize("compensated", [False, True])
 def test_series_of_every_length_side_by_side(compensated):
     """Small angles take fewer terms and substeps: none of a neighbour's, of which a few in 2^12 would change a bit."""
