@@ -91,6 +91,22 @@ def test_pauses_change_nothing(name, monkeypatch, capfd):
     assert "80/80" in capfd.readouterr().err.replace(".0", "")
 
 
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_pauses_change_nothing_in_company(name, scheme, monkeypatch, capfd):
+    """Calls of one step each, of a member alone and of seven: what is begun at the start is not begun again."""
+    s, method = SYSTEMS[name], SCHEMES[scheme]
+    crowd = np.random.default_rng(3).uniform(-1, 1, (7, s.dim))
+    for x0 in (crowd[0], crowd):
+        whole = co.integrate(s, x0, (0.5, 1.5), 0.125, method, save_every=3, attitude="coadjoint")
+        monkeypatch.setattr(run_module, "SECONDS_BETWEEN_LOOKS", 0.0)
+        pieces = co.integrate(s, x0, (0.5, 1.5), 0.125, method, save_every=3, attitude="coadjoint", progress=True)
+        monkeypatch.undo()
+        assert np.array_equal(whole.x, pieces.x) and np.array_equal(whole.attitude, pieces.attitude)
+        assert np.array_equal(whole.energy, pieces.energy)
+    assert "step" in capfd.readouterr().err
+
+
 def test_the_clock_moves_nothing_that_does_not_depend_on_it():
     s, x0 = e3_and_start()
     assert np.array_equal(co.integrate(s, x0, (0, 1), 0.125).x, co.integrate(s, x0, (1024, 1025), 0.125).x)

@@ -76,7 +76,7 @@ def test_member_of_a_batch_is_what_it_is_alone(scheme, name, monkeypatch):
 
     together = [run(batch, x0, threads=count) for count in (1, 2, 3)]
     monkeypatch.setattr(loop, "SECONDS_BETWEEN_LOOKS", 0.0)  # cut after every step
-    together.append(run(batch, x0, threads=2))
+    together.append(run(batch, x0, threads=2, progress=True))
     alone = [run(system, x) for system, x in zip(systems, x0, strict=True)]
     for sol in together:
         for m, one in enumerate(alone):
