@@ -5,7 +5,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 FIGURES ?= figures
 
-.PHONY: demo test mutants bench check clean
+# Random runs of `make soak`: take another first seed each time.
+FIRST ?= 0
+COUNT ?= 3000
+
+.PHONY: demo test mutants soak sanitize bench clean
 
 demo: $(VENV)/installed
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -19,6 +23,15 @@ test: $(VENV)/installed
 # Plants the defects of tests/mutants one after the other, in a copy, and prints those that no test notices.
 mutants: $(VENV)/installed
 	$(BIN)/python tests/mutants/plant.py $(MUTANTS)
+
+# Random systems, schemes and crowds: the same bits in any company, and an end to every run.
+soak: $(VENV)/installed
+	cd tests && ../$(BIN)/python -m random_runs.soak $(FIRST) $(COUNT) --jobs 2
+
+# The kernels built to find their own faults, under tests and random runs.
+sanitize: $(VENV)/installed
+	cd tests && ../$(BIN)/python sanitize.py address
+	cd tests && ../$(BIN)/python sanitize.py threads
 
 bench: $(VENV)/peers
 	$(BIN)/python benchmarks/run_all.py

@@ -1,6 +1,6 @@
 """Random runs by the thousand: `python -m random_runs.soak FIRST COUNT`, in the folder of the tests.
 
-Prints what changes bits, and exits with status 1 where anything does. A seed that takes longer than the limit ends the
+Prints what changes bits, and exits with status 1 where anything does. A seed that takes longer than the limit ends its
 process, with the place where it was.
 """
 
@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import argparse
 import faulthandler
+import subprocess
 import sys
 import traceback
 import warnings
+from itertools import pairwise
 
 from .cases import case_of
 from .comparisons import differences
@@ -18,17 +20,13 @@ from .comparisons import differences
 SECONDS = 120.0  # for all runs of a seed: some take a splitting of forty members to pieces
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("first", type=int, help="the first seed")
-    parser.add_argument("count", type=int, help="how many seeds")
-    parser.add_argument("--limit", type=float, default=SECONDS, help="seconds that a seed may take")
-    given = parser.parse_args()
+def tried(seeds: range, limit: float) -> int:
+    """Try seeds one after the other; return how many were wrong."""
     warnings.simplefilter("error")
     wrong = 0
-    for seed in range(given.first, given.first + given.count):
+    for seed in seeds:
         print(f"seed {seed}", file=sys.stderr, flush=True)
-        faulthandler.dump_traceback_later(given.limit, exit=True)
+        faulthandler.dump_traceback_later(limit, exit=True)
         try:
             found = list(differences(seed))
         except Exception:
@@ -37,8 +35,25 @@ def main() -> int:
         wrong += bool(found)
         for sentence in found:
             print(f"seed {seed}: {sentence}\n    {case_of(seed)[0]}", flush=True)
-    print(f"{given.count} seeds, {wrong} wrong", flush=True)
-    return int(wrong > 0)
+    print(f"{len(seeds)} seeds, {wrong} wrong", flush=True)
+    return wrong
+
+
+def main() -> int:
+    """Return 0 where no seed was wrong, in any of the processes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("first", type=int, help="the first seed")
+    parser.add_argument("count", type=int, help="how many seeds")
+    parser.add_argument("--limit", type=float, default=SECONDS, help="seconds that a seed may take")
+    parser.add_argument("--jobs", type=int, default=1, help="processes side by side")
+    given = parser.parse_args()
+    seeds = range(given.first, given.first + given.count)
+    if given.jobs == 1:
+        return int(tried(seeds, given.limit) > 0)
+    edges = [given.first + given.count * job // given.jobs for job in range(given.jobs + 1)]
+    command = [sys.executable, "-m", "random_runs.soak", "--limit", str(given.limit)]
+    processes = [subprocess.Popen([*command, str(first), str(last - first)]) for first, last in pairwise(edges)]
+    return int(any([process.wait() for process in processes]))
 
 
 if __name__ == "__main__":
