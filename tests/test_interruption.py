@@ -163,11 +163,24 @@ def test_a_store_that_had_stepped_aside_for_a_killed_run_comes_back(folder):
     assert sorted(os.listdir(folder)) == ["body.toml", "run.zarr"]
 
 
+def test_what_is_left_of_another_target_with_a_like_name_stays(folder):
+    one, other = ("a" * 60 + end for end in ("1.nc", "2.nc"))
+    child(AT_PIECE.format(piece=3, act=KILL.format(name="SIGKILL")) + RUN.format(target=one))
+    left = sorted(os.listdir(folder))
+    check_target(other)
+    assert sorted(os.listdir(folder)) == left != ["body.toml"]
+    check_target(one)
+    assert os.listdir(folder) == ["body.toml"]
+
+
 @pytest.mark.parametrize("target", ["run.nc", "run.zarr"])
-def test_interrupted_in_a_program_that_hears_interrupts_itself(folder, target, capsys):
-    # Python's own handler raises an exception in the main thread, which waits for the one that writes.
+@pytest.mark.parametrize("dropped", [False, True])
+def test_interrupted_in_a_program_that_hears_interrupts_itself(folder, target, dropped):
+    # Python's own handler raises an exception in the main thread, which waits for the one that writes. There it would
+    # be dropped, raised while an object is deleted.
     old_result(target)
-    code = AT_PIECE.format(piece=3, act=KILL.format(name="SIGINT"))
+    act = KILL.format(name="SIGINT")
+    code = AT_PIECE.format(piece=3, act=f"type('D', (), {{'__del__': lambda self: {act}}})()" if dropped else act)
     code += f"from coadjoint.cli import main\nsys.exit(main(['run', 'body.toml', '--out', {target!r}]))"
     done = child(code)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "coadjoint: interrupted\n")

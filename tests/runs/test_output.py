@@ -3,7 +3,7 @@
 import os
 import subprocess
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -97,10 +97,26 @@ def test_file_in_which_no_write_fails_reads_what_was_written(tmp_path):
         at = int(rng.integers(0, len(wanted)))
         file.seek(at)
         assert file.read(PAGE) == wanted[at : at + PAGE]
-    file.write(bytes(LARGEST_KEPT + 1))  # dropped
+    file.seek(0)
+    file.write(b"1" * (LARGEST_KEPT + 1))  # numbers: dropped, so that memory does not grow
+    assert file.seek(0) == 0 and file.read(len(wanted)) == wanted
     assert file.truncate(10) == 10 and file.seek(0) == 0 and file.read() == wanted[:10]
     with pytest.raises(OSError, match="no space left"):
         file.close()
+
+
+def test_a_disk_may_take_a_piece_in_parts(tmp_path, monkeypatch):
+    real = os.pwrite, os.pread
+    monkeypatch.setattr(os, "pwrite", lambda file, piece, at: real[0](file, piece[:1000], at))
+    monkeypatch.setattr(os, "pread", lambda file, length, at: real[1](file, min(length, 700), at))
+    write_dataset(LARGE.isel(point=slice(5000)), tmp_path / "run.nc")
+    monkeypatch.undo()
+    with xarray.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as found:
+        xarray.testing.assert_identical(found.load(), LARGE.isel(point=slice(5000)))
+    with SteadfastFile(tmp_path / "image", nullcontext) as file:
+        monkeypatch.setattr(os, "pread", lambda file, length, at: real[1](file, min(length, 700), at))
+        assert file.write(bytes(range(256)) * 10) == 2560 and file.seek(0) == 0
+        assert file.read() == bytes(range(256)) * 10
 
 
 def test_nothing_is_written_once_it_is_given_up(tmp_path):

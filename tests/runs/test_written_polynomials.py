@@ -12,7 +12,7 @@ from coadjoint.runs.expressions import read_brackets, read_polynomial
 
 def test_long_polynomials_are_read_in_time_that_grows_with_them():
     # Read term by term into new polynomials, this took hours.
-    monomials = {(i % 50, i // 50 % 50, i // 2500): i + 1 for i in range(20000)}
+    monomials = {(i % 50, i // 50 % 50, i // 2500): i + 1 for i in range(6000)}
     text = " + ".join(f"{c}*x1^{a}*x2^{b}*x3^{d}" for (a, b, d), c in monomials.items())
     begun = time.monotonic()
     assert read_polynomial(text, 3) == co.Polynomial(monomials)
@@ -44,11 +44,9 @@ def test_highest_degree_and_largest_coefficient():
 def test_more_terms_than_memory(monkeypatch):
     monkeypatch.setattr("coadjoint.runs.expressions.check_room", lambda count, what: wanted.append((count, what)))
     wanted = []
-    read_polynomial(" + ".join(f"x{i + 1}" for i in range(2500)), 2500)
-    assert [what for _, what in wanted] == [
-        f"a polynomial of {terms} terms or more in 2500 coordinates" for terms in (1024, 2048)
-    ]
-    assert 2048 * 2500 * 8 < wanted[-1][0] < 10 * 2048 * 2500 * 8
+    read_polynomial(" + ".join(f"x{i + 1}" for i in range(1100)), 1100)
+    assert [what for _, what in wanted] == ["a polynomial of 1024 terms or more in 1100 coordinates"]
+    assert 1024 * 1100 * 8 < wanted[0][0] < 10 * 1024 * 1100 * 8
 
 
 def test_brackets_of_many_elements_are_read_in_time_that_grows_with_them():

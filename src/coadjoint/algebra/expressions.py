@@ -11,7 +11,7 @@ from itertools import pairwise
 from typing import Any, TypeVar
 
 from coadjoint.algebra.logarithmic import LogarithmicSum
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.polynomial import MOST_DEGREE, TOO_HIGH, Polynomial
 from coadjoint.errors import in_one_line
 from coadjoint.wording import short
 
@@ -20,8 +20,6 @@ Read = TypeVar("Read")
 Formula = Number | Polynomial | LogarithmicSum
 
 # A short text can stand for something that no machine can hold. So there are bounds for what a reader makes of it.
-MOST_DEGREE = 1024
-TOO_HIGH = "since from there on even powers of 2 leave float64"
 MOST_DIGITS = 400
 TOO_LARGE = "is too large for float64, or has too many digits"
 MOST_LETTERS = 10_000
@@ -205,7 +203,7 @@ def _power(base: Number | Polynomial, power: int, text: str) -> Number | Polynom
 def _check_size(degree: int, terms: int, text: str) -> None:
     if degree > MOST_DEGREE:
         raise ValueError(
-            f"{short(text)} has the degree {short(degree)}; there are degrees up to {MOST_DEGREE}, {TOO_HIGH}"
+            f"{short(text)} has the degree {short(degree)}; there are degrees up to {MOST_DEGREE}; {TOO_HIGH}"
         )
     if terms > MOST_TERMS:
         raise ValueError(f"{short(text)} has about {short(terms)} terms when it is multiplied out, beyond {MOST_TERMS}")

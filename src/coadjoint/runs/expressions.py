@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from typing import Any
 
-from coadjoint.algebra.expressions import MOST_DEGREE, MOST_DIGITS, TOO_HIGH, TOO_LARGE, fits
-from coadjoint.algebra.polynomial import Exponents, Polynomial
+from coadjoint.algebra.expressions import MOST_DIGITS, TOO_LARGE, fits
+from coadjoint.algebra.polynomial import MOST_DEGREE, TOO_HIGH, Exponents, Polynomial
 from coadjoint.memory import check_room
 from coadjoint.wording import short
 
@@ -109,7 +109,7 @@ def _listed_terms(given: list[Any], dim: int) -> Iterator[tuple[Exponents, Numbe
 
 
 def _too_high(what: str, degree: int) -> ValueError:
-    return ValueError(f"{what} has the degree {short(degree)}; there are degrees up to {MOST_DEGREE}, {TOO_HIGH}")
+    return ValueError(f"{what} has the degree {short(degree)}; there are degrees up to {MOST_DEGREE}; {TOO_HIGH}")
 
 
 class _Reader:

@@ -108,7 +108,10 @@ def _rehearse(target: Path) -> None:
 
 
 def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
-    """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``); whoever looks sees the old one or the whole new one.
+    """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``), whole or not at all.
+
+    It is written beside the target and renamed. A file is replaced in one step; between two Zarr stores, which are
+    folders, there is a moment without either.
 
     Parameters
     ----------
