@@ -129,7 +129,8 @@ def from_description(description: Mapping[str, Any]) -> Method:
 
 def _read(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return from_description(value)
+        # Other parameters have a written form too: parts that were chosen.
+        return from_description(value) if "name" in value else {key: _read(entry) for key, entry in value.items()}
     return tuple(_read(entry) for entry in value) if isinstance(value, list) else value
 
 

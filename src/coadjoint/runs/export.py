@@ -7,11 +7,14 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError
 from coadjoint.methods import registry
+from coadjoint.runs.record_entries import Entry, made_of, parsed
 from coadjoint.runs.records import record_of, safe_name, system_of
+from coadjoint.runs.times import times_of
 from coadjoint.systems.batch import Batch
 
 if TYPE_CHECKING:
@@ -20,6 +23,7 @@ if TYPE_CHECKING:
     from coadjoint.runs.solution import Solution
 
 TENTHS = 10
+NEEDED = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
 
 
 def dataset_of(solution: Solution) -> xarray.Dataset:
@@ -174,7 +178,7 @@ def solution_inputs(dataset: xarray.Dataset) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        Something that the motion depends on was not stored; it is named.
+        Something that the motion depends on was not stored, or the dataset is damaged; what is wrong is named.
 
     Examples
     --------
@@ -184,22 +188,47 @@ def solution_inputs(dataset: xarray.Dataset) -> dict[str, Any]:
     (0.0, 1.0)
     """
     attributes = dataset.attrs
-    absent = [key for key in ("system", "method", "step") if key not in attributes]
+    absent = [key for key in NEEDED if key not in attributes]
     if absent:
         raise ValueError(f"the dataset has no attribute {absent[0]!r}; it was not written by coadjoint")
-    carried = attributes["attitude_carried"]
-    initial = {"none": False, "coadjoint": "coadjoint"}
-    start, end = json.loads(attributes["t_span"])
+    given = {key: Entry(attributes[key], key) for key in NEEDED}
+    x0 = _state(dataset, "x0", ("component",))
+    described = parsed(attributes["method"], "method")
+    description = {key: entry.plain() for key, entry in described.table().items()}
+    with made_of(described):
+        method = registry.from_description(description)
+    start, end = (time.number() for time in parsed(attributes["t_span"], "t_span").entries(2))
+    step, save_every = given["step"].number(), given["save_every"].whole(1)
+    with made_of(given["step"]):
+        times = times_of((start, end), step, save_every)
+    if times.steps != given["steps"].whole():
+        raise given["steps"].wrong(f"{times.steps}, the number of steps of {step!r} from {start!r} to {end!r}")
+    carried = given["attitude_carried"].text()
+    initial: dict[str, Any] = {"none": False, "coadjoint": "coadjoint"}
+    if carried not in (*initial, "representation"):
+        raise given["attitude_carried"].wrong("'none', 'coadjoint' or 'representation'")
     return {
-        "system": system_of(json.loads(attributes["system"])),
-        "x0": dataset["x0"].values,
+        "system": system_of(parsed(attributes["system"], "system"), x0.shape[-1]),
+        "x0": x0,
         "t_span": (start, end),
-        "step": float(attributes["step"]),
-        "method": registry.from_description(json.loads(attributes["method"])),
-        "save_every": int(attributes["save_every"]),
-        "watch": bool(attributes["watch"]),
-        "attitude": initial[carried] if carried in initial else dataset["attitude0"].values,
+        "step": step,
+        "method": method,
+        "save_every": save_every,
+        "watch": given["watch"].flag(),
+        "attitude": initial[carried] if carried in initial else _state(dataset, "attitude0", ("row", "column")),
     }
+
+
+def _state(dataset: xarray.Dataset, name: str, dimensions: tuple[str, ...]) -> NDArray[np.float64]:
+    """Return a variable of the start: finite numbers over `dimensions`, or over members before them."""
+    if name not in dataset:
+        raise ValueError(f"the dataset has no variable {name!r}; it is damaged, or was not written by coadjoint")
+    variable = dataset[name]
+    if variable.dims not in (dimensions, ("member", *dimensions)) or not variable.size:
+        raise ValueError(f"{name} is over {variable.dims}; it must be over {dimensions}, or members and these")
+    if variable.dtype.kind not in "if" or not np.isfinite(variable.values).all():
+        raise ValueError(f"{name} holds something else than finite numbers")
+    return np.asarray(variable.values, dtype=np.float64)
 
 
 def rebuild(dataset: xarray.Dataset) -> Solution:
@@ -218,7 +247,7 @@ def rebuild(dataset: xarray.Dataset) -> Solution:
     Raises
     ------
     ValueError
-        Something that the motion depends on was not stored.
+        Something that the motion depends on was not stored, or the dataset is damaged; what is wrong is named.
     IntegrationError
         The run fails, as it did.
 
@@ -231,4 +260,6 @@ def rebuild(dataset: xarray.Dataset) -> Solution:
     """
     from coadjoint.runs.integrate import integrate
 
-    return integrate(**solution_inputs(dataset))
+    inputs = solution_inputs(dataset)
+    with made_of(Entry(None, "the run of this dataset")):
+        return integrate(**inputs)

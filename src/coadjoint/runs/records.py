@@ -8,10 +8,13 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.methods.base import System
+from coadjoint.runs.record_entries import CASIMIR, EXACT
+from coadjoint.runs.record_reading import system_of
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.hamiltonian import HamiltonianLike, PolynomialHamiltonian
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -19,15 +22,18 @@ from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
 
+__all__ = ["record_of", "safe_name", "system_of"]
+
 LONGEST_NAME = 64
+STORED = (Polynomial, Quadratic)
 
 
 def record_of(system: System | Batch) -> dict[str, Any]:
     """Return a system as plain numbers, lists and text.
 
     A ready-made system is its name and parameters. Any other is its structure constants (i, j, k, c), its Hamiltonian,
-    sign, polynomial Casimirs and representation; functions cannot be stored, and are named under ``"not_stored"``. A
-    batch is the list of its members.
+    sign, Casimirs that are polynomials and representation, and the name, basis, Casimirs and representation of its
+    algebra; functions cannot be stored, and are named under ``"not_stored"``. A batch is the list of its members.
 
     Parameters
     ----------
@@ -56,29 +62,52 @@ def record_of(system: System | Batch) -> dict[str, Any]:
     if not isinstance(system, LiePoissonSystem):
         return {"name": system.name, "not_stored": [f"structure matrix: {_function_name(system.structure_function)}"]}
     hamiltonian, missing = _hamiltonian_record(system.hamiltonian)
-    casimirs = {name: _monomials(value) for name, value in system.casimirs.items() if isinstance(value, Polynomial)}
-    missing += [f"casimir: {name}" for name in system.casimirs if name not in casimirs]
-    i, j, k, c = (column.tolist() for column in system.algebra.triples)
+    followed, known = system.casimirs, system.algebra.casimirs_known
+    lost = [name for name, value in (*followed.items(), *known.items()) if not isinstance(value, STORED)]
+    missing += [f"{CASIMIR}{name}" for name in dict.fromkeys(lost)]
+    missing += [] if system.closed_form is None else [f"{EXACT}{_function_name(system.closed_form)}"]
     record: dict[str, Any] = {
         "name": system.name,
         "sign": system.sign,
-        "algebra": {
-            "name": system.algebra.name,
-            "dim": system.dim,
-            "basis": list(system.algebra.basis),
-            "constants": [list(row) for row in zip(i, j, k, c, strict=True)],
-        },
+        "algebra": _algebra_record(system.algebra),
         "hamiltonian": hamiltonian,
-        "casimirs": casimirs,
+        "casimirs": _casimirs_record(followed),
     }
-    if system.representation is not None:
-        where = [index.tolist() for index in np.nonzero(system.representation)]
-        values = system.representation[np.nonzero(system.representation)].tolist()
-        entries = [list(row) for row in zip(*where, values, strict=True)]
-        record["representation"] = {"size": system.representation.shape[1], "entries": entries}
+    if system.representation is not None and system.representation is not system.algebra.representation:
+        record["representation"] = _matrices_record(system.representation)
     if missing:
         record["not_stored"] = missing
     return record
+
+
+def _algebra_record(algebra: LieAlgebra) -> dict[str, Any]:
+    i, j, k, c = (column.tolist() for column in algebra.triples)
+    record: dict[str, Any] = {
+        "name": algebra.name,
+        "dim": algebra.dim,
+        "basis": list(algebra.basis),
+        "constants": [list(row) for row in zip(i, j, k, c, strict=True)],
+    }
+    if algebra.representation is not None:
+        record["representation"] = _matrices_record(algebra.representation)
+    if algebra.casimirs_known:
+        record["casimirs"] = _casimirs_record(algebra.casimirs_known)
+    return record
+
+
+def _matrices_record(matrices: NDArray[np.float64]) -> dict[str, Any]:
+    where = np.nonzero(matrices)
+    columns = [*(index.tolist() for index in where), matrices[where].tolist()]
+    return {"size": matrices.shape[1], "entries": [list(row) for row in zip(*columns, strict=True)]}
+
+
+def _casimirs_record(casimirs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return polynomials as monomials, quadratic forms as those of a Hamiltonian; functions are left out."""
+    return {
+        name: _monomials(value) if isinstance(value, Polynomial) else _form_record(value)
+        for name, value in casimirs.items()
+        if isinstance(value, STORED)
+    }
 
 
 def _batch_record(batch: Batch) -> dict[str, Any]:
@@ -86,63 +115,6 @@ def _batch_record(batch: Batch) -> dict[str, Any]:
     missing = [f"{what} (member {m})" for m, record in enumerate(members) for what in record.get("not_stored", [])]
     record: dict[str, Any] = {"name": batch.name, "members": members}
     return {**record, "not_stored": missing} if missing else record
-
-
-def system_of(record: Mapping[str, Any]) -> System | Batch:
-    """Return the system that a record describes.
-
-    Parameters
-    ----------
-    record : mapping
-        From `record_of`.
-
-    Returns
-    -------
-    LiePoissonSystem, PoissonSystem or Batch
-        Without Casimirs that are functions.
-
-    Raises
-    ------
-    ValueError
-        The motion depends on functions, which were not stored.
-
-    Examples
-    --------
-    >>> from coadjoint.systems.rigid_body import rigid_body
-    >>> system_of(record_of(rigid_body((1, 2, 4)))).parameters
-    {'inertia': (1.0, 2.0, 4.0)}
-    """
-    if "members" in record:
-        return Batch([_member_of(member) for member in record["members"]])
-    return _member_of(record)
-
-
-def _member_of(record: Mapping[str, Any]) -> System:
-    if "parameters" in record:
-        return importlib.import_module("coadjoint.systems").get(record["name"], **record["parameters"])
-    lost = [what for what in record.get("not_stored", []) if not what.startswith("casimir: ")]
-    if lost:
-        raise ValueError(
-            f"{record['name']} cannot be made again from its record: functions are not stored ({', '.join(lost)}); "
-            "make the system in Python and integrate it there"
-        )
-    given = record["algebra"]
-    dim = given["dim"]
-    algebra = LieAlgebra(given["constants"], dim=dim, basis=given["basis"], name=given["name"])
-    representation = None
-    if "representation" in record:
-        size = record["representation"]["size"]
-        representation = np.zeros((dim, size, size))
-        for i, row, column, value in record["representation"]["entries"]:
-            representation[i, row, column] = value
-    return LiePoissonSystem(
-        algebra,
-        _hamiltonian_of(record["hamiltonian"]),
-        sign=record["sign"],
-        casimirs={name: _polynomial(monomials, dim) for name, monomials in record["casimirs"].items()},
-        representation=representation,
-        name=record["name"],
-    )
 
 
 def _plain(value: Any) -> Any:
@@ -157,59 +129,46 @@ def _function_name(function: Any) -> str:
     return str(getattr(function, "__name__", type(function).__name__))
 
 
+def _number(value: Any) -> Any:
+    return f"{value.numerator}/{value.denominator}" if isinstance(value, Fraction) else value
+
+
 def _monomials(polynomial: Polynomial) -> list[list[Any]]:
-    def number(value: Any) -> Any:
-        return f"{value.numerator}/{value.denominator}" if isinstance(value, Fraction) else value
-
-    return [[number(value), list(exponents)] for exponents, value in polynomial.monomials.items()]
-
-
-def _polynomial(monomials: list[list[Any]], dim: int) -> Polynomial:
-    pairs = {tuple(exponents): Fraction(c) if isinstance(c, str) else c for c, exponents in monomials}
-    return Polynomial(pairs, dim=dim)
+    return [[_number(value), list(exponents)] for exponents, value in polynomial.monomials.items()]
 
 
 def _hamiltonian_record(H: HamiltonianLike) -> tuple[dict[str, Any], list[str]]:
-    """Return the record of a Hamiltonian, and the functions in it that cannot be stored."""
+    """Return the record of a Hamiltonian, and what is in it that cannot be stored."""
     if isinstance(H, PolynomialHamiltonian):
-        return {"kind": "polynomial", "dim": H.dim, "monomials": _monomials(H.polynomial)}, []
+        return _polynomial_record(H.polynomial), []
+    if isinstance(H, Quadratic):
+        return _form_record(H), []
     if isinstance(H, SplitHamiltonian):
         inner = [_hamiltonian_record(piece) for piece in H.pieces]
         pieces = [[list(chosen), record] for chosen, (record, _) in zip(H.coordinates, inner, strict=True)]
         return {"kind": "split", "pieces": pieces}, [name for _, names in inner for name in names]
-    terms = H.terms()
-    if len(terms) == 1 and isinstance(terms[0], QuadraticTerm):
-        term = terms[0]
-        entries = zip(term.rows.tolist(), term.indices.tolist(), term.values.tolist(), strict=True)
-        upper = [[i, j, value] for i, j, value in entries if i <= j]
-        record = {
-            "kind": "quadratic",
-            "dim": H.dim,
-            "M": upper,
-            "linear": term.linear.tolist(),
-            "constant": term.constant,
-        }
-        return record, []
-    names = [f"hamiltonian: {_function_name(term.value)}" for term in terms if isinstance(term, FunctionTerm)]
-    return {"kind": type(H).__name__}, names
+    names = [_function_name(term.value) for term in H.terms() if isinstance(term, FunctionTerm)]
+    return {"kind": type(H).__name__}, [f"hamiltonian: {name}" for name in names or [type(H).__name__]]
 
 
-def _hamiltonian_of(record: Mapping[str, Any]) -> Any:
-    from scipy.sparse import coo_array
+def _polynomial_record(polynomial: Polynomial) -> dict[str, Any]:
+    return {"kind": "polynomial", "dim": polynomial.dim, "monomials": _monomials(polynomial)}
 
-    if record["kind"] == "polynomial":
-        return PolynomialHamiltonian(_polynomial(record["monomials"], record["dim"]))
-    if record["kind"] == "split":
-        return SplitHamiltonian([(chosen, _hamiltonian_of(piece)) for chosen, piece in record["pieces"]])
-    rows, columns, values = [], [], []
-    for i, j, value in record["M"]:
-        for row, column in {(i, j), (j, i)}:
-            rows.append(row)
-            columns.append(column)
-            values.append(float(value))
-    shape = (record["dim"], record["dim"])
-    M = coo_array((np.array(values, dtype=np.float64), (rows, columns)), shape=shape)
-    return Quadratic(M, linear=record["linear"], constant=record["constant"])
+
+def _form_record(H: Quadratic) -> dict[str, Any]:
+    """Return a quadratic form, as a polynomial where it has fractions."""
+    if H.exact:
+        return _polynomial_record(H.to_polynomial())
+    (term,) = H.terms()
+    assert isinstance(term, QuadraticTerm)
+    entries = zip(term.rows.tolist(), term.indices.tolist(), term.values.tolist(), strict=True)
+    return {
+        "kind": "quadratic",
+        "dim": H.dim,
+        "M": [[i, j, value] for i, j, value in entries if i <= j],
+        "linear": term.linear.tolist(),
+        "constant": H.constant,
+    }
 
 
 def safe_name(name: str) -> str:

@@ -168,6 +168,11 @@ class LiePoissonSystem:
         """What makes this system again by ``co.systems.get(name, **parameters)``, or None (a copy)."""
         return None if self._parameters is None else dict(self._parameters)
 
+    @property
+    def closed_form(self) -> Callable[..., Any] | None:
+        """The function ``exact(x0, t, attitude)`` that was given, or None."""
+        return self._exact
+
     def _product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return scatter(self._rows, matching(self._constants, x) * x[self._states] * u[self._factors], self.dim)
 

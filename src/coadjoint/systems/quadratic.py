@@ -163,6 +163,44 @@ class Quadratic:
         quadratic._store(n, np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64), packed)
         return quadratic
 
+    @property
+    def constant(self) -> Any:
+        """What is added to the value, as it was given: a float or a Fraction."""
+        return self._constant
+
+    @property
+    def exact(self) -> bool:
+        """Whether M, `linear` or `constant` hold numbers that are no floats, such as fractions."""
+        if self.dim is None:
+            return not isinstance(self._scalar, float) or isinstance(self._constant, Fraction)
+        kinds = {self._entries.dtype, np.zeros(0).dtype if self._linear is None else self._linear.dtype}
+        return kinds != {np.dtype(np.float64)} or isinstance(self._constant, Fraction)
+
+    def to_polynomial(self) -> Polynomial:
+        """Return this Hamiltonian, bound, as a polynomial; the way back of `from_polynomial`.
+
+        Returns
+        -------
+        Polynomial
+
+        Examples
+        --------
+        >>> Quadratic([[1.0, -1.0], [-1.0, 0.0]], linear=[0.0, 3.0]).to_polynomial()
+        3.0*x2 + 0.5*x1^2 - x1*x2
+        """
+        if self.dim is None or self._linear is None:
+            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
+        unit = [0] * self.dim
+        monomials: dict[tuple[int, ...], Any] = {tuple(unit): self._constant}
+        for i, c in enumerate(self._linear.tolist()):
+            monomials[(*unit[:i], 1, *unit[i + 1 :])] = c
+        for i, j, c in zip(self._rows.tolist(), self._indices.tolist(), self._entries.tolist(), strict=True):
+            if i == j:
+                monomials[(*unit[:i], 2, *unit[i + 1 :])] = c / 2 if isinstance(c, float) else Fraction(c) / 2
+            elif i < j:
+                monomials[(*unit[:i], 1, *unit[i + 1 : j], 1, *unit[j + 1 :])] = c
+        return Polynomial(monomials, dim=self.dim)
+
     def bind(self, n: int) -> Quadratic:
         """Return this Hamiltonian for dimension `n`; a number M becomes a multiple of the unit matrix.
 

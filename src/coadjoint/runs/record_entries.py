@@ -1,0 +1,217 @@
+"""What may stand in a record? Entries with their place in it, each read as what it must be, or refused by that."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.expressions import fits
+from coadjoint.errors import in_one_line
+from coadjoint.wording import short
+
+# What may be missing in a record, since nothing moves by it.
+CASIMIR, EXACT = "casimir: ", "exact solution: "
+DEEPEST = 32
+MOST_LETTERS = 2000
+LARGEST_WHOLE = 2**62
+_QUOTIENT = re.compile(r"(-?\d{1,400})/(\d{1,1500})")
+
+
+class Entry:
+    """A value of a record that was read from a file, and may be damaged.
+
+    Parameters
+    ----------
+    value : object
+        As `json` gives it.
+    place : str
+        Where it stands, for messages.
+
+    Examples
+    --------
+    >>> record = Entry({"dim": 3, "basis": ["e1", 2]}, "algebra")
+    >>> record["dim"].whole(1)
+    3
+    >>> [name.text() for name in record["basis"].entries()]
+    Traceback (most recent call last):
+    ValueError: algebra.basis[1] is 2; it must be text
+    """
+
+    def __init__(self, value: Any, place: str, depth: int = 0) -> None:
+        self.value, self.place, self._depth = value, place, depth
+        if depth > DEEPEST:
+            raise ValueError(f"{place} lies deeper than {DEEPEST} lists and tables in one another")
+
+    def wrong(self, wanted: str) -> ValueError:
+        """Return the error that says what it must be."""
+        return ValueError(f"{self.place} is {short(self.value, 60)}; it must be {wanted}")
+
+    def table(self) -> dict[str, Entry]:
+        """Return it as a table of entries."""
+        if not isinstance(self.value, dict):
+            raise self.wrong("a table")
+        return {
+            key: Entry(value, f"{self.place}.{in_one_line(key, 40)}", self._depth + 1)
+            for key, value in self.value.items()
+        }
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.table()
+
+    def __getitem__(self, key: str) -> Entry:
+        found = self.table()
+        if key not in found:
+            raise ValueError(f"{self.place} has no {key!r}")
+        return found[key]
+
+    def only(self, *known: str) -> Entry:
+        """Refuse keys that mean nothing here: what they say would be lost. Returns itself."""
+        for key, entry in self.table().items():
+            if key not in known:
+                raise ValueError(f"{entry.place} is none of the keys that are known there, {', '.join(known)}")
+        return self
+
+    def entries(self, length: int | None = None) -> list[Entry]:
+        """Return it as a list of entries, of a length where one is given."""
+        if not isinstance(self.value, list) or (length is not None and len(self.value) != length):
+            raise self.wrong("a list" if length is None else f"a list of {length} entries")
+        return [Entry(value, f"{self.place}[{i}]", self._depth + 1) for i, value in enumerate(self.value)]
+
+    def wholes(self, most: int, length: int | None = None) -> list[int]:
+        """Return it as a list of whole numbers from 0 up to a bound, of a length where one is given."""
+        value = self.value
+        listed = isinstance(value, list) and set(map(type, value)) <= {int} and (length is None or len(value) == length)
+        if not listed or (value and not 0 <= min(value) <= max(value) <= most):
+            raise self.wrong(f"a list of {'' if length is None else f'{length} '}whole numbers from 0 to {most}")
+        return list(value)
+
+    def numbers(self, length: int) -> NDArray[np.float64]:
+        """Return it as an array of so many finite numbers."""
+        return self._array(f"a list of {length} finite numbers", length)
+
+    def rows(self, *bounds: int) -> NDArray[np.float64]:
+        """Return it as an array of rows: whole numbers below bounds, then a finite number."""
+        wanted = f"rows of {len(bounds)} whole numbers below {', '.join(map(str, bounds))} and a finite number"
+        if self.value == []:
+            return np.zeros((0, len(bounds) + 1))
+        found = self._array(wanted, None, len(bounds) + 1)
+        for column, bound in zip(found.T, bounds, strict=False):
+            if not ((column >= 0) & (column < bound) & (column == np.floor(column))).all():
+                raise self.wrong(wanted)
+        return found
+
+    def _array(self, wanted: str, *shape: int | None) -> NDArray[np.float64]:
+        try:
+            found = np.array(self.value)
+        except (ValueError, TypeError, OverflowError, RecursionError):
+            raise self.wrong(wanted) from None
+        fits_shape = found.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, found.shape, strict=True))
+        if not isinstance(self.value, list) or found.dtype.kind not in "if" or not fits_shape:
+            raise self.wrong(wanted)
+        if not np.isfinite(found).all():
+            raise self.wrong(wanted)
+        return found.astype(np.float64)
+
+    def text(self) -> str:
+        """Return it as text."""
+        if not isinstance(self.value, str) or len(self.value) > MOST_LETTERS:
+            raise self.wrong("text" if not isinstance(self.value, str) else f"text of at most {MOST_LETTERS} letters")
+        return self.value
+
+    def whole(self, least: int = 0, most: int = LARGEST_WHOLE) -> int:
+        """Return it as a whole number between bounds."""
+        value = self.value.item() if isinstance(self.value, np.generic) else self.value
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+            raise self.wrong(f"a whole number from {least} " + ("up" if most == LARGEST_WHOLE else f"to {most}"))
+        return value
+
+    def number(self) -> float:
+        """Return it as a finite float."""
+        value = self.value.item() if isinstance(self.value, np.generic) else self.value
+        if isinstance(value, bool) or not isinstance(value, int | float) or not fits(value):
+            raise self.wrong("a finite number")
+        return float(value)
+
+    def exact(self) -> int | float | Fraction:
+        """Return it as a number that is kept as it was written: whole, a float, or a quotient of whole numbers."""
+        if isinstance(self.value, str):
+            found = _QUOTIENT.fullmatch(self.value)
+            if found is None or not int(found[2]):
+                raise self.wrong("a number, or a quotient such as '1/3'")
+            quotient = Fraction(int(found[1]), int(found[2]))
+            if not fits(quotient):
+                raise self.wrong("a quotient that float64 holds")
+            return quotient
+        self.number()
+        return self.value
+
+    def flag(self) -> bool:
+        """Return it as True or False, which a file may have as 1 or 0."""
+        value = self.value.item() if isinstance(self.value, np.generic) else self.value
+        if not isinstance(value, bool | int) or value not in (0, 1):
+            raise self.wrong("0 or 1")
+        return bool(value)
+
+    def plain(self) -> Any:
+        """Return it as it is: tables, lists, text, truth values and finite numbers, of few levels."""
+        if isinstance(self.value, dict):
+            return {key: entry.plain() for key, entry in self.table().items()}
+        if isinstance(self.value, list):
+            return [entry.plain() for entry in self.entries()]
+        if isinstance(self.value, bool) or self.value is None:
+            return self.value
+        if isinstance(self.value, str):
+            return self.text()
+        if isinstance(self.value, int):
+            return self.whole(-LARGEST_WHOLE)
+        self.number()
+        return self.value
+
+
+def parsed(value: Any, place: str) -> Entry:
+    """Return an attribute that holds JSON.
+
+    Examples
+    --------
+    >>> parsed("[1, 2]", "t_span").entries()[1].number()
+    2.0
+    >>> parsed("[1, 2", "t_span")
+    Traceback (most recent call last):
+    ValueError: t_span is '[1, 2', which is no JSON: Expecting ',' delimiter: line 1 column 6 (char 5)
+    """
+    if not isinstance(value, str):
+        raise ValueError(f"{place} is {short(value, 60)}; it must be text, JSON")
+    try:
+        return Entry(json.loads(value), place)
+    except ValueError as reason:
+        said = in_one_line(str(reason), 120)
+    except RecursionError:
+        said = "lists or tables are nested too deeply"
+    raise ValueError(f"{place} is {short(value, 60)}, which is no JSON: {said}")
+
+
+@contextmanager
+def made_of(entry: Entry) -> Iterator[None]:
+    """Say of which entry something was made, in what the library refuses; all of it is a ValueError then.
+
+    Examples
+    --------
+    >>> with made_of(Entry({}, "system.algebra")):
+    ...     raise TypeError("constants are missing")
+    Traceback (most recent call last):
+    ValueError: system.algebra: constants are missing
+    """
+    try:
+        with np.errstate(all="ignore"):  # what overflows is refused, or fails in the run
+            yield
+    except (ValueError, TypeError) as reason:
+        raise ValueError(f"{entry.place}: {in_one_line(str(reason), 300)}") from reason
+    except (ArithmeticError, RecursionError, MemoryError) as reason:
+        raise ValueError(f"{entry.place}: {type(reason).__name__}: {in_one_line(str(reason), 300)}") from reason
