@@ -90,6 +90,8 @@ CASES = {
     "large parameter": (parameter("1e308"), "algebra: "),
     "date": (parameter("1979-05-27"), "algebra: "),
     "inertia": (body("[1.0, 2.0, 4.0]", HEXADECIMAL), "system: "),
+    "inertia that cannot be inverted": (body("[1.0, 2.0, 4.0]", "[1.0, 1.0, 5e-324]"), "system: "),
+    "algebra beyond memory": (NAMED.replace("A3,7", "so(n)").replace("a = 2.0", "n = 100000"), "algebra: so(100000)"),
     "long inertia": (body("[1.0, 2.0, 4.0]", f"[{'1.0,' * 10000}]"), "system: inertia has shape (10000,)"),
     "dimension": (own("dim = 3", "dim = 1000000000000"), "algebra.dim: an algebra of dimension 1000000000000 needs "),
     "dimension of another state": (own("dim = 3", "dim = 1000"), "initial.x: x0 has the shape (3,); it must be (1000"),
@@ -124,6 +126,11 @@ CASES = {
     "schemes in schemes": (
         scheme("name = 'Composition'\ncoefficients = [0.5, 0.25, 0.25]\nbase = "
         + "{name = 'Composition', coefficients = [0.5, 0.25, 0.25], base = " * 60 + "{name = 'Splitting'}" + "}" * 60),
+        "method: ",
+    ),
+    "compositions of compositions": (
+        scheme("name = 'Composition'\ncoefficients = [0.25, 0.5, 0.25]\nbase = "
+        + "{name = 'Composition', coefficients = [0.25, 0.5, 0.25], base = " * 40 + "{name = 'Splitting'}" + "}" * 40),
         "method: ",
     ),
     "coordinate of a part": (body("order = 4", "parts = [[0, 100000000000000000000], [1], [2]]"), "method: "),
