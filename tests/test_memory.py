@@ -67,6 +67,9 @@ TOO_LARGE = {
         co.LiePoissonSystem(co.algebras.heisenberg(5000), co.Quadratic(1.0)), np.ones(10_001), (0, 1), 0.5,
         attitude="coadjoint",
     ),
+    "tables": lambda: co.integrate(
+        co.LiePoissonSystem(co.algebras.so(120), co.Quadratic(1.0)), np.ones(7140), (0, 1), 0.5
+    ),
     "saved points": lambda: co.integrate(BODY, X, (0, 1e9), 0.1),
     "basis": lambda: co.LieAlgebra([], dim=2, basis=view(10**12)),
 }  # fmt: skip

@@ -8,10 +8,13 @@ from typing import Any
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.memory import check_room
 from coadjoint.methods.base import FlowMethod, Method, System
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.step_method import StepMethod
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+BYTES_PER_CONSTANT = 450  # while flows are read from both orders of a bracket
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,9 @@ def loop_of(system: System, method: Method, h: float, representation: NDArray[An
         If the scheme cannot serve the system.
     """
     method.properties(system)
+    if system.algebra is not None:
+        constants = system.algebra.triples.c.size
+        check_room(BYTES_PER_CONSTANT * constants, f"the tables of {type(method).__name__} for {system.name}")
     innermost = method.innermost
     if isinstance(method, FlowMethod) and isinstance(innermost, FlowMethod):
         from coadjoint.kernels.flow import LOOP
