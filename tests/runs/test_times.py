@@ -89,15 +89,65 @@ def test_refusals(span, step, every, error, message):
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("span", [(0.0, 3.0), (3.0, 0.0), (-7.0, -4.0), (1e3, 1e3 + 3.0)])
-@pytest.mark.parametrize("miss", [2.0**-12, 2.0**-30, 2.0**-44])
-def test_a_span_that_misses_a_whole_number_of_steps_by_little_is_refused(span, miss):
-    """Forward, backward and far from zero, as soon as rounding cannot explain it; and taken where it can."""
-    first, last = span
-    size = abs(last - first)
-    # The ends are rounded: 16 times that is more than they explain.
-    step = size / 24 * (1.0 + max(miss, 16 * 2.0**-53 * max(1.0, abs(first) / size)))
-    with pytest.raises(ValueError, match="the nearest steps that do are"):
-        times_of(span, step, 1)
-    times = times_of(span, size / 24 * (1.0 + 2.0**-53), 1)
-    assert times.steps == 24 and times.h * (last - first) > 0
+def missed(start, step, count, relative, direction=1.0):
+    """Ends of a span of `count` steps that is longer by a relative amount than they are, rounded once."""
+    exact = Fraction(step) * count * (1 + Fraction(relative)) * int(direction)
+    return start, float(Fraction(start) + exact)
+
+
+U = 2.0**-53
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+@pytest.mark.parametrize("count", [1, 10, 12345, 10**6, 10**9, 10**12])
+@pytest.mark.parametrize("step", [0.1, 1 / 3, 0.0625, math.pi / 100, 1e-7])
+def test_spans_that_miss_a_whole_number_of_steps_by_little(step, count, direction):
+    """A few units of round-off are those of the ends and of the step; 16 times the allowance and more are a mistake."""
+    for relative in (0.0, 2 * U, -2 * U, 5 * U, -5 * U):
+        ends = missed(0.0, step, count, relative, direction)
+        times = times_of(ends, step, 1)
+        assert times.steps == count
+        assert abs(times.end - ends[1]) <= 8 * U * abs(ends[1])
+    for relative in (128 * U, -128 * U, 1e-12, -1e-12, 1e-9, -1e-9):
+        if count * abs(relative) > 0.25:
+            continue
+        with pytest.raises(ValueError, match="does not divide"):
+            times_of(missed(0.0, step, count, relative, direction), step, 1)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+@pytest.mark.parametrize("start", [1e6, -1e6, 123456.789, 2.0**40])
+@pytest.mark.parametrize("step", [0.1, 1 / 3, 0.0625])
+def test_spans_far_from_zero_may_miss_by_the_rounding_of_their_ends(step, start, direction):
+    """Not in proportion to the span: its ends are rounded as numbers of the size of the start are."""
+    for count in (1, 7, 1000, 10**6):
+        for relative in (0.0, U):
+            ends = missed(start, step, count, relative, direction)
+            assert times_of(ends, step, 1).steps == count
+        # 64 gaps between numbers there; for long spans, as little beside those.
+        gap = 64 * math.ulp(max(map(abs, missed(start, step, count, 0.0, direction))))
+        if gap < step / 4:
+            for side in (1, -1):
+                with pytest.raises(ValueError, match="does not divide"):
+                    times_of(missed(start, step, count, side * gap / (step * count), direction), step, 1)
+
+
+@pytest.mark.parametrize("step", [0.1, 0.0625, 1 / 3])
+def test_an_end_near_zero_of_a_run_from_far_away(step):
+    """The start is what was rounded, wherever the end lies."""
+    for count in (10, 12345, 10**9):
+        start = float(Fraction(step) * count)
+        assert times_of((start, 0.0), step, 1).steps == times_of((0.0, start), step, 1).steps == count
+        off = start * (1 + 128 * U)
+        for ends in ((off, 0.0), (0.0, off)):
+            with pytest.raises(ValueError, match="does not divide"):
+                times_of(ends, step, 1)
+
+
+def test_neighbouring_times_are_different_numbers():
+    """Up to a quarter of a step between neighbouring floats; beyond, a refusal, forward and backward."""
+    for start in (2.0**52, -(2.0**52)):
+        for end in (start + 64.0, start - 64.0):
+            assert len(set(times_of((start, end), 4.0, 1).at(np.arange(17)).tolist())) == 17
+            with pytest.raises(ValueError, match="neighbouring ones would be the same number"):
+                times_of((start, end), 2.0 if abs(end) > abs(start) else 1.0, 1)
