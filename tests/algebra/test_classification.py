@@ -168,3 +168,10 @@ def test_no_term_can_change_unnoticed(name):
             if disagreement(other, name, parameters, expected) is None:
                 same = (name, what, tuple(int(i) + 1 for i in place))
                 assert scaled(c, place, factor) or is_as_said(name, parameters, other, SAME[same]), same
+
+
+@pytest.mark.parametrize("value", [0.1, 1 / 3, 2.0**-40, -0.7071067811865476, np.float64(0.3), np.float32(0.1), 1e-300])
+def test_a_float_is_the_rational_number_that_it_is(value):
+    """No simpler fraction is put in its place: the constants are those of this very number."""
+    assert read_parameters("A4_9", {"b": value}) == {"b": Fraction(float(value))}
+    assert catalogued("A4_9", {"b": value})[0, 3, 0] == 1 + Fraction(float(value))

@@ -221,3 +221,18 @@ def exactly(casimir, states):
     """Values in 40 digits: differences of doubles would be rounded."""
     with mpmath.workdps(40):
         return np.array([casimir(np.array([mpmath.mpf(v) for v in x], dtype=object)) for x in states])
+
+
+@pytest.mark.parametrize("scheme", [name for name, known in SCHEMES.items() if known.processed])
+def test_a_processor_is_undone_by_its_own_inverse(scheme):
+    """Over a fixed time the error falls with the order: what the first step leaves of the processor would not."""
+    n = 6
+    rng = np.random.default_rng(1)
+    B = rng.uniform(-0.25, 0.25, (n, n))
+    M = np.diag(rng.uniform(0.5, 1.5, n)) + B + B.T
+    system = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(M), sign=-1, casimirs={})
+    x0 = rng.choice([-0.5, 0.5], n)
+    exact = co.integrate(system, x0, (0.0, 2.0), 2.0**-6, co.GaussLegendre(8)).x[-1]
+    method = co.Splitting(scheme=scheme)
+    coarse, fine = (np.abs(co.integrate(system, x0, (0.0, 2.0), h, method).x[-1] - exact).max() for h in (0.5, 0.25))
+    assert coarse / fine > 2.0 ** (method.order - 1) or fine < 2.0**-40

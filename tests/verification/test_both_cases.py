@@ -13,6 +13,7 @@ from coadjoint.program.reading import Reading
 from coadjoint.program.shift import quadratic_casimirs, shifted_terms
 from coadjoint.program.split import split
 from coadjoint.program.table import build_program
+from coadjoint.runs import run as run_module
 from coadjoint.systems.rigid_body import so3_body
 
 from .drawn_systems import ALGEBRAS, drawn, drawn_bracket
@@ -199,10 +200,15 @@ def test_the_group_element_belongs_to_the_motion_for_both_signs_and_directions(s
     for sign, direction in DIRECTIONS:
         system, x0 = system_for(scheme, algebra, sign)
         span, keeps = (T0, T0 + direction * 4 * STEP), scheme != "rk4"
-        run = co.integrate(system, x0, span, STEP, method, attitude="coadjoint")
+        # Alone, and the last of three that go side by side.
+        run, crowd = (
+            co.integrate(system, start, span, STEP, method, attitude="coadjoint")
+            for start in (x0, np.array([-0.5 * x0, 1.25 * x0, x0]))
+        )
         size = np.linalg.norm(run.attitude[-1]) * np.linalg.norm(run.x[-1])
-        if keeps:
-            np.testing.assert_allclose(run.attitude[-1] @ run.x[-1], x0, rtol=0, atol=2.0**4 * rounding(system, size))
+        ends = ((run.attitude[-1], run.x[-1]), (crowd.attitude[-1, 2], crowd.x[-1, 2]))
+        for K, x in ends if keeps else ():
+            np.testing.assert_allclose(K @ x, x0, rtol=0, atol=2.0**4 * rounding(system, size))
         if True not in attitudes(method, system) or not keeps:
             continue
         rho = system.representation
@@ -249,6 +255,23 @@ def test_planes_with_frequencies_of_their_own(count, compensated):
     for start in (x0, np.tile(x0, (5, 1))):
         found = co.integrate(system, start, (0.0, 4 * STEP), STEP, method).x[-1].reshape(-1, 3 * count)
         np.testing.assert_allclose(found[-1], expected, rtol=0, atol=rounding(system, expected))
+
+
+@pytest.mark.parametrize("algebra", ["so(3)", "so(4)", "A4,7"])
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_a_run_in_one_call_or_in_many(scheme, algebra, monkeypatch, capfd):
+    """Cut after every step, of one member and of five: what is done at the start alone is not done again."""
+    method, (system, x0) = SCHEMES[scheme], system_for(scheme, algebra, -1)
+    for start in (x0, x0 * np.array([[1.0], [0.75], [-1.0], [0.5], [1.25]])):
+        for attitude in {False, attitudes(method, system)[0]}:
+            options = {"method": method, "attitude": attitude, "save_every": 3}
+            whole = co.integrate(system, start, (T0, T0 - 1.0), STEP, **options)
+            with monkeypatch.context() as patched:
+                patched.setattr(run_module, "SECONDS_BETWEEN_LOOKS", 0.0)
+                pieces = co.integrate(system, start, (T0, T0 - 1.0), STEP, progress=True, **options)
+            assert np.array_equal(whole.x, pieces.x) and np.array_equal(whole.energy, pieces.energy)
+            assert attitude is False or np.array_equal(whole.attitude, pieces.attitude)
+    assert "step" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.ExplicitRungeKutta("rk4"), co.GaussLegendre(2)], ids=str)
