@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -84,7 +83,7 @@ def _container(value: Any, limit: int, depth: int) -> Iterator[str]:
         yield "..."
     else:
         entries: Iterable[Any] = value.items() if isinstance(value, dict) else value
-        for number, entry in enumerate(islice(entries, limit)):
+        for number, entry in enumerate(entries):
             if number:
                 yield ", "
             if isinstance(value, dict):
