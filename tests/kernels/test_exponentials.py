@@ -15,7 +15,7 @@ from coadjoint.program.unshift import Turn, unshift_tables
 U = 2.0**-53
 FACTORS = (0.75, -0.4375, 0.3125)
 COMPACT = ("so(3)", "so(4)", "so(5)", "so(6)", "so(7)", "su(2)", "su(3)", "su(4)", "u(2)", "two su(3)")
-BOUNDED = ("so(3)", "so(4)", "so(5)", "so(6)", "su(2)", "su(3)", "su(4)", "three so(3)", "A5,3", "e(3)")
+BOUNDED = ("so(3)", "so(4)", "so(5)", "so(6)", "su(2)", "su(3)", "su(4)", "three so(3)", "A5,3", "e(3)", "u(3)")
 SIZED = ("so(3)", "so(4)", "so(5)", "su(3)", "sl(2)", "sl(3)", "e(3)", "gl(2)", "A4,10", "A5,3")
 
 
@@ -36,6 +36,7 @@ def algebras():
         "sl(3)": g.sl(3),
         "gl(2)": g.get("gl(n)", n=2),
         "u(2)": g.get("u(n)", n=2),
+        "u(3)": g.get("u(n)", n=3),
         "sp(4)": g.get("sp(2n)", n=2),
         "e(2)": g.e(2),
         "e(3)": g.e(3),
@@ -100,6 +101,20 @@ def test_against_a_general_exponential(name, algebra, carried, shift):
         size = np.linalg.norm(time * X, 1)
         bound = 16 * len(X) * U * (1 + size) * np.exp(np.linalg.norm(time * (X + X.T) / 2, 2)) * (1 + size) ** 2
         assert np.abs(moved(algebra, carried, shift, x, time) - expected).max() <= bound, (name, time)
+
+
+@pytest.mark.parametrize("time", [4.0, -15.0])
+@pytest.mark.parametrize("name", ["so(3,1)", "sl(3)", "sp(4)"])
+def test_growth_by_many_orders_of_magnitude(name, time):
+    """Where nothing is known of a block: a series, and squarings that each round once more."""
+    algebra = algebras()[name]
+    carried = co.LiePoissonSystem(algebra, co.Quadratic(np.ones(algebra.dim))).representation
+    for shift in shifts(algebra):
+        x = np.random.default_rng(7).standard_normal(algebra.dim)
+        X = generator(algebra, carried, shift, x)
+        expected = exact(X, time)
+        bound = 64 * len(X) * U * np.linalg.norm(time * X, 1) * np.abs(expected).max()
+        assert np.abs(moved(algebra, carried, shift, x, time) - expected).max() <= bound
 
 
 @pytest.mark.parametrize("time", [1e-12, 1.0, 1e5, 1e12])

@@ -12,7 +12,7 @@ U = 2.0**-53
 
 def cases():
     rng = np.random.default_rng(7)
-    e3 = co.algebras.e(3)
+    e3, M6 = co.algebras.e(3), (1.0, 0.5, 0.3, 0.2, 0.4, 0.9)
     return {
         "so(3), body": (co.systems.rigid_body((1.0, 2.0, 3.0)), True),
         "so(3), paper": (co.systems.paper_rigid_body(), True),
@@ -21,6 +21,7 @@ def cases():
         "e(3), coadjoint": (co.LiePoissonSystem(e3, co.Quadratic((1, 0.5, 0.3, 0.2, 0.4, 0.9))), "coadjoint"),
         "so(4)": (co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(rng.uniform(0.5, 2, 6)), sign=-1), True),
         "sl(2)": (co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic((0.5, 1.0, 0.3))), True),
+        "two so(3)": (co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 2), co.Quadratic(M6), sign=-1), True),
     }
 
 
@@ -153,7 +154,7 @@ def test_long_runs_are_filled_in_several_calls(monkeypatch):
 
 def test_members_of_a_batch_keep_what_they_were_given():
     """Shifted and not, by one Casimir and by factors of their own."""
-    systems = [co.systems.rigid_body((1, 2, third)) for third in (2.5, 2.75, 3.0)]
+    systems = [co.systems.rigid_body(inertia) for inertia in ((1, 2, 2.5), (1.5, 2, 2.75), (1.25, 1.75, 3))]
     systems.append(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic((0.0, 0.0, 0.5)), sign=-1))
     shifted = [bool(decompose(system, "auto").shift) for system in systems]
     assert shifted == [True, True, True, False]

@@ -31,7 +31,7 @@ SEED = 1993
 SAMPLES = 3
 # An invariant form counts as definite where its pivots differ by less.
 WORST_PIVOT = 2.0**-20
-# Representations of so many numbers are kept with what was found for them.
+# Matrices of so many numbers are kept with what was found for them.
 LARGEST_KEPT = 4096
 
 
@@ -151,11 +151,11 @@ def unshift_tables(
     (['CUBIC'], [2.0, -2.0, -2.0, 2.0, 2.0, -2.0])
     """
     taken = tuple(shift)
+    if (algebra.dim**2 if representation is None else representation.size) > LARGEST_KEPT:
+        return _tables(algebra, representation, sign, taken)
     if representation is None:
         return _remembered(algebra, None, (), sign, taken)
-    if representation.size <= LARGEST_KEPT:
-        return _remembered(algebra, representation.tobytes(), representation.shape, sign, taken)
-    return _tables(algebra, representation, sign, taken)
+    return _remembered(algebra, representation.tobytes(), representation.shape, sign, taken)
 
 
 @lru_cache(maxsize=64)
@@ -246,6 +246,8 @@ def _kind_of(block: _Block, samples: NDArray[np.float64], casimirs: Sequence[Ent
         return _Kind(Turn.NILPOTENT, int(layer.max()))
     if m <= 2:
         return _Kind(Turn.PLANE)
+    if block.skew and m > 4:
+        return _Kind(Turn.SKEW)
     found = [block.at(x) for x in samples]
     powers = [(D, D @ D, D @ D @ D) for D in found]
     bounds = [(abs(D), abs(D) @ abs(D), abs(D) @ abs(D) @ abs(D)) for D in found]
