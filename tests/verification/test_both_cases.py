@@ -257,6 +257,20 @@ def test_planes_with_frequencies_of_their_own(count, compensated):
         np.testing.assert_allclose(found[-1], expected, rtol=0, atol=rounding(system, expected))
 
 
+@pytest.mark.parametrize("freeze", ["structure", "gradient"])
+@pytest.mark.parametrize("stages", [1, 2])
+def test_linear_stages_exchange_rows_for_each_member(stages, freeze):
+    """From small states, whose matrices are near one, to large ones, in any order: against the same elimination."""
+    system, method = without_linear(drawn("so(4)", 7, -1)[0]), co.ModifiedGaussLegendre(stages, freeze=freeze)
+    rng = np.random.default_rng(12)
+    states = rng.permutation(np.geomspace(0.1, 300.0, 24))[:, None] * rng.standard_normal((24, 6))
+    ends = co.integrate(system, states, (0.0, 0.5), 0.5, method).x[-1]
+    for x0, end in zip(states, ends, strict=True):
+        expected = method.step(system, x0, 0.0, 0.5)
+        # Conditions of these matrices stay below 2^8.
+        np.testing.assert_allclose(end, expected, rtol=0, atol=2.0**8 * rounding(system, expected))
+
+
 @pytest.mark.parametrize("algebra", ["so(3)", "so(4)", "A4,7"])
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_run_in_one_call_or_in_many(scheme, algebra, monkeypatch, capfd):
