@@ -267,8 +267,8 @@ def test_linear_stages_exchange_rows_for_each_member(stages, freeze):
     ends = co.integrate(system, states, (0.0, 0.5), 0.5, method).x[-1]
     for x0, end in zip(states, ends, strict=True):
         expected = method.step(system, x0, 0.0, 0.5)
-        # Conditions of these matrices stay below 2^8.
-        np.testing.assert_allclose(end, expected, rtol=0, atol=2.0**8 * rounding(system, expected))
+        # The matrices are one plus h/2 times a field of up to 300, so that their conditions stay below 2^12.
+        np.testing.assert_allclose(end, expected, rtol=0, atol=2.0**12 * rounding(system, expected))
 
 
 @pytest.mark.parametrize("algebra", ["so(3)", "so(4)", "A4,7"])
