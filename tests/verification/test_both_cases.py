@@ -14,6 +14,7 @@ from coadjoint.program.shift import quadratic_casimirs, shifted_terms
 from coadjoint.program.split import split
 from coadjoint.program.table import build_program
 from coadjoint.runs import run as run_module
+from coadjoint.runs.pilot import short_run
 from coadjoint.systems.rigid_body import so3_body
 
 from .drawn_systems import ALGEBRAS, drawn, drawn_bracket
@@ -471,6 +472,23 @@ def test_members_of_a_batch_in_any_order(seed):
         alone = co.integrate(systems[m], x0[m], (T0, T0 - 1.0), STEP, attitude=first[m])
         assert np.array_equal(alone.x, x) and np.array_equal(alone.energy, energy)
         assert np.array_equal(alone.attitude, attitude)
+
+
+@pytest.mark.parametrize("method", [co.GaussLegendre(1), co.GaussLegendre(2), co.RadauEnergy(2), co.Taylor(6)], ids=str)
+def test_members_of_a_batch_that_are_sought_alone(method):
+    """Where iterating fails Newton's method has the constants of its member, and so have schemes without lanes."""
+    systems = [drawn("so(4)", seed, -1)[0] for seed in range(1, 8)]
+    systems = [without_linear(system) for system in systems]
+    states = np.array([drawn("so(4)", seed, -1)[1] for seed in range(1, 8)])
+    newton = isinstance(method, co.GaussLegendre)
+    states *= ((24.0 if method.stages == 1 else 32.0) if newton else 1.0) * np.linspace(0.5, 1.0, 7)[:, None]
+    together = co.integrate(co.batch(systems), states, (0.0, 6 * STEP), STEP, method)
+    for m, (system, x0) in enumerate(zip(systems, states, strict=True)):
+        alone = co.integrate(system, x0, (0.0, 6 * STEP), STEP, method)
+        assert np.array_equal(alone.x, together.x[:, m]) and np.array_equal(alone.energy, together.energy[:, m])
+    # Implicit schemes remember first for how many steps they still take Newton's method.
+    runs = [short_run(s, method, x0[None], 0.0, 6 * STEP, 6) for s, x0 in zip(systems, states, strict=True)]
+    assert not newton or any(run.work["memory"][0, 0] > 0.0 for run in runs)
 
 
 PERMUTED = [
