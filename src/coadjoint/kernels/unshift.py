@@ -32,12 +32,19 @@ class Unshifting:
         The generator X.
     rate : float
         It acts so many times as fast.
+
+    Attributes
+    ----------
+    most : float
+        A bound of the norm of X, for momenta whose components are at most 1.
     """
 
     def __init__(self, tables: UnshiftTables, rate: float) -> None:
         self._keep, self._rate = pointed(tables), rate
         self._address, self._packed = ctypes.byref(self._keep), _packing().pack
         self._unshift = kernels().unshift
+        # No X is larger than that times the largest component of the momentum.
+        self.most = abs(rate) * float(np.sum(np.abs(tables.weight)))
         width = max(np.diff(tables.begin).tolist(), default=0)
         self._products = tables.size**3 + 30 * width**3
 

@@ -94,6 +94,10 @@ class BatchLoops(Loops):
         size = CREWS_IN_A_ROUND * workers
         return [crews[a : a + size] for a in range(0, len(crews), size)]
 
+    def attitude_may_overflow(self, start: Start, times: Times) -> bool:
+        """Return whether those of any member might be no numbers."""
+        return any(unshift is not None and unshift.may_overflow(start, times) for unshift in self._unshifts)
+
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the group elements that the loops start from."""
         rows, shifted = np.array(as_rows(groups)), [unshift is not None for unshift in self._unshifts]

@@ -76,6 +76,10 @@ class Loops(ABC):
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return the crews that are at work together, one round after the other."""
 
+    def attitude_may_overflow(self, start: Start, times: Times) -> bool:
+        """Return whether `turned` might give elements that are no numbers, where those of the loops are."""
+        return isinstance(self.turned, Unshift) and self.turned.may_overflow(start, times)
+
     @abstractmethod
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the group elements that the loops start from, transposed, (members, d*d) or (d*d,) for all."""

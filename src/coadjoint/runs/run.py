@@ -112,7 +112,10 @@ class Run:
         """Return what was saved, or raise the failure with it."""
         kept = self.times.points
         if not self.wrong:
-            return self._solution(kept, observed)
+            whole = self._solution(kept, observed)
+            if self.start.representation is not None and self.loops.attitude_may_overflow(self.start, self.times):
+                self._check_attitude(whole)
+            return whole
         report = self.results
         failed = report["status"].nonzero()[0]
         if not len(failed):
@@ -120,6 +123,21 @@ class Run:
         if self.start.single:
             kept = int(np.searchsorted(self.times.saved, report["step"][0]))
         raise self._error(int(failed[0]), len(failed), self._solution(kept, observed))
+
+    def _check_attitude(self, whole: Solution) -> None:
+        """Refuse a group element that overflowed where the momentum did not: what a shift leaves to it may grow."""
+        sound = np.isfinite(np.asarray(whole.attitude)).reshape(len(whole.t), -1).all(axis=1)
+        if sound.all():
+            return
+        first = int(np.argmin(sound))
+        raise IntegrationError(
+            f"the attitude at t = {whole.t[first]:g} is no finite matrix, though the momentum is finite: the group "
+            "element grows until it overflows; take a shorter span, or attitude=False",
+            step=int(self.times.saved[first]),
+            time=float(whole.t[first]),
+            residual=float("nan"),
+            partial=whole,
+        )
 
     def _energy_error(self, whole: Solution) -> IntegrationError:
         """A state that is finite with an energy that is not: the function of the user is not defined there."""

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 Shift = tuple[tuple[Polynomial, float], ...]
 
 
+# exp of less than that is finite.
+FINITE_GROWTH = 700.0
+
+
 def plainly(start: Start, times: Times, results: Block, points: int) -> NDArray[np.float64]:
     """Return group elements (points, members, d, d) as the loops left them; they hold them transposed."""
     return np.swapaxes(results["group"][:points].reshape(points, *start.groups.shape), 2, 3)
@@ -58,6 +62,11 @@ class Unshift:
         rho = None if isinstance(self._representation, str) else self._representation
         assert system.algebra is not None
         return Unshifting(unshift_tables(system.algebra, rho, system.sign, shift), rate)
+
+    def may_overflow(self, start: Start, times: Times) -> bool:
+        """Return whether the exponential might be no number at the end: what grows could, far from the start."""
+        span = abs(times.h) * times.steps
+        return span * self._unshifting.most * float(np.max(np.abs(start.momenta))) > FINITE_GROWTH
 
     def __call__(self, start: Start, times: Times, results: Block, points: int) -> NDArray[np.float64]:
         """Return group elements (points, members, d, d) from those that the loops left."""
