@@ -12,18 +12,9 @@ import xarray
 import coadjoint
 from coadjoint import cli
 from coadjoint.runs.output import check_target, write_dataset
+from test_cli import BODY
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
-BODY = """
-[system]
-name = "rigid_body"
-[initial]
-x = [1.0, 0.1, 0.5]
-[run]
-t_span = [0.0, 1.0]
-step = 0.1
-"""
-
 # Acts when the piece of a number is about to be written, from whatever thread writes.
 AT_PIECE = """
 import os, signal, sys

@@ -5,40 +5,9 @@ import warnings
 
 import pytest
 import xarray
+from configuration_files import OWN, READY_MADE
 
 from coadjoint import cli
-
-READY_MADE = """
-[system]
-name = "rigid_body"
-[system.parameters]
-inertia = [1.0, 2.0, 4.0]
-[initial]
-x = [1.0, 0.1, 0.5]
-[method]
-name = "Splitting"
-order = 4
-[run]
-t_span = [0, 1]
-step = 0.1
-"""
-
-OWN = """
-name = "mine"
-sign = -1
-[algebra]
-dim = 3
-brackets = ["[e1, e2] = e3", "[e2, e3] = e1", "[e3, e1] = e2"]
-[hamiltonian]
-M = [1.0, 0.5, 0.25]
-[casimirs]
-"|x|^2" = "x1^2 + x2^2 + x3^2"
-[initial]
-x = [1.0, 0.1, 0.5]
-[run]
-t_span = [0.0, 1.0]
-step = 0.1
-"""
 
 NINES = "9" * 5000
 HEXADECIMAL = "0x" + "f" * 5000

@@ -4,43 +4,12 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from configuration_files import OWN, READY_MADE
 
 import coadjoint as co
 from coadjoint.methods import registry
 from coadjoint.runs.configuration import ConfigurationError, load
 from coadjoint.runs.expressions import read_brackets, read_polynomial
-
-READY_MADE = """
-[system]
-name = "rigid_body"
-[system.parameters]
-inertia = [1.0, 2.0, 4.0]
-[initial]
-x = [1.0, 0.1, 0.5]
-[method]
-name = "Splitting"
-order = 4
-[run]
-t_span = [0, 1]
-step = 0.1
-"""
-
-OWN = """
-name = "mine"
-sign = -1
-[algebra]
-dim = 3
-brackets = ["[e1, e2] = e3", "[e2, e3] = e1", "[e3, e1] = e2"]
-[hamiltonian]
-M = [1.0, 0.5, 0.25]
-[casimirs]
-"|x|^2" = "x1^2 + x2^2 + x3^2"
-[initial]
-x = [1.0, 0.1, 0.5]
-[run]
-t_span = [0.0, 1.0]
-step = 0.1
-"""
 
 
 @pytest.fixture
