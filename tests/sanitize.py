@@ -37,7 +37,7 @@ PYTEST = ["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
 COMMANDS = {
     "address": [
         [*PYTEST, "-n", "2", "tests/kernels", "tests/methods", "tests/runs"],
-        ["-m", "random_runs.soak", "1000000", "300"],
+        ["-m", "random_runs.soak", "1000000", "300", "--limit", "1200", "--jobs", "2"],
     ],
     "threads": [["-m", "random_runs.on_threads", "2000000", "200"]],
 }
