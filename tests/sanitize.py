@@ -27,10 +27,12 @@ OPTIONS = {
 SETTINGS = {
     "ASAN_OPTIONS": "detect_leaks=0:halt_on_error=1:allocator_may_return_null=1",
     "UBSAN_OPTIONS": "halt_on_error=1:print_stacktrace=1",
-    "TSAN_OPTIONS": "halt_on_error=1:exitcode=66",
+    "TSAN_OPTIONS": "halt_on_error=1:exitcode=66:suppressions={suppressions}",
     "COADJOINT_LEVEL": f"v{LEVEL}",
     "PYTHONMALLOC": "malloc",
 }
+# The C library frees what a thread that has ended kept for itself, and waits for that in a way that is not seen.
+SUPPRESSIONS = "race:_dl_deallocate_tls\n"
 PRELOADED = {"address": ("libasan.so", "libubsan.so", "libstdc++.so.6"), "threads": ("libtsan.so", "libstdc++.so.6")}
 PYTEST = ["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
 # Processes of their own are started by tests of interrupts and of the command; memory is refused there as it is here.
@@ -64,7 +66,9 @@ def main() -> int:
             return 1
         print(f"built for {kind}", flush=True)
         preloaded = " ".join(library_of_compiler(name) for name in PRELOADED[kind])
-        environment = os.environ | SETTINGS | {"PYTHONPATH": str(tree / "src"), "LD_PRELOAD": preloaded}
+        (tree / "suppressions").write_text(SUPPRESSIONS)
+        settings = {name: value.format(suppressions=tree / "suppressions") for name, value in SETTINGS.items()}
+        environment = os.environ | settings | {"PYTHONPATH": str(tree / "src"), "LD_PRELOAD": preloaded}
         for command in COMMANDS[kind]:
             where = tree / "tests" if command[1] != "pytest" else tree
             done = subprocess.run([sys.executable, *command], cwd=where, env=environment, check=False)

@@ -120,3 +120,39 @@ def test_a_batch_of_more_members_than_lanes(compensated):
     for member in (0, 15, 16, 31, 32, 33, 63, 64, 69):
         alone = co.integrate(bodies[member], states[member], span, STEP, method, save_every=EVERY, attitude=True)
         assert_same(together, member, alone)
+
+
+@pytest.mark.parametrize("save_every", [1, 3, 50])
+@pytest.mark.parametrize("watch", [True, False])
+def test_a_group_element_that_overflows_is_not_saved(save_every, watch):
+    """The momentum stands still and its group element grows: alone and in a crowd, nothing is saved of that step."""
+    g = co.algebras.get("so(2,1)")
+    boost = np.eye(3)[int(np.argmax([np.abs(np.linalg.eigvals(g.coadjoint(e)).real).max() for e in np.eye(3)]))]
+    system = co.LiePoissonSystem(g, co.Quadratic(0.0, linear=boost))
+    still = next(e for e in np.eye(3) if not np.any(system.vector_field(e)))
+    x = still * np.array([1.0, 2.0, 3.0])[:, None]
+
+    def failed(x0):
+        with pytest.raises(co.IntegrationError, match="overflowed") as raised:
+            co.integrate(
+                system,
+                x0,
+                (0, 800),
+                1.0,
+                co.Splitting(order=2, parts="coordinates"),
+                attitude="coadjoint",
+                save_every=save_every,
+                watch=watch,
+            )
+        return raised.value
+
+    together = failed(x)
+    first = np.flatnonzero(together.partial.t < together.step)[-1] + 1
+    assert together.step % save_every == 0 or together.step == 800
+    assert np.isfinite(together.partial.attitude[:first]).all() and np.isfinite(together.partial.x[:first]).all()
+    assert np.isnan(together.partial.attitude[first:]).all() and np.isnan(together.partial.x[first:]).all()
+    for member in range(3):
+        alone = failed(x[member : member + 1])
+        assert alone.step == together.step
+        assert np.array_equal(alone.partial.x[:, 0], together.partial.x[:, member], equal_nan=True)
+        assert np.array_equal(alone.partial.attitude[:, 0], together.partial.attitude[:, member], equal_nan=True)

@@ -49,6 +49,9 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
             g[to] = state.groups[member * d * d + from];
             dg[to] = state.group_errors[member * d * d + from];
         });
+    auto saved_group = [&](int64_t k) {
+        return loop.saves.group + (slot_of(schedule, k) * loop.saves.members + member) * d * d;
+    };
     const Vectors<double> momentum{x, dx, 1, scratch.at};
     FlowsOfRows flows_of(tables, carry);
     const std::vector<ElementaryFlow> opening = flows_of(tables.section[0], tables.section[loop.k0 == 0]),
@@ -72,7 +75,6 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
             break;
         }
         if (!schedule.watching && k != saved) continue;
-        follower.push(member, k, x, dx);
         if (k == saved) {
             saved = next_saved(schedule, k);
             if constexpr (carry) {
@@ -83,21 +85,26 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
                                   Vectors<double>{copies.at, copies.at + size, 1, scratch.at}, copy, t, schedule.h,
                                   angles);
                 const double* element = reinterpret_cast<double*>(finished.at);
-                double* to = loop.saves.group + (slot_of(schedule, k) * loop.saves.members + member) * d * d;
                 bool sound = true;
-                each_entry([&](int64_t place, int64_t from) {
-                    to[place] = element[from];
-                    sound &= 0.0 * element[from] == 0.0;
-                });
+                each_entry([&](int64_t, int64_t from) { sound &= 0.0 * element[from] == 0.0; });
                 if (!sound) {
                     failed = k;
                     break;
                 }
+                double* to = saved_group(k);
+                each_entry([&](int64_t place, int64_t from) { to[place] = element[from]; });
             }
         }
+        follower.push(member, k, x, dx);
         if (follower.full() && (failed = follower.flush())) break;
     }
     if (int64_t earlier = follower.flush()) failed = earlier;
+    // Momenta are finished some at a time: what was saved of the group since the step that failed is taken back.
+    if (carry && failed)
+        for (int64_t k = next_saved(schedule, failed - 1); k <= loop.k1; k = next_saved(schedule, k)) {
+            std::fill_n(saved_group(k), d * d, NAN);
+            if (k == schedule.steps) break;
+        }
     const int64_t taken = (failed ? failed : loop.k1) - loop.k0, start = loop.k0 == 0 && taken > 0;
     loop.report.evaluations[member] += start * (int64_t(tables.section[1]) - tables.section[0]) +
                                        (taken - start) * (int64_t(tables.section[2]) - tables.section[1]);
