@@ -14,7 +14,8 @@ from coadjoint.kernels.library import kernels, listening_kernels, pointed
 # Tables, watch, members, first, last, stride; extent, schedule, results, work, k0, k1, stop.
 ARGUMENTS = [ctypes.c_void_p] * 3 + [ctypes.c_int64] * 3 + [ctypes.c_void_p] * 4 + [ctypes.c_int64] * 2
 ARGUMENTS += [ctypes.c_void_p]
-INTERRUPTED, NO_MEMORY = -1, -2
+# What a loop returns in place of a count, as in `source/crew.hpp`; any other such number says that it was interrupted.
+NO_MEMORY = -2
 
 
 class Stop:
@@ -79,11 +80,9 @@ class Crew:
         wrong = self._advance(layout.address, schedule, results.address, work.address, k0, k1, stop.address)
         if wrong >= 0:
             return wrong
-        raise (
-            MemoryError("there is no memory for the working arrays of the loop")
-            if wrong == NO_MEMORY
-            else (KeyboardInterrupt())
-        )
+        if wrong == NO_MEMORY:
+            raise MemoryError("there is no memory for the working arrays of the loop")
+        raise KeyboardInterrupt
 
 
 @cache
