@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
+from ctypes import addressof
 from functools import cache
 
 import numpy as np
@@ -78,7 +79,7 @@ class Unshifting:
         save_every, steps : int
             Every how many steps something was saved, and how many steps there are.
         """
-        x0, g0, whole = [ctypes.addressof(number_at(array)) for array in (momenta, initial, out)]
+        x0, g0, whole = addressof(number_at(momenta)), addressof(number_at(initial)), addressof(number_at(out))
         points, members = out.shape[:2]
         size = int(MOST_PRODUCTS / ((last - first) * self._products)) or 1
         for k in range(0, points, size):
