@@ -36,7 +36,7 @@ sanitize: $(VENV)/installed
 bench: $(VENV)/peers
 	$(BIN)/python benchmarks/run_all.py
 
-$(VENV)/installed: pyproject.toml setup.py $(wildcard src/coadjoint/kernels/source/* src/coadjoint/methods/*.cpp)
+$(VENV)/installed: pyproject.toml setup.py $(wildcard src/coadjoint/kernels/source/*/* src/coadjoint/methods/*.cpp)
 	@test -n "$(PYTHON)" || { echo "coadjoint needs Python 3.11 or newer: set PYTHON=/path/to/python" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'

@@ -32,13 +32,13 @@ LEVELS = {
 def kernels(level: str | None) -> Extension:
     """Return the library of kernels for one of the levels; None for what the compiler makes by default."""
     name = "_kernels" if level is None else f"_kernels_{level}"
-    sources = [*glob(f"{KERNELS}/*.cpp"), *glob("src/coadjoint/methods/*.cpp")]
+    sources = [*glob(f"{KERNELS}/*/*.cpp"), *glob("src/coadjoint/methods/*.cpp")]
     tuning = ["-O3"] if level is None else [*LEVELS[level], "-mtune=generic"]
     return Extension(
         f"coadjoint.kernels.{name}",
         sorted(source for source in sources if not source.endswith("processor.cpp")),
         include_dirs=[KERNELS],
-        depends=sorted(glob(f"{KERNELS}/*.hpp")),
+        depends=sorted(glob(f"{KERNELS}/*/*.hpp")),
         extra_compile_args=[*FLAGS, *tuning],
         language="c++",
     )
@@ -77,7 +77,7 @@ class BuildKernels(build_ext):
 
 
 processor = Extension(
-    "coadjoint.kernels._processor", [f"{KERNELS}/processor.cpp"], extra_compile_args=["-O2"], language="c++"
+    "coadjoint.kernels._processor", [f"{KERNELS}/boundary/processor.cpp"], extra_compile_args=["-O2"], language="c++"
 )
 levels = LEVELS if platform.machine().lower() in ("x86_64", "amd64") else [None]
 setup(ext_modules=[processor, *map(kernels, levels)], cmdclass={"build_ext": BuildKernels})

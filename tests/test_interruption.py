@@ -11,7 +11,7 @@ import xarray
 
 import coadjoint
 from coadjoint import cli
-from coadjoint.runs.output import check_target, write_dataset
+from coadjoint.files.output import check_target, write_dataset
 from test_cli import BODY
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
@@ -19,7 +19,7 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[
 AT_PIECE = """
 import os, signal, sys
 from contextlib import contextmanager
-from coadjoint.runs import unfinished
+from coadjoint.files import unfinished
 original, pieces = unfinished.Unfinished.writing, 0
 @contextmanager
 def writing(self):
@@ -139,7 +139,7 @@ def test_a_store_that_had_stepped_aside_for_a_killed_run_comes_back(folder):
     old_result("run.zarr")
     act = "\n".join(
         [
-            "import os, signal, sys, coadjoint.runs.unfinished",
+            "import os, signal, sys, coadjoint.files.unfinished",
             "replace = os.replace",
             "def killed(source, target):",
             "    replace(source, target)",

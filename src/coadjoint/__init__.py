@@ -43,8 +43,8 @@ _HOME = {
     "PreparedRun": "coadjoint.runs.prepared_run",
     "Solution": "coadjoint.runs.solution",
     "batch": "coadjoint.systems.batch",
-    "Choice": "coadjoint.runs.accuracy",
-    "choose": "coadjoint.runs.accuracy",
+    "Choice": "coadjoint.choosing.accuracy",
+    "choose": "coadjoint.choosing.accuracy",
     "integrate": "coadjoint.runs.integrate",
     "prepare": "coadjoint.runs.prepared_run",
     "stepper": "coadjoint.runs.stepper",
@@ -66,6 +66,8 @@ if TYPE_CHECKING:
     from coadjoint.algebra.invariant import Invariant as Invariant
     from coadjoint.algebra.lie_algebra import LieAlgebra as LieAlgebra
     from coadjoint.algebra.polynomial import Polynomial as Polynomial
+    from coadjoint.choosing.accuracy import Choice as Choice
+    from coadjoint.choosing.accuracy import choose as choose
     from coadjoint.errors import IntegrationError as IntegrationError
     from coadjoint.methods.composition import Composition as Composition
     from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta as ExplicitRungeKutta
@@ -75,8 +77,6 @@ if TYPE_CHECKING:
     from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy
     from coadjoint.methods.splitting import Splitting as Splitting
     from coadjoint.methods.taylor import Taylor as Taylor
-    from coadjoint.runs.accuracy import Choice as Choice
-    from coadjoint.runs.accuracy import choose as choose
     from coadjoint.runs.integrate import integrate as integrate
     from coadjoint.runs.prepared_run import PreparedRun as PreparedRun
     from coadjoint.runs.prepared_run import prepare as prepare

@@ -21,7 +21,7 @@ UNREAD = 141  # nobody reads what is printed
 
 if TYPE_CHECKING:
     from coadjoint.errors import IntegrationError
-    from coadjoint.runs.configuration import Configuration
+    from coadjoint.files.configuration import Configuration
     from coadjoint.runs.solution import Solution
 
 
@@ -57,8 +57,8 @@ def run_file(file: str, out: str | None, figure: str | None, progress: bool, qui
     A run that fails while running writes what it had, marked as failed, and ends with exit status 1.
     """
     from coadjoint.errors import IntegrationError
-    from coadjoint.runs.configuration import load
-    from coadjoint.runs.output import DATASETS, FIGURES, write_dataset, write_figure
+    from coadjoint.files.configuration import load
+    from coadjoint.files.output import DATASETS, FIGURES, write_dataset, write_figure
 
     configuration = load(file)
     target = _place(configuration, "file", out, DATASETS)
@@ -79,8 +79,8 @@ def run_file(file: str, out: str | None, figure: str | None, progress: bool, qui
 
 def _place(configuration: Configuration, key: str, option: str | None, suffixes: Sequence[str]) -> Path | None:
     """Return where a result goes, by the option or else by the key of the file, checked before the run."""
-    from coadjoint.runs.configuration_parts import section
-    from coadjoint.runs.output import check_target
+    from coadjoint.files.configuration_parts import section
+    from coadjoint.files.output import check_target
 
     if option is not None:
         return check_target(option, suffixes)
@@ -100,7 +100,7 @@ class _RunFailed(click.ClickException):
 @contextmanager
 def _writing(configuration: Configuration, target: Path) -> Iterator[None]:
     """Say in one line that a result cannot be written, after its run."""
-    from coadjoint.runs.output import OutputError
+    from coadjoint.files.output import OutputError
 
     try:
         yield
@@ -117,8 +117,8 @@ def _failed(configuration: Configuration, error: IntegrationError, target: Path 
     """Write what there is, and return what is to be said."""
     written = ""
     if target is not None and error.partial is not None:
-        from coadjoint.runs.export import mark_failed
-        from coadjoint.runs.output import OutputError, write_dataset
+        from coadjoint.files.export import mark_failed
+        from coadjoint.files.output import OutputError, write_dataset
 
         try:
             write_dataset(mark_failed(configuration.dataset(error.partial), error), target)
@@ -233,8 +233,8 @@ def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
 
 
 def _performed(arguments: list[str]) -> tuple[int, str]:
-    from coadjoint.runs.configuration import ConfigurationError
-    from coadjoint.runs.output import OutputError
+    from coadjoint.files.configuration import ConfigurationError
+    from coadjoint.files.output import OutputError
 
     try:
         # The parts of click's own main that are wanted: that one prints an empty line at an interrupt.

@@ -44,7 +44,7 @@ class Kernels:
         self.sources = sorted(
             path
             for folder in (SOURCE, "src/coadjoint/methods")
-            for path in (tree / folder).glob("*.cpp")
+            for path in (tree / folder).rglob("*.cpp")
             if path.name != "processor.cpp"
         )
 

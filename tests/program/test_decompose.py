@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.chosen_parts import ChosenParts
+from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.program.decompose import best_decomposition, best_decompositions, decompose
 from coadjoint.program.order_of_parts import best_order
 from coadjoint.program.pencil import singular_factors

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
-from coadjoint.methods.chosen_parts import ChosenParts
+from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.program.decompose import decompose
 from coadjoint.program.order_of_parts import best_order
 from coadjoint.program.reading import Reading

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs.export import rebuild
-from coadjoint.runs.output import write_dataset
+from coadjoint.files.export import rebuild
+from coadjoint.files.output import write_dataset
 
 X = (0.1, 1.0, 0.2)
 

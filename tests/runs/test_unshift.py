@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.files.export import rebuild
 from coadjoint.program.decompose import decompose
-from coadjoint.runs.export import rebuild
 
 U = 2.0**-53
 

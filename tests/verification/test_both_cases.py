@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.choosing.pilot import short_run
 from coadjoint.methods.base import FlowMethod
-from coadjoint.methods.chosen_parts import ChosenParts
 from coadjoint.program.blocks import Kind
+from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.program.reading import Reading
 from coadjoint.program.shift import quadratic_casimirs, shifted_terms
 from coadjoint.program.split import split
 from coadjoint.program.table import build_program
 from coadjoint.runs import run as run_module
-from coadjoint.runs.pilot import short_run
 from coadjoint.systems.rigid_body import so3_body
 
 from .drawn_systems import ALGEBRAS, drawn, drawn_bracket

@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.analysis.order import OrderFit, fit_order
-from coadjoint.methods.base import Method, System
+from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.runs.integrate import integrate
+from coadjoint.systems.kinds import System
 
 UNIT_ROUNDOFF = 2.0**-53
 SLOPE_TOLERANCE = 0.2  # what the next term of the error adds to a slope at the steps taken here

@@ -72,7 +72,7 @@ class Block:
 
 
 class Layout:
-    """The blocks of a run, in the order of `source/arrays.hpp`.
+    """The blocks of a run, in the order of `source/boundary/arrays.hpp`.
 
     Of what is left, the `results`: `x` (K, M, n); `group` (K, M, d*d), transposed matrices; `values` (K, M, I), of the
     invariants; `worst` (M, 10, I), the largest deviation in each tenth of the run; and of every member how it fares,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import System
+from coadjoint.systems.kinds import System
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 
 WIDEST = 48  # diagonals on either side: each unknown costs two multiplications with all pairs of them

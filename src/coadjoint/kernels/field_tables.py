@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.field import Field, GroupField
 from coadjoint.kernels.tables import addresses_of
-from coadjoint.methods.base import System
 from coadjoint.program.terms import TermTable
+from coadjoint.systems.kinds import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.functions import CompiledFunction

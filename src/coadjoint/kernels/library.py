@@ -14,7 +14,7 @@ import numpy as np
 
 from coadjoint.wording import short
 
-# What a field is, by its type in `source/tables.hpp`: a number, or the elements of an array.
+# What a field is, by its type in `source/boundary/tables.hpp`: a number, or the elements of an array.
 SCALARS: dict[str, Any] = {"integer": ctypes.c_int64, "number": ctypes.c_double, "flag": ctypes.c_int64}
 ARRAYS: dict[str, Any] = {
     "bytes": np.dtype(np.uint8),

@@ -14,7 +14,7 @@ from coadjoint.kernels.library import kernels, listening_kernels, pointed
 # Tables, watch, members, first, last, stride; extent, schedule, results, work, k0, k1, stop.
 ARGUMENTS = [ctypes.c_void_p] * 3 + [ctypes.c_int64] * 3 + [ctypes.c_void_p] * 4 + [ctypes.c_int64] * 2
 ARGUMENTS += [ctypes.c_void_p]
-# What a loop returns in place of a count, as in `source/crew.hpp`; any other such number says that it was interrupted.
+# What a loop returns in place of a count, as in `source/boundary/crew.hpp`; any other such number: interrupted.
 NO_MEMORY = -2
 
 

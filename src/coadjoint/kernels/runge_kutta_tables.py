@@ -12,8 +12,8 @@ from coadjoint.kernels.couplings import NO_BAND, narrow_band
 from coadjoint.kernels.field_tables import field_of, group_of, substeps
 from coadjoint.kernels.runge_kutta import EXPLICIT, GRADIENT, IMPLICIT, ITERATED, STRUCTURE, RungeKuttaTables
 from coadjoint.kernels.tables import Compiled
-from coadjoint.methods.base import System
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
+from coadjoint.systems.kinds import System
 
 SOLVERS = {
     "explicit": EXPLICIT,

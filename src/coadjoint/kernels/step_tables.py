@@ -10,9 +10,9 @@ import numpy as np
 from coadjoint.kernels.field_tables import field_of, group_of, substeps
 from coadjoint.kernels.stepping import Stepping, StepTables, step_address
 from coadjoint.kernels.tables import Compiled, addresses_of, invariants_table, watch_tables
-from coadjoint.methods.base import System
 from coadjoint.methods.step_method import StepMethod
 from coadjoint.program.terms import TermTable
+from coadjoint.systems.kinds import System
 
 
 def step_tables(

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.representation import intertwiner, invariant_form
 from coadjoint.memory import check_room
-from coadjoint.methods.base import Method, System
+from coadjoint.methods.base import Method
+from coadjoint.systems.kinds import System
 
 
 def check_attitude(method: Method, system: System, representation: Any) -> None:

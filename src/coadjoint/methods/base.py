@@ -5,15 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
-from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.poisson import PoissonSystem
+from coadjoint.program.sweeps import Sweep
+from coadjoint.systems.kinds import System
 from coadjoint.wording import short
 
 LONGEST = 200  # characters of a parameter in a message
-
-System = LiePoissonSystem | PoissonSystem
 
 
 @dataclass(frozen=True)
@@ -100,17 +98,6 @@ class Method(ABC):
     def fractions(self) -> tuple[float, ...]:
         """Substeps of one step as fractions of it; one unless the scheme is a composition."""
         return (1.0,)
-
-
-class Sweep(NamedTuple):
-    """One pass through the parts: forward or backward, over a fraction of the step, functions of time taken at a moment
-    of it. A `turn` makes a second-order step with the sweep before: the part at which they meet flows once over both.
-    """
-
-    forward: bool
-    coefficient: Any
-    moment: Any
-    turn: bool = False
 
 
 class FlowMethod(Method):

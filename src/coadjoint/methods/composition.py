@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from coadjoint.given import read_finite
-from coadjoint.methods.base import FlowMethod, Method, Properties, Sweep, System
+from coadjoint.methods.base import FlowMethod, Method, Properties
+from coadjoint.program.sweeps import Sweep
+from coadjoint.systems.kinds import System
 from coadjoint.wording import short
 
 HIGHEST_ORDER = 12

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_choice
-from coadjoint.methods.base import Properties, System
+from coadjoint.methods.base import Properties
 from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients, Step
 from coadjoint.program.numbers import Number, convert
-from coadjoint.systems.kinds import check_one_system
+from coadjoint.systems.kinds import System, check_one_system
 
 HALF = Fraction(1, 2)
 TABLEAUX: dict[str, tuple[int, tuple[Any, ...], tuple[tuple[Any, ...], ...], tuple[Any, ...]]] = {

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_whole
-from coadjoint.methods.base import Properties, System, has_quadratic_energy
+from coadjoint.methods.base import Properties, has_quadratic_energy
 from coadjoint.methods.gauss_coefficients import extrapolation, gauss_legendre
 from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod, settle
 from coadjoint.methods.stages import Coefficients, Step
 from coadjoint.program.numbers import Number
-from coadjoint.systems.kinds import check_one_system
+from coadjoint.systems.kinds import System, check_one_system
 
 
 def gauss_tableau(stages: int, number: Number = float) -> Coefficients:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from coadjoint.methods.base import Properties, System
+from coadjoint.methods.base import Properties
 from coadjoint.methods.gauss_legendre import gauss_tableau, stages_given
 from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod, iterate, iterate_tangents
 from coadjoint.methods.stages import Coefficients, Step
 from coadjoint.program.numbers import Number
-from coadjoint.systems.kinds import check_one_system
+from coadjoint.systems.kinds import System, check_one_system
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from typing import Any
 from numpy.typing import NDArray
 
 from coadjoint.given import read_choice
-from coadjoint.methods.base import Properties, System, has_quadratic_energy
+from coadjoint.methods.base import Properties, has_quadratic_energy
 from coadjoint.methods.gauss_legendre import gauss_tableau, stages_given
 from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod, iterate, iterate_tangents
 from coadjoint.methods.stages import Coefficients, Step
 from coadjoint.program.numbers import Number
-from coadjoint.systems.kinds import check_one_system
+from coadjoint.systems.kinds import System, check_one_system
 
 FREEZES = ("structure", "gradient")
 

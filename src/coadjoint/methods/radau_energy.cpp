@@ -1,7 +1,9 @@
 // Radau IIA on the energy surface: function iteration for the stages, and in each one a Newton iteration for the
 // multipliers.
-#include "linear_solve.hpp"
-#include "step_scheme.hpp"
+#include "numbers/linear_solve.hpp"
+#include "steps/step_scheme.hpp"
+
+namespace coadjoint {
 
 namespace {
 
@@ -84,3 +86,5 @@ struct RadauEnergy final : StepScheme {
 }  // namespace
 
 STEP_SCHEME(radau_energy, RadauEnergy)
+
+}  // namespace coadjoint

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.base import Properties, System
+from coadjoint.methods.base import Properties
 from coadjoint.methods.gauss_coefficients import radau
 from coadjoint.methods.gauss_legendre import stages_given
 from coadjoint.methods.runge_kutta import settle
 from coadjoint.methods.stages import Coefficients, Step, begin, linear_solve
 from coadjoint.methods.step_method import UNDEFINED, StepMethod
 from coadjoint.program.numbers import Number
-from coadjoint.systems.kinds import check_one_system
+from coadjoint.systems.kinds import System, check_one_system
 
 NO_MULTIPLIER = (
     "x . grad H(x) vanishes or changes its sign, and there the multiplier of the energy constraint is undefined; "

@@ -13,7 +13,7 @@ from typing import Any
 from coadjoint.errors import unknown_name
 from coadjoint.given import read_choice
 from coadjoint.methods.base import Method
-from coadjoint.methods.chosen_parts import ChosenParts
+from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.wording import short
 
 

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.base import Method, System
+from coadjoint.methods.base import Method
 from coadjoint.methods.stages import Coefficients, Step, begin
 from coadjoint.program.numbers import Number, roundoff
+from coadjoint.systems.kinds import System
 
 MOST_ITERATIONS = 200  # for 53 bits; in proportion for more
 GROWTH = 2**64  # of the first correction: a correction so much larger will not come back

@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.given import read_choice, read_finite, read_flag, read_list, read_number, read_whole
-from coadjoint.methods.base import FlowMethod, Properties, Sweep, System
-from coadjoint.methods.chosen_parts import ChosenParts
+from coadjoint.methods.base import FlowMethod, Properties
 from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES, SplittingScheme
-from coadjoint.systems.kinds import check_one_system
+from coadjoint.program.chosen_parts import ChosenParts
+from coadjoint.program.sweeps import Sweep
+from coadjoint.systems.kinds import System, check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.points import QUIET
 from coadjoint.systems.poisson import PoissonSystem

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from coadjoint.methods.base import Sweep
+from coadjoint.program.sweeps import Sweep
 
 
 class SplittingScheme(NamedTuple):

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import System
 from coadjoint.program.numbers import Number
+from coadjoint.systems.kinds import System
 
 
 class Coefficients(NamedTuple):

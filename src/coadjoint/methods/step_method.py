@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import Method, System
+from coadjoint.methods.base import Method
+from coadjoint.systems.kinds import System
 
 UNDEFINED = 3
 """Status of a step that its scheme does not define; the scheme's `failures` says why."""

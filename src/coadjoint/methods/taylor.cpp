@@ -1,7 +1,9 @@
 // The Taylor series of the motion, and back to the level set of the energy and of the Casimirs.
-#include "projection.hpp"
-#include "series.hpp"
-#include "step_scheme.hpp"
+#include "steps/projection.hpp"
+#include "steps/series.hpp"
+#include "steps/step_scheme.hpp"
+
+namespace coadjoint {
 
 namespace {
 
@@ -41,3 +43,5 @@ EXPORT StepScheme* taylor_step(const StepTables& tables, const Own& constants) {
     if (tables.field.size <= 4) return new Taylor<4>(tables, constants);
     return new Taylor<8>(tables, constants);
 }
+
+}  // namespace coadjoint

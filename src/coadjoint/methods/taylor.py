@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.given import read_flag, read_whole
-from coadjoint.methods.base import Properties, System
+from coadjoint.methods.base import Properties
 from coadjoint.methods.power_series import Dual, expand
 from coadjoint.methods.projection import project
 from coadjoint.methods.stages import linear_solve
 from coadjoint.methods.step_method import Operations, StepMethod
 from coadjoint.program.numbers import Number
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
-from coadjoint.systems.kinds import check_one_system
+from coadjoint.systems.kinds import System, check_one_system
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.methods.chosen_parts import ChosenParts
+from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.program.order_of_parts import CLEARLY, best_orders
 from coadjoint.program.parts import Parts
 from coadjoint.program.shift import QuadraticCasimir, Shift, candidate_shifts, quadratic_casimirs, shifted_terms

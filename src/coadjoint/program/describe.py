@@ -6,11 +6,11 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
-from coadjoint.methods.base import FlowMethod
 from coadjoint.program.actions import Action
 from coadjoint.program.blocks import Kind
 from coadjoint.program.decompose import decompose
 from coadjoint.program.parts import Part
+from coadjoint.program.sweeps import Swept
 from coadjoint.program.table import Program, build_program
 from coadjoint.program.terms import LINEAR
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -83,14 +83,14 @@ class Description:
         return "\n".join(lines)
 
 
-def describe(system: LiePoissonSystem, method: FlowMethod) -> Description:
+def describe(system: LiePoissonSystem, method: Swept) -> Description:
     """Describe a splitting of a system.
 
     Parameters
     ----------
     system : LiePoissonSystem
         The system.
-    method : FlowMethod
+    method : Swept
         The scheme.
 
     Returns

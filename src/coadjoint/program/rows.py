@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.joins import Integers
-from coadjoint.methods.base import FlowMethod, Sweep
 from coadjoint.program.numbers import Number, array_of, convert
 from coadjoint.program.parts import Parts
 from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
+from coadjoint.program.sweeps import Sweep, Swept
 
 
 class Rows(NamedTuple):
@@ -85,12 +85,12 @@ class Joining(NamedTuple):
         return Flows(flows.part, coefficient, flows.moment, turn).take(kept)
 
 
-def rows_of(method: FlowMethod, joining: Joining, sign: int, number: Number) -> Rows:
+def rows_of(method: Swept, joining: Joining, sign: int, number: Number) -> Rows:
     """Return the rows of a method.
 
     Parameters
     ----------
-    method : FlowMethod
+    method : Swept
         Its sweeps and processor.
     joining : Joining
         Of the parts.

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.methods.base import FlowMethod
 from coadjoint.program.actions import Action, build_action
 from coadjoint.program.decompose import decompose
 from coadjoint.program.generators import BasisMatrices
@@ -21,6 +20,7 @@ from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
 from coadjoint.program.rational import rational_frequencies
 from coadjoint.program.rows import Joining, Rows, rows_of
 from coadjoint.program.sparse_rows import SparseRows
+from coadjoint.program.sweeps import Swept
 from coadjoint.program.terms import Terms, TermTable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.terms import FunctionTerm
@@ -71,7 +71,7 @@ class Program:
 
 def build_program(
     system: LiePoissonSystem,
-    method: FlowMethod,
+    method: Swept,
     *,
     group: NDArray[Any] | str | None = None,
     number: Number = float,
@@ -82,7 +82,7 @@ def build_program(
     ----------
     system : LiePoissonSystem
         The system.
-    method : FlowMethod
+    method : Swept
         The splitting.
     group : ndarray of shape (n, d, d), "coadjoint", or None
         The representation that the group element is carried in.

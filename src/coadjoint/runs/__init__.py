@@ -1,1 +1,1 @@
-"""For how long, and saved where? Integration, solutions, steppers, configuration files."""
+"""For how long? Integration, prepared runs, solutions, steppers."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from coadjoint.methods.base import Method, System
+from coadjoint.methods.base import Method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.kinds import check_system
+from coadjoint.systems.kinds import System, check_system
 from coadjoint.wording import short
 
 
@@ -106,7 +106,7 @@ def integrate(
         check_system(system)
         if isinstance(system, Batch):
             raise TypeError("accuracy chooses the step for one system, and this is a batch; choose for a member")
-        from coadjoint.runs.accuracy import choose
+        from coadjoint.choosing.accuracy import choose
 
         choice = choose(system, x0, t_span, accuracy, attitude=attitude, methods=method)
         method, step = choice.method, choice.step

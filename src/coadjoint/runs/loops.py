@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from coadjoint.kernels.arrays import Block, Extent, Layout
 from coadjoint.kernels.loop import Crew
 from coadjoint.kernels.varied_tables import BLOCK
-from coadjoint.methods.base import Method, System
+from coadjoint.methods.base import Method
 from coadjoint.runs.prepare import loop_of
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.runs.unshift import Unshift, plainly
+from coadjoint.systems.kinds import System
 
 Turned = Callable[[Start, Times, Block, int], NDArray[np.float64]]
 

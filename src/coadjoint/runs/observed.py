@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.methods.base import System
+from coadjoint.systems.kinds import System
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.wording import short

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.memory import check_room
-from coadjoint.methods.base import FlowMethod, Method, System
+from coadjoint.methods.base import FlowMethod, Method
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.step_method import StepMethod
+from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 BYTES_PER_CONSTANT = 450  # while flows are read from both orders of a bracket

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_flag, read_whole
-from coadjoint.methods.base import Method, System
+from coadjoint.methods.base import Method
 from coadjoint.methods.splitting import Splitting
 from coadjoint.runs.batch_loops import BatchLoops
 from coadjoint.runs.loops import Loops, SystemLoops
@@ -21,7 +21,7 @@ from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start, momenta_of, representations_of, with_group
 from coadjoint.runs.times import Times, checked_step, span_of, times_between
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.kinds import check_system
+from coadjoint.systems.kinds import System, check_system
 from coadjoint.wording import short
 
 

@@ -15,7 +15,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.kernels.arrays import Block
 from coadjoint.kernels.loop import Crew, Stop
 from coadjoint.kernels.watching import NOT_CONVERGED, schedule_of
-from coadjoint.methods.base import Method, System
+from coadjoint.methods.base import Method
 from coadjoint.runs.loops import Loops
 from coadjoint.runs.observed import Observed
 from coadjoint.runs.room import check_room_of_run
@@ -24,6 +24,7 @@ from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.kinds import System
 
 # Between two calls of the compiled loop a progress bar can move.
 SECONDS_BETWEEN_LOOKS = 0.2

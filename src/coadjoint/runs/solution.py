@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import Method, System
+from coadjoint.methods.base import Method
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.kinds import System
 from coadjoint.wording import short
 
 if TYPE_CHECKING:
@@ -168,7 +169,7 @@ class Solution:
         xarray.Dataset
             Variables over ``time`` (and ``member``), to be written as NetCDF or Zarr.
         """
-        from coadjoint.runs.export import dataset_of
+        from coadjoint.files.export import dataset_of
 
         return dataset_of(self)
 

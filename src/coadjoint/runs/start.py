@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from coadjoint.given import read_numbers
 from coadjoint.memory import check_room
 from coadjoint.methods.attitude import check_attitude
-from coadjoint.methods.base import Method, System
+from coadjoint.methods.base import Method
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.kinds import check_system
+from coadjoint.systems.kinds import System, check_system
 from coadjoint.wording import short
 
 FEW = 64

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.given import read_number
 from coadjoint.memory import check_room
-from coadjoint.methods.base import FlowMethod, Method, System
+from coadjoint.methods.base import FlowMethod, Method
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.step_method import StepMethod
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times
-from coadjoint.systems.kinds import check_one_system
+from coadjoint.systems.kinds import System, check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.points import QUIET
 from coadjoint.wording import short

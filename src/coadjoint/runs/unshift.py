@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.kernels.arrays import Block
-from coadjoint.methods.base import System
 from coadjoint.program.unshift import unshift_tables
 from coadjoint.runs.start import FEW, Representation, Start
 from coadjoint.runs.times import Times
+from coadjoint.systems.kinds import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.unshift import Unshifting

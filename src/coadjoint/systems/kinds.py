@@ -9,6 +9,8 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.wording import short
 
+System = LiePoissonSystem | PoissonSystem
+
 
 def check_system(system: Any) -> None:
     """Refuse what is no system.

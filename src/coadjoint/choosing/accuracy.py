@@ -1,0 +1,275 @@
+"""Which scheme, and which step, for a wanted accuracy? A rule, by pilot runs and counted work; no clock is asked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from coadjoint.choosing.candidates import Candidate, admitted
+from coadjoint.choosing.fitting import Fit, confirmed, fit
+from coadjoint.choosing.pilot import Pilot
+from coadjoint.choosing.roundoff import least_roundoff
+from coadjoint.choosing.sampling import sample_of
+from coadjoint.given import read_flag, read_list, read_number
+from coadjoint.methods.base import Method
+from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.splitting import Splitting
+from coadjoint.methods.taylor import Taylor
+from coadjoint.runs.start import start_of
+from coadjoint.runs.times import span_of
+from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.wording import short
+
+# The error is aimed this much below the accuracy, and rounding alone may leave no more than half of it.
+SAFETY = 3.0
+MODERATE_ORDER = 8
+ROUNDING_SHARE = 0.5
+# No error is aimed at below: it could not be divided by.
+LEAST = 2.0**-1000
+
+# Coordinates up to which series are considered: the coefficients of more do not stay in a cache.
+LARGEST_SERIES = 10_000
+
+# High orders first: where they win, the others are given up after a short look.
+SCHEMES: tuple[Method, ...] = (
+    *(Taylor(p) for p in (16, 12, 20, 24, 8, 10, 14, 6)),
+    *(GaussLegendre(s) for s in (8, 6, 12, 10, 4, 3, 2)),
+    *(Splitting(order=p) for p in (10, 8, 6, 4, 2)),
+)
+PROCESSED: tuple[Method, ...] = tuple(Splitting(scheme=f"blanes_casas_murua{p}") for p in (10, 8, 6))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A scheme and a step for a wanted accuracy, and what is expected of them; printed, it says why in one line.
+
+    Parameters
+    ----------
+    method : Method
+        The scheme.
+    step : float
+        The step, positive; a whole number of them is the span.
+    accuracy : float
+        What was wanted: the error of the momentum at the end, relative to its largest size on the way.
+    error : float
+        What is expected: truncation and rounding together.
+    roundoff : float
+        How much of that is rounding.
+    cost : float
+        Work of the whole run of one member, in units of one rotation in a flow (about 11 ns).
+    others : tuple of Choice
+        What else was considered, the cheapest first; without what was given up early as much too dear.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> choice = co.choose(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.5), (0, 100), 1e-6)
+    >>> choice.error < 1e-6, abs(100 / choice.step - round(100 / choice.step)) < 1e-9
+    (True, True)
+    """
+
+    method: Method
+    step: float
+    accuracy: float
+    error: float
+    roundoff: float
+    cost: float
+    others: tuple[Choice, ...] = field(default=(), repr=False)
+
+    def __str__(self) -> str:
+        said = (
+            f"{self.method} with step {self.step:.6g}: expected error {self.error:.1e} for the wanted "
+            f"{self.accuracy:.1e} ({self.roundoff:.1e} of it rounding), at the cost of {self.cost:.2g} rotations"
+        )
+        if not self.others:
+            return said
+        other = self.others[0]
+        return f"{said}; next {other.method} at {other.cost / max(self.cost, 1e-300):.2g} times that"
+
+
+def choose(
+    system: System,
+    x0: Any,
+    t_span: tuple[float, float],
+    accuracy: float,
+    *,
+    attitude: Any = False,
+    methods: Method | Sequence[Method] | None = None,
+    processed: bool = False,
+) -> Choice:
+    """Choose the scheme and the step that reach a wanted accuracy with the least work.
+
+    The same inputs give the same choice: work is counted, not timed. Each scheme is run from x0 over a window, against
+    a reference that has settled; its error is extrapolated by its order in the step, and by its growth over a quarter,
+    a half and the whole window in time (at least linear, and quadratic for schemes that are neither symmetric nor
+    Poisson maps). Rounding is modelled. The choice is run over the window once more, and its step corrected if it
+    misses. A motion that changes its character after the window is not foreseen.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        What moves.
+    x0 : array_like, shape (n,) or (members, n)
+        Initial momentum; of an ensemble, the worst of four members decides, which a coarse run picks.
+    t_span : (float, float)
+        Start and end, backward too.
+    accuracy : float
+        Wanted: abs(x_num(t_end) - x(t_end)) <= accuracy * max abs(x(t)). Between 0 and 1.
+    attitude : bool, "coadjoint", or array_like
+        What the run is to carry, as in `integrate`: schemes that cannot are left out, and its work is counted. The
+        accuracy is that of the momentum.
+    methods : Method or sequence of Method, optional
+        Choose among these, or only the step for one; None is the rule's own list, Taylor series of order 6 to 24,
+        Gauss-Legendre methods of 2 to 12 stages and splittings of order 2 to 10. Splittings alone keep a run a Poisson
+        map.
+    processed : bool
+        Consider processed splittings too. Their processor is not counted: for runs that look at few points, with
+        ``watch=False`` and a large `save_every`.
+
+    Returns
+    -------
+    Choice
+        With the scheme, the step, and what is expected of them.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For wrong input; for an accuracy that no scheme reaches in float64 over the span, with the one that is reached;
+        for a motion that cannot be followed.
+
+    See Also
+    --------
+    integrate : With ``accuracy=`` it chooses, and runs what was chosen.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> co.choose(body, (1.0, 0.2, 0.5), (0, 100), 1e-9).method
+    Taylor(order=..., projected=True)
+    >>> poisson = [co.Splitting(order=p) for p in (2, 4, 6, 8, 10)]
+    >>> co.choose(body, (1.0, 0.2, 0.5), (0, 100), 1e-9, methods=poisson).method.properties(body).poisson
+    True
+    """
+    check_one_system(system)
+    wanted, processed = _checked(accuracy), read_flag(processed, "processed")
+    # Near a blow-up numbers overflow; what comes of it is looked at, and said.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return _chosen(system, x0, span_of(t_span), wanted, attitude, methods, processed)
+
+
+def _chosen(
+    system: System, x0: Any, span: tuple[float, float], wanted: float, attitude: Any, methods: Any, processed: bool
+) -> Choice:
+    t0, t1 = span
+    momenta = start_of(system, GaussLegendre(2), x0, False).momenta
+    candidates = admitted(system, _schemes(methods, processed, system.dim), x0, attitude, strict=methods is not None)
+    if t0 == t1:
+        return Choice(candidates[0].method, 1.0, wanted, 0.0, 0.0, 0.0)
+    pilot = Pilot(system, sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0)
+    if least_roundoff(pilot) >= ROUNDING_SHARE:
+        raise _lost(candidates, abs(t1 - t0))
+    fits = _fits(pilot, candidates, wanted)
+    if not fits:
+        raise ValueError(
+            f"no step of {_named(candidates)} reaches the accuracy {wanted:g} over the time {abs(t1 - t0):g} at a "
+            "bearable cost; ask for less, or for a shorter time"
+        )
+    exact = [better for each in fits if (better := _rounded_well(each, wanted)) is not None]
+    if not exact:
+        raise _unreachable(fits, candidates, wanted, abs(t1 - t0))
+    best, *others = _confirmed_cheapest(exact, wanted)
+    return replace(_choice(best, wanted), others=tuple(_choice(each, wanted) for each in others))
+
+
+def _checked(accuracy: Any) -> float:
+    wanted = read_number(accuracy, "accuracy")
+    if not 0.0 < wanted < 1.0:
+        raise ValueError(f"accuracy is {wanted:g}; it must lie between 0 and 1, such as 1e-6")
+    return wanted
+
+
+def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
+    if methods is None:
+        known = (*SCHEMES, *PROCESSED) if processed else SCHEMES
+        return tuple(each for each in known if dim <= LARGEST_SERIES or not isinstance(each, Taylor))
+    rule = "it must be one or more schemes such as Splitting(order=4)"
+    given = (methods,) if isinstance(methods, Method) else read_list(methods, "methods", rule)
+    wrong = [each for each in given if not isinstance(each, Method)]
+    if wrong or not given:
+        raise TypeError(f"methods contains {short(wrong[0]) if wrong else 'nothing'}; {rule}")
+    return given
+
+
+def _goal(candidate: Candidate, wanted: float) -> float:
+    """Return the error that is aimed at: errors of a high order vary more, and less costs little."""
+    return max(wanted / (SAFETY * max(1.0, candidate.method.order / MODERATE_ORDER)), LEAST)
+
+
+def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[Fit]:
+    found: list[Fit] = []
+    for candidate in candidates:
+        limit = min((each.cost for each in found), default=math.inf)
+        result = fit(pilot, candidate, _goal(candidate, wanted), limit)
+        if result is not None:
+            found.append(result)
+    return found
+
+
+def _confirmed_cheapest(exact: Sequence[Fit], wanted: float) -> list[Fit]:
+    """Sort by cost; the first is confirmed, which may make it dearer than others."""
+    waiting, confirmed_ones = sorted(exact, key=lambda each: each.cost), list[Fit]()
+    while waiting and (not confirmed_ones or waiting[0].cost < min(each.cost for each in confirmed_ones)):
+        first = waiting.pop(0)
+        confirmed_ones.append(confirmed(first, _goal(first.candidate, wanted), wanted * (1.0 - ROUNDING_SHARE)))
+    confirmed_ones.sort(key=lambda each: each.cost)
+    return [confirmed_ones[0], *sorted([*confirmed_ones[1:], *waiting], key=lambda each: each.cost)]
+
+
+def _rounded_well(found: Fit, wanted: float) -> Fit | None:
+    """Return a fit whose rounding leaves room for its error, compensated where that is needed and free to choose."""
+    if found.roundoff <= ROUNDING_SHARE * wanted:
+        return found
+    compensated = found.candidate.compensated()
+    if compensated is None:
+        return None
+    better = replace(found, candidate=compensated)
+    return better if better.roundoff <= ROUNDING_SHARE * wanted else None
+
+
+def _unreachable(fits: Sequence[Fit], candidates: Sequence[Candidate], wanted: float, time: float) -> ValueError:
+    every = [*fits, *(replace(each, candidate=c) for each in fits if (c := each.candidate.compensated()) is not None)]
+    reached = min(each.roundoff for each in every) / ROUNDING_SHARE
+    if not reached < 1.0:
+        return _lost(candidates, time)
+    return ValueError(
+        f"accuracy {wanted:g} is below what float64 reaches with {_named(candidates)} over the time {time:g}, where "
+        f"rounding leaves room for {_rounded_up(reached)} and no less; ask for that, or for a shorter time"
+    )
+
+
+def _lost(candidates: Sequence[Candidate], time: float) -> ValueError:
+    return ValueError(
+        f"no accuracy is reached in float64 with {_named(candidates)} over the time {time:g}: changes of the start "
+        "grow there until nothing is left of it; take a shorter time"
+    )
+
+
+def _rounded_up(value: float) -> str:
+    """Return a number in two digits that is no smaller."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.ceil(value / unit) * unit:.1e}"
+
+
+def _named(candidates: Sequence[Candidate]) -> str:
+    return str(candidates[0].method) if len(candidates) == 1 else "any scheme"
+
+
+def _choice(found: Fit, wanted: float) -> Choice:
+    span = abs(found.pilot.span)
+    error = found.error + found.roundoff
+    return Choice(found.candidate.method, span / found.steps, wanted, error, found.roundoff, found.cost)

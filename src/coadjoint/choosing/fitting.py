@@ -1,0 +1,151 @@
+"""How many steps does one scheme need? Trials over the window of a pilot, until the error is where it can be told."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from coadjoint.choosing.candidates import Candidate
+from coadjoint.choosing.pilot import REFERENCE, Pilot, Trial
+from coadjoint.choosing.roundoff import roundoff
+
+MOST_TRIALS = 10
+# A trial costs no more than so many rotations (30 ms), whatever the accuracy: smaller steps follow by the order.
+DEAREST_TRIAL = 3e6
+# The last look at a choice may take longer, and repeat itself.
+DEAREST_CONFIRMATION = 16 * DEAREST_TRIAL
+MOST_CORRECTIONS = 6
+# Truncation is told from rounding, and from the error of the reference, when it is so many times larger.
+CLEARLY = 16.0
+# Beyond this relative error the order says nothing.
+LARGE = 0.05
+# Steps within this factor of what is wanted are near enough to extrapolate.
+NEAR = 1.3
+# What is so many times dearer than another choice is given up.
+MUCH_DEARER = 4.0
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A scheme with the number of its steps in the span, and the truncation error expected at the end."""
+
+    pilot: Pilot
+    candidate: Candidate
+    steps: int
+    error: float
+    trial: Trial
+
+    @property
+    def cost(self) -> float:
+        """Work of the run of one member, in rotations."""
+        return self.steps * self.candidate.cost(self.trial) * self.candidate.share
+
+    @property
+    def roundoff(self) -> float:
+        """What rounding leaves at the end of the span."""
+        return _rounding(self.pilot, self.candidate, self.steps, self.pilot.windows)
+
+
+def _rounding(pilot: Pilot, candidate: Candidate, steps: int, windows: float) -> float:
+    return roundoff(pilot, steps, candidate.flows, candidate.summed_exactly, windows)
+
+
+def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float) -> Fit | None:
+    """Return the number of steps with which a scheme is expected to reach an error at the end of the span.
+
+    Parameters
+    ----------
+    pilot : Pilot
+        The window.
+    candidate : Candidate
+        The scheme.
+    goal : float
+        The truncation error wanted at the end.
+    limit : float
+        The cost of the best so far; a scheme that will be much dearer is given up.
+
+    Returns
+    -------
+    Fit or None
+    """
+    order = candidate.method.order
+    # A first guess: the step of the reference, in proportion to the order.
+    steps = pilot.fitting(pilot.window / pilot.natural_step * REFERENCE.order / order)
+    seen: set[int] = set()
+    too_few, best = 0, None
+    for _ in range(MOST_TRIALS):
+        if steps in seen:
+            break
+        seen.add(steps)
+        trial = pilot.trial(candidate.method, steps)
+        if trial is None or not trial.error < LARGE:
+            too_few = max(too_few, steps)
+            if steps > (2**20 if trial is None else DEAREST_TRIAL / candidate.cost(trial)):
+                break
+            # Between what failed and what did not, where there is such.
+            steps = pilot.fitting(2 * steps if best is None else math.sqrt(steps * best.trial.steps))
+            continue
+        noise = CLEARLY * max(pilot.noise, _rounding(pilot, candidate, steps, 1.0))
+        best = _extrapolated(pilot, candidate, goal, trial, noise)
+        if best.cost > MUCH_DEARER * limit and trial.error > noise:
+            return None
+        aim = max(goal / candidate.growth(pilot, trial), noise)
+        change: float = (max(trial.error, noise / 256) / aim) ** (1.0 / order)
+        most = DEAREST_TRIAL / candidate.cost(trial)
+        wanted = pilot.fitting(max(too_few + 1.0, min(steps * min(max(change, 0.2), 5.0), most)))
+        if 1 / NEAR <= wanted / steps <= NEAR and trial.error <= 4 * aim:
+            break
+        steps = wanted
+    if best is None or best.steps > too_few * pilot.windows:
+        return best
+    return replace(best, steps=math.ceil((too_few + 1) * pilot.windows))
+
+
+def _extrapolated(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, noise: float) -> Fit:
+    """Follow the order from a trial to the goal; downward only as far as the trial can be told from rounding."""
+    end = max(trial.error, noise / 256) * candidate.growth(pilot, trial)
+    per_window = trial.steps * (end / goal) ** (1.0 / candidate.method.order) if end < math.inf else math.inf
+    # The span cannot be told from its step where there are more steps than float64 counts.
+    count = min(max(1.0, pilot.windows * per_window), 2.0**52)
+    steps = math.ceil(count * (1.0 - 1e-12))
+    error = end * (trial.steps * pilot.windows / steps) ** candidate.method.order if end < math.inf else math.inf
+    return Fit(pilot, candidate, steps, error, trial)
+
+
+def confirmed(found: Fit, goal: float, bound: float) -> Fit:
+    """Run a choice over the window once more, and correct its step where it misses.
+
+    Parameters
+    ----------
+    found : Fit
+        The choice.
+    goal : float
+        The truncation error that it aims at.
+    bound : float
+        What it must not exceed.
+
+    Returns
+    -------
+    Fit
+        With the error that was measured.
+    """
+    pilot, order = found.pilot, found.candidate.method.order
+    for _ in range(MOST_CORRECTIONS):
+        wanted = found.steps / pilot.windows
+        per_window = found.steps if pilot.whole else pilot.fitting(wanted)
+        if per_window * found.candidate.cost(found.trial) > DEAREST_CONFIRMATION:
+            return found
+        trial = pilot.trial(found.candidate.method, per_window)
+        if trial is None:
+            found = replace(found, steps=math.ceil(1.2 * found.steps))
+            continue
+        noise = CLEARLY * max(pilot.noise, _rounding(pilot, found.candidate, per_window, 1.0))
+        if trial.error <= noise:
+            return found
+        end = trial.error * (per_window / wanted) ** order * found.candidate.growth(pilot, trial)
+        found = replace(found, error=end, trial=trial)
+        if end <= bound:
+            return found
+        more: float = (end / goal) ** (1.0 / order)
+        found = replace(found, steps=math.ceil(found.steps * min(max(more, 1.02), 4.0)), error=goal)
+    return found

@@ -1,0 +1,239 @@
+"""What does a scheme do on a window from the start? Errors of short runs against a reference, on a few members."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.choosing.growth import Growth
+from coadjoint.methods.base import Method
+from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.runge_kutta import RungeKuttaMethod
+from coadjoint.runs.loops import SystemLoops
+from coadjoint.runs.run import Run
+from coadjoint.runs.start import Start
+from coadjoint.runs.times import Times
+from coadjoint.systems.kinds import System
+
+UNIT_ROUNDOFF = 2.0**-53
+REFERENCE = GaussLegendre(8)
+# Where the errors of a window are looked at: many divisors, so that runs of any number of steps share some.
+POINTS = 240
+# The reference is refined so often at most; changes above this part of the size are not taken for rounding at once.
+REFINEMENTS = 9
+NOT_YET = 1e-3
+PATIENCE = 3
+# Growth is seen in no fewer points than these.
+FEW = 12
+# A step of the reference is right when two of half its size agree with it so far.
+SETTLED = 2.0**-40
+# Steps of the reference in a window, in dimension 16 or less; in proportion fewer above, but at least POINTS / 5.
+WINDOW_STEPS = 240
+FEW_WINDOWS = 5.0
+# A change of the start, relative to the size of the motion, whose growth is followed.
+NUDGE = 2.0**-30
+LOST = 0.1
+SEED = 1993
+
+
+class Trial(NamedTuple):
+    """A run over the window: its steps, its errors, the iterations and evaluations of a step of one member, and whether
+    Newton's method was needed.
+    """
+
+    steps: int
+    growth: Growth
+    iterations: float
+    evaluations: float
+    newton: bool = False
+
+    @property
+    def error(self) -> float:
+        """The largest error in the second half of the window, relative to the largest momentum."""
+        return self.growth.whole
+
+
+class Pilot:
+    """A window from the start of a run, a reference over it, and how changes of the start grow in it.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        What moves.
+    momenta : ndarray, shape (members, n)
+        Where the sampled members start.
+    t0, span : float
+        When they start, and for how long; negative for backward.
+
+    Raises
+    ------
+    ValueError
+        The reference cannot be computed: the motion blows up, or nothing converges.
+    """
+
+    def __init__(self, system: System, momenta: NDArray[np.float64], t0: float, span: float) -> None:
+        self.system, self.momenta, self.t0, self.span = system, momenta, t0, span
+        self.natural_step = self._natural_step()
+        least = POINTS // 5
+        steps = max(least, min(WINDOW_STEPS, WINDOW_STEPS * 16 // system.dim))
+        # A span of a few windows is looked at whole.
+        self.window = abs(span) if abs(span) <= FEW_WINDOWS * steps * self.natural_step else steps * self.natural_step
+        self.windows = abs(span) / self.window
+        self.points = POINTS if steps >= POINTS else least
+        self.reference, self.reference_steps, change = self._settled_reference()
+        # At rest everything is zero, and any size will do.
+        found = np.max(np.linalg.norm(self.reference, axis=2), axis=0)
+        self.size = np.where(found > 0.0, found, 1.0)
+        # One change may be small by chance: another number of steps shows rounding once more.
+        again = self.run(REFERENCE, self.reference_steps + self.points)
+        if not np.any(again.results["status"]):
+            change = np.maximum(change, np.max(np.linalg.norm(again.results["x"] - self.reference, axis=2), axis=0))
+        self.noise = float(np.max(change / self.size))
+        self.sensitivity = self._sensitivity()
+        self.speed = self._speed()
+
+    @property
+    def whole(self) -> bool:
+        """Whether the window is the whole span."""
+        return self.windows == 1.0
+
+    def fitting(self, steps: float) -> int:
+        """Return the least number of steps from `steps` up that shares enough points with the reference."""
+        number = max(1, math.ceil(steps))
+        while math.gcd(number, self.points) < min(number, FEW if number < 8 * FEW else 2 * FEW, self.points):
+            number += 1
+        return number
+
+    def run(self, method: Method, steps: int, momenta: NDArray[np.float64] | None = None) -> Run:
+        """Return a run over the window that saves the points it shares with the reference."""
+        start = self.momenta if momenta is None else momenta
+        length = math.copysign(self.window, self.span)
+        every = steps // math.gcd(steps, self.points)
+        return short_run(self.system, method, start, self.t0, length, steps, every)
+
+    def trial(self, method: Method, steps: int) -> Trial | None:
+        """Return what a scheme does with so many steps over the window; None where a member fails.
+
+        Parameters
+        ----------
+        method : Method
+            The scheme.
+        steps : int
+            From `fitting`, to see growth as well; any other number is compared where it can be, at the end at least.
+
+        Returns
+        -------
+        Trial or None
+        """
+        run = self.run(method, steps)
+        if np.any(run.results["status"]):
+            return None
+        count = steps * len(self.momenta)
+        iterations, evaluations = int(run.results["iterations"].sum()), int(run.results["evaluations"].sum())
+        # Implicit schemes remember first for how many steps they still take Newton's method.
+        innermost = method.innermost
+        newton = isinstance(innermost, RungeKuttaMethod) and bool(np.any(run.work["memory"][:, :1] > 0.0))
+        return Trial(steps, self._growth(run.results["x"]), iterations / count, evaluations / count, newton)
+
+    def _growth(self, found: NDArray[np.float64]) -> Growth:
+        """Compare states, saved at evenly spaced points of the window, with the reference."""
+        count = len(found) - 1
+        apart = np.linalg.norm(found - self.reference[:: self.points // count], axis=2) / self.size
+        worst = np.max(apart, axis=1)
+        parts = (worst[count * k // 8 + 1 : count * k // 4 + 1] for k in (1, 2, 4))
+        return Growth(*(float(np.max(part, initial=0.0)) for part in parts))
+
+    def _natural_step(self) -> float:
+        """Return the largest step, among halves of the span, at which the reference is right from the start."""
+        slopes = np.array([self.system.vector_field(x, self.t0) for x in self.momenta])
+        speeds = np.linalg.norm(slopes, axis=1)
+        if not np.all(np.isfinite(speeds)):
+            raise ValueError(
+                f"the vector field at x0 is not finite, so {self.system.name} cannot be integrated from it"
+            )
+        rate = float(np.max(speeds / np.maximum(np.linalg.norm(self.momenta, axis=1), np.finfo(float).tiny)))
+        h = abs(self.span)
+        while h * rate > 32.0:
+            h /= 2
+        for _ in range(64):
+            signed = math.copysign(h, self.span)
+            one, two = (short_run(self.system, REFERENCE, self.momenta, self.t0, signed, n) for n in (1, 2))
+            if not (np.any(one.results["status"]) or np.any(two.results["status"])):
+                size = np.max(np.linalg.norm(two.results["x"], axis=2), axis=0)
+                if np.all(np.linalg.norm(one.results["x"][-1] - two.results["x"][-1], axis=1) <= SETTLED * size):
+                    return h
+            h /= 2
+        raise ValueError(f"no step is small enough for {self.system.name} at x0: its pilot run fails at the first step")
+
+    def _settled_reference(self) -> tuple[NDArray[np.float64], int, NDArray[np.float64]]:
+        """Refine the reference until it stops changing; return it with its steps and its last change."""
+        fewest = self.points * math.ceil(self.window / self.natural_step / self.points)
+        last, change, stalled = None, None, 0
+        failed: Run | None = None
+        for steps in (fewest * 2**k for k in range(REFINEMENTS)):
+            run = self.run(REFERENCE, steps)
+            if np.any(run.results["status"]):
+                failed, last = run, None
+                continue
+            if last is not None:
+                size = np.max(np.linalg.norm(run.results["x"], axis=2), axis=0)
+                moved = np.max(np.linalg.norm(run.results["x"] - last, axis=2), axis=0)
+                stalled = stalled + 1 if change is not None and not np.any(moved < change / 16) else 0
+                # Large changes that do not fall yet may do so with smaller steps; or the motion is chaotic.
+                done = stalled >= (1 if np.all(moved <= NOT_YET * size) else PATIENCE)
+                if done or np.all(moved <= 64 * UNIT_ROUNDOFF * size):
+                    return run.results["x"], steps, np.maximum(moved, UNIT_ROUNDOFF * size)
+                change = moved
+            last = run.results["x"]
+        raise ValueError(self._lost(failed))
+
+    def _lost(self, failed: Run | None) -> str:
+        if failed is None:
+            return f"the motion of {self.system.name} from x0 is too rough: its pilot run does not settle at any step"
+        step = int(np.max(failed.results["step"][failed.results["status"] != 0]))
+        when = self.t0 + step * failed.times.h
+        return (
+            f"the motion of {self.system.name} from x0 cannot be followed over t_span: its pilot run fails near "
+            f"t = {when:.6g}, where it blows up or stops being defined; end t_span before that"
+        )
+
+    def _sensitivity(self) -> Growth:
+        """Return how a small change of the start grows, relative to it."""
+        direction = np.random.default_rng(SEED).standard_normal(self.momenta.shape)
+        direction *= NUDGE * (self.size / np.linalg.norm(direction, axis=1))[:, np.newaxis]
+        run = self.run(REFERENCE, self.reference_steps, self.momenta + direction)
+        grown = None if np.any(run.results["status"]) else self._growth(run.results["x"])
+        if grown is None or grown.whole > LOST:
+            # Beyond the size of the motion nothing grows, and what has reached it says nothing of what follows.
+            return Growth(math.sqrt(NUDGE), 1.0, 1.0 / NUDGE)
+        return Growth(*(value / NUDGE for value in grown))
+
+    def _speed(self) -> float:
+        """Return the largest speed relative to the size, over the window."""
+        h = math.copysign(self.window / self.points, self.span)
+        speeds = [
+            np.linalg.norm(self.system.vector_field(x, self.t0 + k * h)) / size
+            for k in range(0, self.points + 1, self.points // 12)
+            for x, size in zip(self.reference[k], self.size, strict=True)
+        ]
+        return float(max(speeds))
+
+
+def short_run(
+    system: System,
+    method: Method,
+    momenta: NDArray[np.float64],
+    t0: float,
+    time: float,
+    steps: int,
+    save_every: int = 1,
+) -> Run:
+    """Return a run without attitude that watches nothing, whatever became of it: its `status` says."""
+    start = Start(momenta, np.zeros((len(momenta), 0, 0)), None, False)
+    times = Times(t0, time / steps, steps, save_every)
+    run = Run(system, method, SystemLoops(system, method, times.h, None, casimirs={}), times, start, False)
+    run.advance()
+    return run

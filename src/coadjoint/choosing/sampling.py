@@ -1,0 +1,54 @@
+"""Which members of an ensemble speak for all? Few, found the same way every time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.choosing.pilot import short_run
+from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.systems.kinds import System
+
+# Members that a pilot follows, and those among which they are looked for.
+SAMPLE = 4
+SCREENED = 256
+SCREEN = GaussLegendre(2)
+# Steps in the time in which the fastest member moves by its own size, and how many of them.
+FINENESS = 8
+STEPS = 128
+
+
+def sample_of(system: System, momenta: NDArray[np.float64], t0: float, span: float) -> NDArray[np.float64]:
+    """Return the members that a pilot follows: the first, and those with the largest errors in a coarse short run.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        What moves.
+    momenta : ndarray, shape (members, n)
+        Where all members start.
+    t0, span : float
+        When they start, and for how long.
+
+    Returns
+    -------
+    ndarray, shape (k, n), k at most 4
+        In the order of the ensemble.
+    """
+    members = len(momenta)
+    if members <= SAMPLE:
+        return momenta
+    looked_at = np.unique(np.linspace(0, members - 1, min(members, SCREENED)).round().astype(np.int64))
+    crowd = momenta[looked_at]
+    sizes = np.linalg.norm(crowd, axis=1)
+    rates = np.array([np.linalg.norm(system.vector_field(x, t0)) for x in crowd]) / np.where(sizes > 0.0, sizes, 1.0)
+    # A field that is not finite at a member is what its pilot will say.
+    rates = np.where(np.isfinite(rates), rates, np.inf)
+    fastest = float(np.max(rates[np.isfinite(rates)], initial=0.0))
+    time = abs(span) if fastest == 0.0 else min(abs(span), STEPS / FINENESS / fastest)
+    ends = [short_run(system, SCREEN, crowd, t0, np.copysign(time, span), n) for n in (STEPS, 2 * STEPS)]
+    failed = (ends[0].results["status"] != 0) | (ends[1].results["status"] != 0)
+    apart = np.max(np.linalg.norm(ends[0].results["x"][1:] - ends[1].results["x"][2::2], axis=2), axis=0)
+    errors = np.where(failed | ~np.isfinite(rates), np.inf, apart / np.where(sizes > 0.0, sizes, 1.0))
+    worst = looked_at[np.argsort(-errors, kind="stable")[: SAMPLE - 1]]
+    return momenta[np.unique(np.concatenate([[0], worst]))]

@@ -1,0 +1,163 @@
+"""What does a step cost? Counted in elementary operations, in units of one rotation in a flow."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from coadjoint.methods.base import FlowMethod, Method
+from coadjoint.methods.step_method import StepMethod
+from coadjoint.program.describe import action_work, share_work
+from coadjoint.program.table import Program
+from coadjoint.systems.kinds import System
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
+
+# The weights of the rule, all of them: change them here when the compiled loops change. The unit is a flow that turns
+# one pair of coordinates by a linear angle (five multiplications, a sine with its cosine), about 11 ns on one core; an
+# iteration of eight stages of a field in three dimensions, the stages side by side in vector lanes, is then 1.6.
+FLOW = 0.2
+MULTIPLICATION = 0.04
+FUNCTION = 0.6
+COMPENSATED = 1.3
+ITERATION = 0.5
+LANES = 8
+VECTOR_MULTIPLICATION = 0.05
+# Of an iteration in few dimensions, where all stages of a quadratic H stay in registers; half as wide for few stages.
+FEW_DIMENSIONS, FEW_STAGES = 6, 4
+IN_REGISTERS = 0.65
+NARROW = 0.65
+IMPLICIT_STEP = 2.0
+# A step that does not iterate: products of series, sums that wait for each other, looks at invariants (after the first
+# correction, and after those that follow).
+EXPLICIT_STEP = 1.0
+VECTOR = 0.025
+WAITING = 0.06
+LOOK = 0.5
+FIRST_CORRECTION = 3.2
+NEXT_CORRECTION = 1.0
+# Of so many members in no more dimensions, flows turn many at once; other steps are as wide for one.
+CROWD, WIDEST_CROWD = 16, 1024
+FLOWS_OF_A_CROWD = 0.1
+ELIMINATION = 0.015
+DENSE = 200
+
+
+def flow_work(program: Program, compensated: bool) -> float:
+    """Return the cost of one step of a splitting: its rows, each by the blocks that it turns.
+
+    Parameters
+    ----------
+    program : Program
+        The table; where it has a group action, that is counted too.
+    compensated : bool
+        Whether the momentum is summed with compensation.
+
+    Returns
+    -------
+    float
+        In rotations.
+    """
+    parts = [_part_work(program, number, compensated) for number in range(len(program.parts))]
+    first, last = int(program.rows.section[1]), int(program.rows.section[2])
+    return sum(parts[int(part)] for part in program.rows.part[first:last])
+
+
+def _part_work(program: Program, number: int, compensated: bool) -> float:
+    multiplications, functions = share_work(program, number)
+    cost = FLOW + MULTIPLICATION * multiplications + FUNCTION * functions
+    acting = action_work(program.state, number)
+    cost += (MULTIPLICATION * acting[0] + FUNCTION * acting[1]) * (COMPENSATED if compensated else 1.0)
+    if program.group is not None:
+        # The rows of a group element are turned side by side, by one sine.
+        acting = action_work(program.group, number)
+        cost += MULTIPLICATION * acting[0] * math.ceil(program.group.size / LANES) + FUNCTION * acting[1]
+    return cost
+
+
+def iteration_work(system: System, stages: float, group: Any) -> float:
+    """Return the cost of one iteration of an implicit scheme: the field at all stages, and their mixing.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        What moves.
+    stages : float
+        Evaluations of the field in an iteration.
+    group : ndarray of shape (n, d, d), "coadjoint", or None
+        What a group element is carried in.
+
+    Returns
+    -------
+    float
+        In rotations.
+    """
+    multiplications, functions = field_work(system)
+    vectors = multiplications + stages * system.dim
+    if group is not None and isinstance(system, LiePoissonSystem):
+        entries = 2 * len(system.algebra.triples[3]) if isinstance(group, str) else np.count_nonzero(group)
+        edge = system.dim if isinstance(group, str) else group.shape[1]
+        vectors += edge * entries + stages * edge * edge
+    elif system.dim <= FEW_DIMENSIONS and stages <= LANES and not functions:
+        vectors *= IN_REGISTERS * (NARROW if stages <= FEW_STAGES else 1.0)
+    return ITERATION + VECTOR_MULTIPLICATION * math.ceil(stages / LANES) * vectors + FUNCTION * stages * functions
+
+
+def field_work(system: System) -> tuple[int, int]:
+    """Return the multiplications, and the calls of functions, in one evaluation of the vector field."""
+    multiplications, functions = 0, 0
+    for term in system.hamiltonian.terms():
+        if isinstance(term, QuadraticTerm):
+            multiplications += len(term.values)
+        elif isinstance(term, PolynomialTerm):
+            exponents = [[e for e in monomial if e] for monomial in term.polynomial.monomials]
+            multiplications += sum(len(e) * sum(e) for e in exponents)
+        else:
+            assert isinstance(term, FunctionTerm)
+            functions += 1
+    if isinstance(system, LiePoissonSystem):
+        return multiplications + 2 * len(system.algebra.triples[3]), functions
+    return multiplications + system.dim**2, functions + 1
+
+
+def step_work(
+    system: System, method: Method, program: Program | None, iterations: float, evaluations: float, group: Any
+) -> float:
+    """Return the cost of one step of one member.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        What moves.
+    method : Method
+        The scheme.
+    program : Program or None
+        Its table, if it is made of flows.
+    iterations, evaluations : float
+        Of a step, as measured; not used for flows. Linear systems are not counted.
+    group : ndarray of shape (n, d, d), "coadjoint", or None
+        What a group element is carried in.
+
+    Returns
+    -------
+    float
+        In rotations.
+    """
+    if program is not None:
+        assert isinstance(method, FlowMethod)
+        return flow_work(program, bool(method.compensated))
+    innermost = method.innermost
+    if isinstance(innermost, StepMethod) and (operations := innermost.operations(system)) is not None:
+        substeps = len(method.fractions)
+        corrections = FIRST_CORRECTION * min(iterations, substeps) + NEXT_CORRECTION * max(0.0, iterations - substeps)
+        series = EXPLICIT_STEP + VECTOR * operations.vectors + WAITING * operations.waiting
+        return substeps * series + LOOK * operations.looks * (substeps + corrections)
+    rounds = max(1.0, iterations)
+    return IMPLICIT_STEP + rounds * iteration_work(system, evaluations / rounds, group)
+
+
+def newton_work(dim: int, stages: float) -> float:
+    """Return what Newton's method adds to a step: about one elimination of the stages' linear system."""
+    return ELIMINATION * min(dim * stages, DENSE) ** 3

@@ -1,0 +1,226 @@
+"""Which system and which scheme does a configuration file ask for?"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint.algebra import catalogue
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.errors import in_one_line
+from coadjoint.files.expressions import read_brackets, read_polynomial
+from coadjoint.memory import check_room
+from coadjoint.methods import registry
+from coadjoint.methods.base import Method
+from coadjoint.systems.kinds import System
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.wording import short
+
+LONGEST = 300
+BYTES_PER_COORDINATE = 400
+
+if TYPE_CHECKING:
+    from coadjoint.files.configuration_models import AlgebraTable, File, HamiltonianTable
+
+
+class ConfigurationError(ValueError):
+    """A configuration file is wrong: one sentence with the file, the key, and what would be right."""
+
+
+@contextmanager
+def section(name: str, key: str) -> Iterator[None]:
+    """Name the file and the key in what the library refuses.
+
+    Parameters
+    ----------
+    name : str
+        The file.
+    key : str
+        Dotted path of the key, or of the table.
+
+    Raises
+    ------
+    ConfigurationError
+        For whatever wrong input raises inside: a ValueError or TypeError, a number that is too large to compute with,
+        tables in one another beyond what Python follows, no memory.
+
+    Examples
+    --------
+    >>> with section("run.toml", "run.step"):
+    ...     raise ValueError("step is 0")
+    Traceback (most recent call last):
+    ...
+    coadjoint.files.configuration_parts.ConfigurationError: run.toml: run.step: step is 0
+    """
+    cause: Exception
+    try:
+        yield
+        return
+    except ConfigurationError:
+        raise
+    except (ValueError, TypeError) as reason:
+        said, cause = str(reason), reason
+    except ArithmeticError as reason:
+        said, cause = f"a number is too large, or too small, to compute with ({reason})", reason
+    except RecursionError as reason:
+        said, cause = "lists or tables are nested too deeply; nest less", reason
+    except MemoryError as reason:
+        said, cause = "does not fit into memory; take something smaller", reason
+    raise ConfigurationError(f"{name}: {in_one_line(key, 80)}: {in_one_line(said, LONGEST)}") from cause
+
+
+def system_of_file(name: str, file: File) -> System:
+    """Return the system that a file asks for.
+
+    Parameters
+    ----------
+    name : str
+        The file's name, for messages.
+    file : File
+        Its checked tables.
+
+    Returns
+    -------
+    LiePoissonSystem or PoissonSystem
+
+    Raises
+    ------
+    ConfigurationError
+        With the key.
+    """
+    if (file.system is None) == (file.algebra is None):
+        raise ConfigurationError(f"{name}: give either [system], a ready-made one, or [algebra] with [hamiltonian]")
+    if file.system is not None:
+        for key in ("name", "sign", "hamiltonian", "casimirs"):
+            if getattr(file, key) is not None:
+                raise ConfigurationError(
+                    f"{name}: {key}: belongs to [algebra]; the system {file.system.name!r} has its own"
+                )
+        return _ready_made(name, file.system.name, file.system.parameters)
+    if file.hamiltonian is None:
+        raise ConfigurationError(f"{name}: hamiltonian: is missing; give it beside [algebra]")
+    assert file.algebra is not None
+    if file.algebra.brackets is not None:
+        _check_dimension(name, file.algebra, file.initial.x)
+    algebra = _algebra(name, file.algebra)
+    hamiltonian = _hamiltonian(name, file.hamiltonian, algebra.dim)
+    casimirs: dict[str, Polynomial] | None = None if file.casimirs is None else {}
+    for key, written in (file.casimirs or {}).items():
+        assert casimirs is not None
+        with section(name, f"casimirs.{key}"):
+            casimirs[key] = read_polynomial(written, algebra.dim)
+    with section(name, "casimirs"):
+        LiePoissonSystem(algebra, 0 * Polynomial.variable(0, algebra.dim), casimirs=casimirs)
+    with section(name, "hamiltonian"):
+        return LiePoissonSystem(algebra, hamiltonian, sign=file.sign or 1, casimirs=casimirs, name=file.name)
+
+
+def _ready_made(name: str, system: str, parameters: Mapping[str, Any]) -> System:
+    from coadjoint import systems
+    from coadjoint.files.configuration_models import unknown_key
+    from coadjoint.systems.ready_made import ready_made_systems
+
+    builder = ready_made_systems().get(system)
+    known = inspect.signature(builder).parameters if builder is not None else parameters
+    for key in parameters:
+        if key not in known:
+            raise ConfigurationError(f"{name}: system.parameters.{key}: {unknown_key(key, known)}")
+    with section(name, "system"):
+        return systems.get(system, **parameters)
+
+
+def method_of_file(name: str, table: Mapping[str, Any]) -> Method:
+    """Return the scheme that a file asks for.
+
+    Parameters
+    ----------
+    name : str
+        The file's name, for messages.
+    table : mapping
+        Its table ``[method]``.
+
+    Returns
+    -------
+    Method
+
+    Raises
+    ------
+    ConfigurationError
+        With the key.
+    """
+    from coadjoint.files.configuration_models import unknown_key
+
+    scheme = table.get("name")
+    if isinstance(scheme, str) and scheme in registry.names():
+        known = registry.parameters_of(scheme)
+        for key in table:
+            if key not in known and key not in ("name", "parameters"):
+                raise ConfigurationError(f"{name}: method.{key}: {unknown_key(key, known)}")
+    with section(name, "method"):
+        return registry.from_description(table)
+
+
+def _check_dimension(name: str, table: AlgebraTable, states: list[Any]) -> None:
+    """Refuse a dimension before anything of that length is made: so long is the state, which the file writes out."""
+    if table.dim is None:
+        return
+    with section(name, "algebra.dim"):
+        check_room(BYTES_PER_COORDINATE * table.dim, f"an algebra of dimension {short(table.dim)}")
+    shape = np.shape(states)
+    if shape[-1] != table.dim and table.basis is None:
+        raise ConfigurationError(
+            f"{name}: initial.x: x0 has the shape {shape}; it must be ({table.dim},) or (members, {table.dim})"
+        )
+
+
+def _algebra(name: str, table: AlgebraTable) -> LieAlgebra:
+    own = table.brackets is not None
+    for key in ("dim", "basis"):
+        if getattr(table, key) is not None and not own:
+            raise ConfigurationError(
+                f"{name}: algebra.brackets: is missing; give it with {key}, or a name of the catalogue"
+            )
+    if not own:
+        if table.name is None:
+            raise ConfigurationError(f"{name}: algebra.name: is missing; give it, or brackets with dim or basis")
+        with section(name, "algebra"):
+            return catalogue.get(table.name, **table.parameters)
+    if table.name is not None:
+        raise ConfigurationError(
+            f"{name}: algebra.name: is for an algebra of the catalogue; give it or brackets, not both "
+            "(a title goes into the key name at the top)"
+        )
+    if table.parameters:
+        raise ConfigurationError(
+            f"{name}: algebra.parameters: belongs to an algebra of the catalogue; write numbers in brackets"
+        )
+    dim = table.dim if table.dim is not None else len(table.basis or ())
+    if dim == 0:
+        raise ConfigurationError(f"{name}: algebra.dim: is missing; give it, or basis")
+    basis = table.basis if table.basis is not None else [f"e{i + 1}" for i in range(dim)]
+    if len(basis) != dim:
+        raise ConfigurationError(f"{name}: algebra.basis: has {len(basis)} names; dim is {dim}")
+    with section(name, "algebra.brackets"):
+        return LieAlgebra.from_brackets(dim, read_brackets(table.brackets or [], basis), basis=basis)
+
+
+def _hamiltonian(name: str, table: HamiltonianTable, dim: int) -> Any:
+    if table.polynomial is not None:
+        for key in ("M", "linear", "constant"):
+            if getattr(table, key) is not None:
+                raise ConfigurationError(
+                    f"{name}: hamiltonian.{key}: is given beside polynomial; write all of it there"
+                )
+        with section(name, "hamiltonian.polynomial"):
+            return read_polynomial(table.polynomial, dim)
+    if table.M is None and table.linear is None:
+        raise ConfigurationError(f"{name}: hamiltonian.M: is missing; give M, linear or both, or polynomial")
+    with section(name, "hamiltonian"):
+        M, constant = 0.0 if table.M is None else table.M, table.constant or 0.0
+        return Quadratic(M, linear=table.linear, constant=constant).bind(dim)

@@ -1,0 +1,265 @@
+"""How is a solution kept outside of this library? As an xarray dataset that says how to repeat the run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint import __version__
+from coadjoint.errors import IntegrationError
+from coadjoint.files.record_entries import Entry, made_of, parsed
+from coadjoint.files.records import record_of, safe_name, system_of
+from coadjoint.methods import registry
+from coadjoint.runs.times import times_of
+from coadjoint.systems.batch import Batch
+
+if TYPE_CHECKING:
+    import xarray
+
+    from coadjoint.runs.solution import Solution
+
+TENTHS = 10
+NEEDED = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
+
+
+def dataset_of(solution: Solution) -> xarray.Dataset:
+    """Return a solution as a dataset whose attributes make it repeatable.
+
+    Variables over ``time`` (and ``member`` for an ensemble): ``x`` over ``component``, ``energy``, ``casimir_<name>``,
+    ``observed_<name>``, ``attitude`` over ``row`` and ``column``; ``drift`` over ``invariant`` and ``tenth`` of the
+    run; ``x0`` and ``attitude0``, the initial state; ``failed`` for an ensemble. Original names are in the attribute
+    ``long_name``. Attributes: version, system and method (JSON), step, times, and what cannot be stored (functions).
+
+    Parameters
+    ----------
+    solution : Solution
+        From `integrate`, or the `partial` one of an `IntegrationError`.
+
+    Returns
+    -------
+    xarray.Dataset
+
+    See Also
+    --------
+    rebuild : The way back.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 1), step=0.1)
+    >>> dict(dataset_of(sol).sizes)
+    {'time': 11, 'component': 3, 'invariant': 2, 'tenth': 10}
+    """
+    import xarray
+
+    system = solution.system
+    member = ("member",) if solution.x.ndim == 3 else ()
+    over_time = ("time", *member)
+    variables: dict[str, Any] = {
+        "x": ((*over_time, "component"), solution.x, {"long_name": "momentum"}),
+        "energy": (over_time, solution.energy, {"long_name": "energy"}),
+    }
+    named = [("casimir", solution.casimirs), ("observed", solution.observed)]
+    for kind, series in named:
+        for label, (name, values) in _labels(kind, series):
+            variables[label] = (over_time, values, {"long_name": name})
+    drifts = solution.drift()
+    tenths = np.stack([drift.tenths for drift in drifts.values()], axis=-2)
+    about = "largest absolute deviation from the start in each tenth of the run, over "
+    about += "every step" if solution.watched else "the saved points"
+    variables["drift"] = ((*member, "invariant", "tenth"), tenths, {"long_name": about})
+    variables["x0"] = ((*member, "component"), solution.x[0], {"long_name": "initial momentum"})
+    if solution.attitude is not None:
+        square = ("row", "column")
+        variables["attitude"] = ((*over_time, *square), solution.attitude, {"long_name": "group element"})
+        variables["attitude0"] = ((*member, *square), solution.attitude[0], {"long_name": "initial group element"})
+    if solution.failed is not None:
+        variables["failed"] = (
+            member,
+            solution.failed,
+            {"long_name": "whether the member failed; its later states are NaN"},
+        )
+    algebra = system[0].algebra if isinstance(system, Batch) else system.algebra
+    basis = algebra.basis if algebra is not None else [f"x{i + 1}" for i in range(system.dim)]
+    coordinates = {
+        "time": solution.t,
+        "component": list(basis),
+        "invariant": list(drifts),
+        "tenth": np.arange(1, TENTHS + 1),
+    }
+    return xarray.Dataset(variables, coordinates, _attributes(solution))
+
+
+def _labels(kind: str, series: Mapping[str, Any]) -> Iterable[tuple[str, tuple[str, Any]]]:
+    """Give each name a variable of its own, also where two names differ only in signs that a file does not allow."""
+    taken: dict[str, tuple[str, Any]] = {}
+    for name, values in series.items():
+        label, number = f"{kind}_{safe_name(name)}", 2
+        while label in taken:
+            label, number = f"{kind}_{safe_name(name)}_{number}", number + 1
+        taken[label] = (name, values)
+    return taken.items()
+
+
+def _attributes(solution: Solution) -> dict[str, Any]:
+    record = record_of(solution.system)
+    missing = [*record.get("not_stored", []), *(f"observed: {name}" for name in solution.observed)]
+    attributes: dict[str, Any] = {
+        "coadjoint_version": __version__,
+        "system": json.dumps(record),
+        "system_repr": repr(solution.system),
+        "sign": solution.system.sign,
+        "method": json.dumps(registry.description_of(solution.method)),
+        "method_repr": repr(solution.method),
+        "step": solution.step,
+        "save_every": solution.save_every,
+        "watch": int(solution.watched),
+        "attitude_carried": solution.carried or "none",
+        "t_span": json.dumps(solution.t_span),
+        "steps": solution.stats.steps,
+        "evaluations": solution.stats.evaluations,
+        "iterations": solution.stats.iterations,
+        "seconds": solution.stats.seconds,
+    }
+    if missing:
+        attributes["not_stored"] = "functions are not stored: " + ", ".join(missing)
+    return attributes
+
+
+def mark_failed(dataset: xarray.Dataset, error: IntegrationError) -> xarray.Dataset:
+    """Return the dataset of a partial solution with attributes that say that the run failed, where, and why.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        Of ``error.partial``.
+    error : IntegrationError
+        The failure.
+
+    Returns
+    -------
+    xarray.Dataset
+        With ``run_failed`` = 1, ``failed_step``, ``failed_time``, ``failed_residual`` (NaN for an overflow) and
+        ``failed_reason``.
+
+    Examples
+    --------
+    >>> import coadjoint as co, xarray
+    >>> error = co.IntegrationError("overflow", step=3, time=0.2, residual=0.0)
+    >>> mark_failed(xarray.Dataset(), error).attrs["failed_step"]
+    3
+    """
+    return dataset.assign_attrs(
+        run_failed=1,
+        failed_step=error.step,
+        failed_time=error.time,
+        failed_residual=error.residual,
+        failed_reason=str(error),
+    )
+
+
+def solution_inputs(dataset: xarray.Dataset) -> dict[str, Any]:
+    """Return the arguments of `integrate` that repeat the run of a dataset.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        From `dataset_of`, or read from a file.
+
+    Returns
+    -------
+    dict
+        ``integrate(**solution_inputs(dataset))``
+
+    Raises
+    ------
+    ValueError
+        Something that the motion depends on was not stored, or the dataset is damaged; what is wrong is named.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 1), step=0.1)
+    >>> solution_inputs(sol.to_xarray())["t_span"]
+    (0.0, 1.0)
+    """
+    attributes = dataset.attrs
+    absent = [key for key in NEEDED if key not in attributes]
+    if absent:
+        raise ValueError(f"the dataset has no attribute {absent[0]!r}; it was not written by coadjoint")
+    given = {key: Entry(attributes[key], key) for key in NEEDED}
+    x0 = _state(dataset, "x0", ("component",))
+    described = parsed(attributes["method"], "method")
+    description = {key: entry.plain() for key, entry in described.table().items()}
+    with made_of(described):
+        method = registry.from_description(description)
+    start, end = (time.number() for time in parsed(attributes["t_span"], "t_span").entries(2))
+    step, save_every = given["step"].number(), given["save_every"].whole(1)
+    with made_of(given["step"]):
+        times = times_of((start, end), step, save_every)
+    if times.steps != given["steps"].whole():
+        raise given["steps"].wrong(f"{times.steps}, the number of steps of {step!r} from {start!r} to {end!r}")
+    carried = given["attitude_carried"].text()
+    initial: dict[str, Any] = {"none": False, "coadjoint": "coadjoint"}
+    if carried not in (*initial, "representation"):
+        raise given["attitude_carried"].wrong("'none', 'coadjoint' or 'representation'")
+    return {
+        "system": system_of(parsed(attributes["system"], "system"), x0.shape[-1]),
+        "x0": x0,
+        "t_span": (start, end),
+        "step": step,
+        "method": method,
+        "save_every": save_every,
+        "watch": given["watch"].flag(),
+        "attitude": initial[carried] if carried in initial else _state(dataset, "attitude0", ("row", "column")),
+    }
+
+
+def _state(dataset: xarray.Dataset, name: str, dimensions: tuple[str, ...]) -> NDArray[np.float64]:
+    """Return a variable of the start: finite numbers over `dimensions`, or over members before them."""
+    if name not in dataset:
+        raise ValueError(f"the dataset has no variable {name!r}; it is damaged, or was not written by coadjoint")
+    variable = dataset[name]
+    if variable.dims not in (dimensions, ("member", *dimensions)) or not variable.size:
+        raise ValueError(f"{name} is over {variable.dims}; it must be over {dimensions}, or members and these")
+    if variable.dtype.kind not in "if" or not np.isfinite(variable.values).all():
+        raise ValueError(f"{name} holds something else than finite numbers")
+    return np.asarray(variable.values, dtype=np.float64)
+
+
+def rebuild(dataset: xarray.Dataset) -> Solution:
+    """Repeat the run of a dataset: the same bits, on any machine and number of threads.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        From `dataset_of`, or read from a file.
+
+    Returns
+    -------
+    Solution
+        Without observed quantities and Casimirs that are functions.
+
+    Raises
+    ------
+    ValueError
+        Something that the motion depends on was not stored, or the dataset is damaged; what is wrong is named.
+    IntegrationError
+        The run fails, as it did.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 1), step=0.1)
+    >>> bool((rebuild(sol.to_xarray()).x == sol.x).all())
+    True
+    """
+    from coadjoint.runs.integrate import integrate
+
+    inputs = solution_inputs(dataset)
+    with made_of(Entry(None, "the run of this dataset")):
+        return integrate(**inputs)

@@ -1,0 +1,183 @@
+"""Where do results go? Files written whole or not at all, and refused before a run rather than after it."""
+
+from __future__ import annotations
+
+import errno
+import importlib.util
+import io
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from coadjoint.files.netcdf_file import write_netcdf
+from coadjoint.files.unfinished import Unfinished, remove_leftovers
+from coadjoint.files.zarr_store import INDEX, write_zarr, written_by_coadjoint
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+
+class OutputError(ValueError):
+    """A result cannot be written where it should go."""
+
+
+DATASETS = (".nc", ".zarr")
+FIGURES = (".png", ".pdf", ".svg")
+PACKAGES = {".nc": ("h5py", "h5netcdf"), ".zarr": ("zarr",), **dict.fromkeys(FIGURES, ("matplotlib",))}
+NAMED = {".nc": "NetCDF", ".zarr": "Zarr", **dict.fromkeys(FIGURES, "a figure")}
+
+
+def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
+    """Return the path of a result if it can be written; nothing is left behind.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to be written, or replaced.
+    suffixes : iterable of str
+        Those allowed; by default ``.nc`` and ``.zarr``.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    OutputError
+        In one sentence: the suffix is unknown, the folder is missing or cannot be written to, the target is no result,
+        or a package is missing.
+
+    Examples
+    --------
+    >>> check_target("run.csv")
+    Traceback (most recent call last):
+    ...
+    coadjoint.files.output.OutputError: run.csv: the suffix says the format; it must be .nc or .zarr
+    """
+    target, allowed = Path(path), tuple(suffixes)
+    if target.suffix not in allowed:
+        raise OutputError(f"{path}: the suffix says the format; it must be {', '.join(allowed[:-1])} or {allowed[-1]}")
+    missing = next((name for name in PACKAGES[target.suffix] if importlib.util.find_spec(name) is None), None)
+    if missing is not None:
+        others = " or ".join(other for other in allowed if missing not in PACKAGES[other])
+        instead = f", or write {others}" if others else ""
+        raise OutputError(
+            f"{path}: {NAMED[target.suffix]} needs the package {missing}, which is not installed; install it{instead}"
+        )
+    try:
+        if not target.parent.is_dir():
+            raise OutputError(f"{path}: the folder {target.parent} does not exist; make it first")
+        remove_leftovers(target)
+        _check_replaced(target)
+        _rehearse(target)
+    except (OSError, ValueError) as reason:
+        if isinstance(reason, OutputError):
+            raise
+        wanted = "a shorter name" if getattr(reason, "errno", None) == errno.ENAMETOOLONG else "another folder"
+        said = getattr(reason, "strerror", None) or reason
+        raise OutputError(f"{path}: cannot be written ({said}); give {wanted}") from None
+    return target
+
+
+def _check_replaced(target: Path) -> None:
+    """Refuse to replace what is no result."""
+    if target.suffix != ".zarr":
+        if target.is_dir():
+            raise OutputError(f"{target}: is a folder; give the name of a file")
+    elif os.path.lexists(target):
+        if not any((target / name).exists() for name in (".zgroup", "zarr.json")):
+            raise OutputError(f"{target}: exists and is not a Zarr store, so it is not replaced; give another name")
+        other = written_by_coadjoint(target)
+        if other:
+            raise OutputError(
+                f"{target}: holds {other}, which coadjoint did not write, so it is not replaced; give another name"
+            )
+
+
+def _rehearse(target: Path) -> None:
+    """Make and remove what will be written: a name may be too long, a disk full, a folder not ours to write to."""
+    with Unfinished(target) as trial:
+        if target.suffix == ".zarr":
+            trial.place.mkdir()
+            (trial.place / INDEX).touch()
+        else:
+            trial.place.touch()
+
+
+def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
+    """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``), whole or not at all.
+
+    It is written beside the target and renamed. A file is replaced in one step; between two Zarr stores, which are
+    folders, there is a moment without either.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        From `coadjoint.files.export.dataset_of`.
+    path : str or Path
+        The target, replaced if it exists.
+
+    Raises
+    ------
+    OutputError
+        As `check_target`.
+    OSError
+        If the disk is full, for instance; the target is then as it was.
+
+    Examples
+    --------
+    >>> import tempfile, xarray
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_dataset(xarray.Dataset({"x": ("time", [1.0, 2.0])}), f"{folder}/run.zarr")
+    ...     xarray.open_zarr(f"{folder}/run.zarr")["x"].values
+    array([1., 2.])
+    """
+    target = check_target(path)
+    write = write_netcdf if target.suffix == ".nc" else write_zarr
+    with Unfinished(target) as unfinished:
+        _in_a_thread(lambda: write(dataset, unfinished.place, unfinished.writing), unfinished.give_up)
+        unfinished.finish()
+
+
+def _in_a_thread(work: Callable[[], None], give_up: Callable[[], None]) -> None:
+    """Do a work that no interrupt may cut: HDF5 does not survive it. Only the main thread hears interrupts."""
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(work)
+        try:
+            done.result()
+        except BaseException:
+            give_up()
+            raise
+
+
+def write_figure(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG, PDF or SVG, whole or not at all.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        From `Solution.plot`, for instance.
+    path : str or Path
+        The target, replaced if it exists.
+
+    Raises
+    ------
+    OutputError
+        As `check_target`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from matplotlib.figure import Figure
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_figure(Figure(), f"{folder}/empty.png")
+    """
+    target = check_target(path, FIGURES)
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format=target.suffix[1:])
+    with Unfinished(target) as unfinished:
+        unfinished.place.write_bytes(drawn.getbuffer())
+        unfinished.finish()

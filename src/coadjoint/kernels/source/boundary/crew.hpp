@@ -1,0 +1,95 @@
+// The members that one call moves, and how many of them go side by side.
+#pragma once
+
+#include <limits>
+#include <new>
+
+#include "boundary/hearing.hpp"
+#include "recording/watching.hpp"
+
+namespace coadjoint {
+
+// The members of a call: positions first to last - 1 of a crew, neighbours in the arrays. With a stride the constants
+// of the tables differ by position, `stride` of them side by side.
+struct Crew {
+    const int64_t* members;
+    int64_t first, last, stride;
+};
+
+// Blank what a run leaves of the members of a crew, and save their start: momenta and groups stand in the state.
+void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, const Crew& crew);
+
+// How many members of a crew have failed; where the run has ended, also by an energy that is not finite.
+int64_t wrong(const Watch& watch, const Arrays& arrays, const Crew& crew, bool ended);
+
+// What a call is given, for a family of schemes with tables of its own: the arrays are those of all members.
+template <class Tables>
+struct Loop {
+    const Tables& tables;
+    const Watch& watch;
+    const Schedule& schedule;
+    const Saves& saves;
+    const State& state;
+    const Report& report;
+    Hearing& hearing;
+    int64_t k0, k1;
+
+    double* memory_of(int64_t member) const { return state.memory + member * state.remembered; }
+    void fail(int64_t member, int64_t step, int64_t status, double residual) const {
+        report.status[member] = status;
+        report.step[member] = step;
+        report.residual[member] = residual;
+    }
+    void overflow(int64_t member, int64_t step) const {
+        fail(member, step, OVERFLOWED, std::numeric_limits<double>::quiet_NaN());
+    }
+};
+
+constexpr int64_t INTERRUPTED = -1, NO_MEMORY = -2;
+
+// Take the steps k0 + 1 to k1 of a crew by `follow(loop, crew)`, from the start where k0 is 0; return `wrong`, or why
+// they were not all taken: then nothing that the crew was to leave is of use.
+template <class Tables, class Follow>
+int64_t take_steps(const Tables& tables, const Watch& watch, const Crew& crew, const Arrays& arrays,
+                   const Schedule& schedule, int64_t k0, int64_t k1, const int64_t* stop, Follow follow) {
+    Hearing hearing(stop);
+    try {
+        if (k0 == 0) begin(watch, arrays, schedule, crew);
+        const Loop<Tables> loop{tables, watch, schedule, arrays.saves, arrays.state, arrays.report, hearing, k0, k1};
+        if (k0 < k1) follow(loop, crew);
+        return wrong(watch, arrays, crew, k1 == schedule.steps);
+    } catch (const Interrupted&) {
+        return INTERRUPTED;
+    } catch (const std::bad_alloc&) {
+        return NO_MEMORY;
+    }
+}
+
+// What Python calls for a family of schemes.
+#define EXPORT_LOOP(name, Tables, follow)                                                                            \
+    EXPORT int64_t name(const Tables* tables, const Watch* watch, const int64_t* members, int64_t first,             \
+                        int64_t last, int64_t stride, const Extent* extent, const Schedule* schedule,                \
+                        double* results, double* work, int64_t k0, int64_t k1, const int64_t* stop) {                \
+        return take_steps(*tables, *watch, Crew{members, first, last, stride}, Arrays(*extent, results, work),       \
+                          *schedule, k0, k1, stop, follow);                                                          \
+    }
+
+// Members as lanes, from rows of `length` numbers for each; the last member fills what is left of the lanes.
+template <class A>
+void read_lanes(A* to, const double* from, int64_t length, const int64_t* members, int64_t count) {
+    for (int64_t i = 0; i < length; ++i)
+        for (int64_t lane = 0; lane < Numbers<A>::lanes; ++lane)
+            set_lane(to[i], int(lane), from[members[std::min(lane, count - 1)] * length + i]);
+}
+
+// The row of one member, from its lane.
+template <class A>
+void write_lane(const A* from, double* to, int64_t length, int64_t member, int lane) {
+    for (int64_t i = 0; i < length; ++i) to[member * length + i] = lane_of(from[i], lane);
+}
+
+constexpr int CROWD = 4 * NATIVE;    // members side by side: four vectors hide each other's latency
+constexpr int64_t WIDEST = 1024;     // dimension up to which lanes of states stay in the cache
+constexpr int64_t FEWEST = 3;        // members that are worth a block of lanes
+
+}  // namespace coadjoint

@@ -1,0 +1,40 @@
+// How a loop hears that it is to stop. Whoever works says how much was done; after about a millisecond of that somebody
+// looks at the clock, and some times a second at Python's signals.
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+
+namespace coadjoint {
+
+struct Interrupted {};  // thrown where a call is to end at once
+
+// What one call listens to: the interpreter, whose lock it gives back meanwhile, and a number that other threads set.
+class Hearing {
+  public:
+    explicit Hearing(const int64_t* stop);
+    ~Hearing();
+    Hearing(const Hearing&) = delete;
+    Hearing& operator=(const Hearing&) = delete;
+
+    // Of the call that this thread is in. Loops of short steps ask for it once, and before they begin.
+    static Hearing& of_this_call() { return *current; }
+
+    // Say that `work` was done, in multiplications or what takes as long.
+    void after(int64_t work) {
+        left -= work;
+        if (__builtin_expect(left < 0, 0)) look();
+    }
+
+  private:
+    typedef std::chrono::steady_clock Clock;
+    static thread_local Hearing* current;
+    int64_t left = 0;
+    const int64_t* stop;
+    void* thread;
+    Clock::time_point next;
+
+    void look();
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,53 @@
+// The elementary functions and linear solves of the kernels on arrays, so that tests can look at each by itself.
+#include <vector>
+
+#include "numbers/arithmetic.hpp"
+#include "numbers/linear_solve.hpp"
+#include "numbers/room.hpp"
+#include "boundary/tables.hpp"
+
+namespace coadjoint {
+
+// For every argument: sine and cosine minus one (what = 0), sinh(w)/w and cosh(w) - 1 (1), rational rotation (2), exp
+// and exp minus one (3), sinh and cosh minus one (4).
+EXPORT void probe_pairs(int64_t what, const double* arguments, int64_t count, double* out) {
+    for (int64_t k = 0; k < count; ++k) {
+        if (what == 3) {
+            const Growth<double> growth = growth_by(arguments[k]);
+            out[2 * k] = growth.whole;
+            out[2 * k + 1] = growth.beyond;
+            continue;
+        }
+        const auto pair = what == 0   ? rotation_by(arguments[k])
+                          : what == 1 ? entire_pair(arguments[k])
+                          : what == 4 ? hyperbolic_rotation(arguments[k])
+                                      : rational_rotation(arguments[k]);
+        out[2 * k] = pair.sine;
+        out[2 * k + 1] = pair.lowered;
+    }
+}
+
+EXPORT double probe_fma(double a, double b, double c) { return fma(a, b, c); }
+EXPORT double probe_rational_angle(double phi, double frequency) { return rational_angle(phi, frequency); }
+EXPORT double probe_shortfall(double s, double c, double square) { return shortfall(s, c, square); }
+
+// Solve a dense system for `count` right-hand sides, side by side; 0 where the matrix is singular or no number. The
+// same system in every lane must give the same bits: else -1.
+EXPORT int64_t probe_solve(double* matrix, int64_t size, double* right, int64_t count) {
+    typedef Lanes<4> Four;
+    std::vector<double> pivots(size);
+    Room<Four> wide(size * size), sides(size * count), exchanged(size);
+    for (int64_t k = 0; k < size * size; ++k) wide.at[k] = Four(matrix[k]);
+    for (int64_t k = 0; k < size * count; ++k) sides.at[k] = Four(right[k]);
+    const bool sound = factorize(matrix, size, pivots.data());
+    if (all(factorize(wide.at, size, exchanged.at)) != sound) return -1;
+    if (!sound) return 0;
+    substitute(matrix, size, pivots.data(), right, count);
+    substitute(wide.at, size, exchanged.at, sides.at, count);
+    for (int64_t k = 0; k < size * count; ++k)
+        for (int lane = 0; lane < 4; ++lane)
+            if (sides.at[k][lane] != right[k]) return -1;
+    return 1;
+}
+
+}  // namespace coadjoint

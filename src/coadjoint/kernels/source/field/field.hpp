@@ -1,0 +1,154 @@
+// The vector field, sign * J(x) u with u = grad H(x, t), and its group equation, -sign * g rho(u).
+#pragma once
+
+#include <vector>
+
+#include "field/terms.hpp"
+#include "numbers/room.hpp"
+
+namespace coadjoint {
+
+// Room for evaluations of a field: rows of a term, arguments of functions, J where it is a function, calls.
+template <class A>
+struct FieldRoom {
+    Room<A> rows, arguments, matrix;
+    std::vector<double> calls;
+    explicit FieldRoom(const Field& field)
+        : rows(field.longest), arguments(field.longest + 1), matrix(field.nonlinear ? field.size * field.size : 0),
+          calls(std::max(2 * field.longest + 2, field.nonlinear ? field.size * (field.size + 1) : 0)) {}
+};
+
+// About how many multiplications a field takes.
+inline int64_t work_of(const Field& field) {
+    const int64_t n = field.size;
+    return n + work_of_terms(field.terms, 0, field.terms.size) +
+           (field.nonlinear ? WORK_OF_A_CALL + n * n : 2 * int64_t(field.first[n]));
+}
+
+// Set u = grad H(x, t).
+template <class A, class C>
+INLINE void gradient(const Field& field, const C& constants, const A* x, const A& t, A* u, FieldRoom<A>& room) {
+    const Terms& terms = field.terms;
+    const bool whole = terms.size == 1 && terms.kind[0] == LINEAR;
+    if (!whole || terms.row[1] < field.size)
+        for (int64_t i = 0; i < field.size; ++i) u[i] = A(0.0);
+    if (__builtin_expect(whole, 1)) {
+        const uint32_t *target = terms.target, *high = terms.entry + 1, *column = terms.column;
+        const double *offset = terms.offset, *weight = terms.weight;
+        for (uint32_t row = 0, entry = 0, stop = terms.row[1]; row < stop; ++row) {
+            A total = constants.template number_at<A>(offset, row);
+            for (const uint32_t last = high[row]; entry < last; ++entry)
+                total = fma(constants.template number_at<A>(weight, entry), x[column[entry]], total);
+            u[target[row]] = total;
+        }
+        return;
+    }
+    for (int64_t k = 0; k < terms.size; ++k) {
+        const int64_t first = terms.row[k];
+        gradient_rows(terms, constants, field.addresses, k, x, t, room.rows.at, first, room.arguments.at,
+                      room.calls.data());
+        for (int64_t row = first, stop = terms.row[k + 1]; row < stop; ++row)
+            u[terms.target[row]] += room.rows.at[row - first];
+    }
+}
+
+// Fill room.matrix with J(x) where it is a function of the user.
+template <class A, class C>
+INLINE void structure(const Field& field, const C& constants, const A* x, FieldRoom<A>& room) {
+    call_function(constants, field.structure, 0, x, field.size, A(0.0), room.matrix.at, field.size * field.size,
+                  room.calls.data());
+}
+
+// Set f = factor * sign * J(x) u. The factor comes last: products may cancel, and should be rounded once.
+template <class A, class C>
+INLINE void product(const Field& field, const C& constants, const A* x, const A* u, const A& factor, A* f,
+                    FieldRoom<A>& room) {
+    const int64_t n = field.size;
+    if (__builtin_expect(field.nonlinear, 0)) {
+        structure(field, constants, x, room);
+        for (int64_t i = 0; i < n; ++i) {
+            A total(0.0);
+            for (int64_t j = 0; j < n; ++j) total = fma(room.matrix.at[i * n + j], u[j], total);
+            f[i] = factor * (A(field.sign) * total);
+        }
+        return;
+    }
+    const uint32_t *high = field.first + 1, *state = field.state, *column = field.column;
+    const double* constant = field.constant;
+    for (uint32_t i = 0, q = 0; i < n; ++i) {
+        A total(0.0);
+        for (const uint32_t last = high[i]; q < last; ++q)
+            total = fma(constants.template number_at<A>(constant, q) * x[state[q]], u[column[q]], total);
+        f[i] = factor * total;
+    }
+}
+
+// Set out = factor * sign * J(x) M, for the dense n x n matrix M.
+template <class A, class C>
+NOINLINE void structure_times_matrix(const Field& field, const C& constants, const A* x, const double* matrix,
+                                     const A& factor, A* out, FieldRoom<A>& room) {
+    const int64_t n = field.size;
+    std::fill_n(out, n * n, A(0.0));
+    if (field.nonlinear) structure(field, constants, x, room);
+    for (int64_t i = 0; i < n; ++i) {
+        auto add_row = [&](int64_t j, const A& entry) {
+            for (int64_t k = 0; k < n; ++k)
+                out[i * n + k] = fma(entry, constants.template number_at<A>(matrix, j * n + k), out[i * n + k]);
+        };
+        if (field.nonlinear)
+            for (int64_t j = 0; j < n; ++j) add_row(j, factor * A(field.sign) * room.matrix.at[i * n + j]);
+        else
+            for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
+                add_row(field.column[q],
+                        factor * constants.template number_at<A>(field.constant, q) * x[field.state[q]]);
+    }
+}
+
+// Set out = factor * sign * D_u, dense: J(x) u = D_u x.
+template <class A, class C>
+NOINLINE void coadjoint_matrix(const Field& field, const C& constants, const A* u, const A& factor, A* out) {
+    const int64_t n = field.size;
+    std::fill_n(out, n * n, A(0.0));
+    for (int64_t i = 0; i < n; ++i)
+        for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q) {
+            A& entry = out[i * n + field.state[q]];
+            entry = fma(factor * constants.template number_at<A>(field.constant, q), u[field.column[q]], entry);
+        }
+}
+
+// Set out = factor * (-sign rho(u))^T, dense d x d: it acts on the stored, transposed, group element.
+template <class A, class C>
+NOINLINE void group_matrix(const GroupField& group, const C& constants, const A* u, const A& factor, A* out) {
+    const int64_t d = group.size;
+    std::fill_n(out, d * d, A(0.0));
+    for (int64_t q = 0; q < group.entries; ++q) {
+        A& entry = out[int64_t(group.column[q]) * d + group.row[q]];
+        entry = fma(factor * constants.template number_at<A>(group.value, q), u[group.element[q]], entry);
+    }
+}
+
+// Set f = factor * -sign * g rho(u); component c of row r of a matrix stands at c * d + r.
+template <class A, class C>
+INLINE void group_slope(const GroupField& group, const C& constants, const A* u, const A* g, const A& factor, A* f) {
+    const int64_t d = group.size;
+    for (int64_t i = 0; i < d * d; ++i) f[i] = A(0.0);
+    for (int64_t q = 0; q < group.entries; ++q) {
+        const A entry = constants.template number_at<A>(group.value, q) * u[group.element[q]];
+        const A* source = g + int64_t(group.row[q]) * d;
+        A* goal = f + int64_t(group.column[q]) * d;
+        for (int64_t r = 0; r < d; ++r) goal[r] = fma(source[r], entry, goal[r]);
+    }
+    for (int64_t i = 0; i < d * d; ++i) f[i] = factor * f[i];
+}
+
+// Return H(x, t) without its constant; `values` holds the compiled values of FUNCTION terms.
+template <class A, class C>
+NOINLINE A energy(const Field& field, const int64_t* values, const C& constants, const A* x, const A& t,
+                  FieldRoom<A>& room) {
+    A total(0.0);
+    for (int64_t k = 0; k < field.terms.size; ++k)
+        total = total + value_of_term(field.terms, constants, values, k, x, t, room.arguments.at, room.calls.data());
+    return total;
+}
+
+}  // namespace coadjoint

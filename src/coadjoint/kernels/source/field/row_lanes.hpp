@@ -1,0 +1,153 @@
+// Sparse sums whose rows are lanes, so that a single trajectory fills vectors: of four rows where there are no more
+// coordinates, else of eight.
+#pragma once
+
+#include <vector>
+
+#include "numbers/room.hpp"
+#include "field/terms.hpp"
+
+namespace coadjoint {
+
+template <int W>
+struct alignas(8 * W) Places {
+    int64_t lane[W];
+};
+
+template <int W>
+INLINE int64_t blocks_of(int64_t rows) { return (rows + W - 1) / W; }
+
+// The numbers at some places of a vector that is padded to whole blocks.
+template <int W>
+INLINE Lanes<W> take(const double* from, const Places<W>& places) {
+    Lanes<W> taken;
+#if defined(__AVX512F__)
+    if constexpr (W == 8) {
+        taken.part[0] = (typename Lanes<W>::Vector)_mm512_i64gather_pd(_mm512_load_si512(&places), from, 8);
+        return taken;
+    }
+#endif
+    for (int lane = 0; lane < W; ++lane) taken.set(lane, from[places.lane[lane]]);
+    return taken;
+}
+
+// The same of K blocks in registers.
+template <int K, int W>
+INLINE Lanes<W> take(const Lanes<W>* from, const Places<W>& places) {
+#if defined(__AVX512F__) && defined(__AVX512VL__)
+    Lanes<W> taken;
+    typedef typename Lanes<W>::Vector Vector;
+    if constexpr (W == 4) {
+        static_assert(K == 1, "more rows are taken in eights");
+        const __m256i index = _mm256_load_si256(reinterpret_cast<const __m256i*>(&places));
+        taken.part[0] = (Vector)_mm256_permutexvar_pd(index, (__m256d)from[0].part[0]);
+        return taken;
+    } else {
+        const __m512i index = _mm512_load_si512(&places);
+        auto part = [&](int k) { return (__m512d)from[k].part[0]; };
+        if constexpr (K == 1) {
+            taken.part[0] = (Vector)_mm512_permutexvar_pd(index, part(0));
+        } else if constexpr (K == 2) {
+            taken.part[0] = (Vector)_mm512_permutex2var_pd(part(0), index, part(1));
+        } else {
+            static_assert(K == 3, "more blocks are taken from memory");
+            const __m512d low = _mm512_permutex2var_pd(part(0), index, part(1));
+            const __mmask8 above = _mm512_test_epi64_mask(index, _mm512_set1_epi64(16));
+            taken.part[0] = (Vector)_mm512_mask_permutexvar_pd(low, above, index, part(2));
+        }
+        return taken;
+    }
+#else
+    return take<W>(reinterpret_cast<const double*>(from), places);
+#endif
+}
+
+// Numbers to be taken from: K blocks in registers, or in memory.
+template <int K, int W>
+struct Newest {
+    Lanes<W> at[K];
+    INLINE explicit Newest(const Lanes<W>* from) { for (int b = 0; b < K; ++b) at[b] = from[b]; }
+    INLINE Lanes<W> operator()(const Places<W>& places) const { return take<K>(at, places); }
+};
+template <int W>
+struct Newest<0, W> {
+    const double* at;
+    INLINE explicit Newest(const Lanes<W>* from) : at(reinterpret_cast<const double*>(from)) {}
+    INLINE Lanes<W> operator()(const Places<W>& places) const { return take<W>(at, places); }
+};
+
+// The sum of the lanes, in pairs four, two and one apart.
+template <int W>
+INLINE double sum_of_lanes(const Lanes<W>& a) {
+    if constexpr (W == 4) return (a[0] + a[2]) + (a[1] + a[3]);
+#if defined(__AVX512F__)
+    if constexpr (W == 8) {
+    const __m512d whole = (__m512d)a.part[0];
+    const __m256d half = _mm256_add_pd(_mm512_castpd512_pd256(whole), _mm512_extractf64x4_pd(whole, 1));
+    const __m128d quarter = _mm_add_pd(_mm256_castpd256_pd128(half), _mm256_extractf128_pd(half, 1));
+    return quarter[0] + quarter[1];
+    }
+#endif
+    const double p = a[0] + a[4], q = a[1] + a[5], r = a[2] + a[6], s = a[3] + a[7];
+    return (p + r) + (q + s);
+}
+
+// Sparse sums, sum_e weight_e x[left_e] (y[right_e]), the rows in blocks of W; rows with fewer entries than others of
+// their block have entries of weight zero.
+struct Entry {
+    double weight;
+    int64_t left, right;
+};
+typedef std::vector<Entry> SparseSum;
+
+template <int W>
+struct Sums {
+    // One entry of each row of a block.
+    struct Vector {
+        Lanes<W> weight;
+        Places<W> left, right;
+    };
+    int64_t blocks = 0, most = 0;    // most: entries of a block
+    std::vector<int64_t> first{0};  // block b has the vectors first[b] to first[b + 1]
+    Room<Vector> at{0};
+
+    int64_t size() const { return first.back(); }
+
+    // Add rows, from a block of their own on.
+    void add(const std::vector<SparseSum>& rows) {
+        for (size_t low = 0; low < rows.size(); low += W) {
+            const int64_t entries = longest(rows, low);
+            for (int64_t e = 0; e < entries; ++e)
+                for (size_t r = low; r < low + W; ++r) {
+                    const bool there = r < rows.size() && e < int64_t(rows[r].size());
+                    given.push_back(there ? rows[r][e] : Entry{0.0, 0, 0});
+                }
+            first.push_back(first.back() + entries);
+            most = std::max(most, entries);
+            ++blocks;
+        }
+    }
+
+    // Entries of the block that begins with row `low`.
+    static int64_t longest(const std::vector<SparseSum>& rows, size_t low) {
+        size_t entries = 0;
+        for (size_t r = low; r < std::min(low + W, rows.size()); ++r) entries = std::max(entries, rows[r].size());
+        return int64_t(entries);
+    }
+
+    // Lay everything out for reading, after the last row.
+    void finish() {
+        at.clear(size());
+        for (size_t k = 0; k < given.size(); ++k) {
+            Vector& vector = at.at[k / W];
+            vector.weight.set(int(k % W), given[k].weight);
+            vector.left.lane[k % W] = given[k].left;
+            vector.right.lane[k % W] = given[k].right;
+        }
+    }
+
+  private:
+    std::vector<Entry> given;
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,119 @@
+// The verb `angle`: gradients and values of the terms of a table.
+#pragma once
+
+#include "numbers/constants.hpp"
+
+namespace coadjoint {
+
+constexpr int LINEAR = 0, POLYNOMIAL = 1;
+
+constexpr int64_t WORK_OF_A_CALL = int64_t(1) << 16;  // functions of the user may take long: so many multiplications
+
+// About how many multiplications the terms first to last - 1 take.
+inline int64_t work_of_terms(const Terms& terms, int64_t first, int64_t last) {
+    int64_t work = 0;
+    for (int64_t k = first; k < last; ++k) {
+        work += terms.entry[terms.row[k + 1]] - terms.entry[terms.row[k]];
+        if (terms.kind[k] == POLYNOMIAL)
+            for (uint32_t f = terms.factor[terms.monomial[k]]; f < terms.factor[terms.monomial[k + 1]]; ++f)
+                work += terms.exponent[f];
+        else if (terms.kind[k] != LINEAR)
+            work += WORK_OF_A_CALL;
+    }
+    return work;
+}
+
+typedef void (*UserFunction)(const double* y, double t, double* out);
+
+// Calls a compiled function of the user, lane by lane: it reads `count` numbers and fills `results`.
+template <class A, class C>
+void call_function(const C& constants, const int64_t* addresses, int64_t k, const A* y, int64_t count, const A& t,
+                   A* out, int64_t results, double* room) {
+    const int used = constants.used(Numbers<A>::lanes);
+    for (int lane = 0; lane < used; ++lane) {
+        double *point = room, *result = room + count;
+        for (int64_t i = 0; i < count; ++i) point[i] = lane_of(y[i], lane);
+        reinterpret_cast<UserFunction>(constants.address(addresses, k, lane))(point, lane_of(t, lane), result);
+        for (int64_t i = 0; i < results; ++i) set_lane(out[i], lane, result[i]);
+    }
+    for (int lane = used; lane < Numbers<A>::lanes; ++lane)
+        for (int64_t i = 0; i < results; ++i) set_lane(out[i], lane, lane_of(out[i], used - 1));
+}
+
+// x to a whole power by repeated multiplication, in an order that depends on the exponent alone.
+template <class A>
+INLINE A power(const A& x, uint32_t exponent) {
+    A result(1.0);
+    for (uint32_t k = 0; k < exponent; ++k) result = result * x;
+    return result;
+}
+
+// One row of a LINEAR term: offset + weight . x.
+template <class A, class C>
+INLINE A linear_row(const Terms& terms, const C& constants, int64_t row, const A* x) {
+    A total = constants.template number_at<A>(terms.offset, row);
+    for (uint32_t entry = terms.entry[row], stop = terms.entry[row + 1]; entry < stop; ++entry)
+        total = fma(constants.template number_at<A>(terms.weight, entry), x[terms.column[entry]], total);
+    return total;
+}
+
+template <class A, class C>
+INLINE A monomial_without(const Terms& terms, const C& constants, uint32_t monomial, uint32_t chosen, const A* x) {
+    A product = constants.template number_at<A>(terms.coefficient, monomial);
+    for (uint32_t factor = terms.factor[monomial], high = terms.factor[monomial + 1]; factor < high; ++factor) {
+        const A& coordinate = x[terms.target[terms.factor_row[factor]]];
+        uint32_t exponent = terms.exponent[factor];
+        product = product * (factor == chosen ? double(exponent) * power(coordinate, exponent - 1)
+                                              : power(coordinate, exponent));
+    }
+    return product;
+}
+
+// Fills out[row - first] with every row of term k: the angles of a share, or components of a gradient. `y` is room for
+// the arguments of a user function, `room` for one lane of them and of its results.
+template <class A, class C>
+NOINLINE void gradient_rows(const Terms& terms, const C& constants, const int64_t* addresses, int64_t k, const A* x,
+                          const A& t, A* out, int64_t first, A* y, double* room) {
+    int64_t start = terms.row[k], stop = terms.row[k + 1];
+    if (terms.kind[k] == LINEAR) {
+        for (int64_t row = start; row < stop; ++row) out[row - first] = linear_row(terms, constants, row, x);
+    } else if (terms.kind[k] == POLYNOMIAL) {
+        for (int64_t row = start; row < stop; ++row) out[row - first] = A(0.0);
+        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial)
+            for (uint32_t chosen = terms.factor[monomial]; chosen < terms.factor[monomial + 1]; ++chosen)
+                out[terms.factor_row[chosen] - first] += monomial_without(terms, constants, monomial, chosen, x);
+    } else {
+        for (int64_t row = start; row < stop; ++row) y[row - start] = x[terms.target[row]];
+        call_function(constants, addresses, k, y, stop - start, t, out + (start - first), stop - start, room);
+    }
+}
+
+// The value of term k.
+template <class A, class C>
+INLINE A value_of_term(const Terms& terms, const C& constants, const int64_t* addresses, int64_t k, const A* x,
+                       const A& t, A* y, double* room) {
+    int64_t start = terms.row[k], stop = terms.row[k + 1];
+    A total(0.0);
+    if (terms.kind[k] == LINEAR) {
+        for (int64_t row = start; row < stop; ++row) {
+            A weighted(0.0);
+            for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
+                weighted = fma(constants.template number_at<A>(terms.weight, entry), x[terms.column[entry]], weighted);
+            A offset = constants.template number_at<A>(terms.offset, row);
+            total = fma(x[terms.target[row]], fma(A(0.5), weighted, offset), total);
+        }
+    } else if (terms.kind[k] == POLYNOMIAL) {
+        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
+            A product = constants.template number_at<A>(terms.coefficient, monomial);
+            for (uint32_t factor = terms.factor[monomial]; factor < terms.factor[monomial + 1]; ++factor)
+                product = product * power(x[terms.target[terms.factor_row[factor]]], terms.exponent[factor]);
+            total = total + product;
+        }
+    } else {
+        for (int64_t row = start; row < stop; ++row) y[row - start] = x[terms.target[row]];
+        call_function(constants, addresses, k, y, stop - start, t, &total, 1, room);
+    }
+    return total;
+}
+
+}  // namespace coadjoint

@@ -1,0 +1,145 @@
+// What one block of a part does to vectors side by side: rotations, shears, scalings, and planes.
+//
+// An angle is an A, a component of a vector is a V: both one number, or both lanes of members, or one angle for the
+// rows of a group element as lanes. Component i of vector r stands at i * rows + r.
+#pragma once
+
+#include "numbers/arithmetic.hpp"
+#include "numbers/constants.hpp"
+
+namespace coadjoint {
+
+constexpr int SCALE = 0, ROTATE = 1, PLANE = 2, SHEAR = 3, CUBIC = 4;
+// Rotations by tan(phi/2) := half the angle: the same blocks, with another sine and cosine.
+constexpr int RATIONAL = 8, RATIONAL_ROTATE = ROTATE + RATIONAL, RATIONAL_CUBIC = CUBIC + RATIONAL;
+
+constexpr uint32_t MANY = 4;  // blocks of one angle that are worth a call
+
+enum Care { PLAIN, COMPENSATED, CORRECTED };
+
+// Add an increment to a component of known value; with compensation what rounding lost is kept and added the next time.
+template <Care care, class V>
+INLINE void add(V* vectors, V* errors, int64_t place, const V& old, V increment) {
+    if constexpr (care == PLAIN) {
+        vectors[place] = old + increment;
+    } else {
+        increment = increment + errors[place];
+        add_owing_rest(old, increment, vectors[place], errors[place]);
+    }
+}
+
+// Add an increment with compensation; keep besides what the increment owes and what adding the error to it lost. The
+// next rotation does not wait for any of that.
+template <class V>
+INLINE void add_owing(V* vectors, V* errors, int64_t place, const V& old, const V& increment, const V& error,
+                      const V& owed) {
+    V whole = increment + error;
+    V now = old + whole;
+    V kept = now - old;
+    // Where the error is the larger of the two, the increment is so small that what their sum loses does not matter.
+    errors[place] = (old - (now - kept)) + (whole - kept) + ((increment - whole) + error) + owed;
+    vectors[place] = now;
+}
+
+// What an action is applied to: `rows` vectors, their compensation, and room for three times their length.
+template <class V>
+struct Vectors {
+    V *at, *errors;
+    int64_t rows;
+    V* room;
+};
+
+// Many blocks that turn by one angle: their coordinates are disjoint, so that loads need not wait for stores.
+NOINLINE inline void rotate_many(double sine, double lowered, const uint32_t* index, uint32_t repeat, double* x) {
+    constexpr int together = 4;
+    uint32_t block = 0;
+    for (; block + together <= repeat; block += together, index += 2 * together) {
+        double a[together], b[together];
+#pragma GCC unroll 4
+        for (int k = 0; k < together; ++k) a[k] = x[index[2 * k]], b[k] = x[index[2 * k + 1]];
+#pragma GCC unroll 4
+        for (int k = 0; k < together; ++k) {
+            x[index[2 * k]] = a[k] + fma(lowered, a[k], -(sine * b[k]));
+            x[index[2 * k + 1]] = b[k] + fma(lowered, b[k], sine * a[k]);
+        }
+    }
+    for (; block < repeat; ++block, index += 2) {
+        const double a = x[index[0]], b = x[index[1]];
+        x[index[0]] = a + fma(lowered, a, -(sine * b));
+        x[index[1]] = b + fma(lowered, b, sine * a);
+    }
+}
+
+template <Care care, class A, class V>
+INLINE void rotate(const Rotation<A>& turn, const uint32_t* index, uint32_t repeat, const Vectors<V>& x) {
+    if constexpr (care == PLAIN && Numbers<V>::lanes == 1)
+        if (repeat >= MANY) return rotate_many(turn.sine, turn.lowered, index, repeat, x.at);
+    const V sine(turn.sine), lowered(turn.lowered);
+    const V dearth(care == CORRECTED ? shortfall(turn.sine, -turn.lowered, A(1.0)) : A(0.0));
+    for (uint32_t block = 0; block < repeat; ++block, index += 2) {
+        int64_t i = index[0] * x.rows, j = index[1] * x.rows;
+        for (int64_t row = 0; row < x.rows; ++row) {
+            V a = x.at[i + row], b = x.at[j + row];
+            V forth = sine * a, back = sine * b;
+            if constexpr (care == CORRECTED) {
+                // The rotation of the errors, the rounding of a product, and the shortfall.
+                V e = x.errors[i + row], f = x.errors[j + row];
+                V first = fma(lowered, e, -fma(sine, f, fma(sine, b, -back))) - dearth * a;
+                V second = fma(lowered, f, fma(sine, e, fma(sine, a, -forth))) - dearth * b;
+                add_owing(x.at, x.errors, i + row, a, fma(lowered, a, -back), e, first);
+                add_owing(x.at, x.errors, j + row, b, fma(lowered, b, forth), f, second);
+            } else {
+                add<care>(x.at, x.errors, i + row, a, fma(lowered, a, -back));
+                add<care>(x.at, x.errors, j + row, b, fma(lowered, b, forth));
+            }
+        }
+    }
+}
+
+template <Care care, class A, class V>
+INLINE void shear(const A& factor, const uint32_t* index, const Vectors<V>& x) {
+    const V by(factor);
+    int64_t i = index[0] * x.rows, j = index[1] * x.rows;
+    for (int64_t row = 0; row < x.rows; ++row) {
+        V source = x.at[j + row];
+        V moved = by * source;
+        if constexpr (care == CORRECTED) {
+            V owed = fma(by, x.errors[j + row], fma(by, source, -moved));
+            add_owing(x.at, x.errors, i + row, x.at[i + row], moved, x.errors[i + row], owed);
+        } else {
+            add<care>(x.at, x.errors, i + row, x.at[i + row], moved);
+        }
+    }
+}
+
+template <Care care, class A, class V>
+INLINE void scale(const A& factor, const uint32_t* index, uint32_t repeat, const Vectors<V>& x) {
+    const V by(factor);
+    for (uint32_t block = 0; block < repeat; ++block) {
+        int64_t i = index[block] * x.rows;
+        for (int64_t row = 0; row < x.rows; ++row)
+            add<care == PLAIN ? PLAIN : COMPENSATED>(x.at, x.errors, i + row, x.at[i + row], by * x.at[i + row]);
+    }
+}
+
+// exp(theta B) = e^(theta mean) (C + S N), N = B - mean, N^2 = delta: entire in delta theta^2, of either sign.
+template <Care care, class A, class V>
+NOINLINE void plane(const A& mean, const A& half, const A& upper, const A& lower, const uint32_t* index,
+                    uint32_t repeat, const A& theta, const Vectors<V>& x) {
+    A delta = fma(half, half, upper * lower);
+    Rotation<A> pair = entire_pair(theta * theta * delta);
+    // Not from expm1 alone: where the mean decays and cosh grows, what 1 + expm1 lost would be amplified.
+    const Growth<A> growth = growth_by(theta * mean);
+    const V diagonal(fma(growth.whole, pair.lowered, growth.beyond)), s(growth.whole * (theta * pair.sine));
+    for (uint32_t block = 0; block < repeat; ++block, index += 2) {
+        int64_t i = index[0] * x.rows, j = index[1] * x.rows;
+        for (int64_t row = 0; row < x.rows; ++row) {
+            V a = x.at[i + row], b = x.at[j + row];
+            constexpr Care kept = care == PLAIN ? PLAIN : COMPENSATED;
+            add<kept>(x.at, x.errors, i + row, a, fma(diagonal, a, s * fma(V(half), a, V(upper) * b)));
+            add<kept>(x.at, x.errors, j + row, b, fma(diagonal, b, s * fma(V(lower), a, -(V(half) * b))));
+        }
+    }
+}
+
+}  // namespace coadjoint

@@ -1,0 +1,120 @@
+// Rows that only rotate and shear by linear forms, read from the tables when a loop starts. What a step needs of them
+// then stands in one place; few instructions are left, and those for the group element are done while the momentum
+// waits for its sine.
+#pragma once
+
+#include "flows/flow_rows.hpp"
+
+namespace coadjoint {
+
+// The blocks of one angle theta of a part: rotations by factor theta, or shears by factor theta times a constant each.
+struct AngleBlocks {
+    double factor;
+    const double* constants;
+    const uint32_t* pairs;
+    uint32_t repeat, angle;
+    int kind;
+};
+
+// theta = offset + weight . x and what it moves; or a whole row of the program, where that is more.
+struct ElementaryFlow {
+    int kind;
+    uint32_t row, entries;
+    double offset;
+    const double* weight;
+    const uint32_t* column;
+    AngleBlocks momentum, group;
+};
+constexpr int WHOLE_ROW = -1;
+
+class FlowsOfRows {
+  public:
+    FlowsOfRows(const FlowTables& tables, bool carry)
+        : tables(tables), carry(carry), moved_by(tables.state.size, ~uint32_t(0)) {}
+
+    // The flows of rows, one after the other; none where all are whole rows, which the tables then tell as well.
+    std::vector<ElementaryFlow> operator()(uint32_t first, uint32_t last) {
+        std::vector<ElementaryFlow> flows;
+        bool some = false;
+        for (uint32_t r = first; r < last; ++r) {
+            const size_t before = flows.size();
+            if (append(r, flows)) {
+                some = true;
+            } else {
+                flows.resize(before);
+                flows.push_back({WHOLE_ROW, r, 0, 0.0, nullptr, nullptr, {}, {}});
+            }
+        }
+        return some ? flows : std::vector<ElementaryFlow>();
+    }
+
+  private:
+    const FlowTables& tables;
+    const bool carry;
+    std::vector<uint32_t> moved_by;  // the row that moved a coordinate last
+    std::vector<AngleBlocks> momentum, group;
+
+    // Whether a part only rotates and shears, with too few angles for lanes; their blocks, in their order.
+    static bool blocks_of(const Action& action, uint32_t part, double tau, std::vector<AngleBlocks>& found) {
+        found.clear();
+        for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
+            const int kind = action.kind[run];
+            if ((kind != ROTATE && kind != SHEAR) || action.angles[run] >= SPREAD) return false;
+            const uint32_t repeat = action.repeat[run], *pairs = action.indices + action.place[run];
+            const double* constants = action.constants + action.constant[run];
+            for (uint32_t q = 0; q < action.angles[run]; ++q, pairs += 2 * repeat) {
+                const double factor = kind == ROTATE ? tau * constants[q] : tau;
+                found.push_back({factor, constants + q * repeat, pairs, repeat, action.angle[run] + q, kind});
+            }
+        }
+        return true;
+    }
+
+    // A part knows all its angles before it moves anything: a flow must not move what a later one of them reads.
+    bool append(uint32_t r, std::vector<ElementaryFlow>& flows) {
+        const Terms& terms = tables.terms;
+        const uint32_t part = tables.part[r], low = tables.share[part], high = tables.share[part + 1];
+        for (uint32_t k = low; k < high; ++k)
+            if (terms.kind[k] != LINEAR) return false;
+        if (!blocks_of(tables.state, part, tables.tau[r], momentum)) return false;
+        if (carry && !blocks_of(tables.group, part, tables.tau[r], group)) return false;
+        if (carry && group.size() != momentum.size()) return false;
+        for (size_t k = 0; k < momentum.size(); ++k) {
+            const AngleBlocks own = momentum[k], carried = carry ? group[k] : own;
+            if (carried.kind != own.kind || carried.angle != own.angle) return false;
+            const uint32_t row = terms.row[low] + own.angle, entry = terms.entry[row], stop = terms.entry[row + 1];
+            for (uint32_t e = entry; e < stop; ++e)
+                if (moved_by[terms.column[e]] == r) return false;
+            for (uint32_t e = 0; e < 2 * own.repeat; e += own.kind == SHEAR ? 2 : 1) moved_by[own.pairs[e]] = r;
+            flows.push_back({own.kind, r, stop - entry, terms.offset[row], terms.weight + entry, terms.column + entry,
+                             own, carried});
+        }
+        return true;
+    }
+};
+
+template <Care care, class V>
+INLINE void shear_blocks(const AngleBlocks& blocks, double theta, const Vectors<V>& x) {
+    const double turn = blocks.factor * theta;
+    for (uint32_t block = 0; block < blocks.repeat; ++block)
+        shear<care>(turn * blocks.constants[block], blocks.pairs + 2 * block, x);
+}
+
+// Apply a flow that is no whole row.
+template <Care care, bool carry, class G>
+INLINE void apply_flow(const ElementaryFlow& flow, const Vectors<double>& x, const Vectors<G>& group) {
+    double theta = flow.offset;
+    for (uint32_t entry = 0; entry < flow.entries; ++entry)
+        theta = fma(flow.weight[entry], x.at[flow.column[entry]], theta);
+    if (__builtin_expect(flow.kind == ROTATE, 1)) {
+        Turned<double> turned;
+        rotate<care>(turned.by(theta * flow.momentum.factor, false), flow.momentum.pairs, flow.momentum.repeat, x);
+        if constexpr (carry)
+            rotate<CORRECTED>(turned.by(theta * flow.group.factor, true), flow.group.pairs, flow.group.repeat, group);
+    } else {
+        shear_blocks<care>(flow.momentum, theta, x);
+        if constexpr (carry) shear_blocks<CORRECTED>(flow.group, theta, group);
+    }
+}
+
+}  // namespace coadjoint

@@ -1,0 +1,123 @@
+// The loop over steps for programs: one trajectory.
+#pragma once
+
+#include "flows/elementary_flows.hpp"
+
+namespace coadjoint {
+
+// The rows of the group element are lanes, and finished states are lanes of steps.
+constexpr int ROWS = 4;
+typedef Lanes<ROWS> GroupRows;
+
+template <Care care, class A>
+struct Finisher {
+    static constexpr bool with_errors = care != PLAIN;
+    const FlowTables& tables;
+    const Schedule& schedule;
+    Room<A> scratch;
+    AngleRoom<A> angles;
+
+    Finisher(const FlowTables& tables, const Schedule& schedule, int64_t size)
+        : tables(tables), schedule(schedule), scratch(3 * size), angles(tables.longest) {}
+
+    void operator()(A* x, A* dx, const A& t) {
+        sweep<care, false>(tables, Shared{}, tables.section[2], tables.section[3], Vectors<A>{x, dx, 1, scratch.at},
+                           Vectors<A>{}, t, schedule.h, angles);
+    }
+};
+
+template <Care care, bool carry, class Side>
+void follow_alone(const FlowLoop& loop, int64_t member) {
+    const FlowTables& tables = loop.tables;
+    const Schedule& schedule = loop.schedule;
+    const State& state = loop.state;
+    const int64_t size = state.size, d = tables.group.size, rows = (d + ROWS - 1) / ROWS;
+    Room<double> scratch(3 * size), copies(2 * size), momenta(2 * size);
+    Room<GroupRows> elements(2 * d * rows), finished(2 * d * rows), group_scratch(3 * d * rows);
+    AngleRoom<double> angles(tables.longest);
+    Finisher<care, Side> finisher(tables, schedule, size);
+    Follower<Side, Finisher<care, Side>> follower(loop.watch, loop.saves, schedule, size, finisher);
+    double *x = momenta.at, *dx = momenta.at + size;
+    std::copy_n(state.momenta + member * size, size, x);
+    std::copy_n(state.errors + member * size, size, dx);
+    const Vectors<GroupRows> group{elements.at, elements.at + d * rows, rows, group_scratch.at};
+    auto each_entry = [&](auto&& visit) {
+        for (int64_t i = 0; i < d; ++i)
+            for (int64_t r = 0; r < d; ++r) visit(i * d + r, (i * rows + r / ROWS) * ROWS + r % ROWS);
+    };
+    double *g = reinterpret_cast<double*>(group.at), *dg = reinterpret_cast<double*>(group.errors);
+    if constexpr (carry)
+        each_entry([&](int64_t from, int64_t to) {
+            g[to] = state.groups[member * d * d + from];
+            dg[to] = state.group_errors[member * d * d + from];
+        });
+    auto saved_group = [&](int64_t k) {
+        return loop.saves.group + (slot_of(schedule, k) * loop.saves.members + member) * d * d;
+    };
+    const Vectors<double> momentum{x, dx, 1, scratch.at};
+    FlowsOfRows flows_of(tables, carry);
+    const std::vector<ElementaryFlow> opening = flows_of(tables.section[0], tables.section[loop.k0 == 0]),
+                                      repeated = flows_of(tables.section[1], tables.section[loop.k1 > 1 ? 2 : 1]);
+    int64_t saved = next_saved(schedule, loop.k0), failed = 0;
+    const int64_t work = work_of_step(loop);
+    for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
+        loop.hearing.after(work);
+        const double t = schedule.t0 + double(k - 1) * schedule.h;
+        const std::vector<ElementaryFlow>& flows = k == 1 ? opening : repeated;
+        for (const ElementaryFlow& flow : flows)
+            if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
+                apply_flow<care, carry>(flow, momentum, group);
+            else
+                apply_row<care, carry>(tables, Shared{}, flow.row, momentum, group, t, schedule.h, angles);
+        if (flows.empty())
+            for (uint32_t r = tables.section[k == 1 ? 0 : 1], last = tables.section[k == 1 ? 1 : 2]; r < last; ++r)
+                apply_row<care, carry>(tables, Shared{}, r, momentum, group, t, schedule.h, angles);
+        if (!finite(size, x)) {
+            failed = k;
+            break;
+        }
+        if (!schedule.watching && k != saved) continue;
+        if (k == saved) {
+            saved = next_saved(schedule, k);
+            if constexpr (carry) {
+                std::copy_n(x, 2 * size, copies.at);
+                std::copy_n(elements.at, 2 * d * rows, finished.at);
+                const Vectors<GroupRows> copy{finished.at, finished.at + d * rows, rows, group_scratch.at};
+                sweep<care, true>(tables, Shared{}, tables.section[2], tables.section[3],
+                                  Vectors<double>{copies.at, copies.at + size, 1, scratch.at}, copy, t, schedule.h,
+                                  angles);
+                const double* element = reinterpret_cast<double*>(finished.at);
+                bool sound = true;
+                each_entry([&](int64_t, int64_t from) { sound &= 0.0 * element[from] == 0.0; });
+                if (!sound) {
+                    failed = k;
+                    break;
+                }
+                double* to = saved_group(k);
+                each_entry([&](int64_t place, int64_t from) { to[place] = element[from]; });
+            }
+        }
+        follower.push(member, k, x, dx);
+        if (follower.full() && (failed = follower.flush())) break;
+    }
+    if (int64_t earlier = follower.flush()) failed = earlier;
+    // Momenta are finished some at a time: what was saved of the group since the step that failed is taken back.
+    if (carry && failed)
+        for (int64_t k = next_saved(schedule, failed - 1); k <= loop.k1; k = next_saved(schedule, k)) {
+            std::fill_n(saved_group(k), d * d, NAN);
+            if (k == schedule.steps) break;
+        }
+    const int64_t taken = (failed ? failed : loop.k1) - loop.k0, start = loop.k0 == 0 && taken > 0;
+    loop.report.evaluations[member] += start * (int64_t(tables.section[1]) - tables.section[0]) +
+                                       (taken - start) * (int64_t(tables.section[2]) - tables.section[1]);
+    if (failed) loop.overflow(member, failed);
+    std::copy_n(x, size, state.momenta + member * size);
+    std::copy_n(dx, size, state.errors + member * size);
+    if constexpr (carry)
+        each_entry([&](int64_t to, int64_t from) {
+            state.groups[member * d * d + to] = g[from];
+            state.group_errors[member * d * d + to] = dg[from];
+        });
+}
+
+}  // namespace coadjoint

@@ -1,0 +1,121 @@
+// The loop over steps for programs: members side by side.
+#pragma once
+
+#include <optional>
+
+#include "flows/flow_rows.hpp"
+
+namespace coadjoint {
+
+// Blocks of members as lanes; the last member fills what is left of the lanes. While one block waits for a sine,
+// another goes on.
+template <Care care, bool carry, class A, class C>
+struct Block {
+    const FlowLoop& loop;
+    const C constants;
+    const int64_t* members;
+    const int64_t count, size, square;
+    Room<A> momenta, elements;
+    int64_t going[Numbers<A>::lanes], left = 0, evaluations = 0;
+    CrowdWatcher<A, C> watcher;
+    Vectors<A> momentum, group;
+
+    Block(const FlowLoop& loop, const C& constants, const int64_t* members, int64_t count, Room<A>& scratch)
+        : loop(loop), constants(constants), members(members), count(count), size(loop.state.size),
+          square(loop.state.square), momenta(2 * size), elements(2 * square), going{},
+          watcher(loop.watch, loop.saves, loop.schedule, this->constants, members, going, count),
+          momentum{momenta.at, momenta.at + size, 1, scratch.at},
+          group{elements.at, elements.at + square, loop.tables.group.size, scratch.at} {
+        for (int64_t lane = 0; lane < count; ++lane) left += going[lane] = loop.report.status[members[lane]] == DONE;
+        read_lanes(momentum.at, loop.state.momenta, size, members, count);
+        read_lanes(momentum.errors, loop.state.errors, size, members, count);
+        read_lanes(group.at, loop.state.groups, square, members, count);
+        read_lanes(group.errors, loop.state.group_errors, square, members, count);
+    }
+
+    ~Block() {
+        for (int64_t lane = 0; lane < count; ++lane) {
+            const int64_t member = members[lane];
+            if (going[lane]) loop.report.evaluations[member] += evaluations;
+            write_lane(momentum.at, loop.state.momenta, size, member, int(lane));
+            write_lane(momentum.errors, loop.state.errors, size, member, int(lane));
+            write_lane(group.at, loop.state.groups, square, member, int(lane));
+            write_lane(group.errors, loop.state.group_errors, square, member, int(lane));
+        }
+    }
+
+    template <class Mask>
+    void stop_where_not(const Mask& sound, int64_t k) {
+        if (__builtin_expect(all(sound), 1)) return;
+        for (int64_t lane = 0; lane < count; ++lane) {
+            if (at(sound, int(lane)) || !going[lane]) continue;
+            watcher.keep_worst();
+            going[lane] = 0;
+            --left;
+            loop.overflow(members[lane], k);
+            loop.report.evaluations[members[lane]] += evaluations;
+        }
+    }
+
+    // Finish copies, note them, and save what has a slot.
+    NOINLINE void look(int64_t k, int64_t slot, const A& t, A* copies, A* scratch, AngleRoom<A>& angles) {
+        const uint32_t first = loop.tables.section[2], last = loop.tables.section[3];
+        A* element = copies + 2 * size;
+        const Vectors<A> copy{copies, copies + size, 1, scratch};
+        std::copy_n(momentum.at, 2 * size, copies);
+        if (carry && slot >= 0) {
+            std::copy_n(group.at, 2 * square, element);
+            const Vectors<A> finished{element, element + square, group.rows, scratch};
+            sweep<care, carry>(loop.tables, constants, first, last, copy, finished, t, loop.schedule.h, angles);
+            stop_where_not(finite(square, element), k);
+        } else {
+            sweep<care, false>(loop.tables, constants, first, last, copy, Vectors<A>{}, t, loop.schedule.h, angles);
+        }
+        stop_where_not(finite(size, copies), k);
+        watcher.note(k, slot, size, copies);
+        if (carry && slot >= 0) watcher.save_group(slot, square, element);
+    }
+};
+
+constexpr int BLOCKS = 2;
+
+// `constants_from(place)` are those of the lanes from a place of the crew.
+template <Care care, bool carry, class A, class ConstantsFrom>
+void follow_together(const FlowLoop& loop, const ConstantsFrom& constants_from, const int64_t* members, int64_t first,
+                     int64_t last) {
+    typedef Block<care, carry, A, decltype(constants_from(0))> Own;
+    constexpr int64_t lanes = Numbers<A>::lanes;
+    const FlowTables& tables = loop.tables;
+    const Schedule& schedule = loop.schedule;
+    const int64_t size = loop.state.size, square = loop.state.square;
+    Room<A> scratch(3 * std::max(size, square)), copies(2 * (size + square));
+    AngleRoom<A> angles(tables.longest);
+    std::optional<Own> blocks[BLOCKS];
+    int used = 0;
+    for (int64_t place = first; place < last; place += lanes)
+        blocks[used++].emplace(loop, constants_from(place), members + place, std::min(lanes, last - place), scratch);
+    int64_t saved = next_saved(schedule, loop.k0);
+    const int64_t work = used * lanes * work_of_step(loop);
+    for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
+        loop.hearing.after(work);
+        const A t(schedule.t0 + double(k - 1) * schedule.h);
+        const uint32_t from = tables.section[k == 1 ? 0 : 1], to = tables.section[k == 1 ? 1 : 2];
+        for (uint32_t r = from; r < to; ++r)
+            for (int b = 0; b < used; ++b)
+                apply_row<care, carry>(tables, blocks[b]->constants, r, blocks[b]->momentum, blocks[b]->group, t,
+                                       schedule.h, angles);
+        const bool looking = schedule.watching || k == saved;
+        const int64_t slot = k == saved ? slot_of(schedule, k) : -1;
+        int64_t left = 0;
+        for (int b = 0; b < used; ++b) {
+            blocks[b]->evaluations += to - from;
+            blocks[b]->stop_where_not(finite(size, blocks[b]->momentum.at), k);
+            if (looking) blocks[b]->look(k, slot, t, copies.at, scratch.at, angles);
+            left += blocks[b]->left;
+        }
+        if (k == saved) saved = next_saved(schedule, k);
+        if (left == 0) break;
+    }
+}
+
+}  // namespace coadjoint

@@ -1,0 +1,84 @@
+// The rows of a program, read from their table, and what a loop over steps is given.
+#pragma once
+
+#include "flows/actions.hpp"
+#include "boundary/crew.hpp"
+
+namespace coadjoint {
+
+// Room for the angles of a part and for the calls of user functions.
+template <class A>
+struct AngleRoom {
+    Room<A> theta, turned, arguments;
+    std::vector<double> calls;
+    explicit AngleRoom(int64_t longest)
+        : theta(longest), turned(longest), arguments(longest), calls(2 * longest + 2) {}
+};
+
+// Apply row r: angles from its share, then the action on the momentum and on the group element.
+template <Care care, bool carry, class A, class G, class C>
+INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, const Vectors<A>& x,
+                      const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
+    const Terms& terms = tables.terms;
+    const uint32_t part = tables.part[r];
+    const int64_t row = tables.only[part];
+    const double tau = tables.tau[r];
+    const bool single = row >= 0;
+    A lone(0.0);
+    if (__builtin_expect(single, 1)) {
+        lone = linear_row(terms, constants, row, x.at);
+    } else {
+        const uint32_t low = tables.share[part], high = tables.share[part + 1];
+        const A moment = t + A(tables.moment[r] * h);
+        for (uint32_t k = low; k < high; ++k)
+            gradient_rows(terms, constants, tables.addresses, k, x.at, moment, room.theta.at, terms.row[low],
+                          room.arguments.at, room.calls.data());
+    }
+    Turned<A> turned;
+    act<care, false>(tables.state, constants, part, tau, single, lone, room.theta.at, turned, x);
+    if constexpr (carry) {
+        if (__builtin_expect(tables.bent[part], 0)) {
+            const int64_t base = single ? row : terms.row[tables.share[part]];
+            const int64_t stop = single ? row + 1 : terms.row[tables.share[part + 1]];
+            for (int64_t place = base; place < stop; ++place)
+                room.turned.at[place - base] =
+                    rational_angle(tau * (single ? lone : room.theta.at[place - base]),
+                                   constants.template number_at<A>(tables.frequency, place));
+            act<CORRECTED, true>(tables.group, constants, part, 1.0, false, lone, room.turned.at, turned, group);
+        } else {
+            act<CORRECTED, true>(tables.group, constants, part, tau, single, lone, room.theta.at, turned, group);
+        }
+    }
+}
+
+template <Care care, bool carry, class A, class G, class C>
+NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first, uint32_t last, const Vectors<A>& x,
+                    const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
+    for (uint32_t r = first; r < last; ++r) apply_row<care, carry>(tables, constants, r, x, group, t, h, room);
+}
+
+typedef Loop<FlowTables> FlowLoop;
+
+// About how many multiplications some rows take for one vector, their angles apart.
+inline int64_t work_of_rows(const FlowTables& tables, const Action& action, uint32_t first, uint32_t last) {
+    int64_t work = 0;
+    for (uint32_t r = first; r < last; ++r)
+        for (uint32_t part = tables.part[r], run = action.run[part]; run < action.run[part + 1]; ++run)
+            work += 8 * int64_t(action.angles[run]) * action.repeat[run] +
+                    int64_t(action.entries[run]) * (2 + action.degree[run]);
+    return work;
+}
+
+// The same for a step of one member: the momentum, the group element, and what is watched.
+inline int64_t work_of_step(const FlowLoop& loop) {
+    const FlowTables& tables = loop.tables;
+    const uint32_t first = tables.section[1], last = tables.section[3];
+    int64_t work = work_of_terms(loop.watch.terms, 0, loop.watch.terms.size);
+    for (uint32_t r = first; r < last; ++r)
+        work += 16 + work_of_terms(tables.terms, tables.share[tables.part[r]], tables.share[tables.part[r] + 1]);
+    work += work_of_rows(tables, tables.state, first, last);
+    if (tables.group.size > 0) work += tables.group.size * work_of_rows(tables, tables.group, first, last);
+    return work;
+}
+
+}  // namespace coadjoint

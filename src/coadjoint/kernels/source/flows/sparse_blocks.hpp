@@ -1,0 +1,194 @@
+// Blocks of several coordinates that are given by the entries of D: CUBIC ones by a closed form, others by a series.
+#pragma once
+
+#include <algorithm>
+
+#include "flows/blocks.hpp"
+#include "boundary/hearing.hpp"
+
+namespace coadjoint {
+
+constexpr int CUBIC_HEADER = 6;  // constants of a CUBIC block before the values of its entries
+constexpr double MOST_SUBSTEPS = 4096.0;  // of norm one: a step that turns so far knows nothing of the motion any more
+constexpr int64_t BETWEEN_CHECKS = 64;  // substeps after which what has overflowed is left alone
+
+// A CUBIC or SERIES block: its coordinates and the compressed sparse rows of D in them.
+struct BlockRows {
+    const uint32_t *coordinates, *starts, *columns;
+    uint32_t width;
+    int64_t constant, entries;
+
+    INLINE BlockRows(const Action& action, uint32_t run)
+        : coordinates(action.indices + action.place[run]),
+          starts(coordinates + action.width[run]),
+          columns(starts + action.width[run] + 1),
+          width(action.width[run]),
+          constant(action.constant[run]),
+          entries(action.entries[run]) {}
+};
+
+// target = factor D source in the block's own coordinates (the verb `apply`).
+template <class A, class V, class C>
+INLINE void apply_block(const Action& action, const C& constants, const BlockRows& block, int64_t values,
+                        const V* source, const A& factor, V* target, int64_t rows) {
+    for (uint32_t k = 0; k < block.width; ++k) {
+        for (int64_t row = 0; row < rows; ++row) {
+            V total(0.0);
+            for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry) {
+                V value(constants.template number_at<A>(action.constants, values + entry));
+                total = fma(value, source[block.columns[entry] * rows + row], total);
+            }
+            target[k * rows + row] = V(factor) * total;
+        }
+    }
+}
+
+template <class V>
+INLINE void gather(const BlockRows& block, const Vectors<V>& x) {
+    for (uint32_t k = 0; k < block.width; ++k)
+        for (int64_t row = 0; row < x.rows; ++row)
+            x.room[k * x.rows + row] = x.at[block.coordinates[k] * x.rows + row];
+}
+
+// Sine and cosine minus one of root * theta where lam < 0, of their hyperbolic kin elsewhere.
+template <class A>
+INLINE Rotation<A> cubic_rotation(const A& lam, const A& phi) {
+    auto circular = lam < A(0.0);
+    if (all(circular)) return rotation_by(phi);
+    Rotation<A> hyperbolic = hyperbolic_rotation(phi);
+    if (!any(circular)) return hyperbolic;
+    Rotation<A> turn = rotation_by(phi);
+    return {select(circular, turn.sine, hyperbolic.sine), select(circular, turn.lowered, hyperbolic.lowered)};
+}
+
+// D^3 = lam D: exp(theta D) = 1 + S D + C D^2, Rodrigues' formula where lam < 0 and its hyperbolic kin where lam > 0.
+template <Care care, class A, class V, class C>
+INLINE void cubic(const Action& action, const C& constants, uint32_t run, const A& theta, const Vectors<V>& x) {
+    const BlockRows block(action, run);
+    auto constant = [&](int64_t place) { return constants.template number_at<A>(action.constants, place); };
+    const int64_t base = block.constant, values = base + CUBIC_HEADER, squares = values + block.entries,
+                  rests = squares + block.entries;
+    const int64_t length = block.width * x.rows;
+    gather(block, x);
+    const A lam = constant(base), phi = constant(base + 1) * theta;
+    Rotation<A> turn = action.kind[run] == RATIONAL_CUBIC ? rational_rotation(phi) : cubic_rotation(lam, phi);
+    // What the constants lost by rounding is paid back: it would stretch every step alike.
+    const A s = fma(turn.sine, constant(base + 2), turn.sine * constant(base + 3));
+    const A c = fma(turn.lowered, constant(base + 4), turn.lowered * constant(base + 5));
+    const V along(s), across(c);
+    if constexpr (care == CORRECTED) {
+        // D (D x) and not D^2 x: the rounding of the entries of D^2 always pulls the same way.
+        apply_block(action, constants, block, values, x.room, A(1.0), x.room + length, x.rows);
+        apply_block(action, constants, block, values, x.room + length, A(1.0), x.room + 2 * length, x.rows);
+        const V dearth(shortfall(s, c, -lam));
+        for (uint32_t k = 0; k < block.width; ++k) {
+            int64_t i = block.coordinates[k] * x.rows;
+            for (int64_t row = 0; row < x.rows; ++row) {
+                V first = x.room[length + k * x.rows + row], second = x.room[2 * length + k * x.rows + row];
+                add_owing(x.at, x.errors, i + row, x.at[i + row], fma(along, first, across * second),
+                          x.errors[i + row], dearth * second);
+            }
+        }
+        return;
+    }
+    // Rows of D and D^2 are summed in registers, while the processor still works on the sine.
+    for (uint32_t k = 0; k < block.width; ++k) {
+        int64_t i = block.coordinates[k] * x.rows;
+        for (int64_t row = 0; row < x.rows; ++row) {
+            V first(0.0), second(0.0), rest(0.0);
+            for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry) {
+                V v = x.room[block.columns[entry] * x.rows + row];
+                first = fma(V(constant(values + entry)), v, first);
+                second = fma(V(constant(squares + entry)), v, second);
+                rest = fma(V(constant(rests + entry)), v, rest);
+            }
+            second += rest;
+            add<care>(x.at, x.errors, i + row, x.at[i + row], fma(along, first, across * second));
+        }
+    }
+}
+
+// Up to r = REACH[m - 1] the series of norm r is shortened to the degree m: r^m / (m + 1)! is below 2^-65, since what
+// is left out has one sign and would add up over the steps.
+constexpr double REACH[] = {5.42e-20, 4.03e-10, 8.66e-07, 4.24e-05, 0.000455, 0.00227, 0.00728, 0.0177, 0.0358,
+                            0.0635, 0.102, 0.153, 0.217, 0.293, 0.383, 0.485, 0.6, 0.727,
+                            0.866, 1.02};
+
+INLINE uint32_t degree_of(double r, uint32_t most) {
+    uint32_t degree = 1;
+    while (degree < most && r > REACH[degree - 1]) ++degree;
+    return degree;
+}
+
+// Where all coordinates of a block are finite: lanes of members have it each for itself.
+template <class A, class V>
+INLINE auto finite_block(const BlockRows& block, const Vectors<V>& x) {
+    V total(0.0);
+    for (uint32_t k = 0; k < block.width; ++k)
+        for (int64_t row = 0; row < x.rows; ++row) total = total + 0.0 * x.at[block.coordinates[k] * x.rows + row];
+    if constexpr (Numbers<A>::lanes == 1)
+        return all(total == V(0.0));
+    else
+        return total == V(0.0);
+}
+
+// The sum of theta^k D^k / k!: finite where D is nilpotent, else in substeps of norm at most 1.
+template <Care care, class A, class V, class C>
+NOINLINE void series(const Action& action, const C& constants, uint32_t run, const A& theta, const Vectors<V>& x) {
+    const BlockRows block(action, run);
+    const int64_t length = block.width * x.rows;
+    A step = theta, substeps(1.0), degrees(1.0);
+    const A norm = constants.template number_at<A>(action.constants, block.constant);
+    int64_t most = 1;
+    uint32_t longest = 1;
+    for (int lane = 0; lane < Numbers<A>::lanes; ++lane) {
+        double needed = std::ceil(absolute(lane_of(theta, lane)) * lane_of(norm, lane));
+        if (needed <= MOST_SUBSTEPS) {
+            double own = needed > 1.0 ? needed : 1.0;
+            const double reached = absolute(lane_of(theta, lane)) * lane_of(norm, lane) / own;
+            const uint32_t degree = reached > 0.0 ? degree_of(reached, action.degree[run]) : action.degree[run];
+            set_lane(step, lane, lane_of(theta, lane) / own);
+            set_lane(substeps, lane, own);
+            set_lane(degrees, lane, double(degree));
+            longest = std::max(longest, degree);
+            most = own > double(most) ? int64_t(own) : most;
+        } else {
+            // No step of an integration needs more; near a blow-up it would run for ever: no number, so that it stops.
+            set_lane(step, lane, NAN);
+        }
+    }
+    Hearing& hearing = Hearing::of_this_call();
+    for (int64_t done = 0; done < most; ++done) {
+        hearing.after(longest * (block.entries + block.width) * x.rows * Numbers<V>::lanes);
+        auto going = A(double(done)) < substeps;
+        // In Horner's order: added one by one, terms below half a unit in the last place would all be lost alike.
+        gather(block, x);
+        V *start = x.room, *inner = x.room + length, *total = x.room + 2 * length;
+        std::copy_n(start, length, inner);
+        for (uint32_t k = longest; k > 0; --k) {
+            apply_block(action, constants, block, block.constant + 1, inner, step / double(k), total, x.rows);
+            const auto begun = A(double(k)) <= degrees;
+            for (int64_t place = 0; k > 1 && place < length; ++place) {
+                inner[place] = start[place] + total[place];
+                if constexpr (Numbers<A>::lanes > 1) inner[place] = select(begun, inner[place], start[place]);
+            }
+        }
+        for (uint32_t k = 0; k < block.width; ++k) {
+            int64_t i = block.coordinates[k] * x.rows;
+            for (int64_t row = 0; row < x.rows; ++row) {
+                V before = x.at[i + row], error = care == PLAIN ? before : x.errors[i + row];
+                add<care == PLAIN ? PLAIN : COMPENSATED>(x.at, x.errors, i + row, before, total[k * x.rows + row]);
+                if constexpr (Numbers<A>::lanes > 1) {
+                    x.at[i + row] = select(going, x.at[i + row], before);
+                    if constexpr (care != PLAIN) x.errors[i + row] = select(going, x.errors[i + row], error);
+                }
+            }
+        }
+        if (done % BETWEEN_CHECKS != BETWEEN_CHECKS - 1) continue;
+        // What is no number stays none: the substeps that are left would only take time.
+        substeps = select(finite_block<A>(block, x), substeps, A(0.0));
+        if (!any(A(double(done)) < substeps)) return;
+    }
+}
+
+}  // namespace coadjoint

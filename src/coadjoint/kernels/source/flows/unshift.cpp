@@ -1,0 +1,341 @@
+// What a Casimir that was taken off the Hamiltonian still does to the group element: g(t) = g0 exp(t X) g_shifted(t), X
+// constant and linear in the initial momentum. The blocks of X and their kinds are in the tables, found once for a
+// system (`coadjoint.program.unshift`, which says what they are); here only numbers change.
+#include <limits>
+#include <string>
+
+#include "numbers/arithmetic.hpp"
+#include "flows/skew_planes.hpp"
+#include "boundary/tables.hpp"
+
+namespace coadjoint {
+
+#define UNSHIFT_FIELDS(_)                                                                                            \
+    _(integer, size) _(integer, dim) _(integer, blocks) _(bytes, kind) _(bytes, leaning) _(indices, order)           \
+    _(indices, begin) _(indices, coordinate) _(indices, form) _(indices, cell) _(indices, entry) _(indices, column)  \
+    _(numbers, weight) _(integers, metric) _(numbers, metrics)
+TABLE(UnshiftTables, UNSHIFT_FIELDS)
+
+// Arrays of a run, (members, n), (members, d, d), (points, members, d*d) and (points, members, d, d); which members and
+// saved points are wanted. Point k is after min(k save_every, steps) steps of length h; X acts `rate` times as fast.
+#define UNSHIFTED_FIELDS(_)                                                                                          \
+    _(numbers, momenta) _(numbers, initial) _(numbers, held) _(numbers, out) _(integer, members) _(integer, first)   \
+    _(integer, last) _(integer, k0) _(integer, k1) _(number, h) _(number, rate) _(integer, save_every)               \
+    _(integer, steps)
+TABLE(Unshifted, UNSHIFTED_FIELDS)
+
+namespace {
+
+enum Turn { NILPOTENT = 0, PLANE = 1, CUBIC = 2, PAIR = 3, SKEW = 4, GENERAL = 5 };
+
+constexpr int64_t TAYLOR = 20;   // the rest of the series, 1/21! = 2e-20, is below rounding where the norm is at most 1
+constexpr int64_t POWERS = 5;    // of D that the series is made of
+
+void add(double factor, const Matrix& from, Matrix& to) {
+    for (size_t e = 0; e < from.size(); ++e) to[e] += factor * from[e];
+}
+
+// sinh(w t)/w and (cosh(w t) - 1)/w^2 for w^2 = lam of either sign, root = |w|: t and t^2/2 where lam is 0.
+Rotation<double> entire_turn(double lam, double root, double t) {
+    const double z = lam * t * t;
+    if (absolute(z) < 0.25) {
+        const Rotation<double> series = entire_series(z);
+        return {t * series.sine, t * t * (absolute(z) < 1e-30 ? 0.5 : series.lowered / z)};
+    }
+    const Rotation<double> turn = lam < 0.0 ? rotation_by(root * t) : hyperbolic_rotation(root * t);
+    return {turn.sine / root, turn.lowered / lam};
+}
+
+// A block of X, D times a power of two, and exp(t X) - 1 of it.
+class Block {
+  public:
+    Block(const UnshiftTables& tables, int64_t b, const double* x)
+        : m(tables.begin[b + 1] - tables.begin[b]),
+          coordinates(tables.coordinate + tables.begin[b]),
+          kind(tables.kind[b]),
+          order(tables.order[b]),
+          D(m * m),
+          increment(m * m) {
+        for (uint32_t f = tables.form[b]; f < tables.form[b + 1]; ++f) {
+            double sum = 0.0;
+            for (uint32_t e = tables.entry[f]; e < tables.entry[f + 1]; ++e)
+                sum = fma(tables.weight[e], x[tables.column[e]], sum);
+            D[tables.cell[f]] = sum;
+        }
+        double largest = 0.0;
+        for (double value : D) largest = std::max(largest, absolute(value));
+        still = largest == 0.0;
+        if (still) return;
+        // No square of it over- or underflows then.
+        int exponent;
+        std::frexp(largest, &exponent);
+        exponent = std::max(exponent - 1, -1023);
+        scale = std::ldexp(1.0, exponent);
+        const double factor = std::ldexp(1.0, -exponent);
+        for (double& value : D) value *= factor;
+        if (tables.leaning[b]) lean_on(x);
+        if (kind == NILPOTENT || kind == GENERAL) find_powers();
+        if (kind == PLANE && m == 2) find_plane();
+        if (kind == CUBIC) find_cubic();
+        if (kind == PAIR) find_pair();
+        if (kind == SKEW) find_planes(tables.metric[b] < 0 ? nullptr : tables.metrics + tables.metric[b]);
+    }
+
+    // Find exp(t X) - 1.
+    void move_to(double time) {
+        if (still) return;
+        const double t = time * scale;
+        std::fill(increment.begin(), increment.end(), 0.0);
+        if (kind == NILPOTENT) {
+            double power = 1.0;
+            for (const Matrix& next : powers) add(power *= t, next, increment);
+        }
+        if (kind == PLANE) plane_at(t);
+        if (kind == CUBIC) {
+            const Rotation<double> turn = entire_turn(lam, root, t);
+            for (int64_t e = 0; e < m * m; ++e) increment[e] = fma(turn.sine, D[e], turn.lowered * powers[0][e]);
+        }
+        if (kind == PAIR) pair_at(t);
+        if (kind == SKEW) planes_at(t);
+        if (kind == GENERAL) series_at(t);
+        if (!leaned.empty()) {
+            // X leaves x where it is; rounded, it would push it away in proportion to time.
+            change.assign(m, 0.0);
+            add_product(increment.data(), leaned.data(), change.data(), m, m, 1);
+            for (int64_t j = 0; j < m; ++j)
+                for (int64_t i = 0; i < m; ++i) increment[j * m + i] -= change[i] * leaned[j];
+        }
+    }
+
+    // w += (exp(t X) - 1) v, for matrices of `size` rows and columns.
+    void apply(const double* v, double* w, int64_t size) {
+        if (still) return;
+        if (m == size) return add_product(increment.data(), v, w, m, m, size);
+        own.resize(m * size);
+        change.assign(m * size, 0.0);
+        for (int64_t j = 0; j < size; ++j)
+            for (int64_t i = 0; i < m; ++i) own[j * m + i] = v[j * size + coordinates[i]];
+        add_product(increment.data(), own.data(), change.data(), m, m, size);
+        for (int64_t j = 0; j < size; ++j)
+            for (int64_t i = 0; i < m; ++i) w[j * size + coordinates[i]] += change[j * m + i];
+    }
+
+  private:
+    const int64_t m;
+    const uint32_t* coordinates;
+    const int kind, order;
+    Matrix D, increment, leaned, own, change, left, right, turned;
+    std::vector<Matrix> powers;
+    std::vector<double> frequency;
+    double scale = 1.0, lam = 0.0, root = 0.0, mean = 0.0, other_root = 0.0;
+    bool still;
+
+    void lean_on(const double* x) {
+        double largest = 0.0;
+        for (int64_t i = 0; i < m; ++i) largest = std::max(largest, absolute(x[coordinates[i]]));
+        if (largest == 0.0) return;
+        for (int64_t i = 0; i < m; ++i) leaned.push_back(x[coordinates[i]] / largest);
+        const double length = std::sqrt(dot(leaned.data(), leaned.data(), m));
+        for (double& value : leaned) value /= length;
+    }
+
+    // D, D^2/2, D^3/6, ... up to the last that is not zero; for a series the first few powers.
+    void find_powers() {
+        powers.push_back(D);
+        for (int64_t k = 2; k <= (kind == GENERAL ? POWERS : order); ++k) {
+            powers.push_back(product(D.data(), powers.back().data(), m));
+            if (kind == NILPOTENT)
+                for (double& value : powers.back()) value /= double(k);
+        }
+    }
+
+    void find_plane() {
+        mean = 0.5 * (D[0] + D[3]);
+        D[0] = 0.5 * (D[0] - D[3]);
+        D[3] = -D[0];
+        lam = fma(D[0], D[0], D[1] * D[2]);
+        root = std::sqrt(absolute(lam));
+    }
+
+    void plane_at(double t) {
+        if (m == 1) {
+            increment[0] = growth_by(t * D[0]).beyond;
+            return;
+        }
+        const Growth<double> growth = growth_by(t * mean);
+        const Rotation<double> turn = entire_turn(lam, root, t);
+        add(growth.whole * turn.sine, D, increment);
+        const double even = fma(growth.whole, turn.lowered * lam, growth.beyond);
+        increment[0] += even;
+        increment[3] += even;
+    }
+
+    // D^3 = lam D: the eigenvalues but 0 are `order` roots of lam.
+    void find_cubic() {
+        powers.push_back(product(D.data(), D.data(), m));
+        for (int64_t i = 0; i < m; ++i) lam += powers[0][i * (m + 1)];
+        lam /= order;
+        root = std::sqrt(absolute(lam));
+    }
+
+    // The two parts of a rotation of four dimensions that commute: the square of each is a multiple of one.
+    void find_pair() {
+        const auto at = [&](int i, int j) { return D[4 * j + i]; };
+        for (double s : {1.0, -1.0}) {
+            const double a = 0.5 * (at(0, 1) + s * at(2, 3)), b = 0.5 * (at(0, 2) - s * at(1, 3)),
+                         c = 0.5 * (at(0, 3) + s * at(1, 2));
+            (s > 0.0 ? root : other_root) = std::sqrt(fma(a, a, fma(b, b, c * c)));
+            powers.push_back({0, -a, -b, -c, a, 0, -s * c, s * b, b, s * c, 0, -s * a, c, -s * b, s * a, 0});
+        }
+        powers.push_back(product(powers[0].data(), powers[1].data(), 4));
+    }
+
+    void pair_at(double t) {
+        const auto turn_by = [t](double rate) {
+            const Rotation<double> turn = rotation_by(rate * t);
+            return Rotation<double>{rate > 0.0 ? turn.sine / rate : t, turn.lowered};
+        };
+        const Rotation<double> one = turn_by(root), other = turn_by(other_root);
+        add(one.sine * (1.0 + other.lowered), powers[0], increment);
+        add(other.sine * (1.0 + one.lowered), powers[1], increment);
+        add(one.sine * other.sine, powers[2], increment);
+        const double even = one.lowered + other.lowered + one.lowered * other.lowered;
+        for (int i = 0; i < 4; ++i) increment[5 * i] += even;
+    }
+
+    // Where a metric L L^T is kept, L^T D L^-T is the skew matrix.
+    void find_planes(const double* metric) {
+        Matrix skew = D;
+        if (metric) {
+            skew = product(product(metric, D.data(), m).data(), metric + m * m, m);
+            for (int64_t j = 0; j < m; ++j)
+                for (int64_t i = 0; i <= j; ++i) {
+                    const double half = 0.5 * (skew[j * m + i] - skew[i * m + j]);
+                    skew[j * m + i] = half;
+                    skew[i * m + j] = -half;
+                }
+        }
+        SkewPlanes planes = SkewPlanesOf(std::move(skew), m)();
+        frequency = std::move(planes.frequency);
+        left = std::move(planes.vectors);
+        const int64_t count = 2 * int64_t(frequency.size());
+        right.resize(m * count);
+        turned.resize(m * count);
+        for (int64_t c = 0; c < count; ++c)
+            for (int64_t j = 0; j < m; ++j)
+                // Row j of L, times a vector; without a metric the vector itself.
+                right[j * count + c] = metric ? dot(metric + j * m, &left[c * m], m) : left[c * m + j];
+        if (metric) {
+            Matrix back(left.size());
+            add_product(metric + m * m, left.data(), back.data(), m, m, count);
+            left = std::move(back);
+        }
+    }
+
+    void planes_at(double t) {
+        const int64_t pairs = int64_t(frequency.size()), count = 2 * pairs;
+        for (int64_t p = 0; p < pairs; ++p) {
+            const Rotation<double> turn = rotation_by(frequency[p] * t);
+            for (int64_t j = 0; j < m; ++j) {
+                const double u = right[j * count + 2 * p], w = right[j * count + 2 * p + 1];
+                turned[j * count + 2 * p] = fma(turn.lowered, u, -(turn.sine * w));
+                turned[j * count + 2 * p + 1] = fma(turn.lowered, w, turn.sine * u);
+            }
+        }
+        add_product(left.data(), turned.data(), increment.data(), m, count, m);
+    }
+
+    // Taylor's series of exp(t D / 2^k) - 1 in powers of the fifth power of D, and k squarings.
+    void series_at(double t) {
+        double norm = 0.0;
+        for (int64_t j = 0; j < m; ++j) {
+            double sum = 0.0;
+            for (int64_t i = 0; i < m; ++i) sum += absolute(D[j * m + i]);
+            norm = std::max(norm, sum);
+        }
+        norm *= absolute(t);
+        if (!(norm <= std::numeric_limits<double>::max())) {
+            std::fill(increment.begin(), increment.end(), std::numeric_limits<double>::quiet_NaN());
+            return;
+        }
+        int squarings;
+        std::frexp(norm, &squarings);
+        squarings = std::max(squarings, 0);
+        const double fraction = std::ldexp(t, -squarings);
+        double coefficient[TAYLOR + 1] = {1.0};
+        for (int64_t k = 1; k <= TAYLOR; ++k) coefficient[k] = coefficient[k - 1] * fraction / double(k);
+        Matrix next(m * m);
+        for (int64_t group = TAYLOR / POWERS; group >= 0; --group) {
+            std::fill(next.begin(), next.end(), 0.0);
+            for (int64_t k = POWERS - 1; k > 0; --k)
+                if (group * POWERS + k <= TAYLOR) add(coefficient[group * POWERS + k], powers[k - 1], next);
+            if (group)
+                for (int64_t i = 0; i < m; ++i) next[i * (m + 1)] += coefficient[group * POWERS];
+            add_product(powers[POWERS - 1].data(), increment.data(), next.data(), m, m, m);
+            increment.swap(next);
+        }
+        for (int k = 0; k < squarings; ++k) {
+            // (1 + F)^2 - 1
+            std::transform(increment.begin(), increment.end(), next.begin(), [](double value) { return 2.0 * value; });
+            add_product(increment.data(), increment.data(), next.data(), m, m, m);
+            increment.swap(next);
+        }
+    }
+};
+
+bool is_unit(const double* g, int64_t size) {
+    for (int64_t e = 0; e < size * size; ++e)
+        if (g[e] != (e % (size + 1) ? 0.0 : 1.0)) return false;
+    return true;
+}
+
+void transpose(const double* from, double* to, int64_t size) {
+    for (int64_t i = 0; i < size; ++i)
+        for (int64_t j = 0; j < size; ++j) to[i * size + j] = from[j * size + i];
+}
+
+}  // namespace
+
+// The group elements of a run from those of its loop. What was given is left to the bit at the start.
+EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run) {
+    const int64_t d = tables->size, square = d * d;
+    Matrix moved(square), placed, before;
+    std::vector<Block> blocks;
+    blocks.reserve(tables->blocks);
+    for (int64_t member = run->first; member < run->last; ++member) {
+        blocks.clear();
+        for (int64_t b = 0; b < tables->blocks; ++b)
+            blocks.emplace_back(*tables, b, run->momenta + member * tables->dim);
+        const double* initial = run->initial + member * square;
+        const bool unit = is_unit(initial, d);
+        if (!unit) {
+            before.resize(square);
+            transpose(initial, before.data(), d);
+        }
+        for (int64_t k = run->k0; k < run->k1; ++k) {
+            const int64_t step = std::min(k * run->save_every, run->steps), here = (k * run->members + member) * square;
+            if (step == 0) {
+                std::copy_n(initial, square, run->out + here);
+                continue;
+            }
+            const double* group = run->held + here;
+            std::copy_n(group, square, moved.begin());
+            for (Block& block : blocks) {
+                block.move_to(run->rate * (double(step) * run->h));
+                block.apply(group, moved.data(), d);
+            }
+            if (!unit) {
+                placed.assign(square, 0.0);
+                add_product(before.data(), moved.data(), placed.data(), d, d, d);
+            }
+            transpose(unit ? moved.data() : placed.data(), run->out + here, d);
+        }
+    }
+}
+
+EXPORT const char* unshift_fields() {
+    static const std::string all = std::string(UnshiftTables_fields) + Unshifted_fields;
+    return all.c_str();
+}
+
+}  // namespace coadjoint

@@ -1,0 +1,101 @@
+// Large linear systems without a matrix: restarted GMRES, in a fixed order of operations.
+#pragma once
+
+#include <cmath>
+#include <vector>
+
+#include "boundary/hearing.hpp"
+#include "numbers/lanes.hpp"
+
+namespace coadjoint {
+
+constexpr int64_t RESTART = 24;     // vectors that are kept
+constexpr int64_t CYCLES = 16;
+constexpr double REDUCTION = 0x1p-26;  // of the residual: what is left is taken off by the next correction
+
+struct Krylov {
+    int64_t size;
+    std::vector<double> basis, residual, hessenberg, cosine, sine, right;
+
+    explicit Krylov(int64_t size)
+        : size(size), basis((RESTART + 1) * size), residual(size), hessenberg((RESTART + 1) * RESTART), cosine(RESTART),
+          sine(RESTART), right(RESTART + 1) {}
+
+    static double dot(const double* a, const double* b, int64_t size) {
+        Lanes<8> sum(0.0);
+        int64_t i = 0;
+        for (; i + 8 <= size; i += 8) sum = fma(load<Lanes<8>>(a + i), load<Lanes<8>>(b + i), sum);
+        double total = 0.0;
+        for (int lane = 0; lane < 8; ++lane) total += sum[lane];
+        for (; i < size; ++i) total = fma(a[i], b[i], total);
+        return total;
+    }
+
+    // Overwrite the right-hand side r by an approximate solution y of operate(y) = r; false if it is not found.
+    template <class Operate>
+    bool solve(double* r, Operate operate) {
+        std::vector<double> y(size, 0.0), image(size);
+        std::copy_n(r, size, residual.begin());
+        const double goal = REDUCTION * std::sqrt(dot(r, r, size));
+        for (int64_t cycle = 0; cycle < CYCLES; ++cycle) {
+            const double norm = std::sqrt(dot(residual.data(), residual.data(), size));
+            if (!(norm - norm == 0.0)) return false;
+            if (norm <= goal) {
+                std::copy_n(y.begin(), size, r);
+                return true;
+            }
+            const int64_t count = build(norm, goal, operate);
+            std::vector<double> weights(count);
+            for (int64_t i = count - 1; i >= 0; --i) {
+                double total = right[i];
+                for (int64_t k = i + 1; k < count; ++k) total = fma(-at(i, k), weights[k], total);
+                weights[i] = total / at(i, i);
+            }
+            for (int64_t k = 0; k < count; ++k)
+                for (int64_t i = 0; i < size; ++i) y[i] = fma(weights[k], basis[k * size + i], y[i]);
+            operate(y.data(), image.data());
+            for (int64_t i = 0; i < size; ++i) residual[i] = r[i] - image[i];
+        }
+        return false;
+    }
+
+  private:
+    double& at(int64_t row, int64_t column) { return hessenberg[column * (RESTART + 1) + row]; }
+
+    // An orthonormal basis by modified Gram-Schmidt; returns how many vectors it took to reach the goal.
+    template <class Operate>
+    int64_t build(double norm, double goal, Operate operate) {
+        for (int64_t i = 0; i < size; ++i) basis[i] = residual[i] / norm;
+        std::fill(right.begin(), right.end(), 0.0);
+        right[0] = norm;
+        for (int64_t k = 0; k < RESTART; ++k) {
+            Hearing::of_this_call().after((k + 2) * size);
+            double* next = basis.data() + (k + 1) * size;
+            operate(basis.data() + k * size, next);
+            for (int64_t j = 0; j <= k; ++j) {
+                const double* old = basis.data() + j * size;
+                const double along = dot(next, old, size);
+                at(j, k) = along;
+                for (int64_t i = 0; i < size; ++i) next[i] = fma(-along, old[i], next[i]);
+            }
+            const double left = std::sqrt(dot(next, next, size));
+            for (int64_t j = 0; j < k; ++j) {
+                const double above = at(j, k), below = at(j + 1, k);
+                at(j, k) = fma(cosine[j], above, sine[j] * below);
+                at(j + 1, k) = fma(-sine[j], above, cosine[j] * below);
+            }
+            const double whole = std::sqrt(fma(at(k, k), at(k, k), left * left));
+            if (!(whole > 0.0)) return k;
+            cosine[k] = at(k, k) / whole;
+            sine[k] = left / whole;
+            at(k, k) = whole;
+            right[k + 1] = -sine[k] * right[k];
+            right[k] = cosine[k] * right[k];
+            if (!(std::fabs(right[k + 1]) > goal)) return k + 1;
+            for (int64_t i = 0; i < size; ++i) next[i] /= left;
+        }
+        return RESTART;
+    }
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,251 @@
+// Numbers of the kernels: a double, or lanes of doubles side by side. Every kernel is written once for both.
+//
+// The same operations in the same order on every lane, and no contraction by the compiler: a trajectory has the same
+// bits alone, as one lane of a crowd, and on every processor.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+
+#if defined(__AVX512F__) || defined(__AVX2__)
+#include <immintrin.h>
+#endif
+
+namespace coadjoint {
+
+#define INLINE __attribute__((always_inline)) inline
+#define NOINLINE __attribute__((noinline))
+
+#if defined(__AVX512F__)
+constexpr int NATIVE = 8;
+#elif defined(__AVX2__)
+constexpr int NATIVE = 4;
+#else
+constexpr int NATIVE = 2;
+#endif
+
+template <int width>
+struct Registers;
+#define REGISTERS(width)                                                \
+    template <>                                                         \
+    struct Registers<width> {                                           \
+        typedef double Vector __attribute__((vector_size(8 * width)));  \
+        typedef int64_t Bits __attribute__((vector_size(8 * width)));   \
+        typedef uint64_t Unsigned __attribute__((vector_size(8 * width))); \
+    };
+REGISTERS(2)
+REGISTERS(4)
+REGISTERS(8)
+
+template <int N>
+struct Lanes {
+    static constexpr int width = N < NATIVE ? N : NATIVE;
+    static constexpr int count = N / width;
+    static_assert(count == 1 || count == 2 || count == 4 || count == 8, "EACH is written out for these");
+    typedef typename Registers<width>::Vector Vector;
+    typedef typename Registers<width>::Bits Bits;
+    typedef typename Registers<width>::Unsigned Unsigned;
+
+    struct Mask {
+        Bits part[count];
+    };
+
+    Vector part[count];
+
+    INLINE Lanes() = default;
+    INLINE Lanes(double value) {
+        // Minus zero, which the compiler knows to change nothing; plus zero would change -0.
+        for (int k = 0; k < count; ++k) part[k] = value - Vector{};
+    }
+    INLINE double operator[](int lane) const { return part[lane / width][lane % width]; }
+    INLINE void set(int lane, double value) { part[lane / width][lane % width] = value; }
+
+// Written out and not a loop, so that the parts become registers at once.
+#define PART(place, statement)  \
+    {                           \
+        constexpr int k = place; \
+        statement;              \
+    }
+#define EACH(statement)                                                                     \
+    PART(0, statement)                                                                      \
+    if constexpr (count > 1) PART(1, statement)                                             \
+    if constexpr (count > 2) { PART(2, statement) PART(3, statement) }                      \
+    if constexpr (count > 4) { PART(4, statement) PART(5, statement) PART(6, statement) PART(7, statement) }
+#define BINARY(Result, Given, symbol)                                      \
+    INLINE friend Result operator symbol(const Given& a, const Given& b) { \
+        Result c;                                                          \
+        EACH(c.part[k] = a.part[k] symbol b.part[k])                       \
+        return c;                                                          \
+    }
+    BINARY(Lanes, Lanes, +)
+    BINARY(Lanes, Lanes, -)
+    BINARY(Lanes, Lanes, *)
+    BINARY(Lanes, Lanes, /)
+    BINARY(Mask, Lanes, <)
+    BINARY(Mask, Lanes, <=)
+    BINARY(Mask, Lanes, ==)
+    BINARY(Mask, Mask, &)
+    BINARY(Mask, Mask, |)
+    INLINE friend Lanes operator-(const Lanes& a) { Lanes c; EACH(c.part[k] = -a.part[k]) return c; }
+    INLINE Lanes& operator+=(const Lanes& b) { return *this = *this + b; }
+    INLINE Lanes& operator-=(const Lanes& b) { return *this = *this - b; }
+    INLINE Lanes& operator*=(const Lanes& b) { return *this = *this * b; }
+    INLINE friend Mask operator>(const Lanes& a, const Lanes& b) { return b < a; }
+    INLINE friend Mask operator>=(const Lanes& a, const Lanes& b) { return b <= a; }
+    INLINE friend Mask operator!(const Mask& a) { Mask c; EACH(c.part[k] = ~a.part[k]) return c; }
+
+    INLINE friend Lanes select(const Mask& where, const Lanes& a, const Lanes& b) {
+        Lanes c;
+        EACH(c.part[k] = where.part[k] ? a.part[k] : b.part[k])
+        return c;
+    }
+    INLINE friend bool any(const Mask& mask) {
+        Bits together = mask.part[0];
+        EACH(together |= mask.part[k])
+        return some(together);
+    }
+    INLINE friend bool all(const Mask& mask) {
+        Bits together = mask.part[0];
+        EACH(together &= mask.part[k])
+        return !some(~together);
+    }
+    INLINE friend bool at(const Mask& mask, int lane) { return mask.part[lane / width][lane % width] != 0; }
+    INLINE friend Lanes fma(const Lanes& a, const Lanes& b, const Lanes& c) {
+        Lanes d;
+        EACH(d.part[k] = fused(a.part[k], b.part[k], c.part[k]))
+        return d;
+    }
+    INLINE friend Lanes absolute(const Lanes& a) {
+        Lanes b;
+        EACH(b.part[k] = (Vector)((Bits)a.part[k] & INT64_MAX))
+        return b;
+    }
+    // The last bits of a number that was rounded to an integer by adding 1.5 * 2^52.
+    INLINE friend Mask odd_bit(const Lanes& rounded, int bit, int added) {
+        Mask c;
+        EACH(c.part[k] = ((((Unsigned)rounded.part[k] + uint64_t(added)) >> bit) & 1) != 0)
+        return c;
+    }
+    // The largest lane, where every lane is a number.
+    INLINE friend double largest_lane(const Lanes& a) {
+        Vector most = a.part[0];
+        EACH(most = most < a.part[k] ? a.part[k] : most)
+#if defined(__AVX512F__)
+        if constexpr (width == 8) return _mm512_reduce_max_pd((__m512d)most);
+#endif
+        double result = most[0];
+        for (int lane = 1; lane < width; ++lane) result = result < most[lane] ? most[lane] : result;
+        return result;
+    }
+    // 2^k, from k + 1.5 * 2^52.
+    INLINE friend Lanes power_of_two(const Lanes& rounded) {
+        Lanes c;
+        EACH(c.part[k] = (Vector)(((Unsigned)rounded.part[k] << 52) + (uint64_t(1023) << 52)))
+        return c;
+    }
+    template <class Function>
+    INLINE friend Lanes map(const Lanes& a, Function function) {
+        Lanes b;
+        for (int lane = 0; lane < N; ++lane) b.set(lane, function(a[lane]));
+        return b;
+    }
+#undef BINARY
+#undef EACH
+#undef PART
+
+  private:
+    INLINE static bool some(Bits bits) {
+#if defined(__AVX512F__)
+        if constexpr (width == 8) return _mm512_test_epi64_mask((__m512i)bits, (__m512i)bits) != 0;
+#endif
+#if defined(__AVX2__)
+        if constexpr (width == 4) return _mm256_movemask_pd((__m256d)bits) != 0;
+        if constexpr (width == 2) return _mm_movemask_pd((__m128d)bits) != 0;
+#endif
+        int64_t total = 0;
+        for (int lane = 0; lane < width; ++lane) total |= bits[lane];
+        return total != 0;
+    }
+    INLINE static Vector fused(Vector a, Vector b, Vector c) {
+#if defined(__AVX512F__)
+        if constexpr (width == 8) return (Vector)_mm512_fmadd_pd((__m512d)a, (__m512d)b, (__m512d)c);
+#endif
+#if defined(__AVX2__)
+        if constexpr (width == 4) return (Vector)_mm256_fmadd_pd((__m256d)a, (__m256d)b, (__m256d)c);
+        if constexpr (width == 2) return (Vector)_mm_fmadd_pd((__m128d)a, (__m128d)b, (__m128d)c);
+#endif
+        return fused_by_lane(a, b, c);
+    }
+    // Without the instruction each lane is a call: not many times in every loop.
+    NOINLINE static Vector fused_by_lane(Vector a, Vector b, Vector c) {
+        Vector d{};
+        for (int lane = 0; lane < width; ++lane) d[lane] = __builtin_fma(a[lane], b[lane], c[lane]);
+        return d;
+    }
+};
+
+// The same verbs for one number.
+INLINE double fma(double a, double b, double c) { return __builtin_fma(a, b, c); }
+INLINE double select(bool where, double a, double b) { return where ? a : b; }
+INLINE bool any(bool mask) { return mask; }
+INLINE bool all(bool mask) { return mask; }
+INLINE bool at(bool mask, int) { return mask; }
+INLINE double absolute(double a) { return __builtin_fabs(a); }
+INLINE bool odd_bit(double rounded, int bit, int added) {
+    uint64_t bits;
+    std::memcpy(&bits, &rounded, 8);
+    return (((bits + uint64_t(added)) >> bit) & 1) != 0;
+}
+INLINE double power_of_two(double rounded) {
+    uint64_t bits;
+    std::memcpy(&bits, &rounded, 8);
+    bits = (bits << 52) + (uint64_t(1023) << 52);
+    std::memcpy(&rounded, &bits, 8);
+    return rounded;
+}
+template <class Function>
+INLINE double map(double a, Function function) { return function(a); }
+INLINE double lane_of(double a, int) { return a; }
+INLINE void set_lane(double& a, int, double value) { a = value; }
+
+template <int N>
+INLINE double lane_of(const Lanes<N>& a, int lane) { return a[lane]; }
+template <int N>
+INLINE void set_lane(Lanes<N>& a, int lane, double value) { a.set(lane, value); }
+
+template <class A>
+struct Numbers {
+    static constexpr int lanes = 1;
+    typedef bool Mask;
+};
+template <int N>
+struct Numbers<Lanes<N>> {
+    static constexpr int lanes = N;
+    typedef typename Lanes<N>::Mask Mask;
+};
+
+// Doubles that follow each other in memory, one for each lane.
+template <class A>
+INLINE A load(const double* from) {
+    A a;
+    std::memcpy(&a, from, sizeof(A));
+    return a;
+}
+template <class A>
+INLINE void store(double* to, const A& a) { std::memcpy(to, &a, sizeof(A)); }
+
+// Set sum to old + increment, and owed to what rounding leaves of that.
+template <class A>
+INLINE void add_owing_rest(const A& old, const A& increment, A& sum, A& owed) {
+    const A now = old + increment, kept = now - old;
+    owed = (old - (now - kept)) + (increment - kept);
+    sum = now;
+}
+
+template <class A>
+INLINE A smaller(const A& a, const A& b) { return select(b < a, b, a); }
+template <class A>
+INLINE A larger(const A& a, const A& b) { return select(a < b, b, a); }
+
+}  // namespace coadjoint

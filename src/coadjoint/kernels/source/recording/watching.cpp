@@ -1,0 +1,93 @@
+// How a run begins and whether it went well, functions along saved points, and the tables as they are laid out.
+#include <string>
+
+#include "boundary/crew.hpp"
+
+namespace coadjoint {
+
+constexpr int64_t LOOKED_AFTER = int64_t(1) << 16;  // numbers that are filled without listening
+
+// Put one value in the rows of the members first to last - 1, in each of the planes.
+static void fill(double* at, int64_t planes, int64_t members, int64_t first, int64_t last, int64_t length,
+                 double value) {
+    // Of all members at once the planes are one piece.
+    const bool whole = last - first == members;
+    const int64_t pieces = whole ? 1 : planes, all = (whole ? planes * members : last - first) * length;
+    for (int64_t piece = 0; piece < pieces; ++piece) {
+        double* from = at + (piece * members + first) * length;
+        for (int64_t done = 0, count; done < all; done += count) {
+            count = std::min(all - done, LOOKED_AFTER);
+            std::fill_n(from + done, count, value);
+            Hearing::of_this_call().after(count);
+        }
+    }
+}
+
+void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, const Crew& crew) {
+    const Saves& saves = arrays.saves;
+    const State& state = arrays.state;
+    const Report& report = arrays.report;
+    if (crew.first >= crew.last) return;
+    const auto blank = [&](double* at, int64_t planes, int64_t length, double value) {
+        fill(at, planes, saves.members, crew.members[crew.first], crew.members[crew.last - 1] + 1, length, value);
+    };
+    // What nothing is saved in stays NaN, and says so.
+    blank(saves.x, arrays.points, state.size, NAN);
+    blank(saves.group, arrays.points, state.square, NAN);
+    blank(saves.values, arrays.points, watch.size, NAN);
+    blank(saves.worst, 1, TENTHS * watch.size, 0.0);
+    blank(state.errors, 1, state.size, 0.0);
+    blank(state.group_errors, 1, state.square, 0.0);
+    blank(state.memory, 1, state.remembered, NAN);
+    std::vector<double> y(watch.longest + 1), room(2 * watch.longest + 2);
+    const int64_t work = work_of_terms(watch.terms, 0, watch.terms.size) + 64 + state.size + state.square;
+    for (int64_t place = crew.first; place < crew.last; ++place) {
+        Hearing::of_this_call().after(work);
+        const int64_t member = crew.members[place];
+        report.status[member] = DONE;
+        report.step[member] = report.evaluations[member] = report.iterations[member] = 0;
+        report.residual[member] = NAN;
+        const double* x = state.momenta + member * state.size;
+        for (int64_t i = 0; i < watch.size; ++i) {
+            const double value =
+                crew.stride ? value_of(watch, Own{crew.stride, place}, i, x, schedule.t0, y.data(), room.data())
+                            : value_of(watch, Shared{}, i, x, schedule.t0, y.data(), room.data());
+            note_value(saves, watch.size, i, 0.0, member, 0, 0, 0, value);
+        }
+        save_state(saves, member, 0, state.size, x, 0);
+        std::copy_n(state.groups + member * state.square, state.square, saves.group + member * state.square);
+    }
+}
+
+int64_t wrong(const Watch& watch, const Arrays& arrays, const Crew& crew, bool ended) {
+    const Saves& saves = arrays.saves;
+    int64_t found = 0;
+    for (int64_t place = crew.first; place < crew.last; ++place) {
+        Hearing::of_this_call().after(ended ? 4 * arrays.points : 1);
+        const int64_t member = crew.members[place];
+        bool sound = arrays.report.status[member] == DONE;
+        for (int64_t point = 0; ended && sound && point < arrays.points; ++point)
+            sound = std::isfinite(saves.values[(point * saves.members + member) * watch.size]);
+        found += !sound;
+    }
+    return found;
+}
+
+// Fill out (points, members, I) with functions at saved points (points, members, n).
+EXPORT void watch_values(const Watch* watch, const double* x, const double* times, int64_t points, int64_t members,
+                         int64_t size, double* out) {
+    std::vector<double> y(watch->longest + 1), room(2 * watch->longest + 2);
+    for (int64_t here = 0; here < points * members; ++here)
+        for (int64_t i = 0; i < watch->size; ++i)
+            out[here * watch->size + i] = value_of(*watch, Shared{}, i, x + here * size, times[here / members],
+                                                   y.data(), room.data());
+}
+
+EXPORT const char* table_fields() {
+    static const std::string all = std::string(Terms_fields) + Action_fields + FlowTables_fields + Watch_fields +
+                                   Extent_fields + Schedule_fields + Field_fields + GroupField_fields +
+                                   RungeKuttaTables_fields + StepTables_fields + Stepping_fields;
+    return all.c_str();
+}
+
+}  // namespace coadjoint

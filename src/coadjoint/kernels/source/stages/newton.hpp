@@ -1,0 +1,74 @@
+// Stages by linear systems for their corrections: simplified Newton, and what is linear from the start.
+#pragma once
+
+#include <limits>
+
+#include "numbers/banded.hpp"
+#include "numbers/krylov.hpp"
+#include "numbers/linear_solve.hpp"
+#include "stages/stagnation.hpp"
+
+namespace coadjoint {
+
+constexpr int64_t MOST_CORRECTIONS = 50;
+constexpr double SLUGGISH = 0.25;  // of the correction before: then the factors are renewed
+constexpr double SETTLING = 0x1p-40;  // of the size of the stages: below it what falls no further is round-off
+
+// Correct the points of one trajectory until corrections, which Newton's method more than halves, do so no longer:
+// `evaluate` sets the slopes at the points, `solve` turns the defect, stage after stage, into a correction, and `renew`
+// is called where corrections fall slowly. With `enough` it is done after so many of them: what is linear is solved by
+// the first, and refined by the second.
+template <class Layout, class Evaluate, class Solve, class Renew>
+NOINLINE Outcome<double> correct(Unknowns<Layout>& y, Evaluate evaluate, Solve solve, Renew renew,
+                                 int64_t enough = 0) {
+    const int64_t s = y.stages, m = y.size;
+    std::vector<double> defect(s * m);
+    Outcome<double> outcome{false, 0.0, std::numeric_limits<double>::infinity()};
+    double before = std::numeric_limits<double>::infinity(), least = before;
+    int64_t quiet = 0;
+    for (int64_t passed = 1; passed <= MOST_CORRECTIONS; ++passed) {
+        Hearing::of_this_call().after(y.work);
+        evaluate();
+        outcome.iterations = double(passed);
+        for (int64_t b = 0; b < y.blocks; ++b)
+            mix_each<Layout>(y.mix + b * s, s, y.slopes.at, m, y.error, [&](int64_t c, const typename Layout::A& sum) {
+                y.change.at[b * m + c] = (Layout::spread(y.base[c]) - y.points.at[b * m + c]) + sum;
+            });
+        for (int64_t i = 0; i < s; ++i)
+            for (int64_t c = 0; c < m; ++c) defect[i * m + c] = Layout::at(y.change.at, m, c, i);
+        if (!solve(defect.data())) return outcome;
+        double largest = 0.0, size = 0.0, spoilt = 0.0;
+        for (int64_t i = 0; i < s; ++i) {
+            double moved = 0.0, extent = 0.0;
+            for (int64_t c = 0; c < m; ++c) {
+                const double change = defect[i * m + c], point = Layout::at(y.points.at, m, c, i) + change;
+                Layout::put(y.points.at, m, c, i, point);
+                moved += absolute(change);
+                extent += absolute(point);
+                spoilt += 0.0 * point;
+            }
+            largest = larger(largest, moved);
+            size = larger(size, extent);
+        }
+        Layout::repeat_last(y.points.at, m, s);
+        if (!(spoilt == 0.0)) return outcome;
+        outcome.residual = largest;
+        if (passed == enough) {
+            evaluate();
+            outcome.settled = true;
+            return outcome;
+        }
+        const bool small = largest <= SETTLING * size;
+        quiet = largest <= 0.5 * least || !small ? 0 : quiet + 1;
+        least = smaller(least, largest);
+        if (largest == 0.0 || quiet == 2) {
+            outcome.settled = true;
+            return outcome;
+        }
+        if (enough == 0 && !small && largest > SLUGGISH * before && !renew()) return outcome;
+        before = largest;
+    }
+    return outcome;
+}
+
+}  // namespace coadjoint

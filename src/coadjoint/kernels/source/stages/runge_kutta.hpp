@@ -1,0 +1,280 @@
+// The stages of one step of a Runge-Kutta method: explicit, iterated, implicit, and linear in the last iterate.
+#pragma once
+
+#include "numbers/linear_solve.hpp"
+#include "stages/brackets.hpp"
+
+namespace coadjoint {
+
+constexpr int64_t EXPLICIT = 0, ITERATED = 1, IMPLICIT = 2, STRUCTURE = 3, GRADIENT = 4;
+constexpr int64_t NOT_FROZEN = -1;
+constexpr int64_t REFINED = 3;  // evaluations of a linear system: before the solution, before one refinement, and after
+
+template <class Layout, class C>
+struct Stages {
+    typedef typename Layout::A A;
+    typedef typename Layout::V V;
+    typedef typename Layout::Coefficient Coefficient;
+    typedef typename Numbers<V>::Mask Mask;
+    static constexpr bool alone = Numbers<V>::lanes == 1;
+    static constexpr int lanes = Numbers<A>::lanes;
+
+    const RungeKuttaTables& tables;
+    const C constants;
+    const Field& field;
+    const GroupField& group;
+    const int64_t n, s, d, blocks;
+    const Known algebra;
+    Room<Coefficient> mix, node, scale, forecast;
+    Unknowns<Layout> p, g;
+    Room<A> gradients, kept, frozen, times, lengths, matrices;
+    Room<V> system, pivots, right, trusted;
+    FieldRoom<A> room;
+    V iterations{0.0}, residual{0.0};
+
+    Stages(const RungeKuttaTables& tables, const C& constants)
+        : tables(tables), constants(constants), field(tables.field), group(tables.group), n(field.size),
+          s(tables.stages), d(group.size), blocks(Layout::blocks(s)),
+          algebra(blocks == 1 ? known() : Known::NONE), mix(blocks * s),
+          node(blocks), scale(blocks),
+          forecast(tables.solver == IMPLICIT ? tables.substeps * blocks * s : 0), p(s, n, mix.at), g(s, d * d, mix.at),
+          gradients(blocks * n), kept(alone ? 0 : blocks * n), frozen(tables.solver >= STRUCTURE ? blocks * n : 0),
+          times(blocks), lengths(blocks), matrices(tables.direct ? blocks * widest() * widest() : 0),
+          system(edge() * edge()), pivots(edge()), right(edge() * std::max<int64_t>(d, 1)),
+          trusted(tables.substeps), room(field) {
+        p.work += s * work_of(field);
+        g.work += s * d * group.entries;
+        Layout::lay_out(tables.mix, s, s, mix.at);
+        Layout::lay_out(tables.node, s, 1, node.at);
+        Layout::lay_out(tables.scale, s, 1, scale.at);
+        if (tables.solver == IMPLICIT)
+            for (int64_t part = 0; part < tables.substeps; ++part)
+                Layout::lay_out(tables.forecast + part * s * s, s, s, forecast.at + part * blocks * s);
+    }
+
+    // Many stages do not fit into registers.
+    Known known() const {
+        if constexpr (Layout::side_by_side && lanes <= 8) return known_algebra(field, constants);
+        return Known::NONE;
+    }
+    int64_t widest() const { return std::max(n, d); }
+    int64_t edge() const { return tables.direct ? s * widest() : 0; }
+
+    // Find the slopes of the momentum and of the group element for a substep that starts at time t; returns where they
+    // were found. What is not found for a member of a crowd is to be sought for it alone, by `solve_alone`.
+    Mask solve(double t, double h, int64_t part, Mask going) {
+        begin(t, h);
+        if (tables.solver == IMPLICIT) {
+            remember();
+            p.start_ahead(forecast.at + part * blocks * s);
+            Mask found = settle_momentum(going, trusted.at[part], &trusted.at[part]);
+            if (d == 0) return found;
+            g.start_ahead(forecast.at + part * blocks * s);
+            return settle_group(found);
+        }
+        p.start_at_base();
+        Mask found = tables.solver == EXPLICIT ? one_by_one(going) : pass(going);
+        if (d == 0) return found;
+        g.start_at_base();
+        if (tables.solver == EXPLICIT) return group_one_by_one(found);
+        return tables.direct ? group_direct(found) : settle_group(found);
+    }
+
+    void begin(double t, double h) {
+        for (int64_t b = 0; b < blocks; ++b) {
+            times.at[b] = fma(A(node.at[b]), A(h), A(t));
+            lengths.at[b] = A(h) * A(scale.at[b]);
+        }
+    }
+
+    void remember() {
+        std::swap(p.before.at, p.slopes.at);
+        std::swap(g.before.at, g.slopes.at);
+    }
+
+    template <int64_t freeze>
+    INLINE void evaluate(int64_t low, int64_t high) {
+        for (int64_t b = low; b < high; ++b) {
+            const auto& own = Layout::constants(constants, b, s);
+            A *x = p.points.at + b * n, *u = gradients.at + b * n;
+            if constexpr (freeze != GRADIENT) gradient(field, own, x, times.at[b], u, room);
+            const A* momentum = freeze == STRUCTURE ? frozen.at + b * n : x;
+            product(field, own, momentum, u, lengths.at[b], p.slopes.at + b * n, room);
+        }
+    }
+
+    NOINLINE void evaluate_all() { evaluate<NOT_FROZEN>(0, blocks); }
+
+    // Iterate, the first `trust` iterations unwatched, and tell where it was found how many the next step may trust.
+    Mask settle_momentum(Mask going, const V& trust, V* next) {
+        if constexpr (Layout::side_by_side && lanes <= 8) switch (algebra) {
+                case Known::TRIAD: return settle_bracket<Triad, false>(trust, next);
+                case Known::SO3: return settle_bracket<So3, false>(trust, next);
+                case Known::SO3_FULL: return settle_bracket<So3, true>(trust, next);
+                case Known::E3: return settle_bracket<E3, false>(trust, next);
+                case Known::E3_FULL: return settle_bracket<E3, true>(trust, next);
+                case Known::SO4: return settle_bracket<So4, false>(trust, next);
+                case Known::SO4_FULL: return settle_bracket<So4, true>(trust, next);
+                case Known::NONE: break;
+            }
+        if constexpr (Layout::side_by_side)
+            if (blocks == 1) return settle_blocks<1>(going, trust, next);
+        return settle_blocks<0>(going, trust, next);
+    }
+
+    // One block is worth a loop of its own.
+    template <int64_t known>
+    NOINLINE Mask settle_blocks(Mask going, const V& trust, V* next) {
+        const int64_t count = known ? known : blocks;
+        // Too large for the compiler to inline unasked.
+        auto iterate = [&](auto watched) __attribute__((always_inline)) {
+            evaluate<NOT_FROZEN>(0, count);
+            p.template restage<decltype(watched)::value>(0, count, s);
+        };
+        const auto outcome = settle_by(p, going, count, n, trust, iterate,
+                                       [&](const Mask& over, bool last) { keep_gradients(over, last); });
+        *next = select(outcome.settled, outcome.trusted, *next);
+        return taken(outcome);
+    }
+
+    template <class Bracket, bool full>
+    NOINLINE Mask settle_bracket(const V& trust, V* next) {
+        Bracketed<Layout, Bracket, full> body(field, constants, p, gradients.at, lengths.at[0]);
+        auto iterate = [&](auto watched) __attribute__((always_inline)) {
+            body.template iterate<decltype(watched)::value>(s);
+        };
+        const auto outcome = settle_by(p, true, 1, Bracket::n, trust, iterate, [](const Mask&, bool) {});
+        *next = select(outcome.settled, outcome.trusted, *next);
+        return taken(outcome);
+    }
+
+    template <int64_t freeze>
+    NOINLINE Mask settle_frozen(Mask going) {
+        return taken(settle(p, going, [&] { evaluate<freeze>(0, blocks); },
+                            [&](const Mask& over, bool last) { keep_gradients(over, last); }));
+    }
+
+    void keep_gradients(const Mask& over, bool last) {
+        if constexpr (!alone)
+            for (int64_t k = 0; k < blocks * n; ++k) kept.at[k] = select(over, gradients.at[k], kept.at[k]);
+        if (last) std::swap(kept.at, gradients.at);
+    }
+
+    Mask taken(const Outcome<V>& outcome) {
+        iterations = iterations + outcome.iterations;
+        residual = outcome.residual;
+        return outcome.settled;
+    }
+
+    NOINLINE Mask one_by_one(Mask going) {
+        for (int64_t j = 0; j < s; ++j) {
+            if (j > 0) p.template restage<false>(j, j + 1, j);
+            evaluate<NOT_FROZEN>(j, j + 1);
+        }
+        iterations = iterations + double(s);
+        return going;
+    }
+
+    // A fixed number of function iterations, then the output, or the linear system in what is frozen.
+    NOINLINE Mask pass(Mask going) {
+        for (int64_t passed = 0;; ++passed) {
+            evaluate_all();
+            if (passed == tables.iterations) break;
+            p.template restage<false>(0, blocks, s);
+        }
+        iterations = iterations + double(tables.iterations + 1);
+        if (tables.solver == ITERATED) return going;
+        std::copy_n(p.points.at, blocks * n, frozen.at);
+        return tables.solver == STRUCTURE ? linear<STRUCTURE>(going) : linear<GRADIENT>(going);
+    }
+
+    template <int64_t freeze>
+    NOINLINE Mask linear(Mask going) {
+        if (!tables.direct) return settle_frozen<freeze>(going);
+        for (int64_t b = 0; b < blocks; ++b) {
+            const auto& own = Layout::constants(constants, b, s);
+            A* block = matrices.at + b * n * n;
+            if constexpr (freeze == STRUCTURE)
+                structure_times_matrix(field, own, frozen.at + b * n, tables.quadratic, lengths.at[b], block, room);
+            else
+                coadjoint_matrix(field, own, gradients.at + b * n, lengths.at[b], block);
+        }
+        going = going & assemble(n);
+        for (int64_t passed = 1; passed < REFINED; ++passed) {
+            refine(p, n, 1);
+            evaluate<freeze>(0, blocks);
+        }
+        iterations = iterations + double(REFINED - 1);
+        residual = select(going, V(0.0), V(std::numeric_limits<double>::infinity()));
+        return going;
+    }
+
+    // Factorize I - (mix_ij W_j), W_j the (edge * edge) blocks; returns where it is not singular.
+    Mask assemble(int64_t edge) {
+        const int64_t size = s * edge;
+        for (int64_t i = 0; i < s; ++i)
+            for (int64_t j = 0; j < s; ++j)
+                for (int64_t a = 0; a < edge; ++a)
+                    for (int64_t b = 0; b < edge; ++b)
+                        system.at[(i * edge + a) * size + j * edge + b] =
+                            fma(V(-tables.mix[i * s + j]), Layout::at(matrices.at, edge * edge, a * edge + b, j),
+                                V(i == j && a == b ? 1.0 : 0.0));
+        return factorize(system.at, size, pivots.at);
+    }
+
+    // Add to the points the solution of the factorized system for their defect: the first time solves it.
+    void refine(Unknowns<Layout>& y, int64_t edge, int64_t count) {
+        const int64_t m = y.size;
+        for (int64_t b = 0; b < blocks; ++b)
+            mix_each<Layout>(mix.at + b * s, s, y.slopes.at, m, y.error, [&](int64_t c, const A& sum) {
+                y.change.at[b * m + c] = (Layout::spread(y.base[c]) - y.points.at[b * m + c]) + sum;
+            });
+        for (int64_t i = 0; i < s; ++i)
+            for (int64_t c = 0; c < m; ++c) right.at[i * m + c] = Layout::at(y.change.at, m, c, i);
+        substitute(system.at, s * edge, pivots.at, right.at, count);
+        for (int64_t i = 0; i < s; ++i)
+            for (int64_t c = 0; c < m; ++c)
+                Layout::put(y.points.at, m, c, i, V(Layout::at(y.points.at, m, c, i)) + right.at[i * m + c]);
+        Layout::repeat_last(y.points.at, m, s);
+    }
+
+    INLINE void evaluate_group(int64_t low, int64_t high) {
+        for (int64_t b = low; b < high; ++b)
+            group_slope(group, Layout::constants(constants, b, s), gradients.at + b * n, g.points.at + b * d * d,
+                        lengths.at[b], g.slopes.at + b * d * d);
+    }
+
+    NOINLINE Mask settle_group(Mask going) {
+        if (!any(going)) return going;
+        const V before = iterations;
+        const Mask found = taken(settle(g, going, [&] { evaluate_group(0, blocks); }, [](const Mask&, bool) {}));
+        iterations = before;
+        return found;
+    }
+
+    NOINLINE Mask group_one_by_one(Mask going) {
+        for (int64_t j = 0; j < s; ++j) {
+            if (j > 0) g.template restage<false>(j, j + 1, j);
+            evaluate_group(j, j + 1);
+        }
+        return going;
+    }
+
+    NOINLINE Mask group_direct(Mask going) {
+        for (int64_t b = 0; b < blocks; ++b)
+            group_matrix(group, Layout::constants(constants, b, s), gradients.at + b * n, lengths.at[b],
+                         matrices.at + b * d * d);
+        going = going & assemble(d);
+        evaluate_group(0, blocks);
+        for (int64_t passed = 1; passed < REFINED; ++passed) {
+            refine(g, d, d);
+            evaluate_group(0, blocks);
+        }
+        return going;
+    }
+
+    // How many evaluations of the field all that was.
+    V evaluations() const { return tables.solver == EXPLICIT ? iterations : iterations * double(s); }
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,231 @@
+// The loop over steps for Runge-Kutta methods: one trajectory, or a crowd of members as lanes.
+#pragma once
+
+#include "boundary/crew.hpp"
+#include "stages/traveller.hpp"
+
+namespace coadjoint {
+
+typedef Loop<RungeKuttaTables> RungeKuttaLoop;
+
+// Nothing is left to be finished when steps of one trajectory are watched side by side.
+struct Finished {
+    static constexpr bool with_errors = false;
+    template <class A>
+    void operator()(A*, A*, const A&) const {}
+};
+
+// Visit every row of a member: where it is kept in the state, and where the loop has it.
+template <class V, class Visit>
+INLINE void each_row(const State& state, V* x, V* dx, V* g, V* dg, Visit visit) {
+    visit(state.momenta, x, state.size);
+    visit(state.errors, dx, state.size);
+    visit(state.groups, g, state.square);
+    visit(state.group_errors, dg, state.square);
+}
+
+// About how many multiplications a step of one member takes, if it needs some iterations.
+inline int64_t work_of_step(const RungeKuttaLoop& loop) {
+    const RungeKuttaTables& tables = loop.tables;
+    const int64_t stages = tables.stages, n = tables.field.size, d = tables.group.size, edge = stages * std::max(n, d);
+    const int64_t slopes = work_of(tables.field) + stages * n + d * (tables.group.entries + stages * d);
+    return work_of_terms(loop.watch.terms, 0, loop.watch.terms.size) +
+           tables.substeps * (8 * stages * slopes + (tables.direct ? edge * edge * edge : 0));
+}
+
+// Where the first correction already is no number something overflowed; else the iteration did not converge.
+INLINE int64_t failure_of(double residual) { return residual == residual ? NOT_CONVERGED : OVERFLOWED; }
+
+template <class Side>
+void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member) {
+    const Schedule& schedule = loop.schedule;
+    const State& state = loop.state;
+    const int64_t n = state.size, square = state.square;
+    each_row(state, one.x, one.dx, one.g, one.dg, [&](const double* from, double* to, int64_t length) {
+        std::copy_n(from + member * length, length, to);
+    });
+    double* memory = loop.memory_of(member);
+    one.iterations = one.evaluations = 0;
+    if (state.remembered > 0) {
+        one.newton = memory[0];
+        one.read_slopes(memory + 1);
+    }
+    Finished nothing;
+    Follower<Side, Finished> follower(loop.watch, loop.saves, schedule, n, nothing);
+    int64_t saved = next_saved(schedule, loop.k0);
+    const int64_t work = work_of_step(loop);
+    for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
+        loop.hearing.after(work);
+        const double start = schedule.t0 + double(k - 1) * schedule.h;
+        bool found = true;
+        for (int64_t part = 0; part < loop.tables.substeps && found; ++part) {
+            found = one.solve(start + loop.tables.moment[part] * schedule.h, loop.tables.fraction[part] * schedule.h,
+                              part);
+            if (found) one.add();
+        }
+        if (!found) {
+            loop.fail(member, k, failure_of(one.residual), one.residual);
+            break;
+        }
+        if (!finite(n, one.x)) {
+            loop.overflow(member, k);
+            break;
+        }
+        if (!schedule.watching && k != saved) continue;
+        follower.push(member, k, one.x, one.dx);
+        if (k == saved) {
+            saved = next_saved(schedule, k);
+            const int64_t place = slot_of(schedule, k) * loop.saves.members + member;
+            std::copy_n(one.g, square, loop.saves.group + place * square);
+        }
+        if (follower.full()) follower.flush();
+    }
+    follower.flush();
+    loop.report.iterations[member] += one.iterations;
+    loop.report.evaluations[member] += one.evaluations;
+    each_row(state, one.x, one.dx, one.g, one.dg, [&](double* to, const double* from, int64_t length) {
+        std::copy_n(from, length, to + member * length);
+    });
+    if (state.remembered > 0) {
+        memory[0] = one.newton;
+        one.write_slopes(memory + 1);
+    }
+}
+
+// A block of members as lanes; the last one fills what is left of the lanes.
+template <class A, class C>
+struct Together {
+    static constexpr int lanes = Numbers<A>::lanes;
+    typedef typename Numbers<A>::Mask Mask;
+    const RungeKuttaLoop& loop;
+    const C constants;
+    const int64_t *members, count;
+    Traveller<MemberLanes<A>, Stages<MemberLanes<A>, C>> crowd;
+    std::unique_ptr<Single> single[lanes];
+    int64_t going[lanes] = {}, left = 0;
+    double newton[lanes] = {};
+    std::vector<double> slopes;
+
+    Together(const RungeKuttaLoop& loop, const C& constants, const int64_t* members, int64_t count)
+        : loop(loop), constants(constants), members(members), count(count), crowd(loop.tables, constants),
+          slopes(std::max<int64_t>(loop.state.remembered, 1)) {
+        each_row(loop.state, crowd.x, crowd.dx, crowd.g, crowd.dg, [&](const double* from, A* to, int64_t length) {
+            read_lanes(to, from, length, members, count);
+        });
+        for (int64_t lane = 0; lane < count; ++lane) left += going[lane] = loop.report.status[members[lane]] == DONE;
+        if (loop.state.remembered == 0) return;
+        for (int lane = 0; lane < lanes; ++lane) {
+            const double* memory = loop.memory_of(members[std::min<int64_t>(lane, count - 1)]);
+            newton[lane] = memory[0];
+            crowd.read_slopes(memory + 1, lane);
+        }
+    }
+
+    ~Together() {
+        for (int64_t lane = 0; lane < count; ++lane)
+            if (going[lane]) write(int(lane));
+    }
+
+    void write(int lane) {
+        const int64_t member = members[lane];
+        each_row(loop.state, crowd.x, crowd.dx, crowd.g, crowd.dg, [&](double* to, const A* from, int64_t length) {
+            write_lane(from, to, length, member, lane);
+        });
+        if (loop.state.remembered == 0) return;
+        loop.memory_of(member)[0] = newton[lane];
+        crowd.write_slopes(false, loop.memory_of(member) + 1, lane);
+    }
+
+    Own own_constants(const Varied& varied, int lane) const { return Own{varied.stride, varied.first + lane}; }
+    Shared own_constants(const Shared&, int) const { return Shared{}; }
+
+    // Seek for one member what was not found for it in the crowd.
+    NOINLINE bool alone(int lane, double t, double h, int64_t part) {
+        if (!single[lane]) single[lane] = single_of(loop.tables, own_constants(constants, lane));
+        Single& one = *single[lane];
+        auto take = [&](double* to, const A* from, int64_t length) {
+            for (int64_t i = 0; i < length; ++i) to[i] = lane_of(from[i], lane);
+        };
+        take(one.x, crowd.x, loop.state.size), take(one.dx, crowd.dx, loop.state.size);
+        take(one.g, crowd.g, loop.state.square), take(one.dg, crowd.dg, loop.state.square);
+        one.newton = newton[lane];
+        one.iterations = one.evaluations = 0;
+        crowd_slopes(lane, one);
+        const bool found = one.solve(t, h, part);
+        newton[lane] = one.newton;
+        loop.report.iterations[members[lane]] += one.iterations;
+        loop.report.evaluations[members[lane]] += one.evaluations;
+        slopes.resize(crowd.remembered());
+        one.write_slopes(slopes.data());
+        crowd.read_slopes(slopes.data(), lane);
+        return found;
+    }
+
+    void crowd_slopes(int lane, Single& one) {
+        if (loop.state.remembered == 0) return;
+        crowd.write_slopes(true, slopes.data(), lane);
+        one.read_slopes(slopes.data());
+    }
+
+    void stop(CrowdWatcher<A, C>& watcher, int64_t lane, int64_t k, int64_t status, double residual) {
+        watcher.keep_worst();
+        write(int(lane));
+        going[lane] = 0;
+        --left;
+        loop.fail(members[lane], k, status, residual);
+    }
+
+    void follow() {
+        const RungeKuttaTables& tables = loop.tables;
+        const Schedule& schedule = loop.schedule;
+        CrowdWatcher<A, C> watcher(loop.watch, loop.saves, schedule, constants, members, going, count);
+        int64_t saved = next_saved(schedule, loop.k0);
+        const int64_t work = lanes * work_of_step(loop);
+        for (int64_t k = loop.k0 + 1; k <= loop.k1 && left > 0; ++k) {
+            loop.hearing.after(work);
+            const double start = schedule.t0 + double(k - 1) * schedule.h;
+            for (int64_t part = 0; part < tables.substeps && left > 0; ++part)
+                substep(watcher, k, start + tables.moment[part] * schedule.h, tables.fraction[part] * schedule.h, part);
+            const auto sound = finite(crowd.n, crowd.x);
+            if (__builtin_expect(!all(sound), 0))
+                for (int64_t lane = 0; lane < count; ++lane)
+                    if (going[lane] && !at(sound, int(lane)))
+                        stop(watcher, lane, k, OVERFLOWED, std::numeric_limits<double>::quiet_NaN());
+            if (!schedule.watching && k != saved) continue;
+            const int64_t slot = k == saved ? slot_of(schedule, k) : -1;
+            watcher.note(k, slot, crowd.n, crowd.x);
+            if (slot < 0) continue;
+            saved = next_saved(schedule, k);
+            watcher.save_group(slot, crowd.square, crowd.g);
+        }
+    }
+
+    void substep(CrowdWatcher<A, C>& watcher, int64_t k, double t, double h, int64_t part) {
+        A taking(0.0);
+        bool someone = false;
+        for (int64_t lane = 0; lane < count; ++lane)
+            if (going[lane] && !(newton[lane] >= 1.0)) set_lane(taking, int(lane), 1.0), someone = true;
+        auto& stages = crowd.stages;
+        stages.iterations = A(0.0);
+        auto found = taking < A(0.0);
+        if (someone)
+            found = (taking > A(0.0)) & stages.solve(t, h, part, taking > A(0.0));
+        else
+            stages.remember();
+        const A iterations = stages.iterations, evaluations = stages.evaluations();
+        for (int64_t lane = 0; lane < count; ++lane) {
+            if (!going[lane]) continue;
+            if (at(found, int(lane))) {
+                newton[lane] = 0.0;
+                loop.report.iterations[members[lane]] += int64_t(iterations[lane]);
+                loop.report.evaluations[members[lane]] += int64_t(evaluations[lane]);
+            } else if (!alone(int(lane), t, h, part)) {
+                const double residual = single[lane]->residual;
+                stop(watcher, lane, k, failure_of(residual), residual);
+            }
+        }
+        crowd.add();
+    }
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,27 @@
+// One trajectory of a Runge-Kutta method, whatever holds its stages.
+#pragma once
+
+#include <memory>
+
+#include "numbers/constants.hpp"
+
+namespace coadjoint {
+
+struct Single {
+    double *x, *dx, *g, *dg;  // the momentum, the group element, and what compensated sums owe
+    double newton = 0.0;      // for how many steps it still begins with Newton
+
+    virtual ~Single() = default;
+    // Find the slopes of a substep: `iterations` and `evaluations` grow, `residual` is the last correction.
+    virtual bool solve(double t, double h, int64_t part) = 0;
+    virtual void add() = 0;
+    virtual void read_slopes(const double* from) = 0;
+    virtual void write_slopes(double* to) = 0;
+    int64_t iterations = 0, evaluations = 0;
+    double residual = 0.0;
+};
+
+std::unique_ptr<Single> single_of(const RungeKuttaTables& tables, const Shared& constants);
+std::unique_ptr<Single> single_of(const RungeKuttaTables& tables, const Own& constants);
+
+}  // namespace coadjoint

@@ -1,0 +1,235 @@
+// When is a fixed point iteration done? When its corrections have stopped falling at the level of round-off.
+#pragma once
+
+#include <limits>
+#include <type_traits>
+
+#include "boundary/hearing.hpp"
+#include "stages/stages.hpp"
+
+namespace coadjoint {
+
+constexpr int64_t FIRST_TEST = 3;     // early corrections may rise before they fall
+constexpr int64_t MOST = 192;
+constexpr double GROWTH = 0x1p64;     // of the first correction: a correction so much larger will not come back
+constexpr double NOISE = 0x1p-32;     // of the size of the stages: only below it may a correction be round-off
+constexpr int64_t LOOK = 16;          // every so many iterations: is it slow?
+constexpr double SLOW = 0x1p-6;       // a fall by less since the last look would take more than MOST iterations
+constexpr double TRUSTED = 12.0;      // at most so many iterations go unwatched: the first look needs some before it
+constexpr int64_t LONG = int64_t(1) << 14;  // multiplications of an iteration from which on it listens in each
+
+// For how many iterations nothing may have fallen: few can be chance, since corrections turn while they shrink where
+// the iteration has complex eigenvalues, and the more slowly they shrink the longer that lasts.
+INLINE double quiet_enough(int64_t passed) { return double(passed < 12 ? 2 : passed / 4); }
+
+// Stages that solve points = base + (error + sum_j mix_ij slopes_j), `size` components each, and room for iterating.
+template <class Layout>
+struct Unknowns {
+    typedef typename Layout::A A;
+    typedef typename Layout::V V;
+    const int64_t stages, blocks, size;
+    const typename Layout::Coefficient* mix;
+    int64_t work;  // about how many multiplications an iteration takes
+    V *base = nullptr, *error = nullptr;
+    Room<A> points, slopes, before, kept, change, moved, least, noise;
+
+    Unknowns(int64_t stages, int64_t size, const typename Layout::Coefficient* mix)
+        : stages(stages), blocks(Layout::blocks(stages)), size(size), mix(mix),
+          work(stages * stages * size), points(blocks * size),
+          slopes(blocks * size), before(blocks * size), kept(Numbers<V>::lanes > 1 ? blocks * size : 0),
+          change(blocks * size), moved(blocks), least(blocks * size), noise(blocks) {}
+
+    void start_at_base() {
+        for (int64_t b = 0; b < blocks; ++b)
+            for (int64_t c = 0; c < size; ++c) points.at[b * size + c] = Layout::spread(base[c]);
+    }
+
+    // Start where the polynomial through the slopes of the step before leads, except where that is not finite; returns
+    // where it is.
+    auto start_ahead(const typename Layout::Coefficient* forecast) {
+        A total(0.0);
+        for (int64_t b = 0; b < blocks; ++b)
+            mix_each<Layout>(forecast + b * stages, stages, before.at, size, error, [&](int64_t c, const A& sum) {
+                const A point = Layout::spread(base[c]) + sum;
+                total = total + 0.0 * point;
+                points.at[b * size + c] = point;
+            });
+        const auto sound = Layout::every(total == A(0.0));
+        if (all(sound)) return sound;
+        if constexpr (Numbers<V>::lanes == 1)
+            start_at_base();
+        else
+            for (int64_t k = 0; k < blocks * size; ++k)
+                points.at[k] = select(sound, points.at[k], base[k % size]);
+        return sound;
+    }
+
+    // Set the points of the blocks low to high - 1 from the first `count` slopes, and note how far they moved if that
+    // is watched.
+    template <bool watched>
+    INLINE void restage(int64_t low, int64_t high, int64_t count) {
+        for (int64_t b = low; b < high; ++b) {
+            A far(0.0);
+            A *here = points.at + b * size, *changed = change.at + b * size;
+            mix_each<Layout>(mix + b * stages, count, slopes.at, size, error, [&](int64_t c, const A& sum) {
+                const A point = Layout::spread(base[c]) + sum;
+                if constexpr (watched) {
+                    const A distance = absolute(point - here[c]);
+                    changed[c] = distance;
+                    far = far + distance;
+                }
+                here[c] = point;
+            });
+            if constexpr (watched) moved.at[b] = far;
+        }
+    }
+
+    // What is small against each stage as it starts; and, where that may be nowhere near, against its first move too.
+    INLINE void measure(int64_t blocks, int64_t size) {
+        for (int64_t b = 0; b < blocks; ++b) {
+            A total(0.0);
+            for (int64_t c = 0; c < size; ++c) total = total + absolute(points.at[b * size + c]);
+            noise.at[b] = A(NOISE) * total;
+        }
+    }
+    void measure_move(const typename Numbers<V>::Mask& where, int64_t blocks) {
+        for (int64_t b = 0; b < blocks; ++b)
+            noise.at[b] = Layout::choose(where, noise.at[b] + A(NOISE) * moved.at[b], noise.at[b]);
+    }
+
+    // The largest correction of a stage, summed over its components; no number where there is one that is none.
+    V largest_move() const {
+        V result(0.0), spoilt(0.0);
+        for (int64_t b = 0; b < blocks; ++b) {
+            result = larger(result, V(Layout::largest(moved.at[b])));
+            const V infinite(std::numeric_limits<double>::infinity());
+            spoilt = select(Layout::every(moved.at[b] - moved.at[b] == A(0.0)), spoilt, infinite - infinite);
+        }
+        return result + spoilt;
+    }
+
+    // Whether the correction of any component of a stage has fallen below all that it has been: components differ in
+    // size, and each is followed until it stops. One unit in the last place is nothing: of many one would always fall.
+    INLINE auto falling(const typename Numbers<V>::Mask& where, int64_t blocks, int64_t size) {
+        auto found = A(0.0) < A(0.0);
+        for (int64_t k = 0; k < blocks * size; ++k) {
+            const A unit = A(0x1p-52) * absolute(points.at[k]);
+            const A own = select(change.at[k] <= unit, A(0.0), change.at[k]);
+            auto fell = own < least.at[k];
+            if constexpr (Numbers<V>::lanes > 1) fell = fell & where;
+            least.at[k] = select(fell, own, least.at[k]);
+            found = found | fell;
+        }
+        return Layout::some(found);
+    }
+};
+
+template <class V>
+struct Outcome {
+    typename Numbers<V>::Mask settled;
+    V iterations, residual, trusted{0.0};
+};
+
+// Iterate points = base + mix slopes(points) until every trajectory of `going` has settled or failed; what has settled
+// keeps its slopes. `iterate` sets the slopes at the points, then the points, told whether their moves are watched;
+// `keep` is told which lanes settled, to keep more of them. Outcomes have the residual only of what failed.
+//
+// Where nobody goes nothing is done, and nobody has settled.
+//
+// A trajectory has settled when nothing moves, or when for some iterations in a row no component's correction has
+// fallen below all that it was since the corrections became small. It fails when corrections grow or fall slowly.
+//
+// Nothing is watched in the first `trusted` iterations of each: they are what the step before says will still fall.
+template <class Layout, class Mask, class Iterate, class Keep>
+INLINE auto settle_by(Unknowns<Layout>& y, Mask going, int64_t blocks, int64_t size,
+                      const typename Layout::V& trusted, Iterate iterate, Keep keep) {
+    typedef typename Layout::V V;
+    typedef typename Layout::A A;
+    constexpr bool alone = Numbers<V>::lanes == 1;
+    const V infinite(std::numeric_limits<double>::infinity());
+    const auto nobody = !(V(0.0) == V(0.0));
+    Outcome<V> outcome{nobody, V(0.0), V(0.0), V(0.0)};
+    if (!any(going)) return outcome;
+    const bool slow = y.work >= LONG;
+    double unwatched = TRUSTED;
+    for (int lane = 0; lane < Numbers<V>::lanes; ++lane)
+        if (at(going, lane)) unwatched = smaller(unwatched, lane_of(trusted, lane));
+    y.measure(blocks, size);
+    int64_t passed = 1;
+    for (const int64_t last = int64_t(unwatched); passed <= last; ++passed) iterate(std::false_type());
+    std::fill_n(y.least.at, blocks * size, A(std::numeric_limits<double>::infinity()));
+    V first = infinite, looked = infinite, quiet(0.0);
+    bool kept = false;
+    // By the last of them everybody has settled or failed.
+    for (; passed <= MOST; ++passed) {
+        iterate(std::true_type());
+        if (__builtin_expect(slow, 0)) Hearing::of_this_call().after(y.work * Numbers<V>::lanes);
+        const V count = V(double(passed));
+        typename Numbers<V>::Mask small = going & (count > trusted), ended = nobody, failed = nobody, still = nobody;
+        for (int64_t b = 0; b < blocks; ++b) small = small & Layout::every(y.moved.at[b] <= y.noise.at[b]);
+        if (any(small)) {
+            still = small;
+            for (int64_t b = 0; b < blocks; ++b) still = still & Layout::every(y.moved.at[b] == A(0.0));
+            ended = still;
+            auto calm = small & !still;
+            if (any(calm)) calm = calm & !y.falling(calm, blocks, size) & (count > V(double(FIRST_TEST)));
+            quiet = select(calm, quiet + 1.0, V(0.0));
+            ended = ended | (calm & (quiet >= V(quiet_enough(passed))));
+        } else {
+            quiet = V(0.0);
+        }
+        if (__builtin_expect(passed == 1, 0)) {
+            const auto new_to_it = !(trusted > V(0.0));
+            first = looked = select(new_to_it, y.largest_move(), infinite);
+            y.measure_move(new_to_it, blocks);
+            failed = going & new_to_it & !ended & !(first - first == V(0.0));
+        } else if (__builtin_expect(passed % LOOK == 0, 0)) {
+            const V now = y.largest_move();
+            const auto bounded = now <= V(GROWTH) * first, fast = now <= V(SLOW) * looked;
+            failed = going & !ended & !(bounded & (small | fast));
+            looked = now;
+            Hearing::of_this_call().after(LOOK * y.work * Numbers<V>::lanes);
+            if (passed >= MOST) failed = going & !ended;
+        }
+        const auto over = ended | failed;
+        if (!any(over)) continue;
+        outcome.settled = outcome.settled | ended;
+        outcome.iterations = select(over, count, outcome.iterations);
+        const V fallen = select(still, count, count - quiet) - 2.0;
+        const V next = smaller(larger(fallen, V(0.0)), V(TRUSTED));
+        outcome.trusted = select(ended, next, outcome.trusted);
+        if (__builtin_expect(any(failed), 0)) {
+            const V move = y.largest_move();
+            const V last_move = passed == 1 ? move : select(move - move == V(0.0), move, infinite);
+            outcome.residual = select(failed, last_move, outcome.residual);
+        }
+        if constexpr (alone) {
+            return outcome;
+        } else {
+            const bool last = !any(going & !over);
+            if (kept || !last) {
+                for (int64_t k = 0; k < y.blocks * y.size; ++k)
+                    y.kept.at[k] = select(over, y.slopes.at[k], y.kept.at[k]);
+                keep(over, last);
+                kept = true;
+            }
+            going = going & !over;
+            if (!last) continue;
+            if (kept) std::swap(y.kept.at, y.slopes.at);
+            return outcome;
+        }
+    }
+    return outcome;
+}
+
+// The same, where `evaluate` sets the slopes only, and every iteration is watched.
+template <class Layout, class Mask, class Evaluate, class Keep>
+INLINE auto settle(Unknowns<Layout>& y, Mask going, Evaluate evaluate, Keep keep) {
+    auto iterate = [&](auto watched) __attribute__((always_inline)) {
+        evaluate();
+        y.template restage<decltype(watched)::value>(0, y.blocks, y.stages);
+    };
+    return settle_by(y, going, y.blocks, y.size, typename Layout::V(0.0), iterate, keep);
+}
+
+}  // namespace coadjoint

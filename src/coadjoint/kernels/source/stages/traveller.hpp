@@ -1,0 +1,89 @@
+// A state, or a crowd of them, with the stages of its steps.
+#pragma once
+
+#include "stages/single.hpp"
+#include "stages/single_stages.hpp"
+
+namespace coadjoint {
+
+template <class Layout, class AllStages>
+struct Traveller {
+    typedef typename Layout::A A;
+    typedef typename Layout::V V;
+    const RungeKuttaTables& tables;
+    const int64_t n, square, s;
+    AllStages stages;
+    Room<V> momentum, element;
+    V *x, *dx, *g, *dg;
+
+    template <class C>
+    Traveller(const RungeKuttaTables& tables, const C& constants)
+        : tables(tables), n(tables.field.size), square(tables.group.size * tables.group.size), s(tables.stages),
+          stages(tables, constants), momentum(2 * n), element(2 * square), x(momentum.at), dx(x + n), g(element.at),
+          dg(g + square) {
+        stages.p.base = x, stages.p.error = dx, stages.g.base = g, stages.g.error = dg;
+    }
+
+    void add() {
+        add_slopes<Layout>(tables.out, s, stages.p.slopes.at, n, x, dx);
+        if (square > 0) add_slopes<Layout>(tables.out, s, stages.g.slopes.at, square, g, dg);
+    }
+
+    // What is remembered of one lane: the iterations that are trusted in each substep, and the slopes, stage after
+    // stage, of the step before or of this one.
+    int64_t remembered() const { return tables.substeps + s * (n + square); }
+    void write_slopes(bool before, double* to, int lane) {
+        for (int64_t part = 0; part < tables.substeps; ++part) *to++ = lane_of(stages.trusted.at[part], lane);
+        each_slope(before ? stages.p.before.at : stages.p.slopes.at, before ? stages.g.before.at : stages.g.slopes.at,
+                   [&](A* y, int64_t size, int64_t c, int64_t j) {
+                       *to++ = lane_of(V(Layout::at(y, size, c, j)), lane);
+                   });
+    }
+    void read_slopes(const double* from, int lane) {
+        for (int64_t part = 0; part < tables.substeps; ++part) {
+            const double known = *from++;
+            set_lane(stages.trusted.at[part], lane, known >= 0.0 ? known : 0.0);
+        }
+        each_slope(stages.p.slopes.at, stages.g.slopes.at, [&](A* y, int64_t size, int64_t c, int64_t j) {
+            V value = Layout::at(y, size, c, j);
+            set_lane(value, lane, *from++);
+            Layout::put(y, size, c, j, value);
+        });
+        Layout::repeat_last(stages.p.slopes.at, n, s);
+        Layout::repeat_last(stages.g.slopes.at, square, s);
+    }
+
+  private:
+    template <class Visit>
+    void each_slope(A* slopes, A* group_slopes, Visit visit) {
+        for (int64_t j = 0; j < s; ++j)
+            for (int64_t c = 0; c < n; ++c) visit(slopes, n, c, j);
+        for (int64_t j = 0; j < s; ++j)
+            for (int64_t c = 0; c < square; ++c) visit(group_slopes, square, c, j);
+    }
+};
+
+template <class Layout, class C>
+struct SingleOf final : Single {
+    Traveller<Layout, SingleStages<Layout, C>> own;
+
+    SingleOf(const RungeKuttaTables& tables, const C& constants) : own(tables, constants) {
+        x = own.x, dx = own.dx, g = own.g, dg = own.dg;
+    }
+    bool solve(double t, double h, int64_t part) override {
+        own.stages.iterations = 0.0;
+        const bool found = own.stages.solve_alone(t, h, part, newton);
+        iterations += int64_t(own.stages.iterations);
+        evaluations += int64_t(own.stages.evaluations());
+        residual = own.stages.residual;
+        return found;
+    }
+    void add() override { own.add(); }
+    void read_slopes(const double* from) override { own.read_slopes(from, 0); }
+    void write_slopes(double* to) override { own.write_slopes(false, to, 0); }
+};
+
+// Stages are lanes where a step has many at once; explicit schemes and the midpoint rule have one at a time.
+INLINE bool one_at_a_time(const RungeKuttaTables& tables) { return tables.solver == EXPLICIT || tables.stages == 1; }
+
+}  // namespace coadjoint

@@ -1,0 +1,188 @@
+// Back to the level set of invariants that are polynomials: y = z + G(z)^T lambda with C(y) = C_0, by Newton's iteration
+// for lambda with the Gram matrix of the gradients at z.
+#pragma once
+
+#include "steps/invariant_rows.hpp"
+#include "numbers/sparse_factors.hpp"
+
+namespace coadjoint {
+
+constexpr double EXACT = 0x1p-51;   // of the sum of the terms of x . dC/dx: a defect that rounding alone leaves
+constexpr double STAGNANT = 0x1p8;  // times that: where corrections no longer help
+constexpr int64_t MOST_CORRECTIONS = 64;
+
+// Add to x + dx, where dx is what rounding left.
+template <class A>
+INLINE void add_to(A& x, A& dx, const A& more) {
+    const A old = x;
+    add_owing_rest(old, dx + more, x, dx);
+}
+
+template <int W, class C>
+struct Projection {
+    typedef Lanes<W> Row;
+    InvariantRows<W, C> rows;
+    const size_t size;
+    std::vector<double> defects;
+    Room<Row> moved;
+    SparseFactors factors;
+    int64_t corrections = 0;
+    double residual = 0.0;
+
+    Projection(const Watch& watch, const C& constants, int64_t n)
+        : rows(watch, constants, n), size(rows.invariants.size()), defects(size), moved(blocks_of<W>(n)) {
+        factors.analyse(rows.coupled());
+    }
+
+    // The values that are to be kept, and up to which defect: 2 * size numbers.
+    void begin(const Row* x, double* kept) {
+        for (size_t a = 0; a < size; ++a) {
+            kept[a] = rows.template value<true>(a, Newest<0, W>(x), x);
+            kept[size + a] = EXACT * rows.terms_of(a, x);
+        }
+    }
+
+    // Move x + dx back to where all invariants have the values of `kept`; false where that does not converge.
+    bool restore(Row* x, Row* dx, int64_t blocks, double* kept) {
+        corrections = 0;
+        if (rows.few) {
+            if (size == 1) return restore_few<1>(*x, *dx, kept);
+            if (size == 2) return restore_few<2>(*x, *dx, kept);
+            if (size == 3) return restore_few<3>(*x, *dx, kept);
+            return restore_few<4>(*x, *dx, kept);
+        }
+        if (exact<true>(x, blocks, kept)) return true;
+        rows.gram(factors);
+        factors.factorize();
+        std::fill_n(moved.at, blocks, Row(0.0));
+        for (corrections = 1; corrections <= MOST_CORRECTIONS; ++corrections) {
+            const double before = residual;
+            if (!(before - before == 0.0)) return false;
+            factors.solve(defects.data());
+            Row least(0.0), total(0.0);
+            for (int64_t b = 0; b < blocks; ++b) {
+                const Row more = rows.direction(b, defects.data());
+                moved.at[b] = moved.at[b] + more;
+                add_to(x[b], dx[b], more);
+                least = least + absolute(more), total = total + absolute(moved.at[b]);
+            }
+            const double product = sum_of_lanes(least) * sum_of_lanes(total);
+            if (rows.bounded && negligible(product, kept)) return true;
+            if (exact<false>(x, blocks, kept) || (residual >= 0.5 * before && settled(x, kept))) return true;
+        }
+        return false;
+    }
+
+  private:
+    // Up to four quadratic invariants of coordinates in one block, all in registers.
+    template <int R>
+    NOINLINE bool restore_few(Row& x, Row& dx, double* kept) {
+        Row slope[R];
+        double defect[R], L[R][R], inverse[R];
+        bool all = few<R>(x, kept, slope, defect);
+        if (all) return true;
+#pragma GCC unroll 4
+        for (int i = 0; i < R; ++i)
+#pragma GCC unroll 4
+            for (int j = 0; j <= i; ++j) L[i][j] = sum_of_lanes(slope[i] * slope[j]);
+#pragma GCC unroll 4
+        for (int j = 0; j < R; ++j) {
+            const double square = L[j][j];
+#pragma GCC unroll 4
+            for (int k = 0; k < j; ++k) L[j][j] = fma(-L[j][k] * L[j][k], inverse[k], L[j][j]);
+            inverse[j] = L[j][j] > DEPENDENT * square ? 1.0 / L[j][j] : 0.0;
+#pragma GCC unroll 4
+            for (int i = j + 1; i < R; ++i)
+#pragma GCC unroll 4
+                for (int k = 0; k < j; ++k) L[i][j] = fma(-L[i][k] * L[j][k], inverse[k], L[i][j]);
+        }
+        Row unused[R], total(0.0);
+        for (corrections = 1; corrections <= MOST_CORRECTIONS; ++corrections) {
+            const double before = residual;
+            if (!(before - before == 0.0)) return false;
+#pragma GCC unroll 4
+            for (int j = 0; j < R; ++j) {
+#pragma GCC unroll 4
+                for (int k = 0; k < j; ++k) defect[j] = fma(-L[j][k], defect[k], defect[j]);
+                defect[j] *= inverse[j];
+            }
+#pragma GCC unroll 4
+            for (int j = R - 1; j >= 0; --j)
+#pragma GCC unroll 4
+                for (int k = j + 1; k < R; ++k) defect[j] = fma(-L[k][j] * inverse[j], defect[k], defect[j]);
+            Row more(0.0);
+#pragma GCC unroll 4
+            for (int i = 0; i < R; ++i) more = fma(Row(defect[i]), slope[i], more);
+            add_to(x, dx, more);
+            total = total + more;
+            if (negligible(sum_of_lanes(absolute(more)) * sum_of_lanes(absolute(total)), kept)) return true;
+            if (few<R>(x, kept, unused, defect) || (residual >= 0.5 * before && settled(&x, kept))) return true;
+        }
+        return false;
+    }
+
+    template <int R>
+    INLINE bool few(const Row& x, double* kept, Row* slope, double* defect) {
+        const Newest<1, W> newest(&x);
+        bool all = true;
+        residual = 0.0;
+#pragma GCC unroll 4
+        for (int i = 0; i < R; ++i) {
+            const Row offset = load<Row>(rows.offsets.data() + i * W);
+            slope[i] = rows.slope(i, newest, x, offset);
+            defect[i] = kept[i] - (rows.invariants[i].constant + 0.5 * sum_of_lanes(x * (slope[i] + offset)));
+            all &= rounding_alone(i, defect[i], &x, kept[R + i]);
+            residual += std::fabs(defect[i]);
+        }
+        return all;
+    }
+
+    // Whether a correction leaves no more than rounding: it leaves second derivatives times itself, times all corrections
+    // together.
+    INLINE bool negligible(double product, const double* kept) const {
+        bool all = true;
+        for (size_t a = 0; a < size; ++a) all &= product * rows.bends[a] <= 0.25 * kept[size + a];
+        return all;
+    }
+
+    // Whether the defect of an invariant is no more than rounding leaves, which is noted where its terms have grown.
+    INLINE bool rounding_alone(size_t a, double defect, const Row* x, double& least) {
+        if (std::fabs(defect) <= least) return true;
+        if (!(std::fabs(defect) <= 0x1p4 * least)) return false;
+        least = larger(least, EXACT * rows.terms_of(a, x));
+        return std::fabs(defect) <= least;
+    }
+
+    // Whether corrections that no longer help leave no more than rounding does where terms cancel.
+    NOINLINE bool settled(const Row* x, const double* kept) {
+        bool all = true;
+        for (size_t a = 0; a < size; ++a)
+            all &= std::fabs(kept[a] - rows.template value<false>(a, Newest<0, W>(x), x)) <=
+                   STAGNANT * EXACT * rows.terms_of(a, x);
+        return all;
+    }
+
+    // Note the defects, and whether none is more than rounding leaves.
+    template <bool with_gradient>
+    bool exact(const Row* x, int64_t blocks, double* kept) {
+        if constexpr (W == 8) {
+            if (blocks == 2) return exact_by<with_gradient>(Newest<2, W>(x), x, kept);
+            if (blocks == 3) return exact_by<with_gradient>(Newest<3, W>(x), x, kept);
+        }
+        return exact_by<with_gradient>(Newest<0, W>(x), x, kept);
+    }
+
+    template <bool with_gradient, class Take>
+    NOINLINE bool exact_by(const Take& newest, const Row* x, double* kept) {
+        bool all = true;
+        residual = 0.0;
+        for (size_t a = 0; a < size; ++a) {
+            defects[a] = kept[a] - rows.template value<with_gradient>(a, newest, x);
+            all &= rounding_alone(a, defects[a], x, kept[size + a]);
+            residual += std::fabs(defects[a]);
+        }
+        return all;
+    }
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,141 @@
+// A field that is a polynomial, as sums of products of two series.
+#pragma once
+
+#include <map>
+
+#include "field/field.hpp"
+#include "field/row_lanes.hpp"
+
+namespace coadjoint {
+
+// In vectors of W rows,
+//     x'_r = sum_e c_e x[left_e] y[right_e] + sum_e l_e x[left_e],
+// where y is the gradient of H, or x itself where the products of a quadratic H are written out. Gradients of a higher
+// degree are linear in further products of series, which stand behind the coordinates, degree after degree.
+template <int W>
+struct SeriesField {
+    int64_t n, blocks;         // coordinates, and their vectors
+    int64_t extended;          // vectors of coordinates and of the products behind them
+    bool written_out = false;  // whether y is x
+    Sums<W> products, linear, gradient, factors;
+    std::vector<double> offsets;
+
+    template <class C>
+    SeriesField(const Field& field, const C& constants, int64_t order)
+        : n(field.size), blocks(blocks_of<W>(n)), extended(blocks), offsets(blocks * W, 0.0), rows(n), gradients(n) {
+        read_gradient(field.terms, constants);
+        for (int64_t i = 0; i < n; ++i)
+            for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
+                rows[i].push_back({constants.template number_at<double>(field.constant, q), field.state[q],
+                                   field.column[q]});
+        for (auto* sums : {&rows, &gradients})
+            for (SparseSum& row : *sums) merge(row);
+        std::vector<SparseSum> pairs(n), single(n);
+        if (extended == blocks && write_out(pairs, single)) {
+            const double each = 0.5 * double(order) + 2.0;
+            const double apart = each * vectors(rows) + vectors(gradients);
+            written_out = each * vectors(pairs) + vectors(single) <= apart;
+        }
+        products.add(written_out ? pairs : rows);
+        if (written_out)
+            linear.add(single);
+        else
+            gradient.add(gradients);
+        for (Sums<W>* sums : {&products, &linear, &gradient, &factors}) sums->finish();
+    }
+
+  private:
+    std::vector<SparseSum> rows, gradients;
+    std::map<std::vector<int64_t>, int64_t> known;  // a product of coordinates, and where it stands
+
+    static double vectors(const std::vector<SparseSum>& sums) {
+        double count = 0.0;
+        for (size_t r = 0; r < sums.size(); r += W) count += double(Sums<W>::longest(sums, r));
+        return count;
+    }
+
+    // Entries of the same series are one, and those that cancel are none.
+    static void merge(SparseSum& row) {
+        std::map<std::pair<int64_t, int64_t>, double> sums;
+        for (const auto& entry : row) sums[{entry.left, entry.right}] += entry.weight;
+        row.clear();
+        for (const auto& [places, weight] : sums)
+            if (weight != 0.0) row.push_back({weight, places.first, places.second});
+    }
+
+    template <class C>
+    void read_gradient(const Terms& terms, const C& constants) {
+        for (int64_t k = 0; k < terms.size; ++k)
+            if (terms.kind[k] == LINEAR)
+                for (uint32_t row = terms.row[k]; row < terms.row[k + 1]; ++row) {
+                    const uint32_t i = terms.target[row];
+                    offsets[i] += constants.template number_at<double>(terms.offset, row);
+                    for (uint32_t e = terms.entry[row]; e < terms.entry[row + 1]; ++e)
+                        gradients[i].push_back({constants.template number_at<double>(terms.weight, e),
+                                                int64_t(terms.column[e]), 0});
+                }
+        size_t longest = 0;
+        each_derivative(terms, constants, [&](int64_t, double, const std::vector<int64_t>& rest) {
+            longest = std::max(longest, rest.size());
+        });
+        // Products of few factors first, so that those of more can be made of them.
+        for (size_t count = 2; count <= longest; ++count) {
+            std::vector<SparseSum> made;
+            each_derivative(terms, constants, [&](int64_t, double, const std::vector<int64_t>& rest) {
+                if (rest.size() < count) return;
+                const std::vector<int64_t> some(rest.begin(), rest.begin() + int64_t(count));
+                if (known.count(some)) return;
+                const std::vector<int64_t> fewer(some.begin(), some.end() - 1);
+                known[some] = extended * W + int64_t(made.size());
+                made.push_back({{1.0, count == 2 ? fewer[0] : known.at(fewer), some.back()}});
+            });
+            factors.add(made);
+            extended += blocks_of<W>(int64_t(made.size()));
+        }
+        each_derivative(terms, constants, [&](int64_t i, double weight, const std::vector<int64_t>& rest) {
+            if (rest.empty())
+                offsets[i] += weight;
+            else
+                gradients[i].push_back({weight, rest.size() == 1 ? rest[0] : known.at(rest), 0});
+        });
+    }
+
+    // Visit d(monomial)/dx_i as a weight and the coordinates in its product, in order.
+    template <class C, class Visit>
+    static void each_derivative(const Terms& terms, const C& constants, Visit visit) {
+        for (int64_t k = 0; k < terms.size; ++k) {
+            if (terms.kind[k] != POLYNOMIAL) continue;
+            for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial)
+                for (uint32_t chosen = terms.factor[monomial]; chosen < terms.factor[monomial + 1]; ++chosen) {
+                    std::vector<int64_t> rest;
+                    for (uint32_t f = terms.factor[monomial]; f < terms.factor[monomial + 1]; ++f)
+                        rest.insert(rest.end(), terms.exponent[f] - (f == chosen), terms.target[terms.factor_row[f]]);
+                    std::sort(rest.begin(), rest.end());
+                    const double weight = constants.template number_at<double>(terms.coefficient, monomial);
+                    visit(terms.target[terms.factor_row[chosen]], weight * double(terms.exponent[chosen]), rest);
+                }
+        }
+    }
+
+    // Products of coordinates in place of products with a gradient; false where they are far more.
+    bool write_out(std::vector<SparseSum>& pairs, std::vector<SparseSum>& single) const {
+        size_t here = 0, there = 0;
+        for (int64_t r = 0; r < n; ++r) {
+            here += rows[r].size() + gradients[r].size();
+            for (const auto& entry : rows[r]) there += gradients[entry.right].size();
+        }
+        if (there > 16 * here) return false;
+        for (int64_t r = 0; r < n; ++r) {
+            for (const auto& entry : rows[r]) {
+                for (const auto& weighted : gradients[entry.right])
+                    pairs[r].push_back({entry.weight * weighted.weight, std::min(entry.left, weighted.left),
+                                        std::max(entry.left, weighted.left)});
+                single[r].push_back({entry.weight * offsets[entry.right], entry.left, 0});
+            }
+            merge(pairs[r]), merge(single[r]);
+        }
+        return true;
+    }
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,30 @@
+// A scheme that brings one compiled step of its own: a file beside its Python file derives from this and ends with
+// STEP_SCHEME(name, Type), or with that function itself where the type depends on the tables; the Python file says the
+// name.
+#pragma once
+
+#include "stages/stagnation.hpp"
+#include "recording/watching.hpp"
+
+namespace coadjoint {
+
+constexpr int64_t UNDEFINED = 3;  // status of a step that its scheme does not define
+
+struct StepScheme {
+    int64_t work = 0;       // about how many multiplications a step takes
+    double residual = 0.0;  // the last correction of the last step
+    int64_t evaluations = 0, iterations = 0;
+    double* memory = nullptr;  // what the scheme remembers of a member from step to step, NaN before the first
+
+    virtual ~StepScheme() = default;
+    // Take one step of length h from time t in place, with what compensated sums owe; return a status. Both are aligned
+    // rows of eight, zero beyond the last coordinate. The group element is transposed.
+    virtual int64_t step(double* x, double* dx, double* group, double* dgroup, double t, double h) = 0;
+};
+
+#define STEP_SCHEME(name, Type)                                                      \
+    EXPORT StepScheme* name##_step(const StepTables& tables, const Own& constants) { \
+        return new Type(tables, constants);                                          \
+    }
+
+}  // namespace coadjoint

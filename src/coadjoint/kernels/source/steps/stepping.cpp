@@ -1,0 +1,105 @@
+// What Python calls for step methods: the loop over steps, one member after the other.
+#include <atomic>
+#include <memory>
+
+#include "boundary/crew.hpp"
+#include "steps/step_scheme.hpp"
+
+namespace coadjoint {
+
+typedef StepScheme* (*MakeScheme)(const StepTables& tables, const Own& constants);
+
+// The steps of small tables that a thread read last, made once for many short calls; tables are known by their number,
+// since others may come to stand where they stood.
+struct Remembered {
+    int64_t serial = 0;
+    std::unique_ptr<StepScheme> scheme;
+};
+constexpr int64_t REMEMBERED = 16, SMALL = 64;
+static thread_local Remembered remembered[REMEMBERED];
+static std::atomic<int64_t> numbered{0};
+
+static int64_t serial_of(const Stepping& tables) {
+    // The tables are Python's; threads that share them agree on the number that is set first.
+    auto* serial = const_cast<int64_t*>(&tables.serial);
+    int64_t none = 0;
+    if (__atomic_load_n(serial, __ATOMIC_ACQUIRE) == 0)
+        __atomic_compare_exchange_n(serial, &none, ++numbered, false, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE);
+    return __atomic_load_n(serial, __ATOMIC_ACQUIRE);
+}
+
+static std::unique_ptr<StepScheme> made(const Stepping& tables, const Own& constants) {
+    return std::unique_ptr<StepScheme>(reinterpret_cast<MakeScheme>(tables.step[0])(tables.tables, constants));
+}
+
+static StepScheme* remembered_step(const Stepping& tables) {
+    const int64_t serial = serial_of(tables);
+    Remembered& place = remembered[serial % REMEMBERED];
+    if (place.serial != serial) {
+        place.scheme = made(tables, Own{1, 0});
+        place.serial = serial;
+    }
+    return place.scheme.get();
+}
+
+static void follow(const Loop<Stepping>& loop, const Crew& crew) {
+    const Stepping& tables = loop.tables;
+    const Watch& watch = loop.watch;
+    const Saves& saves = loop.saves;
+    const Schedule& schedule = loop.schedule;
+    const State& state = loop.state;
+    const Report& report = loop.report;
+    const int64_t n = state.size, square = state.square;
+    std::vector<double> arguments(watch.longest + 1), room(2 * watch.longest + 2);
+    const int64_t eights = (n + 7) / 8;
+    Room<Lanes<8>> momentum(2 * eights);
+    double *x = reinterpret_cast<double*>(momentum.at), *dx = x + 8 * eights;
+    const int64_t watched = work_of_terms(watch.terms, 0, watch.terms.size);
+    std::unique_ptr<StepScheme> own;
+    StepScheme* scheme = crew.stride || n > SMALL ? nullptr : remembered_step(tables);
+    for (int64_t place = crew.first; place < crew.last; ++place) {
+        const int64_t member = crew.members[place];
+        if (report.status[member] != DONE) continue;
+        const Own constants{crew.stride ? crew.stride : 1, crew.stride ? place : 0};
+        if (crew.stride || !scheme) {
+            own = made(tables, constants);
+            scheme = own.get();
+        }
+        scheme->memory = state.remembered ? loop.memory_of(member) : nullptr;
+        // Beyond the last coordinate there is nothing, and nothing that the member before may have left.
+        std::fill_n(x, 16 * eights, 0.0);
+        std::copy_n(state.momenta + member * n, n, x);
+        std::copy_n(state.errors + member * n, n, dx);
+        double *g = state.groups + member * square, *dg = state.group_errors + member * square;
+        for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
+            const double start = schedule.t0 + double(k - 1) * schedule.h;
+            int64_t status = DONE;
+            for (int64_t part = 0; part < tables.substeps && status == DONE; ++part) {
+                loop.hearing.after(watched + scheme->work);
+                scheme->evaluations = scheme->iterations = 0;
+                status = scheme->step(x, dx, g, dg, start + tables.moment[part] * schedule.h,
+                                      tables.fraction[part] * schedule.h);
+                report.evaluations[member] += scheme->evaluations;
+                report.iterations[member] += scheme->iterations;
+            }
+            if (status == DONE && !finite(n, x)) {
+                status = OVERFLOWED;
+                scheme->residual = std::numeric_limits<double>::quiet_NaN();
+            }
+            if (status != DONE) {
+                loop.fail(member, k, status, scheme->residual);
+                break;
+            }
+            const int64_t slot = slot_of(schedule, k);
+            if (!schedule.watching && slot < 0) continue;
+            note_steps(watch, constants, saves, schedule, member, 1, &k, n, x, arguments.data(), room.data());
+            if (slot >= 0) std::copy_n(g, square, saves.group + (slot * saves.members + member) * square);
+        }
+        std::copy_n(x, n, state.momenta + member * n);
+        std::copy_n(dx, n, state.errors + member * n);
+    }
+}
+
+EXPORT_LOOP(stepping_advance, Stepping, follow)
+
+}  // namespace coadjoint

@@ -1,0 +1,260 @@
+"""Configuration files: what they may say, and what is said about a wrong one."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from configuration_files import OWN, READY_MADE
+
+import coadjoint as co
+from coadjoint.files.configuration import ConfigurationError, load
+from coadjoint.files.expressions import read_brackets, read_polynomial
+from coadjoint.methods import registry
+
+
+@pytest.fixture
+def written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def write(text, *changes):
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        (tmp_path / "run.toml").write_text(text)
+        return "run.toml"
+
+    return write
+
+
+def test_ready_made_system(written):
+    found = load(written(READY_MADE))
+    assert found.system.parameters == {"inertia": (1.0, 2.0, 4.0)}
+    assert found.method == co.Splitting(order=4)
+    assert (found.t_span, found.step, found.save_every, found.watch) == ((0.0, 1.0), 0.1, 1, True)
+    by_hand = co.integrate(
+        co.systems.rigid_body((1.0, 2.0, 4.0)), (1.0, 0.1, 0.5), (0.0, 1.0), 0.1, method=co.Splitting(order=4)
+    )
+    np.testing.assert_array_equal(found.integrate().x, by_hand.x)
+
+
+def test_own_brackets_are_the_same_motion(written):
+    own = load(written(OWN))
+    assert own.system.algebra == co.algebras.so(3)
+    assert (own.system.name, own.system.sign, list(own.system.casimirs)) == ("mine", -1, ["|x|^2"])
+    body = co.systems.rigid_body((1.0, 2.0, 4.0))
+    np.testing.assert_array_equal(own.integrate().x, co.integrate(body, (1.0, 0.1, 0.5), (0.0, 1.0), 0.1).x)
+
+
+@pytest.mark.parametrize(
+    "polynomial",
+    [
+        '"0.5*x1^2 + 0.25*x2^2 + 1/8*x3^2"',
+        "[[0.5, [2, 0, 0]], [0.25, [0, 2, 0]], [0.125, [0, 0, 2]]]",
+    ],
+)
+def test_polynomial_hamiltonian(written, polynomial):
+    found = load(written(OWN, ("M = [1.0, 0.5, 0.25]", f"polynomial = {polynomial}")))
+    assert found.system.energy([1.0, 2.0, 4.0]) == 3.5
+
+
+def test_catalogue_attitude_ensemble_and_observed(written):
+    text = """
+    casimirs = {}
+    algebra = {name = "A3,7", parameters = {a = 2.0}}
+    hamiltonian = {M = 1.0, linear = [0.0, 0.0, 1.0]}
+    initial = {x = [[1.0, 1.0, 1.0], [0.5, 0.0, 1.0]], attitude = "coadjoint"}
+    run = {t_span = [0.0, 0.5], step = 0.1, watch = false, threads = 1, save_every = 2}
+    observe = {height = "x3"}
+    """
+    sol = load(written(text)).integrate()
+    assert sol.x.shape == (4, 2, 3) and sol.attitude.shape == (4, 2, 3, 3)
+    assert sol.casimirs == {} and not sol.watched
+    np.testing.assert_array_equal(sol.observed["height"], sol.x[..., 2])
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ([("step", "stpe")], "run.stpe: unknown key; did you mean 'step'?"),
+        ([("[initial]", "[intial]")], "intial: unknown key; did you mean 'initial'?"),
+        (
+            [("step = 0.1", "step = 0.1\nqqq = 1")],
+            "run.qqq: unknown key; known here: save_every, step, t_span, threads, watch",
+        ),
+        ([("step = 0.1", "")], "run.step: is missing; give it"),
+        ([("step = 0.1", 'step = "0.1"')], "run.step: must be a number, not '0.1'"),
+        ([("step = 0.1", "step = -0.1")], "run.step: must be greater than 0.0, not -0.1"),
+        ([("step = 0.1", "step = 0.1\nsave_every = 2.0")], "run.save_every: must be a whole number, not 2.0"),
+        ([("step = 0.1", "step = 0.1\nsave_every = 0")], "run.save_every: must be 1 or more, not 0"),
+        ([("step = 0.1", "step = 0.1\nwatch = 1")], "run.watch: must be true or false, not 1"),
+        (
+            [("step = 0.1", "step = 0.3")],
+            "run: step 0.3 does not divide the time 1.0; the nearest steps that do are 0.25 and 0.3333333333333333",
+        ),
+        ([("[0, 1]", "[0, 1, 2]")], "run: t_span is [0, 1, 2]; it must be two numbers, the start and the end"),
+        ([("[0, 1]", "[0, nan]")], "run.t_span: every number must be finite, and nan is not"),
+        (
+            [("x = [1.0, 0.1, 0.5]", "x = [1.0, 0.1]")],
+            "initial.x: x0 has the shape (2,); it must be (3,) or (members, 3)",
+        ),
+        (
+            [("x = [1.0, 0.1, 0.5]", "x = [[1.0, 0.1, 0.5], [1.0]]")],
+            "initial.x: must be a list of numbers or a list of equally long lists of numbers, "
+            "not [[1.0, 0.1, 0.5], [1.0]]",
+        ),
+        (
+            [("0.5]", '0.5]\nattitude = "rotation"')],
+            "initial.attitude: must be true, false, 'coadjoint' or a matrix, the initial group element, not 'rotation'",
+        ),
+        (
+            [("0.5]", "0.5]\nattitude = [[1.0]]")],
+            "initial.attitude: attitude has the shape (1, 1); the representation of rigid_body needs (3, 3)",
+        ),
+        ([('"rigid_body"', '"rigidbody"')], "system: unknown system 'rigidbody'; did you mean 'rigid_body'?"),
+        ([("inertia =", "inertias =")], "system.parameters.inertias: unknown key; did you mean 'inertia'?"),
+        ([("4.0]", "-4.0]")], "system: inertia[2] is -4; every principal moment must be positive"),
+        ([("[system]", "sign = -1\n[system]")], "sign: belongs to [algebra]; the system 'rigid_body' has its own"),
+        ([('"Splitting"', '"Spliting"')], "method: unknown method 'Spliting'; did you mean 'Splitting'?"),
+        ([("order", "oder")], "method.oder: unknown key; did you mean 'order'?"),
+        ([("order = 4", "order = 3")], "method: Splitting has the orders 1, 2, 4, 6, 8 and 10, not 3"),
+        ([("order = 4", "parts = [[0, 1], [2]]")], "method: "),
+        ([('name = "Splitting"', "")], "method: {'order': 4} is no scheme; "),
+        ([("step = 0.1", "step =")], "line 13, column 7: invalid value"),
+        ([("step = 0.1", "step = [")], "line 14, column 1: invalid value"),
+        ([("step = 0.1", "step = 0.1\nstep = 0.1")], "line 14, column 11: cannot overwrite a value"),
+    ],
+)
+def test_wrong_ready_made(written, changes, said):
+    with pytest.raises(ConfigurationError) as error:
+        load(written(READY_MADE, *changes)).integrate()
+    message = str(error.value)
+    assert "\n" not in message
+    assert message.startswith(f"run.toml: {said}")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            [('"[e3, e1] = e2"', '"[e1, e3] = e1"')],
+            "algebra.brackets: Jacobi identity violated for (e1, e2, e3)",
+        ),
+        ([("[e3, e1] = e2", "[e3, e4] = e2")], "algebra.brackets: '[e3, e4] = e2' is not a bracket of e1, e2, e3; "),
+        ([("[e3, e1] = e2", "[e2, e1] = e3")], "algebra.brackets: the bracket of e2 and e1 is given twice; "),
+        ([("[e3, e1] = e2", "[e3, e1] = e2 e1")], "algebra.brackets: '[e3, e1] = e2 e1' cannot be read from 'e1' on; "),
+        ([("dim = 3", 'dim = 2\nbasis = ["a", "b", "c"]')], "algebra.basis: has 3 names; dim is 2"),
+        ([("dim = 3\n", "")], "algebra.dim: is missing; give it, or basis"),
+        ([("brackets", "bracket")], "algebra.bracket: unknown key; did you mean 'brackets'?"),
+        (
+            [("dim = 3", "dim = 3\nparameters = {a = 1}")],
+            "algebra.parameters: belongs to an algebra of the catalogue; ",
+        ),
+        ([("sign = -1", "sign = 2")], "sign: must be 1 or -1, not 2"),
+        ([("sign = -1", "sign = true")], "sign: must be 1 or -1, not True"),
+        ([("[hamiltonian]\nM = [1.0, 0.5, 0.25]", "")], "hamiltonian: is missing; give it beside [algebra]"),
+        ([("M = [1.0, 0.5, 0.25]", "")], "hamiltonian.M: is missing; give M, linear or both, or polynomial"),
+        ([("0.25]", '0.25]\npolynomial = "x1"')], "hamiltonian.M: is given beside polynomial; write all of it there"),
+        ([("M = [1.0, 0.5, 0.25]", "M = [1.0, 0.5]")], "hamiltonian: M is 2 x 2 but the system has dimension 3; "),
+        ([("M = [1.0, 0.5, 0.25]", "M = [[1, 2, 0], [0, 1, 0], [0, 0, 1]]")], "hamiltonian: M is not symmetric"),
+        ([("M = [1.0, 0.5, 0.25]", "M = true")], "hamiltonian.M: must be a number or a list of numbers or "),
+        (
+            [("M = [1.0, 0.5, 0.25]", 'polynomial = "x1**2"')],
+            "hamiltonian.polynomial: 'x1**2' cannot be read from '*2' on; ",
+        ),
+        ([("M = [1.0, 0.5, 0.25]", 'polynomial = "x4"')], "hamiltonian.polynomial: 'x4' has the coordinate x4; "),
+        ([("M = [1.0, 0.5, 0.25]", "polynomial = 3")], "hamiltonian.polynomial: must be text such as "),
+        ([("+ x3^2", "+ x3^3")], "casimirs: '|x|^2' is not a Casimir: "),
+        ([("[run]", '[observe]\nspeed = "v1"\n[run]')], "observe.speed: 'v1' cannot be read from 'v1' on; "),
+        ([("[algebra]", '[system]\nname = "rigid_body"\n[algebra]')], "give either [system], a ready-made one, or "),
+    ],
+)
+def test_wrong_own_algebra(written, changes, said):
+    with pytest.raises(ConfigurationError) as error:
+        load(written(OWN, *changes))
+    message = str(error.value)
+    assert "\n" not in message
+    assert message.startswith(f"run.toml: {said}")
+
+
+def test_more_saved_states_than_memory(written):
+    found = load(written(READY_MADE, ("[0, 1]", "[0, 1e15]"), ("step = 0.1", "step = 1.0")))
+    with pytest.raises(ConfigurationError, match=r"run.toml: run.save_every: the saved states do not fit into memory"):
+        found.integrate()
+
+
+def test_text_that_is_none(tmp_path):
+    (tmp_path / "run.toml").write_bytes(b"x = \xff")
+    with pytest.raises(ConfigurationError, match=r"run.toml: is not text in UTF-8 \(byte 4\); save it as such"):
+        load(tmp_path / "run.toml")
+
+
+@pytest.mark.parametrize(
+    "polynomial",
+    [
+        co.Polynomial({(2, 0, 0): 0.5, (0, 1, 1): -1}),
+        co.Polynomial({(1, 0, 0): Fraction(-1, 3), (0, 0, 0): 1e-20, (0, 0, 4): 12}),
+        co.Polynomial({}, dim=3),
+    ],
+    ids=repr,
+)
+def test_polynomials_are_read_as_they_are_printed(polynomial):
+    assert read_polynomial(repr(polynomial), 3) == polynomial
+
+
+def test_whole_and_rational_coefficients_stay_exact():
+    assert read_polynomial("1/3*x1 + 2*x2*x1*3 - 0.5", 2) == co.Polynomial(
+        {(1, 0): Fraction(1, 3), (1, 1): 6, (0, 0): -0.5}
+    )
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x1 +", "x1 x2", "x1^", "x1^-1", "x1^1.5", "2*(x1 + x2)", "(1/3*x1", "1/0", "x0", "__import__('os')"]
+)
+def test_no_other_polynomials(text):
+    with pytest.raises(ValueError, match=r"cannot be read|divides by zero|there are x1 to x2"):
+        read_polynomial(text, 2)
+
+
+@pytest.mark.parametrize("term", [[1.0, [2]], [1.0, 2], ["a", [1, 0]], [1.0, [1, -1]], 3])
+def test_no_other_terms(term):
+    with pytest.raises((ValueError, TypeError), match=r"exponents|coefficient"):
+        read_polynomial([term], 2)
+
+
+def test_brackets_in_all_their_forms():
+    basis = ["e1", "e12", "e2"]
+    assert read_brackets(["[e1,e12]= -1/2*e12 + .5e2 + e12", "[ e1 , e2 ] = 0", "[e12, e2] = 2e1"], basis) == {
+        (0, 1): {1: 0.5, 2: 0.5},
+        (0, 2): {},
+        (1, 2): {0: 2.0},
+    }
+
+
+@pytest.mark.parametrize("method", [
+    co.Splitting(parts=((0, 1), (2,)), scheme="suzuki4"),
+    co.ExplicitRungeKutta("runge2"),
+    co.Composition(co.GaussLegendre(stages=1), (0.25, 0.5, 0.25)),
+])  # fmt: skip
+def test_methods_are_made_again_from_their_description(method):
+    assert registry.from_description(registry.description_of(method)) == method
+
+
+def test_every_public_scheme_is_found():
+    public = {
+        name for name in ("Splitting", "Composition", "GaussLegendre", "ModifiedGaussLegendre", "IteratedGaussLegendre")
+    }
+    assert public <= set(registry.names())
+    for name in registry.names():
+        assert getattr(co, name).__name__ == name
+        assert registry.summary_of(name).endswith(".")
+
+
+def test_parameter_that_is_called_name(written):
+    text = READY_MADE.replace(
+        'name = "Splitting"\norder = 4', 'name = "ExplicitRungeKutta"\nparameters = {name = "runge2"}'
+    )
+    assert load(written(text)).method == co.ExplicitRungeKutta("runge2")
+    with pytest.raises(ValueError, match="the parameter 'order' of Splitting is given twice"):
+        registry.from_description({"name": "Splitting", "order": 2, "parameters": {"order": 4}})
+    with pytest.raises(ValueError, match="Composition needs the parameter 'base'"):
+        registry.get("Composition")

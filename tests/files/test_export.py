@@ -1,0 +1,169 @@
+"""The dataset of a solution: what is in it, that files keep it, and that it can be run again to the same bits."""
+
+import json
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import xarray
+
+import coadjoint as co
+from coadjoint.files.export import dataset_of, mark_failed, rebuild, solution_inputs
+from coadjoint.files.output import OutputError, write_dataset
+from coadjoint.files.records import record_of, system_of
+
+X = (1.0, 0.1, 0.5)
+
+
+def own_system(hamiltonian=None, **more):
+    algebra = co.LieAlgebra.from_brackets(
+        3, {(0, 1): {1: 2.0}, (0, 2): {2: -2.0}, (1, 2): {0: 1.0}}, basis=("h", "e", "f"), name="mine"
+    )
+    full = [[2.0, 0.3, 0.1], [0.3, 1.5, -0.2], [0.1, -0.2, 1.0]]
+    casimirs = {"x1*x1/4": co.Polynomial({(2, 0, 0): 0.25, (0, 1, 1): 1})}
+    H = co.Quadratic(full, linear=[0.1, 0.0, 0.0]) if hamiltonian is None else hamiltonian
+    return co.LiePoissonSystem(algebra, H, sign=-1, casimirs=casimirs, name="own", **more)
+
+
+QUARTIC = co.Polynomial({(4, 0, 0): 0.1, (2, 0, 0): Fraction(1, 3), (0, 2, 0): 1, (0, 0, 2): 0.25})
+PIECES = co.SplitHamiltonian([((0,), co.Quadratic(1.5)), ((1,), co.Polynomial({(3,): 0.1})), ((2,), co.Quadratic(2.0))])
+
+
+BODY = co.systems.rigid_body()
+RUNS = {
+    "ready made": lambda: co.integrate(BODY, X, (0.0, 2.0), 0.1, co.Splitting(order=4), save_every=3),
+    "backward": lambda: co.integrate(co.systems.paper_a37(), X, (1.0, -1.0), 0.1, attitude="coadjoint", watch=False),
+    "attitude": lambda: co.integrate(co.systems.paper_rigid_body(), X, (0.0, 2.0), 0.1, attitude=True),
+    "turned": lambda: co.integrate(
+        co.systems.rigid_body(), X, (0.0, 2.0), 0.1, attitude=[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    ),
+    "own": lambda: co.integrate(own_system(), X, (0.0, 2.0), 0.1, co.Splitting(order=2, parts="auto")),
+    "polynomial": lambda: co.integrate(own_system(QUARTIC), X, (0.0, 2.0), 0.1),
+    "pieces": lambda: co.integrate(own_system(PIECES), X, (0.0, 0.5), 0.1),
+    "represented": lambda: co.integrate(
+        co.LiePoissonSystem(co.algebras.e(3), co.Quadratic([1, 1, 0.5, 0, 0, 0], linear=[0, 0, 0, 0, 0, 1.5]), sign=-1),
+        [(0.1, 0, 2, 0, 0.6, 0.8), (0.2, 0, 1, 0, 0.8, 0.6)], (0.0, 1.0), 0.1, attitude=True,
+    ),
+    "implicit": lambda: co.integrate(BODY, [X, X[::-1]], (0.0, 2.0), 0.1, co.GaussLegendre(stages=2)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".zarr"])
+@pytest.mark.parametrize("name", RUNS)
+def test_run_again_from_its_file_to_the_same_bits(name, suffix, tmp_path):
+    first = RUNS[name]()
+    dataset = dataset_of(first)
+    path = tmp_path / f"run{suffix}"
+    write_dataset(dataset, path)
+    with xarray.open_dataset(path, engine={".nc": "h5netcdf", ".zarr": "zarr"}[suffix]) as read:
+        xarray.testing.assert_identical(read.load(), dataset)
+        again = rebuild(read)
+    for mine, others in ((again.x, first.x), (again.t, first.t), (again.energy, first.energy)):
+        np.testing.assert_array_equal(mine, others)
+    np.testing.assert_array_equal(again.drift()["energy"].tenths, first.drift()["energy"].tenths)
+    if first.attitude is not None:
+        np.testing.assert_array_equal(again.attitude, first.attitude)
+    assert (again.method, again.step, again.save_every, again.watched) == (
+        first.method, first.step, first.save_every, first.watched
+    )  # fmt: skip
+
+
+def test_what_is_in_it():
+    sol = co.integrate(
+        co.systems.rigid_body(), X, (0.0, 2.0), 0.1, observe={"x1 x2": co.Polynomial({(1, 1, 0): 1})}, attitude=True
+    )
+    dataset = sol.to_xarray()
+    assert dict(dataset.sizes) == {"time": 21, "component": 3, "invariant": 2, "tenth": 10, "row": 3, "column": 3}
+    assert dataset["component"].values.tolist() == ["e1", "e2", "e3"]
+    assert dataset["x"].dims == ("time", "component")
+    assert dataset["attitude"].dims == ("time", "row", "column")
+    assert dataset["casimir_x_2"].attrs["long_name"] == "|x|^2"
+    np.testing.assert_array_equal(dataset["casimir_x_2"], sol.casimirs["|x|^2"])
+    np.testing.assert_array_equal(dataset["observed_x1_x2"], sol.x[:, 0] * sol.x[:, 1])
+    np.testing.assert_array_equal(dataset["drift"].sel(invariant="energy"), sol.drift()["energy"].tenths)
+    assert json.loads(dataset.attrs["system"]) == {"name": "rigid_body", "parameters": {"inertia": [1.0, 2.0, 3.0]}}
+    assert json.loads(dataset.attrs["method"])["name"] == "Splitting"
+    assert dataset.attrs["coadjoint_version"] == co.__version__
+    assert json.loads(dataset.attrs["t_span"]) == [0.0, 2.0]
+    assert dataset.attrs["not_stored"] == "functions are not stored: observed: x1 x2"
+
+
+def test_ensemble_has_members():
+    dataset = RUNS["implicit"]().to_xarray()
+    assert dataset["x"].dims == ("time", "member", "component")
+    assert dataset["drift"].dims == ("member", "invariant", "tenth")
+    assert dataset["failed"].values.tolist() == [False, False]
+
+
+def test_names_that_differ_only_in_signs_have_variables_of_their_own():
+    algebra = co.LieAlgebra([(0, 1, 2, 1.0)], dim=3)
+    z = co.Polynomial({(0, 0, 1): 1})
+    system = co.LiePoissonSystem(algebra, co.Quadratic(1.0), casimirs={"z+": z, "z-": 2 * z, "*": 3 * z})
+    dataset = co.integrate(system, X, (0.0, 1.0), 0.1).to_xarray()
+    names = {name: dataset[name].attrs["long_name"] for name in dataset if name.startswith("casimir")}
+    assert names == {"casimir_z": "z+", "casimir_z_2": "z-", "casimir_unnamed": "*"}
+
+
+def test_functions_are_named_and_not_stored():
+    def height(x):
+        return x[0] * x[0]
+
+    def slope(x):
+        return np.array([2 * x[0], 0.0, 0.0])
+
+    record = record_of(co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(height, slope)))
+    assert record["not_stored"] == ["hamiltonian: height"]
+    with pytest.raises(
+        ValueError, match=r"functions are not stored \(hamiltonian: height\); make the system in Python"
+    ):
+        system_of(json.loads(json.dumps(record)))
+
+
+def test_casimir_that_is_a_function_is_left_out_when_run_again():
+    system = co.LiePoissonSystem(co.algebras.A3_7(2.0), co.Quadratic([1.0, 2.0, 0.01]))
+    sol = co.integrate(system, X, (0.0, 1.0), 0.1)
+    dataset = sol.to_xarray()
+    assert dataset.attrs["not_stored"] == "functions are not stored: casimir: log C"
+    again = rebuild(dataset)
+    np.testing.assert_array_equal(again.x, sol.x)
+    assert list(again.casimirs) == []
+
+
+@pytest.mark.parametrize("attitude", [True, "coadjoint"])
+def test_attitude_in_matrices_of_the_same_size(attitude):
+    sol = co.integrate(co.systems.paper_a37(), X, (0.0, 1.0), 0.1, attitude=attitude)
+    np.testing.assert_array_equal(rebuild(sol.to_xarray()).attitude, sol.attitude)
+
+
+def test_failed_run_fails_again_at_the_same_step():
+    growing = co.LiePoissonSystem(co.LieAlgebra([(0, 1, 1, 1.0)], dim=2), co.Quadratic(0.0, linear=[1.0, 0.0]), sign=-1)
+    members = [(1.0, 1.0), (1.0, 0.0)]
+    with pytest.raises(co.IntegrationError) as first:
+        co.integrate(growing, members, (0.0, 1000.0), 1.0, save_every=500)
+    dataset = mark_failed(first.value.partial.to_xarray(), first.value)
+    assert dataset["failed"].values.tolist() == [True, False]
+    assert dataset["x"].sel(member=1).notnull().all()
+    assert dataset["x"].sel(member=0).isnull().any(dim="component").values.tolist() == [False, False, True]
+    with pytest.raises(co.IntegrationError) as again:
+        rebuild(dataset)
+    assert again.value.step == first.value.step == dataset.attrs["failed_step"] == 710
+
+
+def test_times_of_a_run_that_failed_at_once():
+    growing = co.LiePoissonSystem(co.LieAlgebra([(0, 1, 1, 1.0)], dim=2), co.Quadratic(0.0, linear=[1.0, 0.0]), sign=-1)
+    with pytest.raises(co.IntegrationError) as failure:
+        co.integrate(growing, (1.0, 1.0), (0.0, 1000.0), 1.0, save_every=1000)
+    assert solution_inputs(dataset_of(failure.value.partial))["t_span"] == (0.0, 1000.0)
+
+
+def test_other_datasets_are_refused():
+    with pytest.raises(ValueError, match="no attribute 'system'; it was not written by coadjoint"):
+        solution_inputs(xarray.Dataset())
+
+
+def test_netcdf_without_its_library_is_refused_before_the_run(tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(
+        OutputError, match=r"NetCDF needs the package h5py, which is not installed; install it, or write .zarr"
+    ):
+        write_dataset(xarray.Dataset(), tmp_path / "run.nc")

@@ -1,0 +1,217 @@
+"""No property of a system is lost in a record: every public parameter, with values other than its default."""
+
+import copy
+import json
+import pickle
+
+import numpy as np
+import pytest
+from kept import (
+    FULL,
+    GIVEN,
+    SL2,
+    VALUES,
+    X,
+    parameters,
+    quadratic_by_hand,
+    seen_of,
+    seen_of_algebra,
+    seen_of_hamiltonian,
+    variants,
+)
+
+import coadjoint as co
+from coadjoint.files.export import rebuild
+from coadjoint.files.records import record_of, system_of
+from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.systems.hamiltonian import as_hamiltonian
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.ready_made import ready_made_systems
+
+HAMILTONIANS = {"Quadratic": Quadratic, "Polynomial": co.Polynomial, "SplitHamiltonian": co.SplitHamiltonian}
+
+
+def through_a_record(system):
+    return system_of(json.loads(json.dumps(record_of(system))))
+
+
+def assert_same_motion(system, **more):
+    """The run of a system and of its record: all that a solution has, energy included, bit for bit."""
+    given = {"x0": X, "t_span": (0.0, 0.5), "step": 0.125, "method": GaussLegendre(2)}
+    first = co.integrate(system, **{**given, **more})
+    again = rebuild(first.to_xarray())
+    assert seen_of(again.system) == seen_of(system) if hasattr(system, "algebra") else True
+    for mine, other in ((first.x, again.x), (first.energy, again.energy), (first.t, again.t)):
+        assert np.array_equal(mine, other)
+    assert first.casimirs.keys() >= again.casimirs.keys()
+    assert all(np.array_equal(first.casimirs[name], values) for name, values in again.casimirs.items())
+    assert (first.attitude is None) == (again.attitude is None)
+    assert first.attitude is None or np.array_equal(first.attitude, again.attitude)
+
+
+def made(hamiltonian):
+    return co.LiePoissonSystem(SL2, hamiltonian)
+
+
+@pytest.mark.parametrize(
+    ("kind", "parameter"), [(kind, p) for kind, make in HAMILTONIANS.items() for p in parameters(make) if p != "dim"]
+)
+def test_parameters_of_hamiltonians(kind, parameter):
+    make = HAMILTONIANS[kind]
+
+    def same(one, other):
+        return seen_of_hamiltonian(as_hamiltonian(one, 3)) == seen_of_hamiltonian(as_hamiltonian(other, 3))
+
+    def fitting(**given):
+        H = make(**given)
+        made(H)
+        return H
+
+    for H in variants(fitting, GIVEN[kind], parameter, same):
+        system = made(H)
+        assert seen_of(through_a_record(system)) == seen_of(system)
+        assert_same_motion(system)
+
+
+@pytest.mark.parametrize("parameter", parameters(Quadratic))
+@pytest.mark.parametrize("M", [1.5, [1.0, 2.0, 4.0], FULL], ids=["number", "diagonal", "matrix"])
+def test_parameters_of_quadratic_hamiltonians_inside_of_others(parameter, M):
+    def bound(**given):
+        H = Quadratic(**given).bind(3)
+        wanted.append((H, *quadratic_by_hand(**given)))
+        return H
+
+    def same(one, other):
+        return seen_of_hamiltonian(one) == seen_of_hamiltonian(other)
+
+    wanted = []
+    free, turned = co.LieAlgebra([], dim=3), [X[1], X[2], X[0]]
+    found = variants(bound, {"M": M, "constant": 0.75}, parameter, same)
+    for H in found:
+        value, rounding = next((value, rounding) for one, value, rounding in wanted if one is H)
+        once = co.SplitHamiltonian([((0, 1, 2), H)])
+        twice, moved = co.SplitHamiltonian([((0, 1, 2), once)]), co.SplitHamiltonian([((2, 0, 1), H)])
+        for wrapped, x in ((H, X), (once, X), (twice, X), (moved, turned)):
+            system = co.LiePoissonSystem(free, wrapped)
+            for again in (system, through_a_record(system), copy.deepcopy(system), pickle.loads(pickle.dumps(system))):
+                assert abs(again.energy(x) - value) <= rounding
+                assert seen_of_hamiltonian(again.hamiltonian) == seen_of_hamiltonian(system.hamiltonian)
+                assert abs(co.integrate(again, x, (0.0, 0.25), 0.125).energy[0] - value) <= rounding
+    batch = co.batch([made(Quadratic(FULL)), *map(made, found)])
+    again = through_a_record(batch)
+    assert [seen_of(one) for one in again] == [seen_of(one) for one in batch]
+    sol = co.integrate(batch, X, (0.0, 0.25), 0.125, GaussLegendre(2))
+    for energy, H in zip(sol.energy[0, 1:], found, strict=True):
+        value, rounding = next((value, rounding) for one, value, rounding in wanted if one is H)
+        assert abs(energy - value) <= rounding
+    assert np.array_equal(rebuild(sol.to_xarray()).energy, sol.energy)
+
+
+@pytest.mark.parametrize("parameter", [p for p in parameters(co.LieAlgebra) if p not in ("constants", "dim")])
+def test_parameters_of_algebras(parameter):
+    def same(one, other):
+        return seen_of_algebra(one) == seen_of_algebra(other)
+
+    for algebra in variants(co.LieAlgebra, GIVEN["LieAlgebra"], parameter, same):
+        system = co.LiePoissonSystem(algebra, Quadratic(FULL))
+        assert seen_of(through_a_record(system)) == seen_of(system)
+        assert_same_motion(system, attitude=algebra.representation is not None)
+
+
+def algebras():
+    """One of each name of the catalogue, families as a member, with parameters where they are needed."""
+    numbers = {"a": 0.5, "b": 0.25, "c": -0.75, "n": 3, "p": 2, "q": 1}
+    for name in co.algebras.names():
+        given = {}
+        while True:
+            try:
+                yield name, co.algebras.get(name, **given)
+                break
+            except ValueError as refused:
+                needed = next((key for key in numbers if f"'{key}'" in str(refused) and key not in given), None)
+                needed = needed or next((key for key in numbers if f" {key} " in str(refused)), None)
+                if needed is None or needed in given:
+                    break
+                given[needed] = numbers[needed]
+
+
+def test_algebras_of_the_catalogue():
+    found = dict(algebras())
+    assert len(found) > 0.9 * len(co.algebras.names())
+    for name, algebra in found.items():
+        n = algebra.dim
+        system = co.LiePoissonSystem(algebra, Quadratic(np.linspace(1.0, 2.0, n), constant=0.5), casimirs={})
+        again = through_a_record(system)
+        assert again.algebra == algebra and again.algebra.basis == algebra.basis, name
+        assert again.algebra.name == algebra.name and again.representation is again.algebra.representation
+        assert np.array_equal(again.representation, algebra.representation) or algebra.representation is None
+        x = np.linspace(-1.0, 1.0, n)
+        assert again.energy(x) == system.energy(x) and np.array_equal(again.vector_field(x), system.vector_field(x))
+
+
+# Functions, which no record holds; and what is asked of a ready-made system only.
+NOT_HERE = {"exact": "a function", "parameters": "those of ready-made systems, below"}
+
+
+@pytest.mark.parametrize("parameter", [p for p in parameters(co.LiePoissonSystem) if p not in NOT_HERE])
+def test_parameters_of_systems(parameter):
+    others = {
+        "algebra": [co.LieAlgebra.from_brackets(3, {(0, 2): {0: 2.0, 1: -1.0}, (1, 2): {0: 1.0, 1: 2.0}}), SL2],
+        "name": ["mine", "é's, of 3"],
+        "hamiltonian": [Quadratic(FULL, [0.1, 0.2, 0.3], 0.5), co.Polynomial({(4, 0, 0): 0.25})],
+    }
+    values = others.get(parameter, VALUES)
+    found = variants(
+        co.LiePoissonSystem, GIVEN["LiePoissonSystem"], parameter, lambda a, b: seen_of(a) == seen_of(b), values
+    )
+    for system in found:
+        assert seen_of(through_a_record(system)) == seen_of(system)
+        assert_same_motion(system, attitude=system.representation is not None)
+        assert_same_motion(system, attitude="coadjoint", t_span=(0.25, -0.25))
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter"), [(name, p) for name, make in ready_made_systems().items() for p in parameters(make)]
+)
+def test_parameters_of_ready_made_systems(name, parameter):
+    make = ready_made_systems()[name]
+    default = make.__wrapped__ if hasattr(make, "__wrapped__") else make
+    usual = np.asarray(default.__defaults__[parameters(make).index(parameter)], dtype=float)
+    values = [(usual * (1.25 + 0.125 * np.arange(usual.size))).tolist() if usual.ndim else float(usual) + 0.75]
+    values.append(np.array([[2.0, 0.1, 0.2], [0.1, 3.0, -0.3], [0.2, -0.3, 4.0]]))
+    for system in variants(make, {}, parameter, lambda a, b: seen_of(a) == seen_of(b), values):
+        again = through_a_record(system)
+        assert seen_of(again) == seen_of(system) and (again.closed_form is None) == (system.closed_form is None)
+        assert_same_motion(system, attitude=True, method=co.Splitting(order=2))
+
+
+def test_functions_are_named_where_they_are_lost():
+    def value(x):
+        return x[0] * x[0]
+
+    def slope(x):
+        return np.array([2 * x[0], 0.0, 0.0])
+
+    def closed(x0, t, attitude):
+        return x0
+
+    def J(x):
+        return np.array([[0.0, x[2], 0.0], [-x[2], 0.0, 0.0], [0.0, 0.0, 0.0]])
+
+    H = co.Hamiltonian(value, slope)
+    piece = co.SplitHamiltonian([((0,), co.Separable({0: (np.cosh, np.sinh)})), ((1,), Quadratic(1.0))])
+    invariant = co.Invariant(lambda x: 3.0)
+    for system, lost, moves in (
+        (made(H), ["hamiltonian: value"], True),
+        (made(piece), ["hamiltonian: cosh"], True),
+        (co.PoissonSystem(J, Quadratic([1.0, 2.0, 3.0])), ["structure matrix: J"], True),
+        (co.LiePoissonSystem(SL2, Quadratic(1.0), exact=closed), ["exact solution: closed"], False),
+        (co.LiePoissonSystem(SL2, Quadratic(1.0), casimirs={"f": invariant}), ["casimir: f"], False),
+    ):
+        record = record_of(system)
+        assert record["not_stored"] == lost
+        if moves:
+            with pytest.raises(ValueError, match=r"functions are not stored \(" + lost[0]):
+                system_of(record)
+        else:
+            assert system_of(record).energy(X) == system.energy(X)

@@ -1,0 +1,168 @@
+"""No parameter of a scheme, of a run or of a Hamiltonian is lost in a record or in a configuration file."""
+
+import json
+from dataclasses import fields
+from inspect import signature
+
+import numpy as np
+import pytest
+from kept import GIVEN, PLAIN, SL2, WITH, X, parameters, seen_of_hamiltonian, variants
+
+import coadjoint as co
+from coadjoint.files.configuration import load
+from coadjoint.files.configuration_models import File, HamiltonianTable, RunTable
+from coadjoint.files.export import rebuild, solution_inputs
+from coadjoint.methods import registry
+from coadjoint.systems.quadratic import Quadratic
+
+BODY = co.systems.rigid_body((1.0, 2.0, 4.0))
+
+
+def as_toml(value):
+    """A value as it is written behind a key."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(key)} = {as_toml(entry)}" for key, entry in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(as_toml, value)) + "]"
+    return json.dumps(value)
+
+
+def in_a_file(tmp_path, **tables):
+    path = tmp_path / "run.toml"
+    path.write_text("".join(f"{key} = {as_toml(value)}\n" for key, value in tables.items()))
+    return load(path)
+
+
+def assert_same_run(sol, again):
+    for part in fields(co.Solution):
+        if part.name not in ("system", "stats", "observed", "casimirs"):
+            mine, other = getattr(sol, part.name), getattr(again, part.name)
+            assert np.array_equal(mine, other) and type(mine) is type(other), part.name
+    assert sol.stats.steps == again.stats.steps and sol.stats.evaluations == again.stats.evaluations
+
+
+def fields_of(method):
+    return {field.name: getattr(method, field.name) for field in fields(method)}
+
+
+@pytest.mark.parametrize(("name", "parameter"), [(n, p) for n in registry.names() for p in registry.parameters_of(n)])
+def test_parameters_of_schemes(name, parameter, tmp_path):
+    def make(**given):
+        return registry.get(name, **given)
+
+    given = GIVEN.get(name, {}) | WITH.get((name, parameter), {})
+    found = variants(make, given, parameter, lambda a, b: fields_of(a) == fields_of(b), PLAIN, most=6)
+    for method in found:
+        description = json.loads(json.dumps(registry.description_of(method)))
+        again = registry.from_description(description)
+        assert fields_of(again) == fields_of(method) and type(again) is type(method)
+        assert list(map(type, fields_of(again).values())) == list(map(type, fields_of(method).values()))
+        assert again.order == method.order and again.symmetric == method.symmetric
+        written = {key: value for key, value in description["parameters"].items() if value is not None}
+        table = {"name": name, "parameters": {key: without_none(value) for key, value in written.items()}}
+        tables = {"system": {"name": "rigid_body", "parameters": {"inertia": [1.0, 2.0, 4.0]}}, "initial": {"x": X}}
+        try:
+            sol = co.integrate(BODY, X, (0.0, 0.5), 0.125, method)
+        except ValueError:
+            continue  # parts of another system
+        assert_same_run(sol, rebuild(sol.to_xarray()))
+        configured = in_a_file(tmp_path, **tables, method=table, run={"t_span": [0.0, 0.5], "step": 0.125})
+        assert fields_of(configured.method) == fields_of(method)
+        assert_same_run(sol, configured.integrate())
+
+
+def without_none(value):
+    if isinstance(value, dict):
+        return {key: without_none(entry) for key, entry in value.items() if entry is not None}
+    return value
+
+
+def test_schemes_that_are_tuned():
+    system = co.LiePoissonSystem(co.algebras.so(4), Quadratic(np.linspace(1.0, 2.0, 6)))
+    x = np.linspace(0.5, 1.0, 6)
+    method = co.Splitting.tuned(system, x, order=4)
+    assert registry.from_description(json.loads(json.dumps(registry.description_of(method)))) == method
+    sol = co.integrate(system, x, (0.0, 0.5), 0.125, method)
+    assert_same_run(sol, rebuild(sol.to_xarray()))
+    inner = co.Composition(co.Splitting.tuned(BODY, X), (0.25, 0.5, 0.25))
+    assert registry.from_description(json.loads(json.dumps(registry.description_of(inner)))) == inner
+
+
+RUNS = {
+    "x0": [[0.5, 0.25, -1.0], [[0.5, 0.25, -1.0], [0.1, 0.2, 0.3]]],
+    "t_span": [(1.0, -0.5), (0.25, 0.25)],
+    "step": [0.0625],
+    "method": [co.GaussLegendre(3)],
+    "save_every": [3, 100],
+    "attitude": [True, "coadjoint", [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]],
+    "watch": [False],
+    "accuracy": [1e-6],
+}
+# What changes no number of a solution; `observe` may be functions, and is named as not stored.
+CHANGES_NOTHING = {"system", "observe", "threads", "progress"}
+
+
+def test_every_parameter_of_a_run_is_here():
+    assert set(parameters(co.integrate)) == set(RUNS) | CHANGES_NOTHING
+    assert set(solution_inputs(co.integrate(BODY, X, (0.0, 0.5), 0.125).to_xarray())) == {"system", *RUNS} - {
+        "accuracy"
+    }
+
+
+@pytest.mark.parametrize("parameter", RUNS)
+def test_parameters_of_runs(parameter, tmp_path):
+    usual = {"x0": X, "t_span": (0.0, 1.5), "step": 0.125, "method": co.Splitting(4)}
+    for value in RUNS[parameter]:
+        given = {**usual, parameter: value}
+        if parameter == "accuracy":
+            del given["step"], given["method"]
+        sol = co.integrate(BODY, **given)
+        assert_same_run(sol, rebuild(sol.to_xarray()))
+        if parameter in ("method", "accuracy"):
+            continue
+        initial = {"x": given["x0"], "attitude": given.get("attitude", False)}
+        run = {key: given[key] for key in RunTable.model_fields if key in given}
+        assert parameter in run or parameter in ("x0", "attitude")
+        configured = in_a_file(
+            tmp_path,
+            system={"name": "rigid_body", "parameters": {"inertia": [1.0, 2.0, 4.0]}},
+            method={"name": "Splitting", "order": 4},
+            initial=initial,
+            run=run,
+        )
+        assert_same_run(sol, configured.integrate())
+
+
+@pytest.mark.parametrize("parameter", parameters(Quadratic))
+def test_parameters_of_quadratic_hamiltonians_in_a_file(parameter, tmp_path):
+    assert set(signature(Quadratic).parameters) <= set(HamiltonianTable.model_fields)
+    values = {
+        "M": [2.0, [1.0, 2.0, 4.0], [[2.0, 0.3, 0.1], [0.3, 1.5, -0.2], [0.1, -0.2, 1.0]]],
+        "linear": [[0.1, -0.2, 0.3]],
+        "constant": [0.75, -2],
+    }
+    for value in values[parameter]:
+        table = {"M": [1.0, 1.5, 2.0], parameter: value}
+        configured = in_a_file(
+            tmp_path,
+            name="own",
+            sign=-1,
+            algebra={"dim": 3, "brackets": ["[e1, e2] = 2 e2", "[e1, e3] = -2 e3", "[e2, e3] = e1"]},
+            hamiltonian=table,
+            casimirs={"C": "1/4*x1^2 + x2*x3"},
+            initial={"x": X},
+            run={"t_span": [0.0, 0.5], "step": 0.125},
+        )
+        system, H = configured.system, Quadratic(**table)
+        assert (system.name, system.sign, system.algebra, list(system.casimirs)) == ("own", -1, SL2, ["C"])
+        assert seen_of_hamiltonian(system.hamiltonian) == seen_of_hamiltonian(H.bind(3))
+        sol = co.integrate(co.LiePoissonSystem(SL2, H, -1, system.casimirs, name="own"), X, (0.0, 0.5), 0.125)
+        again = configured.integrate()
+        assert_same_run(sol, again)
+        assert_same_run(sol, rebuild(configured.dataset(again)))
+        assert sol.energy[0] == H.value(X)
+
+
+def test_tables_of_a_file_name_parameters_of_the_library():
+    assert set(RunTable.model_fields) <= set(parameters(co.integrate))
+    assert {"name", "sign", "casimirs"} <= set(File.model_fields) & set(parameters(co.LiePoissonSystem))

@@ -1,0 +1,230 @@
+"""Where results go: written whole or not at all, and refused before the run where that can be known."""
+
+import os
+import subprocess
+import sys
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from matplotlib.figure import Figure
+
+import coadjoint
+from coadjoint.files.netcdf_file import LARGEST_KEPT, PAGE, SteadfastFile
+from coadjoint.files.output import OutputError, check_target, write_dataset, write_figure
+from coadjoint.files.unfinished import Stopped, Unfinished
+
+ENGINE = {".nc": "h5netcdf", ".zarr": "zarr"}
+SMALL = xarray.Dataset({"x": ("time", np.arange(3.0))}, {"time": [0.0, 1.0, 2.0]}, {"about": "three numbers"})
+# The last variable is longer than what is kept in memory of a file that cannot be written.
+LARGE = SMALL.assign(y=("point", np.arange(2.0 * LARGEST_KEPT / 8)))
+
+# A disk on which files may have so many bytes, for any user: what is written beyond fails as on a full one.
+LIMITED = """
+import os, resource, sys
+import numpy as np, xarray
+from coadjoint.files.output import write_dataset
+dataset = xarray.open_dataset(sys.argv[1], engine="h5netcdf").load()
+target = sys.argv[2]
+for limit in map(int, sys.argv[3:]):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+    try:
+        write_dataset(dataset, target)
+    except OSError as error:
+        print(error.strerror)
+    assert sorted(os.listdir(".")) == ["given.nc", target], os.listdir(".")
+"""
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".zarr"])
+@pytest.mark.parametrize("dataset", [SMALL, LARGE], ids=["small", "large"])
+def test_full_disk(tmp_path, suffix, dataset):
+    write_dataset(dataset, tmp_path / "given.nc")
+    write_dataset(xarray.Dataset({"old": ("time", [1.0])}), tmp_path / f"run{suffix}")
+    # One byte a store can have; from then on something is cut, at the beginning of a file or at its end.
+    size = (tmp_path / "given.nc").stat().st_size if suffix == ".nc" else 100
+    limits = [str(int(part * (size - 1))) for part in (0.01, 0.1, 0.5, 0.9)]
+    command = [sys.executable, "-c", LIMITED, "given.nc", f"run{suffix}", *limits]
+    environment = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=tmp_path, timeout=300)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines() == ["File too large"] * len(limits)
+    with xarray.open_dataset(tmp_path / f"run{suffix}", engine=ENGINE[suffix]) as kept:
+        assert list(kept) == ["old"]
+
+
+@pytest.mark.parametrize("name", ["run.nc", "run.zarr"])
+def test_result_is_replaced_whole_and_survives_a_failure(tmp_path, monkeypatch, name):
+    target, engine = tmp_path / name, ENGINE[Path(name).suffix]
+    write_dataset(xarray.Dataset({"x": ("time", np.arange(3.0))}), target)
+    write_dataset(xarray.Dataset({"y": ("time", np.arange(4.0))}), target)
+
+    @contextmanager
+    def full(self):
+        raise OSError("no space left on device")
+        yield
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Unfinished, "writing", full)
+        with pytest.raises(OSError, match="no space left"):
+            write_dataset(xarray.Dataset(), target)
+    with xarray.open_dataset(target, engine=engine) as kept:
+        assert list(kept) == ["y"]
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_file_in_which_no_write_fails_reads_what_was_written(tmp_path):
+    rng = np.random.default_rng(1)
+    wanted, broken = bytearray(), False
+
+    @contextmanager
+    def failing_from_the_middle_on():
+        if broken:
+            raise OSError("no space left")
+        yield
+
+    file = SteadfastFile(tmp_path / "image", failing_from_the_middle_on)
+    for turn in range(200):
+        broken = turn >= 100
+        at, length = int(rng.integers(0, 4 * PAGE)), int(rng.integers(1, 2 * PAGE))
+        piece = rng.bytes(length)
+        wanted.extend(bytes(max(0, at + length - len(wanted))))
+        wanted[at : at + length] = piece
+        assert file.seek(at) == at and file.write(piece) == length and file.tell() == at + length
+        assert file.seek(0, os.SEEK_END) == len(wanted)
+        at = int(rng.integers(0, len(wanted)))
+        file.seek(at)
+        assert file.read(PAGE) == wanted[at : at + PAGE]
+    file.seek(0)
+    file.write(b"1" * (LARGEST_KEPT + 1))  # numbers: dropped, so that memory does not grow
+    assert file.seek(0) == 0 and file.read(len(wanted)) == wanted
+    assert file.truncate(10) == 10 and file.seek(0) == 0 and file.read() == wanted[:10]
+    with pytest.raises(OSError, match="no space left"):
+        file.close()
+
+
+def test_a_disk_may_take_a_piece_in_parts(tmp_path, monkeypatch):
+    real = os.pwrite, os.pread
+    monkeypatch.setattr(os, "pwrite", lambda file, piece, at: real[0](file, piece[:1000], at))
+    monkeypatch.setattr(os, "pread", lambda file, length, at: real[1](file, min(length, 700), at))
+    write_dataset(LARGE.isel(point=slice(5000)), tmp_path / "run.nc")
+    monkeypatch.undo()
+    with xarray.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as found:
+        xarray.testing.assert_identical(found.load(), LARGE.isel(point=slice(5000)))
+    with SteadfastFile(tmp_path / "image", nullcontext) as file:
+        monkeypatch.setattr(os, "pread", lambda file, length, at: real[1](file, min(length, 700), at))
+        assert file.write(bytes(range(256)) * 10) == 2560 and file.seek(0) == 0
+        assert file.read() == bytes(range(256)) * 10
+
+
+def test_nothing_is_written_once_it_is_given_up(tmp_path):
+    with Unfinished(tmp_path / "run.nc") as unfinished:
+        unfinished.give_up()
+        with pytest.raises(Stopped), unfinished.writing():
+            pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def thesis(store):
+    (store / "thesis.tex").write_text("dear")
+    return "thesis.tex"
+
+
+def beside_the_numbers(store):
+    (store / "x" / "notes.txt").write_text("dear")
+    return "x/notes.txt"
+
+
+def empty_folder(store):
+    (store / "drafts").mkdir()
+    return "drafts/"
+
+
+def link(store):
+    (store / "link").symlink_to(store.parent)
+    return "link"
+
+
+def another_variable(store):
+    xarray.Dataset({"mine": ("time", [1.0, 2.0, 3.0])}).to_zarr(store, mode="a", zarr_format=2, consolidated=True)
+    return ".zattrs"
+
+
+@pytest.mark.parametrize("add", [thesis, beside_the_numbers, empty_folder, link, another_variable])
+def test_store_with_something_else_in_it_is_not_replaced(tmp_path, add):
+    target = tmp_path / "run.zarr"
+    write_dataset(SMALL, target)
+    write_dataset(SMALL, target)
+    found = add(target)
+    before = sorted(target.rglob("*"))
+    with pytest.raises(OutputError) as refused:
+        write_dataset(SMALL, target)
+    assert str(refused.value).startswith(f"{target}: holds {found}, which coadjoint did not write")
+    assert sorted(target.rglob("*")) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["run.zarr"]
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_store_of_another_program_is_not_replaced(tmp_path, version):
+    target = tmp_path / "run.zarr"
+    SMALL.to_zarr(target, zarr_format=version, consolidated=version == 2)
+    with pytest.raises(OutputError, match="which coadjoint did not write, so it is not replaced"):
+        check_target(target)
+
+
+def test_folder_with_the_marker_of_a_store_is_not_replaced(tmp_path):
+    target = tmp_path / "run.zarr"
+    target.mkdir()
+    (target / "zarr.json").write_text("{}")
+    (target / "thesis.tex").write_text("dear")
+    with pytest.raises(OutputError, match=r"holds thesis.tex, which coadjoint did not write"):
+        write_dataset(SMALL, target)
+    assert (target / "thesis.tex").read_text() == "dear"
+
+
+@pytest.mark.parametrize("index", ['{"coadjoint_files": 3}', "[" * 10**5, '{"coadjoint_files": [[]]}', "[]", "\xff"])
+def test_index_that_is_damaged(tmp_path, index):
+    target = tmp_path / "run.zarr"
+    write_dataset(SMALL, target)
+    (target / ".zmetadata").write_text(index, encoding="latin-1")
+    with pytest.raises(OutputError, match="which coadjoint did not write"):
+        check_target(target)
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".zarr", ".png"])
+def test_name_that_is_too_long_is_refused_before_the_run(tmp_path, suffix):
+    suffixes = (".nc", ".zarr", ".png")
+    with pytest.raises(OutputError, match=r"cannot be written \(File name too long\); give a shorter name"):
+        check_target(tmp_path / f"{'a' * 256}{suffix}", suffixes)
+    longest = tmp_path / f"{'a' * (255 - len(suffix))}{suffix}"
+    assert check_target(longest, suffixes) == longest
+    with pytest.raises(OutputError, match=r"File name too long|does not exist"):
+        check_target(tmp_path / "/".join(["b" * 200] * 30) / f"a{suffix}", suffixes)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_longest_names_are_written(tmp_path):
+    for suffix in ENGINE:
+        write_dataset(SMALL, tmp_path / f"{'é' * ((255 - len(suffix)) // 2)}{suffix}")
+    write_figure(Figure(), tmp_path / f"{'é' * 125}.svg")
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_name_with_a_sign_that_no_file_has(tmp_path):
+    with pytest.raises(OutputError, match=r"cannot be written \(embedded null byte\)"):
+        check_target("a\0b.nc")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "package", "instead"),
+    [(".nc", "h5py", ", or write .zarr"), (".zarr", "zarr", ", or write .nc"), (".png", "matplotlib", "")],
+)
+def test_package_that_is_missing(tmp_path, monkeypatch, suffix, package, instead):
+    find = __import__("importlib.util").util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == package else find(name))
+    suffixes = (".png", ".svg") if suffix == ".png" else (".nc", ".zarr")
+    with pytest.raises(OutputError) as refused:
+        check_target(tmp_path / f"run{suffix}", suffixes)
+    assert str(refused.value).endswith(f"needs the package {package}, which is not installed; install it{instead}")

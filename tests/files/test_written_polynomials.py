@@ -1,0 +1,110 @@
+"""The readers of polynomials and brackets: long input in time that grows with it, and bounds for what it stands for."""
+
+import random
+import time
+from fractions import Fraction
+
+import pytest
+
+import coadjoint as co
+from coadjoint.files.expressions import read_brackets, read_polynomial
+
+
+def test_long_polynomials_are_read_in_time_that_grows_with_them():
+    # Read term by term into new polynomials, this took hours.
+    monomials = {(i % 50, i // 50 % 50, i // 2500): i + 1 for i in range(6000)}
+    text = " + ".join(f"{c}*x1^{a}*x2^{b}*x3^{d}" for (a, b, d), c in monomials.items())
+    begun = time.monotonic()
+    assert read_polynomial(text, 3) == co.Polynomial(monomials)
+    assert read_polynomial([[c, list(e)] for e, c in monomials.items()], 3) == co.Polynomial(monomials)
+    assert time.monotonic() - begun < 60
+
+
+def test_terms_add_up_in_the_order_in_which_they_are_written():
+    assert read_polynomial("0.1*x1 + 0.2*x1 + 0.3*x1 - 1e16*x2 + x2 + 1e16*x2", 2) == co.Polynomial(
+        {(1, 0): 0.1 + 0.2 + 0.3, (0, 1): -1e16 + 1 + 1e16}
+    )
+    assert read_polynomial("x1 - x1 + 2*x2 - 1/3*x2", 2) == co.Polynomial({(0, 1): Fraction(5, 3)})
+
+
+def test_highest_degree_and_largest_coefficient():
+    assert read_polynomial("x1^1000*x2^24", 2).degree == 1024
+    with pytest.raises(ValueError, match="'x1\\^1000\\*x2\\^25' has the degree 1025; there are degrees up to 1024"):
+        read_polynomial("x1^1000*x2^25", 2)
+    largest = int(1.7976931348623157e308)
+    assert read_polynomial(f"{largest}*x1", 1).monomials == {(1,): largest}
+    for text in (f"{largest + 10**300}*x1", f"{largest}*x1 + {largest}*x1", f"{largest}*2*x1", f"1/{largest}*1/2*x1"):
+        if text.startswith("1/"):
+            assert read_polynomial(text, 1).monomials == {(1,): Fraction(1, 2 * largest)}
+        else:
+            with pytest.raises(ValueError, match="is too large for float64"):
+                read_polynomial(text, 1)
+
+
+def test_more_terms_than_memory(monkeypatch):
+    monkeypatch.setattr("coadjoint.files.expressions.check_room", lambda count, what: wanted.append((count, what)))
+    wanted = []
+    read_polynomial(" + ".join(f"x{i + 1}" for i in range(1100)), 1100)
+    assert [what for _, what in wanted] == ["a polynomial of 1024 terms or more in 1100 coordinates"]
+    assert 1024 * 1100 * 8 < wanted[0][0] < 10 * 1024 * 1100 * 8
+
+
+def test_brackets_of_many_elements_are_read_in_time_that_grows_with_them():
+    n = 20000
+    basis = [f"e{i + 1}" for i in range(n)]
+    lines = [f"[e{i}, e{i + 1}] = {i} e{i + 2} - 1/2*e{n}" for i in range(1, n - 2)]
+    begun = time.monotonic()
+    found = read_brackets(lines, basis)
+    assert time.monotonic() - begun < 60
+    assert len(found) == n - 3 and found[10, 11] == {12: 11.0, n - 1: -0.5}
+
+
+def written(k, c, basis, rng):
+    number = {1.0: rng.choice(["", "1 ", "1*", "1.0 "])}.get(c, rng.choice([f"{c} ", f"{c}*", f"{c} * ", f"{c}"]))
+    # A digit behind a number would belong to it.
+    return f"{number} {basis[k]}" if basis[k][0].isalnum() and not basis[k][0].isalpha() else f"{number}{basis[k]}"
+
+
+@pytest.mark.parametrize(
+    "basis",
+    [
+        ["e1", "e12", "e2", "e", "ee1"],
+        ["J+", "J-", "J", "J+ J", "K z"],
+        ["1", "2", "12", "3", "4"],
+        ["a,b", "a", "b]", "[", "é"],
+        ["x", "X", "x'", "x''", "x_1"],
+    ],
+    ids=repr,
+)
+def test_any_names(basis):
+    rng = random.Random(repr(basis))
+    for _ in range(200):
+        i, j = rng.sample(range(5), 2)
+        terms = {k: rng.choice([1.0, 2.0, 0.5, 12.0, 3e-5]) for k in rng.sample(range(5), rng.randint(1, 4))}
+        signs = [rng.choice("+-") for _ in terms]
+        right = " ".join(f"{s} {written(k, c, basis, rng)}" for s, (k, c) in zip(signs, terms.items(), strict=True))
+        wanted = {k: -c if s == "-" else c for s, (k, c) in zip(signs, terms.items(), strict=True)}
+        space = rng.choice(["", " ", "  "])
+        line = f"{space}[{space}{basis[i]}{space},{space}{basis[j]}{space}]{space}={space}{right.removeprefix('+ ')}"
+        assert read_brackets([line], basis) == {(i, j): wanted}, line
+
+
+@pytest.mark.parametrize(
+    ("right", "said"),
+    [
+        ("1e308 e3 + 1e308 e3", "has a number that is too large for float64"),
+        ("9" * 401 + " e3", "a number of 401 digits is too large for float64"),
+        ("9" * 399 + " e3", "is too large for float64"),
+        ("1/" + "9" * 399 + " e3", "is too large for float64"),
+        ("1/0.0 e3", "divides by zero"),
+        ("1e300/1e-300 e3", "is too large for float64"),
+        ("e3 e1", "cannot be read from 'e1' on"),
+        ("e34", "cannot be read from 'e34' on"),
+        ("2", "cannot be read from '2' on"),
+        ("", "cannot be read from 'its end' on"),
+    ],
+)
+def test_no_other_brackets(right, said):
+    with pytest.raises(ValueError) as refused:
+        read_brackets([f"[e1, e2] = {right}"], ["e1", "e2", "e3"])
+    assert said in str(refused.value) and len(str(refused.value)) < 300
