@@ -38,7 +38,7 @@ PYTEST = ["-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
 # Processes of their own are started by tests of interrupts and of the command; memory is refused there as it is here.
 COMMANDS = {
     "address": [
-        [*PYTEST, "-n", "2", "tests/kernels", "tests/methods", "tests/runs"],
+        [*PYTEST, "-n", "2", "tests/kernels", "tests/methods", "tests/runs", "tests/choosing"],
         ["-m", "random_runs.soak", "1000000", "300", "--limit", "1200", "--jobs", "2"],
     ],
     "threads": [["-m", "random_runs.on_threads", "2000000", "200"]],
