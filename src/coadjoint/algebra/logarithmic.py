@@ -21,6 +21,23 @@ DENOMINATOR = 1000  # two angles wind with a common period where their ratio is 
 Number = int | Fraction
 
 
+class Forms(NamedTuple):
+    """A `LogarithmicSum` over plain arrays, as the kernels read it.
+
+    Form f is a sum over m from first[f] to first[f + 1] of coefficient[m] times the product of x[coordinate[q]] over q
+    from begin[m] to begin[m + 1]. A form of the role HOLD is the first polynomial of the next one; the others are the
+    second polynomial of a term of that kind and weight.
+    """
+
+    size: int
+    role: NDArray[np.int64]
+    weight: NDArray[np.float64]
+    first: NDArray[np.int64]
+    coefficient: NDArray[np.float64]
+    begin: NDArray[np.int64]
+    coordinate: NDArray[np.int64]
+
+
 class Term(NamedTuple):
     """One term: weight * first/second (QUOTIENT), weight * log|second|, or weight * atan2(first, second) (ANGLE)."""
 
@@ -168,13 +185,33 @@ class LogarithmicSum:
         """
         if self.period is None:
             raise ValueError("the angles of this sum have no common period; give them weights in a simple ratio")
+        value, gradient = _functions(self.forms(), self.dim)
+        return LogarithmicInvariant(value, gradient, self.period, self)
+
+    def forms(self) -> Forms:
+        """Return it over plain arrays, its numbers rounded.
+
+        Examples
+        --------
+        >>> LogarithmicSum.angle(Polynomial.variable(0, 2), Polynomial.variable(1, 2)).forms().coordinate
+        array([0, 1])
+        """
         forms: list[tuple[int, float, Polynomial]] = []
         for kind, weight, first, second in self.terms:
             if kind != LOGARITHM:
                 forms.append((HOLD, 0.0, first))
             forms.append((kind, rounded(weight), second))
-        value, gradient = _functions(forms, self.dim)
-        return LogarithmicInvariant(value, gradient, self.period, self)
+        monomials = [list(p.monomials.items()) for _, _, p in forms]
+        products = [[k for k, power in enumerate(e) for _ in range(power)] for part in monomials for e, _ in part]
+        return Forms(
+            len(forms),
+            np.array([kind for kind, _, _ in forms], dtype=np.int64),
+            np.array([w for _, w, _ in forms], dtype=np.float64),
+            np.cumsum([0] + [len(part) for part in monomials], dtype=np.int64),
+            np.array([float(c) for part in monomials for _, c in part], dtype=np.float64),
+            np.cumsum([0] + [len(product) for product in products], dtype=np.int64),
+            np.array([k for product in products for k in product], dtype=np.int64),
+        )
 
 
 @dataclass(frozen=True)
@@ -205,22 +242,9 @@ class LogarithmicInvariant(Invariant):
         return self.formula.mapped(change).invariant()
 
 
-def _functions(
-    forms: list[tuple[int, float, Polynomial]], dim: int
-) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
-    """Return value and gradient as functions over plain arrays: each form a sum of coefficient * product of x[k].
-
-    A form of role HOLD is the first polynomial of the next one.
-    """
-    count = len(forms)
-    role = np.array([kind for kind, _, _ in forms], dtype=np.int64)
-    weight = np.array([w for _, w, _ in forms], dtype=np.float64)
-    monomials = [list(p.monomials.items()) for _, _, p in forms]
-    first = np.cumsum([0] + [len(part) for part in monomials])
-    coefficient = np.array([float(c) for part in monomials for _, c in part], dtype=np.float64)
-    products = [[k for k, power in enumerate(e) for _ in range(power)] for part in monomials for e, _ in part]
-    begin = np.cumsum([0] + [len(product) for product in products])
-    index = np.array([k for product in products for k in product], dtype=np.int64)
+def _functions(forms: Forms, dim: int) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+    """Return value and gradient as functions; the kernels have the value as well, in `field/forms.hpp`."""
+    count, role, weight, first, coefficient, begin, coordinate = forms
 
     def value(x: Any) -> Any:
         total, held = 0.0, 0.0
@@ -229,7 +253,7 @@ def _functions(
             for m in range(first[f], first[f + 1]):
                 product = coefficient[m]
                 for q in range(begin[m], begin[m + 1]):
-                    product *= x[index[q]]
+                    product *= x[coordinate[q]]
                 form += product
             if role[f] == HOLD:
                 held = form
@@ -252,12 +276,12 @@ def _functions(
             for m in range(first[f], first[f + 1]):
                 product = coefficient[m]
                 for q in range(begin[m], begin[m + 1]):
-                    product *= x[index[q]]
+                    product *= x[coordinate[q]]
                     others = coefficient[m]
                     for r in range(begin[m], begin[m + 1]):
                         if r != q:
-                            others *= x[index[r]]
-                    form_slope[index[q]] += others
+                            others *= x[coordinate[r]]
+                    form_slope[coordinate[q]] += others
                 form += product
             if role[f] == HOLD:
                 held = form

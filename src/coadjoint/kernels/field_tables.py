@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.field import Field, GroupField
+from coadjoint.kernels.functions import CompiledFunction, Kept
 from coadjoint.kernels.tables import addresses_of
 from coadjoint.program.terms import TermTable
 from coadjoint.systems.kinds import System
-
-if TYPE_CHECKING:
-    from coadjoint.kernels.functions import CompiledFunction
-
-Kept = tuple["CompiledFunction", ...]
 
 
 def field_of(system: System) -> tuple[Field, Kept]:
@@ -52,8 +48,6 @@ def field_of(system: System) -> tuple[Field, Kept]:
     row, column, state, constant = (np.stack(pair, axis=1).ravel()[order] for pair in ((i, j), (j, i), (k, k), (c, -c)))
     structure = none
     if system.algebra is None:
-        from coadjoint.kernels.functions import CompiledFunction
-
         n = system.dim
         compiled = CompiledFunction(
             system.structure_function, n, n * n, scalar=False, flat=True, timed=False, what="the structure matrix"

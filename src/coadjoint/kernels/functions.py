@@ -1,18 +1,14 @@
-"""User functions, compiled to one fixed signature, so that no kernel is compiled again for them."""
+"""Functions behind an address: those of a user, compiled to one fixed signature, and formulas that the kernels know."""
 
 from __future__ import annotations
 
-import inspect
+import ctypes
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any
 
-import numba
-import numpy as np
-from numba import carray, types
-from numba.core.errors import NumbaError
-
-SIGNATURE = types.void(types.CPointer(types.float64), types.float64, types.CPointer(types.float64))
+from coadjoint.algebra.logarithmic import Forms
+from coadjoint.extras import need
+from coadjoint.kernels.library import pointed
 
 
 class CompiledFunction:
@@ -37,6 +33,8 @@ class CompiledFunction:
 
     Raises
     ------
+    MissingPackageError
+        Numba is not installed.
     TypeError
         If Numba cannot compile the function; the message carries its reason.
     """
@@ -52,90 +50,20 @@ class CompiledFunction:
         timed: bool,
         what: str,
     ) -> None:
-        try:
-            self._callback = _callback_of(function, size, results, scalar, flat, timed)
-        except NumbaError as error:
-            raise TypeError(f"{what} cannot be compiled by Numba: {_reason(error)}") from error
+        need(f"{what}, a Python function,", "numba")
+        from coadjoint.kernels.callbacks import callback_of
+
+        self._callback = callback_of(function, size, results, scalar, flat, timed, what)
         self.address: int = self._callback.address
 
 
-# A step function or a scan makes many runs of one system: each of its functions is compiled once.
-@lru_cache(maxsize=256)
-def _callback_of(function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool) -> Any:
-    inner = numba.njit(error_model="numpy", boundscheck=True)(function) if inspect.isfunction(function) else function
-    body = _BODIES[(scalar, flat and not scalar, timed)](inner, size, results)
-    return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(body)
+class TabledFunction:
+    """A formula as the kernels read it, at the negative of an address; keeps it alive as long as it is in use."""
+
+    def __init__(self, forms: Forms) -> None:
+        self._table = pointed(forms)
+        self.address: int = -ctypes.addressof(self._table)
 
 
-def _reason(error: Exception) -> str:
-    """Return the lines of a Numba error that say what is wrong, on one line."""
-    lines = [line.strip(" -\x1b[0123456789;m") for line in str(error).splitlines()]
-    telling = [
-        line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "For more", "<"))
-    ]
-    return " ".join(telling[:3])[:400]
-
-
-def _numbers(inner: Any, size: int, results: int) -> Callable[..., None]:
-    def call(y: Any, t: float, out: Any) -> None:
-        out[0] = np.nan
-        out[0] = inner(y[0])
-
-    return call
-
-
-def _timed_numbers(inner: Any, size: int, results: int) -> Callable[..., None]:
-    def call(y: Any, t: float, out: Any) -> None:
-        out[0] = np.nan
-        out[0] = inner(y[0], t)
-
-    return call
-
-
-def _value(inner: Any, size: int, results: int) -> Callable[..., None]:
-    def call(y: Any, t: float, out: Any) -> None:
-        out[0] = np.nan
-        out[0] = inner(carray(y, (size,)))
-
-    return call
-
-
-def _timed_value(inner: Any, size: int, results: int) -> Callable[..., None]:
-    def call(y: Any, t: float, out: Any) -> None:
-        out[0] = np.nan
-        out[0] = inner(carray(y, (size,)), t)
-
-    return call
-
-
-def _array(inner: Any, size: int, results: int) -> Callable[..., None]:
-    def call(y: Any, t: float, out: Any) -> None:
-        for k in range(results):
-            out[k] = np.nan
-        got = np.asarray(inner(carray(y, (size,)))).ravel()
-        for k in range(results):
-            out[k] = got[k]
-
-    return call
-
-
-def _timed_array(inner: Any, size: int, results: int) -> Callable[..., None]:
-    def call(y: Any, t: float, out: Any) -> None:
-        for k in range(results):
-            out[k] = np.nan
-        got = np.asarray(inner(carray(y, (size,)), t)).ravel()
-        for k in range(results):
-            out[k] = got[k]
-
-    return call
-
-
-# A function that raises leaves the NaN that stands in its place, and the run stops there.
-_BODIES: dict[tuple[bool, bool, bool], Callable[[Any, int, int], Callable[..., None]]] = {
-    (True, False, False): _numbers,
-    (True, False, True): _timed_numbers,
-    (False, False, False): _value,
-    (False, False, True): _timed_value,
-    (False, True, False): _array,
-    (False, True, True): _timed_array,
-}
+Kept = tuple[CompiledFunction | TabledFunction, ...]
+"""The owners of what stands at addresses: they must live as long as the addresses are in use."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.invariant import Invariant
+from coadjoint.algebra.logarithmic import LogarithmicInvariant
 from coadjoint.kernels.flow import FlowTables
+from coadjoint.kernels.functions import CompiledFunction, Kept, TabledFunction
 from coadjoint.kernels.watching import Watch
 from coadjoint.program.actions import Action, empty_action
 from coadjoint.program.blocks import Kind
@@ -20,10 +22,6 @@ from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
 from coadjoint.systems.user_functions import takes_time
 
-if TYPE_CHECKING:
-    from coadjoint.kernels.functions import CompiledFunction
-
-
 RATIONAL = 8
 """Added to the kind of a rotation by tan(angle/2) := half the angle: the same block, with another sine and cosine."""
 
@@ -32,12 +30,12 @@ class Compiled(NamedTuple):
     """Tables for a compiled loop, and the compiled user functions that must live as long as they do."""
 
     tables: Any
-    keep: tuple[CompiledFunction, ...]
+    keep: Kept
 
 
 def addresses_of(
     functions: Mapping[int, FunctionTerm], count: int, which: str, owner: str
-) -> tuple[NDArray[np.int64], tuple[CompiledFunction, ...]]:
+) -> tuple[NDArray[np.int64], Kept]:
     """Compile the values or gradients of FUNCTION terms.
 
     Parameters
@@ -55,16 +53,18 @@ def addresses_of(
     -------
     addresses : ndarray of int64, shape (count,)
         Zero where a term is not a function.
-    keep : tuple of CompiledFunction
+    keep : tuple of CompiledFunction or TabledFunction
         The owners of the machine code.
     """
     addresses = np.zeros(count, dtype=np.int64)
-    keep: list[CompiledFunction] = []
+    keep: list[CompiledFunction | TabledFunction] = []
     if not functions:
         return addresses, ()
-    from coadjoint.kernels.functions import CompiledFunction
-
     for k, term in functions.items():
+        if which == "value" and term.forms is not None:
+            keep.append(TabledFunction(term.forms))
+            addresses[k] = keep[-1].address
+            continue
         size = len(term.coordinates)
         function = getattr(term, which)
         results = size if which == "gradient" else 1
@@ -214,4 +214,6 @@ def invariants_table(invariants: Sequence[tuple[str, Any]], size: int) -> Compil
 def function_of_all(invariant: Invariant, size: int) -> FunctionTerm:
     """Return an invariant given as a function as a term of all coordinates."""
     timed = takes_time(invariant.value, "an invariant")
-    return FunctionTerm(np.arange(size), invariant.value, invariant.gradient or invariant.value, None, timed=timed)
+    gradient = invariant.gradient or invariant.value
+    forms = invariant.formula.forms() if isinstance(invariant, LogarithmicInvariant) else None
+    return FunctionTerm(np.arange(size), invariant.value, gradient, None, timed=timed, forms=forms)

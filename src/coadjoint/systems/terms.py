@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.logarithmic import Forms
 from coadjoint.algebra.polynomial import Polynomial
 
 
@@ -78,6 +79,8 @@ class FunctionTerm:
         The functions take the time as a second argument.
     piece : int or None
         Number of the piece of a `SplitHamiltonian` that it belongs to.
+    forms : Forms or None
+        The value as a formula that the kernels know: then it needs no compiling.
     """
 
     coordinates: npt.NDArray[np.int64]
@@ -87,6 +90,7 @@ class FunctionTerm:
     scalar: bool = False
     timed: bool = False
     piece: int | None = None
+    forms: Forms | None = None
 
 
 Term = QuadraticTerm | PolynomialTerm | FunctionTerm

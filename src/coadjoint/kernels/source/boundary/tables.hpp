@@ -33,6 +33,12 @@ typedef double* numbers;
     _(indices, factor_row) _(indices, exponent)
 TABLE(Terms, TERMS_FIELDS)
 
+// A function of logarithms, angles and quotients of polynomials: see `field/forms.hpp`.
+#define FORMS_FIELDS(_)                                                                                              \
+    _(integer, size) _(integers, role) _(numbers, weight) _(integers, first) _(numbers, coefficient)                \
+    _(integers, begin) _(integers, coordinate)
+TABLE(Forms, FORMS_FIELDS)
+
 #define ACTION_FIELDS(_)                                                                                             \
     _(integer, size) _(indices, run) _(bytes, kind) _(indices, angles) _(indices, repeat) _(indices, angle)          \
     _(indices, place) _(indices, constant) _(indices, width) _(indices, entries) _(indices, degree)                 \

@@ -1,6 +1,7 @@
 // The verb `angle`: gradients and values of the terms of a table.
 #pragma once
 
+#include "field/forms.hpp"
 #include "numbers/constants.hpp"
 
 namespace coadjoint {
@@ -25,6 +26,14 @@ inline int64_t work_of_terms(const Terms& terms, int64_t first, int64_t last) {
 
 typedef void (*UserFunction)(const double* y, double t, double* out);
 
+// Calls what stands at an address: a compiled function of the user, or at the negative of one the table of a formula.
+inline void call(int64_t address, const double* y, double t, double* out) {
+    if (address < 0)
+        *out = value_of_forms(*reinterpret_cast<const Forms*>(-address), y);
+    else
+        reinterpret_cast<UserFunction>(address)(y, t, out);
+}
+
 // Calls a compiled function of the user, lane by lane: it reads `count` numbers and fills `results`.
 template <class A, class C>
 void call_function(const C& constants, const int64_t* addresses, int64_t k, const A* y, int64_t count, const A& t,
@@ -33,7 +42,7 @@ void call_function(const C& constants, const int64_t* addresses, int64_t k, cons
     for (int lane = 0; lane < used; ++lane) {
         double *point = room, *result = room + count;
         for (int64_t i = 0; i < count; ++i) point[i] = lane_of(y[i], lane);
-        reinterpret_cast<UserFunction>(constants.address(addresses, k, lane))(point, lane_of(t, lane), result);
+        call(constants.address(addresses, k, lane), point, lane_of(t, lane), result);
         for (int64_t i = 0; i < results; ++i) set_lane(out[i], lane, result[i]);
     }
     for (int lane = used; lane < Numbers<A>::lanes; ++lane)

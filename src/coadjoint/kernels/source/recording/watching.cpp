@@ -84,8 +84,8 @@ EXPORT void watch_values(const Watch* watch, const double* x, const double* time
 }
 
 EXPORT const char* table_fields() {
-    static const std::string all = std::string(Terms_fields) + Action_fields + FlowTables_fields + Watch_fields +
-                                   Extent_fields + Schedule_fields + Field_fields + GroupField_fields +
+    static const std::string all = std::string(Terms_fields) + Forms_fields + Action_fields + FlowTables_fields +
+                                   Watch_fields + Extent_fields + Schedule_fields + Field_fields + GroupField_fields +
                                    RungeKuttaTables_fields + StepTables_fields + Stepping_fields;
     return all.c_str();
 }

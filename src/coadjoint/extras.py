@@ -1,0 +1,63 @@
+"""Which packages come with an extra of this one, and what is said where one is missing?"""
+
+from __future__ import annotations
+
+import importlib.util
+
+EXTRAS = {
+    "numba": "functions",
+    "xarray": "io",
+    "h5netcdf": "io",
+    "h5py": "io",
+    "zarr": "io",
+    "pydantic": "io",
+    "matplotlib": "plot",
+    "click": "cli",
+    "tqdm": "cli",
+}
+"""Package -> the extra that brings it, as pyproject.toml declares it; all others that are imported are requirements."""
+
+
+class MissingPackageError(ModuleNotFoundError):
+    """A package is not installed that only a part of the library needs; the message has the line that installs it."""
+
+
+def need(what: str, *packages: str) -> None:
+    """Refuse what cannot work without a package that is not installed, before anything is computed.
+
+    Nothing is imported: the packages are only looked for.
+
+    Parameters
+    ----------
+    what : str
+        What needs them, as the subject of a sentence.
+    *packages : str
+        Names of packages, all in `EXTRAS`.
+
+    Raises
+    ------
+    MissingPackageError
+        With all that are missing, and the line that installs them.
+
+    Examples
+    --------
+    >>> need("progress=True", "tqdm")
+    """
+    missing = [name for name in packages if not _installed(name)]
+    if not missing:
+        return
+    extras = ",".join(dict.fromkeys(EXTRAS[name] for name in missing))
+    named = missing[0] if len(missing) == 1 else f"{', '.join(missing[:-1])} and {missing[-1]}"
+    them, are, word = ("it", "is", "package") if len(missing) == 1 else ("them", "are", "packages")
+    raise MissingPackageError(
+        f"{what} needs the {word} {named}, which {are} not installed; "
+        f'install {them} with: pip install "coadjoint[{extras}]"',
+        name=missing[0],
+    )
+
+
+def _installed(name: str) -> bool:
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ValueError:  # a module that was put into sys.modules without a specification
+        return True
