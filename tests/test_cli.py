@@ -200,7 +200,11 @@ def test_reproduce_prints_the_table_and_where_the_figures_are(folder, capsys, mo
         (out / "sum.png").write_text("")
         return SimpleNamespace(table=[row], figures=[out / "sum.png"])
 
-    monkeypatch.setitem(sys.modules, "coadjoint.experiments.reich1993", SimpleNamespace(reproduce=experiments))
+    monkeypatch.setitem(
+        sys.modules,
+        "coadjoint.experiments.reich1993",
+        SimpleNamespace(reproduce=experiments, check_packages=lambda: None),
+    )
     assert cli.main(["reproduce", "--out", "a/b"]) == 0
     assert capsys.readouterr().out.splitlines() == [
         "running",

@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import sys
 
+from coadjoint.extras import need
 from coadjoint.interruption import hear, ignore
 
 TYPE_CHECKING = False
@@ -40,9 +41,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0
     """
     try:
+        need("the command coadjoint", "click")
         from coadjoint.commands import perform
 
         status, said = perform(arguments)
+    except ImportError as error:
+        status, said = 2, f"coadjoint: {error}"
     except KeyboardInterrupt:
         status, said = 130, "coadjoint: interrupted"
     if said:

@@ -173,12 +173,13 @@ def _describe(name: str, parameters: Mapping[str, Any], documentation: str) -> N
 @click.option("--out", metavar="DIR", default="figures", show_default=True, help="Folder for the figures.")
 def reproduce(out: str) -> None:
     """Repeat the experiments of Reich (1993), print a table of them and draw their figures."""
+    experiments = importlib.import_module("coadjoint.experiments.reich1993")
+    experiments.check_packages()
     folder = Path(out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as reason:
         raise click.UsageError(f"--out {out}: cannot be made a folder ({reason.strerror}); give another") from None
-    experiments = importlib.import_module("coadjoint.experiments.reich1993")
     result = experiments.reproduce(folder, click.echo)
     for row in result.table:
         click.echo(f"{row.verdict:18}  {row.place}: {row.statement}\n{'':20}{row.measured}")
@@ -246,6 +247,9 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
         return error.exit_code, in_one_line(_said(error))
     except (ConfigurationError, OutputError) as error:
         return 2, in_one_line(str(error))
+    except ImportError as error:
+        # A package that is missing, or that does not fit the others: its own sentence says which.
+        return 2, in_one_line(f"coadjoint: {error}")
     except (ValueError, TypeError, ArithmeticError, RecursionError, MemoryError) as error:
         # What no reader foresaw: bad input all the same.
         return 2, in_one_line(f"coadjoint: {type(error).__name__}: {error}")

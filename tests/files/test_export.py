@@ -8,8 +8,9 @@ import pytest
 import xarray
 
 import coadjoint as co
+from coadjoint.extras import MissingPackageError
 from coadjoint.files.export import dataset_of, mark_failed, rebuild, solution_inputs
-from coadjoint.files.output import OutputError, write_dataset
+from coadjoint.files.output import write_dataset
 from coadjoint.files.records import record_of, system_of
 
 X = (1.0, 0.1, 0.5)
@@ -163,7 +164,5 @@ def test_other_datasets_are_refused():
 
 def test_netcdf_without_its_library_is_refused_before_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(
-        OutputError, match=r"NetCDF needs the package h5py, which is not installed; install it, or write .zarr"
-    ):
+    with pytest.raises(MissingPackageError, match=r"NetCDF needs the packages xarray, h5netcdf and h5py, which"):
         write_dataset(xarray.Dataset(), tmp_path / "run.nc")

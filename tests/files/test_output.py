@@ -12,6 +12,7 @@ import xarray
 from matplotlib.figure import Figure
 
 import coadjoint
+from coadjoint.extras import MissingPackageError
 from coadjoint.files.netcdf_file import LARGEST_KEPT, PAGE, SteadfastFile
 from coadjoint.files.output import OutputError, check_target, write_dataset, write_figure
 from coadjoint.files.unfinished import Stopped, Unfinished
@@ -218,13 +219,15 @@ def test_name_with_a_sign_that_no_file_has(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("suffix", "package", "instead"),
-    [(".nc", "h5py", ", or write .zarr"), (".zarr", "zarr", ", or write .nc"), (".png", "matplotlib", "")],
+    ("suffix", "package", "extra"),
+    [(".nc", "h5py", "io"), (".zarr", "zarr", "io"), (".png", "matplotlib", "plot")],
 )
-def test_package_that_is_missing(tmp_path, monkeypatch, suffix, package, instead):
+def test_package_that_is_missing(tmp_path, monkeypatch, suffix, package, extra):
     find = __import__("importlib.util").util.find_spec
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == package else find(name))
     suffixes = (".png", ".svg") if suffix == ".png" else (".nc", ".zarr")
-    with pytest.raises(OutputError) as refused:
+    with pytest.raises(MissingPackageError) as refused:
         check_target(tmp_path / f"run{suffix}", suffixes)
-    assert str(refused.value).endswith(f"needs the package {package}, which is not installed; install it{instead}")
+    assert str(refused.value).endswith(
+        f'needs the package {package}, which is not installed; install it with: pip install "coadjoint[{extra}]"'
+    )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.errors import in_one_line
+from coadjoint.extras import need
 from coadjoint.files.configuration_parts import ConfigurationError, method_of_file, section, system_of_file
 from coadjoint.files.expressions import read_polynomial
 from coadjoint.memory import available, in_words
@@ -171,6 +172,7 @@ def load(path: str | Path) -> Configuration:
     ...
     coadjoint.files.configuration_parts.ConfigurationError: none.toml: cannot be read (No such file or directory)
     """
+    need("reading a configuration file", "pydantic")
     from pydantic import ValidationError
 
     from coadjoint.files.configuration_models import File, first_error

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError
+from coadjoint.extras import need
 from coadjoint.files.record_entries import Entry, made_of, parsed
 from coadjoint.files.records import record_of, safe_name, system_of
 from coadjoint.methods import registry
@@ -54,6 +55,7 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     >>> dict(dataset_of(sol).sizes)
     {'time': 11, 'component': 3, 'invariant': 2, 'tenth': 10}
     """
+    need("a dataset of a solution", "xarray")
     import xarray
 
     system = solution.system

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import importlib.util
 import io
 import os
 from collections.abc import Callable, Iterable
@@ -11,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from coadjoint.extras import need
 from coadjoint.files.netcdf_file import write_netcdf
 from coadjoint.files.unfinished import Unfinished, remove_leftovers
 from coadjoint.files.zarr_store import INDEX, write_zarr, written_by_coadjoint
@@ -26,7 +26,11 @@ class OutputError(ValueError):
 
 DATASETS = (".nc", ".zarr")
 FIGURES = (".png", ".pdf", ".svg")
-PACKAGES = {".nc": ("h5py", "h5netcdf"), ".zarr": ("zarr",), **dict.fromkeys(FIGURES, ("matplotlib",))}
+PACKAGES = {
+    ".nc": ("xarray", "h5netcdf", "h5py"),
+    ".zarr": ("xarray", "zarr"),
+    **dict.fromkeys(FIGURES, ("matplotlib",)),
+}
 NAMED = {".nc": "NetCDF", ".zarr": "Zarr", **dict.fromkeys(FIGURES, "a figure")}
 
 
@@ -47,8 +51,10 @@ def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
     Raises
     ------
     OutputError
-        In one sentence: the suffix is unknown, the folder is missing or cannot be written to, the target is no result,
-        or a package is missing.
+        In one sentence: the suffix is unknown, the folder is missing or cannot be written to, or the target is no
+        result.
+    MissingPackageError
+        The format needs a package that is not installed.
 
     Examples
     --------
@@ -60,13 +66,7 @@ def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
     target, allowed = Path(path), tuple(suffixes)
     if target.suffix not in allowed:
         raise OutputError(f"{path}: the suffix says the format; it must be {', '.join(allowed[:-1])} or {allowed[-1]}")
-    missing = next((name for name in PACKAGES[target.suffix] if importlib.util.find_spec(name) is None), None)
-    if missing is not None:
-        others = " or ".join(other for other in allowed if missing not in PACKAGES[other])
-        instead = f", or write {others}" if others else ""
-        raise OutputError(
-            f"{path}: {NAMED[target.suffix]} needs the package {missing}, which is not installed; install it{instead}"
-        )
+    need(f"{path}: {NAMED[target.suffix]}", *PACKAGES[target.suffix])
     try:
         if not target.parent.is_dir():
             raise OutputError(f"{path}: the folder {target.parent} does not exist; make it first")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.extras import need
 from coadjoint.pictures.orbit import draw_orbit
 from coadjoint.pictures.style import colour, key, plain_axes, symbol
 from coadjoint.runs.solution import check_solution
@@ -44,9 +45,10 @@ def draw_solution(solution: Solution) -> Figure:
     >>> [axes.get_ylabel() for axes in draw_solution(sol).axes[:2]]
     ['absolute deviation from start', 'momentum $x_i$']
     """
+    check_solution(solution)
+    need("drawing a solution", "matplotlib")
     from matplotlib.figure import Figure
 
-    check_solution(solution)
     drawn = _thinned(solution)
     spatial = drawn.x.shape[-1] == 3
     figure = Figure(figsize=(11.0, 5.6) if spatial else (7.2, 5.8), layout="constrained")

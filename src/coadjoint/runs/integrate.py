@@ -7,6 +7,7 @@ from typing import Any
 
 from coadjoint.methods.base import Method
 from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.run import read_progress
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System, check_system
@@ -102,6 +103,7 @@ def integrate(
         raise TypeError(
             f"integrate was given {given} of step and accuracy; give step=, or accuracy= to have the step chosen"
         )
+    progress = read_progress(progress)
     if accuracy is not None:
         check_system(system)
         if isinstance(system, Batch):

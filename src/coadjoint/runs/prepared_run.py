@@ -16,7 +16,7 @@ from coadjoint.methods.splitting import Splitting
 from coadjoint.runs.batch_loops import BatchLoops
 from coadjoint.runs.loops import Loops, SystemLoops
 from coadjoint.runs.observed import Observed, check_observe
-from coadjoint.runs.run import Run
+from coadjoint.runs.run import Run, read_progress
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start, momenta_of, representations_of, with_group
 from coadjoint.runs.times import Times, checked_step, span_of, times_between
@@ -94,7 +94,7 @@ class PreparedRun:
         IntegrationError
             As in `integrate`.
         """
-        progress = read_flag(progress, "progress")
+        progress = read_progress(progress)
         times = times_between(span_of(t_span), self.step, save_every)
         return self.follow(times, self.start(x0, attitude), progress)
 

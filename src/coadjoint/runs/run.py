@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.extras import need
+from coadjoint.given import read_flag
 from coadjoint.kernels.arrays import Block
 from coadjoint.kernels.loop import Crew, Stop
 from coadjoint.kernels.watching import NOT_CONVERGED, schedule_of
@@ -180,6 +182,14 @@ def _pool(workers: int) -> Iterator[ThreadPoolExecutor | None]:
     else:
         with ThreadPoolExecutor(workers) as pool:
             yield pool
+
+
+def read_progress(progress: Any) -> bool:
+    """Return whether a progress bar is wanted; refuse one that cannot be shown."""
+    shown = read_flag(progress, "progress")
+    if shown:
+        need("progress=True", "tqdm")
+    return shown
 
 
 class _bar:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coadjoint.experiments.statement import Statement, markdown, write_csv
+from coadjoint.extras import need
 from coadjoint.wording import short
 
 
@@ -69,6 +70,7 @@ def reproduce(
         raise ValueError(f"phase_end is {short(phase_end)}; it must be a whole number from 50 up")
     if steps < 10_000 or steps % 10_000:
         raise ValueError(f"steps is {short(steps)}; it must be a positive multiple of 10,000")
+    check_packages()
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     began = time.perf_counter()
@@ -84,6 +86,11 @@ def reproduce(
     files[0].write_text(_report(rows), encoding="utf-8")
     write_csv(rows, files[1])
     return Reproduction(tuple(rows), tuple(figures), files, time.perf_counter() - began)
+
+
+def check_packages() -> None:
+    """Refuse to begin without what the experiments need: they compile functions, and draw."""
+    need("repeating the experiments", "numba", "matplotlib")
 
 
 def measured_statements(echo: Callable[[str], None] = print, phase_end: float = 500.0) -> list[Statement]:

@@ -1,0 +1,33 @@
+"""A Python in which only the requirements of the core can be imported, whatever else is installed."""
+
+import subprocess
+import sys
+
+CORE = {"coadjoint", "numpy", "scipy", "flint"}
+
+HIDE = f"""
+import sys
+
+class Hiding:
+    # Answers for a finder of the interpreter, as if only the core and the standard library were installed.
+    def __init__(self, finder):
+        self.finder = finder
+
+    def __getattr__(self, name):
+        return getattr(self.finder, name)
+
+    def find_spec(self, name, path=None, target=None):
+        package = name.partition(".")[0]
+        # sysconfig has a module of this platform's name.
+        known = package in sys.stdlib_module_names | {CORE!r} or package.startswith("_sysconfigdata")
+        return self.finder.find_spec(name, path, target) if known else None
+
+sys.meta_path[:] = [Hiding(finder) for finder in sys.meta_path]
+"""
+
+
+def run_with_the_core(code, *arguments, folder=None):
+    """Run Python code with only the core importable; return the finished process."""
+    return subprocess.run(
+        [sys.executable, "-c", HIDE + code, *arguments], capture_output=True, text=True, timeout=300, cwd=folder
+    )
