@@ -9,7 +9,7 @@ FIGURES ?= figures
 FIRST ?= 0
 COUNT ?= 3000
 
-.PHONY: demo test mutants soak sanitize bench clean
+.PHONY: demo test core mutants soak sanitize bench release-checks clean
 
 demo: $(VENV)/installed
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -19,6 +19,13 @@ test: $(VENV)/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2
+
+# What the package promises without its extras, installed into a virtual environment that has nothing else.
+core:
+	rm -rf build/core
+	$(PYTHON) -m venv build/core
+	build/core/bin/python -m pip install --quiet --disable-pip-version-check . pytest
+	cd tests && ../build/core/bin/python -m pytest test_core_alone.py
 
 # Plants the defects of tests/mutants one after the other, in a copy, and prints those that no test notices.
 mutants: $(VENV)/installed
@@ -45,6 +52,28 @@ $(VENV)/installed: pyproject.toml setup.py $(wildcard src/coadjoint/kernels/sour
 # The integrators that coadjoint is measured beside.
 $(VENV)/peers: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	@touch $@
+
+# Metadata, citation, workflows, source distribution and wheel, by tools in a virtual environment of their own. Once that
+# is there, nothing is downloaded.
+RELEASE := build/release
+REQUIRED := import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")
+
+release-checks: $(RELEASE)/installed
+	$(RELEASE)/bin/validate-pyproject pyproject.toml
+	$(RELEASE)/bin/repo-review .
+	$(RELEASE)/bin/cffconvert --validate
+	$(RELEASE)/bin/zizmor --offline --pedantic .github
+	PATH="$(CURDIR)/$(RELEASE)/bin:$$PATH" $(RELEASE)/bin/check-sdist --no-isolation
+	rm -rf build/dist
+	PATH="$(CURDIR)/$(RELEASE)/bin:$$PATH" $(RELEASE)/bin/python -m build --no-isolation --outdir build/dist
+	$(RELEASE)/bin/twine check --strict build/dist/*
+
+$(RELEASE)/installed: pyproject.toml
+	$(PYTHON) -m venv $(RELEASE)
+	$(PYTHON) -c '$(REQUIRED)' > $(RELEASE)/requires.txt
+	$(RELEASE)/bin/python -m pip install --quiet --disable-pip-version-check -r $(RELEASE)/requires.txt cmake ninja \
+		build check-sdist cffconvert 'repo-review[cli]' sp-repo-review twine 'validate-pyproject[all]' zizmor
 	@touch $@
 
 clean:

@@ -1,11 +1,10 @@
-"""What needs only NumPy, SciPy and python-flint works without the extras; the rest says which line installs them."""
+"""Extras: what a missing one stops, and that exactly what is imported is declared."""
 
 import ast
 import importlib.util
 import pickle
 import re
 import sys
-import textwrap
 import tomllib
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import pytest
 import coadjoint
 from coadjoint import cli, commands
 from coadjoint.extras import EXTRAS, MissingPackageError, need
-from core_only import CORE, run_with_the_core
+from core_only import CORE
 
 PACKAGE = Path(coadjoint.__file__).parent
 ROOT = PACKAGE.parents[1]
@@ -23,196 +22,6 @@ system = {name = "rigid_body", parameters = {inertia = [1, 2, 3]}}
 initial = {x = [1.0, 0.1, 0.5]}
 run = {t_span = [0, 1], step = 0.1}
 """
-START = """
-import numpy as np
-import coadjoint as co
-body = co.systems.rigid_body(inertia=(1, 2, 3))
-x0 = np.array([1.0, 0.2, 0.1])
-"""
-
-
-def printed(code, folder=None):
-    """Return what code prints that runs with the core alone."""
-    done = run_with_the_core(START + textwrap.dedent(code), folder=folder)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
-
-
-def test_the_extras_cannot_be_imported_here():
-    code = "import importlib.util\nprint([name for name in NAMES if importlib.util.find_spec(name)])"
-    assert printed(code.replace("NAMES", repr([*EXTRAS, "mpmath", "pytest", "setuptools"]))) == ["[]"]
-
-
-def test_every_public_name_arrives():
-    assert printed("print(sum(getattr(co, name) is not None for name in co.__all__) == len(co.__all__))") == ["True"]
-
-
-def test_runs_and_steps_of_polynomial_systems():
-    code = """
-    for method in (co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(12), co.ModifiedGaussLegendre(1),
-                   co.ModifiedGaussLegendre(1, freeze="gradient"), co.IteratedGaussLegendre(2),
-                   co.ExplicitRungeKutta("rk4"), co.RadauEnergy(2)):
-        sol = co.integrate(body, x0, (0.0, 1.0), 0.01, method, observe={"x1": co.Polynomial({(1, 0, 0): 1.0})})
-        ready = co.prepare(body, method, 0.01).run(x0, (0.0, 1.0))
-        step, x = co.stepper(body, method, 0.01), x0
-        for _ in range(100):
-            x = step(x)
-        near = np.abs(sol.x[-1] - body.exact(x0, 1.0)).max() < 1e-3
-        print(near, (sol.x == ready.x).all(), np.abs(x - sol.x[-1]).max() < 1e-12, sol.observed["x1"].shape)
-    quartic = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(4, 0, 0): 0.25, (0, 2, 0): 0.5, (0, 0, 2): 1.0}))
-    sol = co.integrate([quartic, co.batch([body, co.systems.rigid_body(inertia=(2, 3, 4))])][1],
-                       np.array([x0, x0]), (0.0, 1.0), 0.01, attitude=True, threads=2)
-    print(sol.attitude.shape, max(co.integrate(quartic, x0, (0.0, 1.0), 0.01).drift().values()) < 1e-2)
-    """
-    lines = printed(code)
-    assert lines[:-1] == ["True True True (101,)"] * 8
-    assert lines[-1] == "(101, 2, 3, 3) True"
-
-
-def test_a_scheme_is_chosen():
-    code = """
-    sol = co.integrate(body, x0, (0.0, 10.0), accuracy=1e-9)
-    print(np.abs(sol.x[-1] - body.exact(x0, 10.0)).max() < 1e-9, co.choose(body, x0, (0.0, 10.0), 1e-9).step > 0)
-    """
-    assert printed(code) == ["True True"]
-
-
-def test_every_ready_made_system_and_every_known_algebra_runs():
-    """Also those whose Casimirs are no polynomials: their formulas are compiled with the kernels."""
-    code = """
-    for name in co.systems.names():
-        system = co.systems.get(name, **({"inertia": (1.0, 2.0, 3.0)} if name == "rigid_body" else {}))
-        sol = co.integrate(system, np.linspace(0.5, 1.5, system.dim), (0.0, 0.1), 0.01)
-        assert all(np.isfinite(values).all() for values in sol.casimirs.values()), name
-    kinds = set()
-    for name, parameters in (("A3,2", {}), ("A3,3", {}), ("A3,7", {"a": 2.0}), ("A5,18", {"p": 1.0})):
-        g = co.algebras.get(name, **parameters)
-        system = co.LiePoissonSystem(g, co.Quadratic(np.linspace(1.0, 2.0, g.dim)))
-        sol = co.integrate(system, np.linspace(0.5, 1.5, g.dim), (0.0, 0.5), 0.01, co.Splitting(order=4))
-        kinds |= {type(casimir).__name__ for casimir in system.casimirs.values()}
-        worst = max(drift for key, drift in sol.drift().items() if key != "energy")
-        print(name, worst < 1e-12)
-    print(*sorted(kinds))
-    """
-    lines = printed(code)
-    assert lines == ["A3,2 True", "A3,3 True", "A3,7 True", "A5,18 True", "LogarithmicInvariant"]
-
-
-def test_exact_algebra():
-    code = """
-    g = co.algebras.so(5)
-    print(*g.casimirs(max_degree=4), g.generic_rank(), co.algebras.get("A5,7", a=-0.5, b=-0.25, c=0.5).generic_rank())
-    """
-    assert printed(code) == ["C2 C4 8 2"]
-
-
-@pytest.mark.parametrize(
-    ("code", "said"),
-    [
-        (
-            "H = co.Hamiltonian(lambda x: x[0] ** 4, lambda x: np.array([4 * x[0] ** 3, 0.0, 0.0]))\n"
-            "s = co.LiePoissonSystem(co.algebras.so(3), H)\n"
-            "print(s.energy(x0) == x0[0] ** 4, s.vector_field(x0).shape)\n"
-            "co.integrate(s, x0, (0.0, 1.0), 0.1, co.GaussLegendre(1))",
-            'the gradient of the Hamiltonian, a Python function, needs the package numba, which is not installed; '
-            'install it with: pip install "coadjoint[functions]"',
-        ),
-        (
-            "H = co.Separable({0: (lambda y: y ** 4, lambda y: 4 * y ** 3)})\n"
-            "co.stepper(co.LiePoissonSystem(co.algebras.so(3), H), co.Splitting(), 0.1)(x0)",
-            'the gradient of the Hamiltonian, a Python function, needs the package numba, which is not installed; '
-            'install it with: pip install "coadjoint[functions]"',
-        ),
-        (
-            "J = lambda x: np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])\n"
-            "s = co.PoissonSystem(J, co.Quadratic([1.0, 2.0, 3.0]))\n"
-            "co.prepare(s, co.GaussLegendre(1), 0.1).run(x0, (0.0, 1.0))",
-            'the structure matrix, a Python function, needs the package numba, which is not installed; '
-            'install it with: pip install "coadjoint[functions]"',
-        ),
-        (
-            "co.integrate(body, x0, (0.0, 1.0), 0.1, observe={'square': lambda x: x[0] ** 2})",
-            'the value of square, a Python function, needs the package numba, which is not installed; '
-            'install it with: pip install "coadjoint[functions]"',
-        ),
-        (
-            "co.integrate(body, x0, (0.0, 1.0), 0.1).plot()",
-            'drawing a solution needs the package matplotlib, which is not installed; '
-            'install it with: pip install "coadjoint[plot]"',
-        ),
-        (
-            "co.integrate(body, x0, (0.0, 1.0), 0.1).to_xarray()",
-            'a dataset of a solution needs the package xarray, which is not installed; '
-            'install it with: pip install "coadjoint[io]"',
-        ),
-        (
-            "co.integrate(body, x0, (0.0, 1.0), 0.1, progress=True)",
-            'progress=True needs the package tqdm, which is not installed; '
-            'install it with: pip install "coadjoint[cli]"',
-        ),
-        (
-            "from coadjoint.choosing import accuracy\n"
-            "accuracy.choose = None\n"
-            "co.integrate(body, x0, (0.0, 1.0), accuracy=1e-9, progress=True)",
-            'progress=True needs the package tqdm, which is not installed; '
-            'install it with: pip install "coadjoint[cli]"',
-        ),
-        (
-            "from coadjoint.files.output import check_target\ncheck_target('run.nc')",
-            'run.nc: NetCDF needs the packages xarray, h5netcdf and h5py, which are not installed; '
-            'install them with: pip install "coadjoint[io]"',
-        ),
-        (
-            "from coadjoint.files.output import check_target\ncheck_target('run.zarr')",
-            'run.zarr: Zarr needs the packages xarray and zarr, which are not installed; '
-            'install them with: pip install "coadjoint[io]"',
-        ),
-        (
-            "from coadjoint.files.output import FIGURES, check_target\ncheck_target('run.png', FIGURES)",
-            'run.png: a figure needs the package matplotlib, which is not installed; '
-            'install it with: pip install "coadjoint[plot]"',
-        ),
-        (
-            "from coadjoint.files.configuration import load\nload('body.toml')",
-            'reading a configuration file needs the package pydantic, which is not installed; '
-            'install it with: pip install "coadjoint[io]"',
-        ),
-        (
-            "from coadjoint.experiments.reich1993 import reproduce\nreproduce('figures')",
-            'repeating the experiments needs the packages numba and matplotlib, which are not installed; '
-            'install them with: pip install "coadjoint[functions,plot]"',
-        ),
-    ],
-    ids=lambda value: value.partition(" needs")[0] if "needs" in value else "",
-)  # fmt: skip
-def test_what_is_missing_is_named_with_the_line_that_installs_it(tmp_path, code, said):
-    """And nothing has run, nor been written."""
-    watched = (
-        "from coadjoint.runs.run import Run\n"
-        "from coadjoint.extras import MissingPackageError\n"
-        "runs, advance = [], Run.advance\n"
-        "Run.advance = lambda self, *given: (runs.append(self), advance(self, *given))[1]\n"
-        f"try:\n    exec({code!r})\nexcept MissingPackageError as error:\n    print(error)\n    print(error.name)\n"
-        "print(len(runs))"
-    )
-    (tmp_path / "body.toml").write_text(BODY)
-    lines = printed(watched, folder=tmp_path)
-    if code.startswith("H = co.Hamiltonian"):
-        assert lines.pop(0) == "True (3,)"
-    assert lines[0] == said
-    assert EXTRAS[lines[1]] in said
-    # A solution must be there before it can be drawn.
-    assert lines[2] == ("1" if code.endswith((".plot()", ".to_xarray()")) else "0")
-    assert [path.name for path in tmp_path.iterdir()] == ["body.toml"]
-
-
-def test_the_command_says_one_line_and_ends_with_status_2(tmp_path):
-    done = run_with_the_core("from coadjoint.cli import run\nrun()", "systems", folder=tmp_path)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == (
-        "coadjoint: the command coadjoint needs the package click, which is not installed; "
-        'install it with: pip install "coadjoint[cli]"\n'
-    )
 
 
 @pytest.mark.parametrize(
