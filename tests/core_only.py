@@ -1,8 +1,13 @@
 """A Python in which only the requirements of the core can be imported, whatever else is installed."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
+import coadjoint
+
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
 CORE = {"coadjoint", "numpy", "scipy", "flint"}
 
 HIDE = f"""
@@ -28,6 +33,5 @@ sys.meta_path[:] = [Hiding(finder) for finder in sys.meta_path]
 
 def run_with_the_core(code, *arguments, folder=None):
     """Run Python code with only the core importable; return the finished process."""
-    return subprocess.run(
-        [sys.executable, "-c", HIDE + code, *arguments], capture_output=True, text=True, timeout=300, cwd=folder
-    )
+    command = [sys.executable, "-c", HIDE + code, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=folder, env=ENVIRONMENT)
