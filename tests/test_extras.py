@@ -95,8 +95,17 @@ def test_whatever_is_imported_is_declared():
     assert {"numba", "xarray", "matplotlib", "pydantic", "click", "tqdm", "zarr", "h5netcdf"} <= found
 
 
-def test_only_one_module_imports_numba():
-    assert {path for path, package in imported_packages() if package == "numba"} == {"kernels/callbacks.py"}
+def test_modules_that_begin_with_an_extra_are_imported_where_they_are_used():
+    """Otherwise the package that they begin with would be a requirement of whatever imports them."""
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        name = ".".join(("coadjoint", *path.relative_to(PACKAGE).with_suffix("").parts))
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        found[name] = {node.module for node in body if isinstance(node, ast.ImportFrom) and node.module}
+        found[name] |= {alias.name for node in body if isinstance(node, ast.Import) for alias in node.names}
+    needing = {name for name, used in found.items() if {module.partition(".")[0] for module in used} & set(EXTRAS)}
+    assert {"coadjoint.kernels.callbacks", "coadjoint.commands", "coadjoint.files.configuration_models"} <= needing
+    assert {name: used & needing for name, used in found.items() if used & needing and name not in needing} == {}
 
 
 @pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="this is no checkout")

@@ -1,4 +1,4 @@
-"""How does Numba compile a function of the user? The only module that imports Numba."""
+"""How does Numba compile a function of the user? Imported only where Numba is known to be installed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Any
 import numba
 import numpy as np
 from numba import carray, types
-from numba.core.errors import NumbaError
 
 SIGNATURE = types.void(types.CPointer(types.float64), types.float64, types.CPointer(types.float64))
 
@@ -21,8 +20,8 @@ def callback_of(
     """Return a function as a C callback, or refuse it with Numba's reason; see `CompiledFunction`."""
     try:
         return _compiled(function, size, results, scalar, flat, timed)
-    except NumbaError as error:
-        raise TypeError(f"{what} cannot be compiled by Numba: {_reason(error)}") from error
+    except Exception as error:  # Numba raises errors of many kinds
+        raise TypeError(f"{what} cannot be compiled by Numba: {reason_of(error)}") from error
 
 
 # A step function or a scan makes many runs of one system: each of its functions is compiled once.
@@ -33,7 +32,7 @@ def _compiled(function: Callable[..., Any], size: int, results: int, scalar: boo
     return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(body)
 
 
-def _reason(error: Exception) -> str:
+def reason_of(error: Exception) -> str:
     """Return the lines of a Numba error that say what is wrong, on one line."""
     lines = [line.strip(" -\x1b[0123456789;m") for line in str(error).splitlines()]
     telling = [
