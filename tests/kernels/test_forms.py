@@ -14,10 +14,11 @@ from coadjoint.kernels.watching import values_along
 # Every kind of term, several terms of a kind, products of coordinates and powers.
 KNOWN = [
     ("A3,2", {}),
+    ("A3,5", {"a": 0.5}),
     ("A3,7", {"a": 2.0}),
     ("A4,6", {"a": 2.0, "b": 0.5}),
     ("A5,18", {"p": 1.0}),
-    ("A5,32", {"a": 0.5}),
+    ("A5,32", {"a": 0.75}),
 ]
 
 
@@ -37,6 +38,10 @@ def values(compiled, points):
 def test_every_kind_is_tried():
     kinds = {term.kind for parameter in formulas() for term in parameter.values[0].formula.terms}
     assert kinds == {QUOTIENT, LOGARITHM, ANGLE}
+    weights = {
+        term.weight for parameter in formulas() for term in parameter.values[0].formula.terms if term.kind == LOGARITHM
+    }
+    assert weights > {1}
 
 
 @pytest.mark.parametrize("casimir", list(formulas()))
