@@ -10,7 +10,7 @@ from coadjoint.choosing.candidates import admitted
 from coadjoint.choosing.growth import Growth
 from coadjoint.choosing.pilot import Pilot, Trial
 from coadjoint.choosing.roundoff import roundoff
-from coadjoint.choosing.work import FUNCTION, MULTIPLICATION, flow_work, iteration_work, step_work
+from coadjoint.methods.work import FUNCTION, MULTIPLICATION, flow_work, iteration_work
 from coadjoint.program.table import build_program
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
@@ -200,7 +200,7 @@ def test_the_weights_mean_what_they_say():
     assert flow_work(program, False) == pytest.approx(2.0)
     assert 2.0 < flow_work(program, True) < 3.0
     assert 15 / 11 < iteration_work(BODY, 8.0, None) < 20 / 11
-    assert 90 / 11 < step_work(BODY, co.Taylor(16), None, 1.0, 16.0, None) < 130 / 11
+    assert 90 / 11 < co.Taylor(16).work(BODY).cost(1.0, 16.0) < 130 / 11
     assert iteration_work(BODY, 8.0, None) < iteration_work(BODY, 8.0, "coadjoint")
     assert iteration_work(BODY, 9.0, None) > 1.5 * iteration_work(BODY, 8.0, None)
 

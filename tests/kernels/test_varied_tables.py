@@ -7,7 +7,6 @@ import coadjoint as co
 from coadjoint.kernels.tables import watch_tables
 from coadjoint.kernels.varied_tables import BLOCK, CALLED, VARIED, stacked, structure_of
 from coadjoint.runs.batch_loops import groups_of
-from coadjoint.runs.prepare import loop_of
 
 METHODS = [
     co.Splitting(order=4),
@@ -52,7 +51,7 @@ def varies(one, stack):
 def test_picking_from_a_stack_gives_the_tables_of_the_member(method, group):
     if isinstance(method, co.RadauEnergy | co.Taylor) and group:
         group = None
-    tables = [loop_of(system, method, 0.1, group).tables for system in members()]
+    tables = [method.loop(system, 0.1, group).tables for system in members()]
     assert len({structure_of(own) for own in tables}) == 1
     varied = stacked(tables)
     differing = 0
@@ -76,11 +75,11 @@ def test_picking_from_a_stack_gives_the_tables_of_the_member(method, group):
 
 def test_structure_is_everything_but_constants():
     system = members()[0]
-    two, four = (loop_of(system, co.Splitting(order=order), 0.1, None).tables for order in (2, 4))
-    other = loop_of(members()[1], co.Splitting(order=2), 0.1, None).tables
+    two, four = (co.Splitting(order=order).loop(system, 0.1).tables for order in (2, 4))
+    other = co.Splitting(order=2).loop(members()[1], 0.1).tables
     assert structure_of(two) == structure_of(other) and structure_of(two) != structure_of(four)
     # The coefficients of the scheme are the same for all members.
-    assert structure_of(two) != structure_of(loop_of(system, co.Splitting(order=2), 0.2, None).tables)
+    assert structure_of(two) != structure_of(co.Splitting(order=2).loop(system, 0.2).tables)
     assert structure_of(two) != structure_of(two._replace(compensated=True))
     assert structure_of(two) != structure_of(two._replace(part=two.part + np.uint32(1)))
 
@@ -89,7 +88,7 @@ def test_groups_hold_members_of_one_structure():
     """A member of another order of parts, in the middle, has a group of its own."""
     inertias = [(1, 2, 3), (1, 2, 3.5), (3, 1, 2), (1, 2, 4)]
     systems = [co.systems.rigid_body(inertia) for inertia in inertias]
-    prepared = [loop_of(system, co.Splitting(), 0.1, None) for system in systems]
+    prepared = [co.Splitting().loop(system, 0.1) for system in systems]
     watches = [watch_tables(system, system.casimirs).tables for system in systems]
     groups = groups_of(prepared, watches)
     assert sorted(m for group in groups for m in group.members.tolist()) == [0, 1, 2, 3]
@@ -117,7 +116,7 @@ def shared_numbers(stack, one):
 @pytest.mark.parametrize("method", METHODS, ids=str)
 def test_all_constants_but_those_of_the_scheme_stand_by_member(method):
     """Also where members agree in them, as in the period of an angle: the kernels read a column for each."""
-    tables = [loop_of(system, method, 0.1, None).tables for system in members()]
+    tables = [method.loop(system, 0.1).tables for system in members()]
     assert COMMON.issuperset(shared_numbers(stacked(tables), tables[0]))
     watches = [watch_tables(system, system.casimirs).tables for system in members()]
     assert not list(shared_numbers(stacked(watches), watches[0]))

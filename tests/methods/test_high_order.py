@@ -157,7 +157,7 @@ def test_a_composition_of_a_high_order():
             return x
 
         h = mpmath.mpf(0.125)
-        x = Reading(build_program(TOP, method, number=mpmath.mpf)).steps(x0, h, 1)
+        x = Reading(method.program(TOP, number=mpmath.mpf)).steps(x0, h, 1)
         assert np.max(np.abs(x - step(x0, h))) < 1e-13  # the coefficients of a Composition are floats
 
 

@@ -49,7 +49,7 @@ def test_the_sign_is_in_the_coefficients():
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.Splitting(order=4), co.Splitting(scheme="yoshida4")])
 def test_each_part_moves_for_one_step_in_all(method):
     """Fractions of the step add up to one, k u for k of them: over a step, and over start and finish together."""
-    program = build_program(top(), method)
+    program = method.program(top())
     start, step, finish = sections(program)
     for rows in (start + finish, step):
         for part in range(3):

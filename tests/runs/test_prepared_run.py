@@ -10,7 +10,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels.loop import Crew
-from coadjoint.runs import loops, prepared_run, run
+from coadjoint.runs import prepared_run, run
 
 BODY = co.systems.rigid_body((1, 2, 3))
 X = np.array([0.1, 1.0, 0.2])
@@ -33,9 +33,9 @@ def test_everything_is_as_with_integrate():
 
 def test_each_direction_is_prepared_once(monkeypatch):
     calls = []
-    real = loops.loop_of
+    real = co.Splitting.loop
     monkeypatch.setattr(
-        loops, "loop_of", lambda system, method, h, group: calls.append(h) or real(system, method, h, group)
+        co.Splitting, "loop", lambda method, system, h, group: calls.append(h) or real(method, system, h, group)
     )
     ready = co.prepare(BODY, None, 0.1)
     assert calls == [0.1]

@@ -35,6 +35,10 @@ def schemes() -> dict[str, co.methods.base.Method]:
     found |= {f"RadauEnergy {s}": co.RadauEnergy(s) for s in (1, 2, 3)}
     found |= {f"Taylor {p}": co.Taylor(p) for p in (1, 2, 3, 5, 6)}
     found |= {f"Taylor {p} alone": co.Taylor(p, projected=False) for p in (2, 5)}
+    for name in co.methods.names():
+        scheme = co.methods.registry.scheme(name)
+        if not any(type(method) is scheme for method in found.values()):
+            found |= {str(method): method for method in scheme.examples()}
     return found
 
 

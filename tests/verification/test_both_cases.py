@@ -7,13 +7,11 @@ import pytest
 
 import coadjoint as co
 from coadjoint.choosing.pilot import short_run
-from coadjoint.methods.base import FlowMethod
 from coadjoint.program.blocks import Kind
 from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.program.reading import Reading
 from coadjoint.program.shift import quadratic_casimirs, shifted_terms
 from coadjoint.program.split import split
-from coadjoint.program.table import build_program
 from coadjoint.runs import run as run_module
 from coadjoint.systems.rigid_body import so3_body
 
@@ -75,14 +73,8 @@ def system_for(scheme, algebra, sign, seed=1):
 
 def read_steps(method, system, x, t, h):
     """Some steps by the plain reading in floats, each of them begun and finished: nothing is joined to the next."""
-    reading = Reading(build_program(system, method)) if isinstance(method.innermost, FlowMethod) else None
     for k in range(COUNT):
-        moment = t + k * h
-        if reading is not None:
-            x = reading.steps(np.array(x), h, 1, t0=moment)
-            continue
-        for fraction in method.fractions:
-            x, moment = method.innermost.step(system, x, moment, fraction * h), moment + fraction * h
+        x = method.step(system, np.array(x), t + k * h, h)
     return x
 
 
@@ -231,7 +223,7 @@ def test_rotations_of_every_number_of_planes(n):
     system = co.LiePoissonSystem(algebra, co.Quadratic(rng.uniform(0.5, 1.5, algebra.dim)), sign=-1, casimirs={})
     for direction in (1, -1):
         span, h = (0.0, 2 * direction * STEP), direction * STEP
-        read = Reading(build_program(system, method, group=system.representation))
+        read = Reading(method.program(system, group=system.representation))
         x, g = read.steps(x0, h, 2, group=first)
         for start in (x0, np.tile(x0, (3, 1))):
             run = co.integrate(system, start, span, STEP, method, attitude=first)
@@ -252,7 +244,7 @@ def test_planes_with_frequencies_of_their_own(count, compensated):
     x0 = rng.uniform(0.5, 1.0, 3 * count) * rng.choice([-1.0, 1.0], 3 * count)
     parts = [[3 * k + i for k in range(count)] for i in range(3)]
     method = co.Splitting(order=2, parts=parts, compensated=compensated)
-    expected = Reading(build_program(system, method)).steps(x0, STEP, 4)
+    expected = Reading(method.program(system)).steps(x0, STEP, 4)
     for start in (x0, np.tile(x0, (5, 1))):
         found = co.integrate(system, start, (0.0, 4 * STEP), STEP, method).x[-1].reshape(-1, 3 * count)
         np.testing.assert_allclose(found[-1], expected, rtol=0, atol=rounding(system, expected))
@@ -320,7 +312,7 @@ def test_series_of_every_length_side_by_side(compensated):
     """Small angles take fewer terms and substeps: none of a neighbour's, of which a few in 2^12 would change a bit."""
     system, x0 = drawn("so(4)", 1, -1)
     method = co.Splitting(order=2, compensated=compensated)
-    assert Kind.SERIES in build_program(system, method).state.kind
+    assert Kind.SERIES in method.program(system).state.kind
     sizes = np.random.default_rng(9).permutation(np.geomspace(1e-6, 16.0, 33))
     span = (0.0, 400 * STEP)
     crowd = co.integrate(system, sizes[:, None] * x0, span, STEP, method, save_every=100)
@@ -338,7 +330,7 @@ def test_a_shifted_run_turns_about_every_axis_in_both_senses(x0, sign):
     """What a Casimir shift takes off turns the body about its momentum: against the closed form, both ways in time."""
     system = so3_body(np.array([1.0, 0.5, 0.25]), sign=sign, name="body", parameters={})
     method = co.Splitting(order=8)
-    assert build_program(system, method).shift
+    assert method.program(system).shift
     first = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
     for direction in (1, -1):
         span = (T0, T0 + direction * 2.0)

@@ -5,10 +5,6 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.base import FlowMethod
-from coadjoint.methods.composition import Composition
-from coadjoint.program.reading import Reading
-from coadjoint.program.table import build_program
 
 from .measures import U
 from .schemes_under_test import pairs, schemes
@@ -77,16 +73,9 @@ def read_plainly(method, system, x, h, count, number=float):
     """Take steps by the plain reading of a scheme, in any number type."""
     point = np.array([number(v) for v in x], dtype=object if number is not float else float)
     h = number(h)
-    if isinstance(method, FlowMethod) and not (
-        isinstance(method, Composition) and not isinstance(method.innermost, FlowMethod)
-    ):
-        return Reading(build_program(system, method, number=number)).steps(point, h, count)
-    innermost = method.innermost if isinstance(method, Composition) else method
     t = number(0)
     for _ in range(count):
-        for fraction in method.fractions:
-            point = innermost.step(system, point, t, h * number(fraction))
-            t = t + h * number(fraction)
+        point, t = method.step(system, point, t, h), t + h
     return point
 
 

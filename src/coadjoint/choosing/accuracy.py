@@ -31,8 +31,6 @@ ROUNDING_SHARE = 0.5
 # No error is aimed at below: it could not be divided by.
 LEAST = 2.0**-1000
 
-# Coordinates up to which series are considered: the coefficients of more do not stay in a cache.
-LARGEST_SERIES = 10_000
 
 # High orders first: where they win, the others are given up after a short look.
 SCHEMES: tuple[Method, ...] = (
@@ -196,7 +194,7 @@ def _checked(accuracy: Any) -> float:
 def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
     if methods is None:
         known = (*SCHEMES, *PROCESSED) if processed else SCHEMES
-        return tuple(each for each in known if dim <= LARGEST_SERIES or not isinstance(each, Taylor))
+        return tuple(each for each in known if dim <= each.largest)
     rule = "it must be one or more schemes such as Splitting(order=4)"
     given = (methods,) if isinstance(methods, Method) else read_list(methods, "methods", rule)
     wrong = [each for each in given if not isinstance(each, Method)]

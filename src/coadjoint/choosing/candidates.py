@@ -7,46 +7,45 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from coadjoint.choosing.pilot import Pilot, Trial
-from coadjoint.choosing.work import CROWD, FLOWS_OF_A_CROWD, WIDEST_CROWD, newton_work, step_work
-from coadjoint.methods.base import FlowMethod, Method
-from coadjoint.methods.splitting import Splitting
-from coadjoint.methods.step_method import StepMethod
-from coadjoint.program.table import Program, build_program
+from coadjoint.methods.base import Method
+from coadjoint.methods.work import CROWD, WIDEST_CROWD, Work, newton_work
 from coadjoint.runs.start import start_of
 from coadjoint.systems.kinds import System
-from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A scheme that serves a system, with its table if it is made of flows; a `crowd` of members goes side by side."""
+    """A scheme that serves a system, with the work of its step; a `crowd` of members goes side by side.
+
+    `free` says whether its summation is left open.
+    """
 
     system: System
     method: Method
-    program: Program | None
+    work: Work
     group: Any
     free: bool
     crowd: bool = False
 
     @property
     def summed_exactly(self) -> bool:
-        """Whether the momentum is summed with compensation: always, but in splittings."""
-        return not isinstance(self.method, FlowMethod) or self.program is None or bool(self.method.compensated)
+        """Whether the momentum is summed with compensation."""
+        return self.method.compensates
 
     @property
     def flows(self) -> int:
-        """Flows of a step; none in other schemes."""
-        return 0 if self.program is None else int(self.program.rows.section[2] - self.program.rows.section[1])
+        """Flows of a step; none in schemes that are not made of flows."""
+        return self.work.flows
 
     def cost(self, trial: Trial) -> float:
         """Return the cost of one step, in rotations."""
-        work = step_work(self.system, self.method, self.program, trial.iterations, trial.evaluations, self.group)
+        work = self.work.cost(trial.iterations, trial.evaluations)
         return work + newton_work(self.system.dim, trial.evaluations / trial.iterations) if trial.newton else work
 
     @property
     def share(self) -> float:
         """The part of the cost of a step that each of many members has."""
-        return FLOWS_OF_A_CROWD if self.crowd and self.program is not None else 1.0
+        return self.work.in_a_crowd if self.crowd else 1.0
 
     def growth(self, pilot: Pilot, trial: Trial) -> float:
         """Return how many times the error of a trial is larger at the end of the span."""
@@ -58,14 +57,15 @@ class Candidate:
         """
         if self.method.symmetric or self.method.properties(self.system).poisson:
             return True
-        restored = self.method.restored(self.system) if isinstance(self.method, StepMethod) else None
+        restored = self.method.restored(self.system)
         return restored is not None and self.system.dim - len(restored) <= 2
 
     def compensated(self) -> Candidate | None:
-        """Return the same splitting summed with compensation; None where that was not left open."""
-        if not self.free or not isinstance(self.method, Splitting) or self.method.compensated is not None:
+        """Return the same scheme summed with compensation; None where that was not left open."""
+        better = self.method.with_compensation() if self.free else None
+        if better is None:
             return None
-        return replace(self, method=replace(self.method, compensated=True))
+        return replace(self, method=better, work=better.work(self.system, self.group))
 
 
 def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, strict: bool) -> list[Candidate]:
@@ -108,12 +108,7 @@ def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, 
 
 def _candidate(system: System, method: Method, x0: Any, attitude: Any, free: bool) -> Candidate:
     start = start_of(system, method, x0, attitude)
-    group = start.representation
     method.properties(system)
-    innermost = method.innermost
-    program = None
-    if isinstance(method, FlowMethod) and isinstance(innermost, FlowMethod):
-        assert isinstance(system, LiePoissonSystem)
-        program = build_program(system, method, group=group)
     crowd = len(start.momenta) >= CROWD and system.dim <= WIDEST_CROWD
-    return Candidate(system, method, program, group, free, crowd)
+    group = start.representation
+    return Candidate(system, method, method.work(system, group), group, free, crowd)

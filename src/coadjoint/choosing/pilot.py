@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from coadjoint.choosing.growth import Growth
 from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
-from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.runs.loops import SystemLoops
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import Start
@@ -133,9 +132,7 @@ class Pilot:
             return None
         count = steps * len(self.momenta)
         iterations, evaluations = int(run.results["iterations"].sum()), int(run.results["evaluations"].sum())
-        # Implicit schemes remember first for how many steps they still take Newton's method.
-        innermost = method.innermost
-        newton = isinstance(innermost, RungeKuttaMethod) and bool(np.any(run.work["memory"][:, :1] > 0.0))
+        newton = method.took_newton(run.work["memory"])
         return Trial(steps, self._growth(run.results["x"]), iterations / count, evaluations / count, newton)
 
     def _growth(self, found: NDArray[np.float64]) -> Growth:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
+from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.kernels.arrays import Block, Layout
 from coadjoint.kernels.library import kernels, listening_kernels, pointed
 
@@ -16,6 +18,35 @@ ARGUMENTS = [ctypes.c_void_p] * 3 + [ctypes.c_int64] * 3 + [ctypes.c_void_p] * 4
 ARGUMENTS += [ctypes.c_void_p]
 # What a loop returns in place of a count, as in `source/boundary/crew.hpp`; any other such number: interrupted.
 NO_MEMORY = -2
+
+
+@dataclass(frozen=True)
+class CompiledLoop:
+    """A compiled loop over steps, by its name in the library, with its tables.
+
+    Parameters
+    ----------
+    name : str
+        The name of the loop.
+    tables : NamedTuple
+        What it reads.
+    keep : tuple
+        What must live as long: the machine code of functions of the user.
+    shift : tuple of (Polynomial, float)
+        What was taken off the Hamiltonian, Casimirs and factors: it turns the group element at output.
+    memory : int
+        How many numbers a member remembers from step to step.
+    """
+
+    name: str
+    tables: Any
+    keep: tuple[Any, ...] = ()
+    shift: tuple[tuple[Polynomial, float], ...] = ()
+    memory: int = 0
+
+    def raised(self) -> BaseException | None:
+        """Return what a function of the user has raised in the loop, once, if it did."""
+        return next((error for kept in self.keep if (error := getattr(kept, "raised", lambda: None)())), None)
 
 
 class Stop:

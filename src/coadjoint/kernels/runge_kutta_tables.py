@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,6 @@ from coadjoint.kernels.couplings import NO_BAND, narrow_band
 from coadjoint.kernels.field_tables import field_of, group_of, substeps
 from coadjoint.kernels.runge_kutta import EXPLICIT, GRADIENT, IMPLICIT, ITERATED, STRUCTURE, RungeKuttaTables
 from coadjoint.kernels.tables import Compiled
-from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.systems.kinds import System
 
 SOLVERS = {
@@ -26,8 +25,26 @@ LARGEST_DIRECT = 160  # unknowns: above, iterating costs less than LU factors, a
 LARGEST_DENSE = 200  # unknowns of Newton's method by a dense matrix, as `runge_kutta.hpp` has it
 
 
+class Tableau(Protocol):
+    """What a Runge-Kutta scheme says of itself."""
+
+    @property
+    def solver(self) -> str:
+        """One of `SOLVERS`."""
+
+    @property
+    def function_iterations(self) -> int:
+        """How many iterations come before the output, or before the linear system."""
+
+    def coefficients(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Return nodes, scales, the matrix of the stages and the weights of the output."""
+
+    def forecast(self, ratio: float) -> NDArray[np.float64]:
+        """Return the matrix of the starting values."""
+
+
 def runge_kutta_tables(
-    system: System, method: RungeKuttaMethod, representation: Any = None, fractions: Sequence[float] = (1.0,)
+    system: System, method: Tableau, representation: Any = None, fractions: Sequence[float] = (1.0,)
 ) -> Compiled:
     """Return a Runge-Kutta method on a system as arrays for the loop of `coadjoint.kernels.runge_kutta`.
 
@@ -35,7 +52,7 @@ def runge_kutta_tables(
     ----------
     system : LiePoissonSystem or PoissonSystem
         The system.
-    method : RungeKuttaMethod
+    method : Tableau
         The scheme of one substep.
     representation : None, "coadjoint" or (n, d, d) array
         The group element that is carried along.
@@ -49,12 +66,9 @@ def runge_kutta_tables(
 
     Raises
     ------
-    ValueError
-        The scheme cannot serve the system.
     TypeError
         A function of the user cannot be compiled.
     """
-    method.properties(system)
     field, keep = field_of(system)
     group = group_of(system, representation)
     node, scale, mix, out = method.coefficients()

@@ -2,21 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
+from coadjoint.kernels.field import GroupField
 from coadjoint.kernels.field_tables import field_of, group_of, substeps
 from coadjoint.kernels.stepping import Stepping, StepTables, step_address
 from coadjoint.kernels.tables import Compiled, addresses_of, invariants_table, watch_tables
-from coadjoint.methods.step_method import StepMethod
+from coadjoint.kernels.watching import Watch
 from coadjoint.program.terms import TermTable
 from coadjoint.systems.kinds import System
 
 
+class CompiledStep(Protocol):
+    """What a scheme with a compiled step says of itself."""
+
+    @property
+    def compiled_step(self) -> Any:
+        """The step, by its name in the library, or its address."""
+
+    def constants(self) -> tuple[Sequence[int], Sequence[float]]:
+        """Return the whole numbers and the coefficients that it reads."""
+
+    def restored(self, system: System) -> Mapping[str, Any] | None:
+        """Return the invariants that it restores."""
+
+
 def step_tables(
-    system: System, method: StepMethod, representation: Any = None, fractions: Sequence[float] = (1.0,)
+    system: System, method: CompiledStep, representation: Any = None, fractions: Sequence[float] = (1.0,)
 ) -> Compiled:
     """Return a step method on a system as arrays for the loop of `coadjoint.kernels.stepping`.
 
@@ -24,7 +39,7 @@ def step_tables(
     ----------
     system : LiePoissonSystem or PoissonSystem
         The system.
-    method : StepMethod
+    method : CompiledStep
         The scheme of one substep.
     representation : None, "coadjoint" or (n, d, d) array
         The group element that is carried along.
@@ -38,29 +53,53 @@ def step_tables(
 
     Raises
     ------
-    ValueError
-        The scheme cannot serve the system.
     TypeError
         A function of the user cannot be compiled.
     """
-    method.properties(system)
+    restored = method.restored(system)
+    watched = invariants_table([], system.dim) if restored is None else watch_tables(system, restored)
+    made = _tables(system, group_of(system, representation), watched.tables, *method.constants())
+    return _stepping(step_address(method.compiled_step), fractions, *made, watched.keep)
+
+
+def function_tables(system: System, function: int, fractions: Sequence[float] = (1.0,)) -> Compiled:
+    """Return the same for a step that is a function, at an address.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    function : int
+        Where the function stands.
+    fractions : sequence of float
+        Lengths of the substeps of a step.
+
+    Returns
+    -------
+    Compiled
+        With a `Stepping`.
+    """
+    constant = sum(term.constant for term in system.hamiltonian.terms() if not term.called)
+    none = invariants_table([], system.dim)
+    made = _tables(system, group_of(system, None), none.tables, [function], [constant])
+    return _stepping(step_address("step_function"), fractions, *made, ())
+
+
+def _tables(
+    system: System, group: GroupField, kept: Watch, integers: Sequence[int], numbers: Sequence[float]
+) -> tuple[StepTables, tuple[Any, ...]]:
     field, keep = field_of(system)
     table = TermTable()
     for term in system.hamiltonian.terms():
         table.add(term)
     values, values_kept = addresses_of(table.functions, len(table), "value", "the Hamiltonian")
-    restored = method.restored(system)
-    watched = invariants_table([], system.dim) if restored is None else watch_tables(system, restored)
-    integers, numbers = method.constants()
-    tables = StepTables(
-        field,
-        values,
-        group_of(system, representation),
-        watched.tables,
-        np.array(integers, dtype=np.int64),
-        np.array(numbers, dtype=np.float64),
-    )
+    whole, coefficients = np.array(integers, dtype=np.int64), np.array(numbers, dtype=np.float64)
+    return StepTables(field, values, group, kept, whole, coefficients), (*keep, *values_kept)
+
+
+def _stepping(
+    step: int, fractions: Sequence[float], tables: StepTables, keep: tuple[Any, ...], more: tuple[Any, ...]
+) -> Compiled:
     lengths, moments = substeps(fractions)
-    step = np.array([step_address(method.compiled_step)], dtype=np.int64)
-    stepping = Stepping(step, len(lengths), lengths, moments, tables)
-    return Compiled(stepping, (*keep, *values_kept, *watched.keep))
+    stepping = Stepping(np.array([step], dtype=np.int64), len(lengths), lengths, moments, tables)
+    return Compiled(stepping, (*keep, *more))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from coadjoint.kernels.field import Field, GroupField
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.watching import Watch
-from coadjoint.methods.step_method import UNDEFINED as UNDEFINED
+
+UNDEFINED = 3
+"""Status of a step that its scheme does not define; the scheme's `failures` says why."""
 
 
 class StepTables(NamedTuple):
@@ -42,19 +44,27 @@ class Stepping(NamedTuple):
     serial: int = 0
 
 
-def step_address(name: str) -> int:
-    """Return the address of the step that a scheme brings, by the name that its C++ file gives it (`STEP_SCHEME`).
+def step_address(step: Any) -> int:
+    """Return the address of the step that a scheme brings.
+
+    Parameters
+    ----------
+    step : str or object
+        The name that its C++ file gives it (`STEP_SCHEME`) in this library, or a step that was compiled apart and has
+        an ``address``.
 
     Raises
     ------
     ValueError
         The library has no step of this name.
     """
+    if not isinstance(step, str):
+        return int(step.address)
     try:
-        found = getattr(kernels(), f"{name}_step")
+        found = getattr(kernels(), f"{step}_step")
     except AttributeError as error:
         raise ValueError(
-            f"the kernels have no step {name!r}; its C++ file must stand beside the scheme when they are built"
+            f"the kernels have no step {step!r}; its C++ file must stand beside the scheme when they are built"
         ) from error
     return ctypes.cast(found, ctypes.c_void_p).value or 0
 

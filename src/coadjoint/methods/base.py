@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from coadjoint.program.sweeps import Sweep
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.memory import check_room
+from coadjoint.program.numbers import Number
 from coadjoint.systems.kinds import System
 from coadjoint.wording import short
 
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.work import Work
+    from coadjoint.program.table import Program
+
+Representation = NDArray[np.float64] | str | None
+
+BYTES_PER_CONSTANT = 450  # while flows are read from both orders of a bracket
 LONGEST = 200  # characters of a parameter in a message
 
 
@@ -38,10 +50,21 @@ class Properties:
 
 
 class Method(ABC):
-    """A scheme."""
+    """A scheme: what it keeps, its compiled loop, its reading in Python, its tangent, and its work.
+
+    Families implement that from coefficients (`FlowMethod`), a tableau (`RungeKuttaMethod`) or a step (`StepMethod`,
+    `CompiledStepMethod`): a scheme of your own derives from one of them. All that runs, chooses or judges schemes talks
+    to this protocol.
+    """
 
     failures: ClassVar[Mapping[int, str]] = {}
     """What statuses of a step other than the common ones (no convergence, overflow) mean, for messages."""
+
+    largest: ClassVar[float] = np.inf
+    """The dimension up to which the scheme is considered where none was asked for."""
+
+    compensates: ClassVar[bool] = True
+    """Whether what an update of the momentum rounds away is kept for the next one."""
 
     def __str__(self) -> str:
         """Return the scheme with the parameters that are not its defaults, and its order or stages."""
@@ -69,6 +92,12 @@ class Method(ABC):
     def symmetric(self) -> bool:
         """Whether a step back undoes a step."""
 
+    offered: ClassVar[bool] = True
+    """Whether the registry lists the scheme."""
+
+    instead: ClassVar[str] = ""
+    """Where the scheme is not symmetric: what to compose in place of it, for messages."""
+
     @abstractmethod
     def properties(self, system: System) -> Properties:
         """Return what the scheme keeps on a system; refuses by name one that it cannot serve.
@@ -89,42 +118,188 @@ class Method(ABC):
             If the scheme cannot serve the system.
         """
 
-    @property
-    def innermost(self) -> Method:
-        """The scheme of one substep: itself, unless it is a composition of another."""
-        return self
+    def composed(self, coefficients: Sequence[float]) -> Method:
+        """Return the scheme that takes a step of this one at each of these fractions of its step.
+
+        Parameters
+        ----------
+        coefficients : sequence of float
+            The fractions.
+
+        Returns
+        -------
+        Method
+            `Composition` is the scheme that checks them, and has a name.
+        """
+        raise TypeError(f"{self} cannot be composed")
 
     @property
     def fractions(self) -> tuple[float, ...]:
         """Substeps of one step as fractions of it; one unless the scheme is a composition."""
         return (1.0,)
 
+    def loop(self, system: System, h: float, representation: Representation = None) -> CompiledLoop:
+        """Return the scheme on a system as a compiled loop with its tables.
 
-class FlowMethod(Method):
-    """A scheme made of exact flows of parts; it becomes a table of rows."""
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+        h : float
+            The step, negative for backward.
+        representation : ndarray of shape (n, d, d), "coadjoint", or None
+            What a group element is carried in.
 
-    @property
+        Returns
+        -------
+        CompiledLoop
+
+        Raises
+        ------
+        ValueError, TypeError
+            The scheme cannot serve the system.
+        """
+        self.properties(system)
+        if system.algebra is not None:
+            constants = system.algebra.triples.c.size
+            check_room(BYTES_PER_CONSTANT * constants, f"the tables of {type(self).__name__} for {system.name}")
+        return self.compiled(system, h, representation)
+
     @abstractmethod
-    def parts(self) -> Any:
-        """How the Hamiltonian is taken apart: "auto", "coordinates", or sets of coordinates."""
-
-    @property
-    @abstractmethod
-    def compensated(self) -> bool | None:
-        """Whether the momentum is summed with compensation; None is no."""
-
-    @property
-    @abstractmethod
-    def rotation(self) -> str:
-        """Rotations by the angle itself ("exact"), or by tan(angle/2) := half the angle ("rational")."""
+    def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
+        """Return the compiled loop of a system that the scheme serves; parameters are those of `loop`."""
 
     @abstractmethod
-    def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
-        """Return the sweeps of one step, first to last, with coefficients in the given number type."""
+    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
+        """Return one step, read in Python.
 
-    def processor(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
-        """Return the sweeps of the processor P of a step P K P^-1, whose `sweeps` are the kernel K; none by default."""
-        return ()
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+        x : (n,) array
+            The state: floats, or objects such as ``mpmath.mpf``, in whose precision everything is then computed.
+        t, h : number
+            Time at the start, and length of the step.
+
+        Returns
+        -------
+        (n,) array
+        """
+
+    @abstractmethod
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return one step and its derivative.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system; its Hamiltonian must have second derivatives, and a `PoissonSystem` the derivative of J.
+        x : (n,) array
+            The state.
+        t, h : float
+            Time at the start, and length of the step.
+
+        Returns
+        -------
+        x_new : (n,) array
+            The step.
+        P : (n, n) array
+            Its derivative with respect to x.
+
+        Raises
+        ------
+        TypeError
+            A derivative is not known.
+        IntegrationError
+            The iteration of an implicit scheme does not converge.
+        """
+
+    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
+        """Return how `tangent` finds the derivative: by its "formula", by "complex step" or by "differences".
+
+        Parameters
+        ----------
+        system, x, t, h
+            As for `tangent`.
+
+        Returns
+        -------
+        str
+            The first two are exact to round-off; differences have some nine digits.
+        """
+        return "formula"
+
+    def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
+        """Return the table of elementary flows that a step is made of.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem
+            The system.
+        group : ndarray of shape (n, d, d), "coadjoint", or None
+            The representation that a group element is carried in.
+        number : callable
+            Number type: `float`, or for instance `mpmath.mpf` for the plain reading.
+
+        Returns
+        -------
+        Program
+
+        Raises
+        ------
+        TypeError
+            The scheme is not made of flows.
+        """
+        raise TypeError(f"{self} is not made of exact flows, so it has no program; Splitting has one")
+
+    @abstractmethod
+    def work(self, system: System, group: Representation = None) -> Work:
+        """Return what a step on a system costs.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+        group : ndarray of shape (n, d, d), "coadjoint", or None
+            What a group element is carried in.
+
+        Returns
+        -------
+        Work
+        """
+
+    def restored(self, system: System) -> Mapping[str, Any] | None:
+        """Return the invariants that a step restores beside the energy; None where not the energy either.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        mapping or None
+            Name -> `Polynomial` or `Quadratic`.
+        """
+        return None
+
+    def with_compensation(self) -> Method | None:
+        """Return the same scheme with compensated sums, where that was left open; else None."""
+        return None
+
+    def took_newton(self, memory: NDArray[np.float64]) -> bool:
+        """Return whether steps needed Newton's method, from what the members (members, numbers) of a run remember."""
+        return False
+
+    def look_ahead(self, systems: Sequence[System]) -> None:
+        """Find for many systems at once what `loop` would find for one after the other; nothing by default."""
+        return
+
+    @classmethod
+    def examples(cls) -> Sequence[Method]:
+        """Return schemes of this kind that between them do everything that it does: what tests try."""
+        return [cls()]
 
 
 def has_quadratic_energy(system: System) -> bool:

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.given import read_finite
-from coadjoint.methods.base import FlowMethod, Method, Properties
-from coadjoint.program.sweeps import Sweep
+from coadjoint.methods.base import Method, Representation
+from coadjoint.methods.composed import Composed
+from coadjoint.program.numbers import Number
 from coadjoint.systems.kinds import System
 from coadjoint.wording import short
 
-HIGHEST_ORDER = 12
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.work import Work
+    from coadjoint.program.table import Program
+
 LARGEST_SUM = 1000.0
 MOST_SUBSTEPS = 1000
 
 
 @dataclass(frozen=True)
-class Composition(FlowMethod):
+class Composition(Composed):
     """One step of the base at each fraction c_1 h, c_2 h, ... of the step: a higher order from a symmetric base.
 
     For your own coefficients, or for a base other than `Splitting` (Gauss-Legendre, say). What the base keeps, its
@@ -57,15 +66,7 @@ class Composition(FlowMethod):
             raise TypeError(f"the base of a Composition is a scheme such as Splitting(order=2), not {short(self.base)}")
         object.__setattr__(self, "coefficients", _fractions_given(self.coefficients, self.base))
         if not self.base.symmetric:
-            processed = isinstance(self.base, FlowMethod) and len(self.base.processor()) > 0
-            raise ValueError(
-                f"Composition needs a symmetric base, which {self.base} is not; "
-                + (
-                    "of a processed scheme P K P^-1 only the kernel K is; take a scheme without a processor"
-                    if processed
-                    else "of a first-order splitting take Splitting(order=2), its composition with its adjoint"
-                )
-            )
+            raise ValueError(f"Composition needs a symmetric base, which {self.base} is not{self.base.instead}")
         if sum(map(abs, self.coefficients)) > LARGEST_SUM:
             raise ValueError(
                 f"the absolute coefficients of a Composition add up to {sum(map(abs, self.coefficients)):.3g}; above "
@@ -75,90 +76,57 @@ class Composition(FlowMethod):
         if abs(total - 1.0) > 4 * len(self.coefficients) * 2.0**-53 * sum(map(abs, self.coefficients)):
             raise ValueError(f"the coefficients of a Composition add up to 1, not to {total!r}")
 
-    @property
-    def order(self) -> int:
-        """The order, from the order conditions in the free associative algebra."""
-        return composition_order(self.coefficients, self.base.order)
-
-    @property
-    def explicit(self) -> bool:
-        """As the base is."""
-        return self.base.explicit
-
-    @property
-    def symmetric(self) -> bool:
-        """Whether the coefficients are a palindrome."""
-        return self.coefficients == self.coefficients[::-1]
-
-    @property
-    def parts(self) -> Any:
-        """The parts of a splitting base."""
-        return self.base.parts if isinstance(self.base, FlowMethod) else None
-
-    @property
-    def compensated(self) -> bool | None:
-        """Whether a splitting base is compensated."""
-        return getattr(self.base, "compensated", None)
-
-    @property
-    def rotation(self) -> str:
-        """The rotations of a splitting base."""
-        return self.base.rotation if isinstance(self.base, FlowMethod) else "exact"
-
-    @property
-    def fractions(self) -> tuple[float, ...]:
-        """The fractions of the step of all substeps, compositions in the base multiplied out."""
-        return tuple(c * f for c in self.coefficients for f in self.base.fractions)
+    @cached_property
+    def whole(self) -> Method:
+        """The composition as the family of the base takes it: one table of flows, or substeps."""
+        return self.base.composed(self.coefficients)
 
     @property
     def innermost(self) -> Method:
         """The base that is not itself a composition."""
-        return self.base.innermost
+        return self.base.innermost if isinstance(self.base, Composition) else self.base
 
-    def properties(self, system: System) -> Properties:
-        """Return what the base keeps; a composition keeps the same.
+    def composed(self, coefficients: Sequence[float]) -> Method:
+        """Return the composition of this composition."""
+        return self.whole.composed(coefficients)
 
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
+    def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:  # noqa: D102
+        return self.whole.program(system, group=group, number=number)
 
-        Returns
-        -------
-        Properties
-            Those of the base.
-        """
-        return self.base.properties(system)
+    def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
+        """Return the loop of the base, composed."""
+        return self.whole.compiled(system, h, representation)
 
-    def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
-        """Return the sweeps of a splitting base, scaled and shifted.
+    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:  # noqa: D102
+        return self.whole.step(system, x, t, h)
 
-        Parameters
-        ----------
-        number : callable
-            Number type of the coefficients.
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:  # noqa: D102
+        return self.whole.tangent(system, x, t, h)
 
-        Returns
-        -------
-        list of Sweep
-            First to last.
+    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
+        """Return how the base finds it."""
+        return self.base.tangent_by(system, x, t, h)
 
-        Raises
-        ------
-        TypeError
-            If the base is not a splitting.
-        """
-        if not isinstance(self.base, FlowMethod):
-            raise TypeError(f"{short(self.base)} is not made of flows")
-        inner = self.base.sweeps(number)
-        result, passed = [], number(0)
-        for coefficient in map(number, self.coefficients):
-            result += [
-                Sweep(forward, coefficient * fraction, passed + coefficient * moment, turn)
-                for forward, fraction, moment, turn in inner
-            ]
-            passed = passed + coefficient
-        return result
+    def work(self, system: System, group: Representation = None) -> Work:  # noqa: D102
+        return self.whole.work(system, group)
+
+    def took_newton(self, memory: NDArray[np.float64]) -> bool:
+        """Return whether the base needed it."""
+        return self.whole.took_newton(memory)
+
+    def look_ahead(self, systems: Sequence[System]) -> None:
+        """Let the base look at them."""
+        self.base.look_ahead(systems)
+
+    @classmethod
+    def examples(cls) -> Sequence[Method]:
+        """Return compositions of flows and of stages."""
+        from coadjoint.methods.gauss_legendre import GaussLegendre
+        from coadjoint.methods.splitting import Splitting
+
+        outer = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
+        fractions = (outer, 1.0 - 2.0 * outer, outer)
+        return [cls(Splitting(order=2), fractions), cls(GaussLegendre(1), fractions)]
 
 
 def _fractions_given(coefficients: Any, base: Method) -> tuple[float, ...]:
@@ -170,64 +138,3 @@ def _fractions_given(coefficients: Any, base: Method) -> tuple[float, ...]:
             f"a step of the Composition has {found.size * len(base.fractions)} substeps; there may be {MOST_SUBSTEPS}"
         )
     return tuple(found.tolist())
-
-
-def composition_order(coefficients: Sequence[float], base_order: int) -> int:
-    """Return the order of a composition of a symmetric map of even order.
-
-    The base is exp(h Y_1 + h^(p+1) Y_(p+1) + h^(p+3) Y_(p+3) + ...) with free Y's; the product is compared with exp(h
-    Y_1) word by word.
-
-    Parameters
-    ----------
-    coefficients : sequence of float
-        The fractions of the step.
-    base_order : int
-        Order p of the symmetric base.
-
-    Returns
-    -------
-    int
-        The order, at most 12 or that of the base.
-
-    Examples
-    --------
-    >>> composition_order((0.5, 0.5), 2)
-    2
-    """
-    highest = max(HIGHEST_ORDER, base_order)
-    letters = [1, *range(base_order + 1, highest + 1, 2)]
-    product: dict[tuple[int, ...], float] = {(): 1.0}
-    for c in coefficients:
-        product = _multiply(product, _exponential({(d,): c**d for d in letters}, highest), highest)
-    exact = _exponential({(1,): 1.0}, highest)
-    scale = max(1.0, max(map(abs, coefficients)))
-    for order in range(base_order + 1, highest + 1):
-        words = {word for word in product.keys() | exact.keys() if sum(word) == order}
-        # Rounding of the coefficients themselves moves a condition by u times the sum of the terms in it.
-        tolerance = 2.0**-53 * 8 * len(coefficients) * scale**order
-        if any(abs(product.get(word, 0.0) - exact.get(word, 0.0)) > tolerance for word in words):
-            return order - 1
-    return highest
-
-
-Series = dict[tuple[int, ...], float]
-
-
-def _multiply(left: Series, right: Series, highest: int) -> Series:
-    result: Series = {}
-    for a, x in left.items():
-        for b, y in right.items():
-            if sum(a) + sum(b) <= highest:
-                result[a + b] = result.get(a + b, 0.0) + x * y
-    return result
-
-
-def _exponential(exponent: Series, highest: int) -> Series:
-    result: Series = {(): 1.0}
-    power: Series = {(): 1.0}
-    for k in range(1, highest + 1):
-        power = {word: value / k for word, value in _multiply(power, exponent, highest).items()}
-        for word, value in power.items():
-            result[word] = result.get(word, 0.0) + value
-    return result

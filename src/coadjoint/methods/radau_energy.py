@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Properties
+from coadjoint.methods.compiled_step import UNDEFINED, CompiledStepMethod
 from coadjoint.methods.gauss_coefficients import radau
 from coadjoint.methods.gauss_legendre import stages_given
 from coadjoint.methods.runge_kutta import settle
 from coadjoint.methods.stages import Coefficients, Step, begin, linear_solve
-from coadjoint.methods.step_method import UNDEFINED, StepMethod
 from coadjoint.program.numbers import Number
 from coadjoint.systems.kinds import System, check_one_system
 
@@ -26,7 +26,7 @@ NO_MULTIPLIER = (
 
 
 @dataclass(frozen=True)
-class RadauEnergy(StepMethod):
+class RadauEnergy(CompiledStepMethod):
     """Radau IIA for ``x' = f(x) + lambda x``, ``0 = H(x) - H(x_k)``: the energy is kept, and nothing else.
 
     With s stages of order 2 s - 1: ``X_i = x + h sum_j a_ij (f(X_j) + lambda_j X_j)``, ``H(X_i) = H(x)``, ``x_new =

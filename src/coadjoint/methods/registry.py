@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import importlib.metadata
 import inspect
 import pkgutil
+import warnings
 from collections.abc import Mapping
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
 
 from coadjoint.errors import unknown_name
 from coadjoint.given import read_choice
@@ -16,9 +18,103 @@ from coadjoint.methods.base import Method
 from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.wording import short
 
+Scheme = TypeVar("Scheme", bound=type[Method])
+
+ENTRY_POINTS = "coadjoint.methods"
+"""The group of entry points by which other packages register theirs: name = "package.module:Scheme"."""
+
+_registered: dict[str, type[Method]] = {}
+
+
+def register(scheme: Scheme) -> Scheme:
+    """Let a scheme be known by its name: in `get`, configuration files, saved runs, and ``coadjoint methods``.
+
+    Parameters
+    ----------
+    scheme : type
+        A concrete subclass of `Method` that is a dataclass; registered by the name of the class.
+
+    Returns
+    -------
+    type
+        The same, so that it can decorate.
+
+    Raises
+    ------
+    TypeError
+        It is no such class.
+    ValueError
+        Another scheme has this name.
+
+    Examples
+    --------
+    >>> import dataclasses
+    >>> import coadjoint as co
+    >>> @co.methods.register
+    ... @dataclasses.dataclass(frozen=True)
+    ... class ForwardEuler(co.methods.StepMethod):
+    ...     order, explicit, symmetric = 1, True, False
+    ...     def properties(self, system):
+    ...         return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+    ...     def step(self, system, x, t, h):
+    ...         return x + h * system.vector_field(x, t)
+    >>> co.methods.get("ForwardEuler").order
+    1
+    >>> co.methods.registry.forget("ForwardEuler")
+    """
+    if not (isinstance(scheme, type) and issubclass(scheme, Method)):
+        raise TypeError(f"{short(scheme)} is no scheme; register a class that derives from coadjoint.methods.Method")
+    missing = sorted(getattr(scheme, "__abstractmethods__", ()))
+    if missing:
+        raise TypeError(f"{scheme.__name__} has no {missing[0]}; a scheme says its order, what it keeps, and its step")
+    if not dataclasses.is_dataclass(scheme):
+        raise TypeError(f"{scheme.__name__} is no dataclass, so its parameters could not be written down; make it one")
+    name = scheme.__name__
+    known = _own().get(name) or _registered.get(name)
+    if known is not None and (known.__module__, known.__qualname__) != (scheme.__module__, scheme.__qualname__):
+        raise ValueError(f"there is another scheme {name}, in {known.__module__}; give this one another name")
+    _registered[name] = scheme
+    return scheme
+
+
+def forget(name: str) -> None:
+    """Take back what `register` did.
+
+    Parameters
+    ----------
+    name : str
+        Of a scheme that was registered.
+
+    Raises
+    ------
+    ValueError
+        No such scheme was.
+    """
+    read_choice(name, "registered method", _registered)
+    del _registered[name]
+
+
+def _schemes() -> dict[str, type[Method]]:
+    """Every scheme by its name: those of this folder, of entry points, and those that were registered."""
+    return dict(sorted((_own() | _of_entry_points() | _registered).items()))
+
 
 @cache
-def _schemes() -> dict[str, type[Method]]:
+def _of_entry_points() -> dict[str, type[Method]]:
+    found: dict[str, type[Method]] = {}
+    for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
+        try:
+            scheme = point.load()
+            register(scheme)
+            found[scheme.__name__] = _registered.pop(scheme.__name__)
+        except Exception as error:
+            # A package that is broken must not take the others with it.
+            warnings.warn(f"the scheme {point.name} ({point.value}) is left out: {error}", RuntimeWarning, stacklevel=2)
+    return found
+
+
+@cache
+def _own() -> dict[str, type[Method]]:
     """Every concrete scheme that a file of this folder defines: a new scheme is one file, and no second list."""
     package = importlib.import_module("coadjoint.methods")
     found: dict[str, type[Method]] = {}
@@ -26,9 +122,9 @@ def _schemes() -> dict[str, type[Method]]:
         module = importlib.import_module(f"{package.__name__}.{module_info.name}")
         for name, value in vars(module).items():
             defined = isinstance(value, type) and value.__module__ == module.__name__ and not name.startswith("_")
-            if defined and issubclass(value, Method) and not inspect.isabstract(value):
+            if defined and issubclass(value, Method) and not inspect.isabstract(value) and value.offered:
                 found[name] = value
-    return dict(sorted(found.items()))
+    return found
 
 
 def names() -> tuple[str, ...]:
@@ -44,6 +140,21 @@ def names() -> tuple[str, ...]:
     True
     """
     return tuple(_schemes())
+
+
+def scheme(name: str) -> type[Method]:
+    """Return a scheme as a class, by its name.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+
+    Returns
+    -------
+    type
+    """
+    return _schemes()[read_choice(name, "method", _schemes())]
 
 
 def get(name: str, /, **parameters: Any) -> Method:

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.base import Method
+from coadjoint.methods.base import Representation
 from coadjoint.methods.stages import Coefficients, Step, begin
+from coadjoint.methods.stepped import SteppedMethod
 from coadjoint.program.numbers import Number, roundoff
 from coadjoint.systems.kinds import System
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.work import Work
 
 MOST_ITERATIONS = 200  # for 53 bits; in proportion for more
 GROWTH = 2**64  # of the first correction: a correction so much larger will not come back
@@ -26,7 +31,7 @@ class Evaluation(NamedTuple):
     derivatives: NDArray[np.float64] | None
 
 
-class RungeKuttaMethod(Method):
+class RungeKuttaMethod(SteppedMethod):
     """A tableau and a solver. A new scheme says what its coefficients are and how it finds its slopes."""
 
     @property
@@ -86,6 +91,27 @@ class RungeKuttaMethod(Method):
         -------
         Evaluation
         """
+
+    def loop_of_substeps(
+        self, system: System, h: float, representation: Representation, fractions: Sequence[float]
+    ) -> CompiledLoop:
+        """Return the loop over stages, for this tableau and solver."""
+        from coadjoint.kernels import runge_kutta
+        from coadjoint.kernels.loop import CompiledLoop
+        from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
+
+        found = runge_kutta_tables(system, self, representation, fractions)
+        return CompiledLoop(runge_kutta.LOOP, found.tables, found.keep, memory=runge_kutta.memory_of(found.tables))
+
+    def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
+        """Return the work of the iterations that a step takes."""
+        from coadjoint.methods.work import work_of_iterations
+
+        return work_of_iterations(system, group)
+
+    def took_newton(self, memory: NDArray[np.float64]) -> bool:
+        """Return whether any member still begins with Newton's method: implicit schemes remember that first."""
+        return bool(np.any(memory[:, :1] > 0.0))
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, as the formulas say it, without compensation.

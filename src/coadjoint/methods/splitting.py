@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.given import read_choice, read_finite, read_flag, read_list, read_number, read_whole
-from coadjoint.methods.base import FlowMethod, Properties
+from coadjoint.methods.base import Method, Properties
+from coadjoint.methods.flow_method import FlowMethod
 from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES, SplittingScheme
 from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.program.sweeps import Sweep
@@ -202,6 +203,28 @@ class Splitting(FlowMethod):
         that over h: a step back undoes a step up to O(h^(order + 2)).
         """
         return self.order != 1 and not self._named.processed
+
+    @property
+    def instead(self) -> str:  # type: ignore[override]
+        """What to compose in place of a scheme that is not symmetric."""
+        if len(self.processor()) > 0:
+            return "; of a processed scheme P K P^-1 only the kernel K is; take a scheme without a processor"
+        return "; of a first-order splitting take Splitting(order=2), its composition with its adjoint"
+
+    def with_compensation(self) -> Method | None:
+        """Return the same splitting, compensated; None where that was not left open."""
+        return replace(self, compensated=True) if self.compensated is None else None
+
+    @classmethod
+    def examples(cls) -> Sequence[Method]:
+        """Return splittings of several orders, parts and sums."""
+        return [
+            *(cls(order=order) for order in (1, 2, 4)),
+            cls(order=1, adjoint=True),
+            cls(order=2, parts="coordinates"),
+            cls(order=2, compensated=True),
+            *(cls(scheme=name) for name in ("yoshida4", "suzuki4")),
+        ]
 
     def properties(self, system: System) -> Properties:
         """Return what splitting keeps: the Poisson bracket, every Casimir, the spatial momentum in every

@@ -1,100 +1,69 @@
-"""Step methods: schemes that are neither compositions of flows nor Runge-Kutta methods, and bring a compiled step."""
+"""Step methods: a scheme of your own, written in Python as one function."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import Method
+from coadjoint.kernels.stepping import UNDEFINED
+from coadjoint.methods.base import Representation
+from coadjoint.methods.stepped import SteppedMethod
 from coadjoint.systems.kinds import System
 
-UNDEFINED = 3
-"""Status of a step that its scheme does not define; the scheme's `failures` says why."""
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.work import Work
 
 
-class Operations(NamedTuple):
-    """What a step does: vectors of eight that it multiplies, operations that wait for the one before, and terms of
-    invariants that it looks at after every correction, once where there is none.
+class StepMethod(SteppedMethod):
+    """A scheme that is one function, the step; for schemes of your own, in a script or a package.
+
+    Derive from it, as a frozen dataclass whose fields are the parameters of the scheme; say `order`, `explicit` and
+    `symmetric`, write `properties` and `step`, and every run, stepper, composition and choice takes it. Where Numba is
+    installed and can compile the step, it is compiled when a run begins, in a second or two; there the system offers
+    ``dim``, ``sign``, ``vector_field(x, t)``, ``energy(x, t)``, ``structure_matrix(x)``, ``jacobian(x, t)`` and of its
+    ``hamiltonian`` ``value``, ``gradient`` and ``hessian``. Elsewhere the loop calls Python in each step, and says so
+    once. `tangent` may be written as well; without it the derivative is found by complex steps where the step takes
+    them, else by differences, with nine digits (`Stepper.tangent_by` says which).
+
+    See Also
+    --------
+    CompiledStepMethod : a step in C++.
+
+    Examples
+    --------
+    Kahan's method, for fields that are quadratic:
+
+    >>> import dataclasses
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> @dataclasses.dataclass(frozen=True)
+    ... class Kahan(co.methods.StepMethod):
+    ...     order, explicit, symmetric = 2, False, True
+    ...     def properties(self, system):
+    ...         return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+    ...     def step(self, system, x, t, h):
+    ...         matrix = np.eye(len(x)) - h / 2 * system.jacobian(x, t)
+    ...         return x + np.linalg.solve(matrix, h * system.vector_field(x, t))
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> sol = co.integrate(body, (0.1, 1.0, 0.1), t_span=(0, 10), step=0.01, method=Kahan())
+    >>> bool(sol.drift()["energy"] < 1e-4)
+    True
     """
 
-    vectors: float
-    waiting: float
-    looks: float
-
-
-class StepMethod(Method):
-    """A scheme with a step of its own, in its own files: NAME.cpp beside NAME.py, compiled, and read in NumPy.
-
-    The C++ file derives from ``StepScheme`` of ``step_scheme.hpp``, which says what it is given.
-    """
-
-    @property
-    @abstractmethod
-    def compiled_step(self) -> str:
-        """The name that the C++ file gives to the step, by ``STEP_SCHEME``."""
+    failures: ClassVar[Mapping[int, str]] = {UNDEFINED: "the step gave numbers that are not finite, or failed"}
+    compensates: ClassVar[bool] = False
 
     @abstractmethod
-    def constants(self) -> tuple[Sequence[int], Sequence[float]]:
-        """Return the whole numbers and the coefficients that the compiled step reads.
+    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:  # noqa: D102
+        ...
 
-        Returns
-        -------
-        integers, numbers : sequences
-        """
-
-    def restored(self, system: System) -> Mapping[str, Any] | None:
-        """Return the invariants that the compiled step restores beside the energy; None is not the energy either.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-
-        Returns
-        -------
-        mapping or None
-            Name -> `Polynomial` or `Quadratic`. The step remembers two numbers for each of them and for the energy.
-        """
-        return None
-
-    def operations(self, system: System) -> Operations | None:
-        """Return what a step does; None for a scheme that iterates, whose work is counted by its evaluations.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-
-        Returns
-        -------
-        Operations or None
-        """
-        return None
-
-    @abstractmethod
-    def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, read in NumPy for any number type.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-        x : (n,) array
-            The state.
-        t, h : number
-            Time at the start, and length of the step.
-
-        Returns
-        -------
-        (n,) array
-        """
-
-    @abstractmethod
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its exact derivative.
+        """Return one step and its derivative, by complex steps or differences.
 
         Parameters
         ----------
@@ -112,3 +81,33 @@ class StepMethod(Method):
         P : (n, n) array
             Its derivative with respect to x.
         """
+        from coadjoint.methods.step_derivatives import derivative_of
+
+        found = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
+        return found.value, found.derivative
+
+    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:  # noqa: D102
+        from coadjoint.methods.step_derivatives import derivative_of
+
+        if type(self).tangent is not StepMethod.tangent:
+            return "formula"
+        return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
+
+    def loop_of_substeps(
+        self, system: System, h: float, representation: Representation, fractions: Sequence[float]
+    ) -> CompiledLoop:
+        """Return the loop over steps that are functions."""
+        from coadjoint.kernels import stepping
+        from coadjoint.kernels.loop import CompiledLoop
+        from coadjoint.kernels.step_functions import StepFunction
+        from coadjoint.kernels.step_tables import function_tables
+
+        function = StepFunction(self, system)
+        found = function_tables(system, function.address, fractions)
+        return CompiledLoop(stepping.LOOP, found.tables, (*found.keep, function))
+
+    def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
+        """Return the work of a step that is estimated: as many evaluations of the field as its order."""
+        from coadjoint.methods.work import work_of_evaluations
+
+        return work_of_evaluations(system, substeps * self.order, self.explicit)

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.given import read_flag, read_whole
-from coadjoint.methods.base import Properties
+from coadjoint.methods.base import Method, Properties
+from coadjoint.methods.compiled_step import CompiledStepMethod
 from coadjoint.methods.power_series import Dual, expand
 from coadjoint.methods.projection import project
 from coadjoint.methods.stages import linear_solve
-from coadjoint.methods.step_method import Operations, StepMethod
+from coadjoint.methods.work import Operations
 from coadjoint.program.numbers import Number
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.kinds import System, check_one_system
@@ -27,7 +28,7 @@ LANES = 8
 
 
 @dataclass(frozen=True)
-class Taylor(StepMethod):
+class Taylor(CompiledStepMethod):
     """The Taylor series of the motion up to a high order, then back to where energy and Casimirs are what they were.
 
     The coefficients follow from each other, ``x_(k+1) = f_k / (k + 1)`` with f_k those of the field, by products of
@@ -70,6 +71,8 @@ class Taylor(StepMethod):
     projected: bool = True
 
     symmetric = False
+    # The series of all coordinates, and of all products, are in memory at once.
+    largest: ClassVar[float] = 10_000
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "order", read_whole(self.order, "order of Taylor", 1, MOST))
@@ -111,6 +114,11 @@ class Taylor(StepMethod):
         if self.projected and kept:
             casimirs = "all" if kept == len(system.casimirs) else "polynomial"
         return Properties(poisson=False, energy=self.projected, casimirs=casimirs, attitude="none")
+
+    @classmethod
+    def examples(cls) -> Sequence[Method]:
+        """Return series of several orders, projected and not."""
+        return [*(cls(order) for order in (1, 2, 3, 5, 6)), *(cls(order, projected=False) for order in (2, 5))]
 
     @property
     def compiled_step(self) -> str:

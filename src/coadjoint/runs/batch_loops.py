@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from contextlib import suppress
 from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -12,17 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import Block
-from coadjoint.kernels.loop import Crew
+from coadjoint.kernels.loop import CompiledLoop, Crew
 from coadjoint.kernels.varied_tables import BLOCK
-from coadjoint.methods.base import FlowMethod, Method
-from coadjoint.program.decompose import decompose_all
+from coadjoint.methods.base import Method
 from coadjoint.runs.loops import Loops, as_rows, shared_out, unit_row
-from coadjoint.runs.prepare import Prepared, loop_of
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.runs.unshift import Unshift, plainly
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 # So many crews to a worker in a round: an interrupt waits for them, and each of them costs a call from Python.
 CREWS_IN_A_ROUND = 8
@@ -59,15 +55,12 @@ class BatchLoops(Loops):
     def __init__(self, batch: Batch, method: Method, h: float, representations: Sequence[Representation]) -> None:
         from coadjoint.kernels.tables import watch_tables
 
-        if isinstance(method, FlowMethod) and method.parts == "auto":
-            # Quicker together; what cannot be split is refused below, where the member can be named.
-            with suppress(ValueError):
-                decompose_all([system for system in batch if isinstance(system, LiePoissonSystem)])
+        method.look_ahead(list(batch))
         names = list(batch[0].casimirs)
         prepared, watches = [], []
         for m, (system, representation) in enumerate(zip(batch, representations, strict=True)):
             try:
-                prepared.append(loop_of(system, method, h, representation))
+                prepared.append(method.loop(system, h, representation))
             except (TypeError, ValueError) as error:
                 raise type(error)(f"member {m} of the batch: {error}") from error
             casimirs = system.casimirs
@@ -116,12 +109,12 @@ def turned_each(
     return found
 
 
-def groups_of(prepared: Sequence[Prepared], watches: Sequence[Any]) -> list[Group]:
+def groups_of(prepared: Sequence[CompiledLoop], watches: Sequence[Any]) -> list[Group]:
     """Put members together whose tables differ in their constants alone.
 
     Parameters
     ----------
-    prepared : sequence of Prepared
+    prepared : sequence of CompiledLoop
         The loop and tables of each member.
     watches : sequence of Watch
         The invariants of each.
@@ -136,7 +129,7 @@ def groups_of(prepared: Sequence[Prepared], watches: Sequence[Any]) -> list[Grou
     >>> import coadjoint as co
     >>> from coadjoint.kernels.tables import watch_tables
     >>> bodies = [co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.5, 2.75, 2.875)]
-    >>> own = [loop_of(body, co.GaussLegendre(2), 0.1, None) for body in bodies]
+    >>> own = [co.GaussLegendre(2).loop(body, 0.1) for body in bodies]
     >>> [group.members.tolist() for group in groups_of(own, [watch_tables(b, b.casimirs).tables for b in bodies])]
     [[0, 1, 2]]
     """
@@ -145,11 +138,11 @@ def groups_of(prepared: Sequence[Prepared], watches: Sequence[Any]) -> list[Grou
 
     found: dict[Hashable, list[int]] = {}
     for m, (own, watch) in enumerate(zip(prepared, watches, strict=True)):
-        found.setdefault((own.loop, structure_of(own.tables), structure_of(watch)), []).append(m)
+        found.setdefault((own.name, structure_of(own.tables), structure_of(watch)), []).append(m)
     return [
         Group(
             np.array(members, dtype=np.int64),
-            prepared[members[0]].loop,
+            prepared[members[0]].name,
             pointed(stacked([prepared[m].tables for m in members])),
             pointed(stacked([watches[m] for m in members])),
             -(-len(members) // BLOCK) * BLOCK,

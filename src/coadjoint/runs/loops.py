@@ -15,7 +15,6 @@ from coadjoint.kernels.arrays import Block, Extent, Layout
 from coadjoint.kernels.loop import Crew
 from coadjoint.kernels.varied_tables import BLOCK
 from coadjoint.methods.base import Method
-from coadjoint.runs.prepare import loop_of
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.runs.unshift import Unshift, plainly
@@ -55,6 +54,8 @@ class Loops(ABC):
     turned : callable
         ``turned(start, times, results, points)`` returns the group elements (points, members, d, d) of the run from
         those that the loops left; it does not hold the tables of the loops.
+    raised : callable
+        ``raised()`` returns what a function of the user raised in a loop, or None.
     """
 
     order: NDArray[np.int64] | None = None
@@ -62,6 +63,7 @@ class Loops(ABC):
     size: int
     memory: int
     turned: Turned
+    raised: Callable[[], BaseException | None]
     _plan: Plan | None = None
 
     def plan(self, members: int, points: int, square: int, workers: int) -> Plan:
@@ -116,15 +118,16 @@ class SystemLoops(Loops):
         from coadjoint.kernels.tables import watch_tables
 
         followed = system.casimirs if casimirs is None else casimirs
-        prepared, watch = loop_of(system, method, h, representation), watch_tables(system, followed)
+        prepared, watch = method.loop(system, h, representation), watch_tables(system, followed)
         self.names = ["energy", *followed]
         self.size, self.memory = system.dim, prepared.memory
         self._shifted = representation is not None and bool(prepared.shift)
         self.turned = Unshift(system, prepared.shift, representation) if self._shifted else plainly
-        self._keep = (prepared.keep, watch.keep)
+        self._keep = watch.keep
+        self.raised = prepared.raised
         self._block = BLOCK if system.dim <= widest_crowd() else 1
         # As C structures once, not for each plan.
-        self._given = prepared.loop, pointed(prepared.tables), pointed(watch.tables)
+        self._given = prepared.name, pointed(prepared.tables), pointed(watch.tables)
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return one round, of a crew for each worker; what the kernels advance side by side stays together."""

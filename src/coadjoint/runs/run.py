@@ -87,9 +87,12 @@ class Run:
 
         try:
             return sum(map(take, crews) if pool is None else pool.map(take, crews))
-        except BaseException:
+        except BaseException as ended:
             stop.say()
-            raise
+            raised = self.loops.raised()
+            if raised is not None:
+                raise raised from None
+            raise ended
 
     def _take_in_chunks(self, crews: list[Crew], pool: ThreadPoolExecutor | None, bar: Callable[[int], Any]) -> int:
         """Take all steps of some crews, some at a time, so that the bar moves."""

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import IntegrationError
 from coadjoint.given import read_number
 from coadjoint.memory import check_room
-from coadjoint.methods.base import FlowMethod, Method
-from coadjoint.methods.runge_kutta import RungeKuttaMethod
-from coadjoint.methods.step_method import StepMethod
+from coadjoint.methods.base import Method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.kinds import System, check_one_system
-from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.points import QUIET
 from coadjoint.wording import short
 
@@ -121,34 +116,32 @@ class Stepper:
         TypeError
             If the Hamiltonian was given without second derivatives.
         """
+        return self.method.tangent(self.system, *self._place(x, t), self.h)[1]
+
+    @QUIET
+    def tangent_by(self, x: Any, t: float = 0.0) -> str:
+        """Return how `tangent` is found at x: by its "formula", by "complex step", or by "differences".
+
+        Parameters
+        ----------
+        x, t
+            As for `tangent`.
+
+        Returns
+        -------
+        str
+            The first two are exact to round-off; differences have some nine digits.
+        """
+        return self.method.tangent_by(self.system, *self._place(x, t), self.h)
+
+    def _place(self, x: Any, t: float) -> tuple[NDArray[np.float64], float]:
         momenta, single = momenta_of(self.system, x)
         if not single:
             raise ValueError(
                 f"x has the shape {np.shape(x)}; a tangent is taken at one state, of shape ({self.system.dim},)"
             )
-        x, t = momenta[0], read_number(t, "t")
-        check_room(8 * 4 * x.size**2, f"a tangent of dimension {x.size}")
-        innermost = self.method.innermost
-        if isinstance(innermost, FlowMethod):
-            try:
-                return np.asarray(self._reading.steps(x, self.h, 1, t0=t, tangent=np.eye(len(x)))[1])
-            except (OverflowError, ValueError) as error:  # sines of what left float64
-                said = f"in step 1, at t = {t:g}, a number overflowed; take a smaller step than {abs(self.h):g}"
-                raise IntegrationError(said, step=1, time=t, residual=float("nan")) from error
-        assert isinstance(innermost, RungeKuttaMethod | StepMethod)
-        product = np.eye(len(x))
-        for fraction in self.method.fractions:
-            x, own = innermost.tangent(self.system, x, t, self.h * fraction)
-            product, t = own @ product, t + self.h * fraction
-        return product
-
-    @cached_property
-    def _reading(self) -> Any:
-        from coadjoint.program.reading import Reading
-        from coadjoint.program.table import build_program
-
-        assert isinstance(self.system, LiePoissonSystem) and isinstance(self.method, FlowMethod)
-        return Reading(build_program(self.system, self.method))
+        check_room(8 * 4 * self.system.dim**2, f"a tangent of dimension {self.system.dim}")
+        return momenta[0], read_number(t, "t")
 
 
 def stepper(system: System, method: Method, h: float) -> Stepper:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +39,8 @@ class QuadraticTerm:
     constant: float = 0.0
     piece: int | None = None
 
+    called: ClassVar[bool] = False
+
     @cached_property
     def rows(self) -> npt.NDArray[np.int64]:
         """Row number of every stored entry of M, shape (nnz,)."""
@@ -59,6 +61,9 @@ class PolynomialTerm:
 
     polynomial: Polynomial
     piece: int | None = None
+
+    called: ClassVar[bool] = False
+    constant: ClassVar[float] = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +96,9 @@ class FunctionTerm:
     timed: bool = False
     piece: int | None = None
     forms: Forms | None = None
+
+    called: ClassVar[bool] = True
+    constant: ClassVar[float] = 0.0
 
 
 Term = QuadraticTerm | PolynomialTerm | FunctionTerm

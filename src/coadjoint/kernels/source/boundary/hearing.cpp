@@ -46,6 +46,12 @@ void Hearing::look() {
     if (raised) throw Interrupted();
 }
 
+// For steps that are compiled apart: Python hands it to their `borrow`.
+EXPORT const Lent* lent_to_others() {
+    static const Lent lent{Hearing::now_heard, Hearing::look_at};
+    return &lent;
+}
+
 // Called once, before the loops: they are then called with Python's lock.
 EXPORT void listen(void* (*release)(), void (*acquire)(void*), int (*signals)()) {
     python = {release, acquire, signals};

@@ -18,13 +18,17 @@ class Hearing {
     Hearing& operator=(const Hearing&) = delete;
 
     // Of the call that this thread is in. Loops of short steps ask for it once, and before they begin.
-    static Hearing& of_this_call() { return *current; }
+    static Hearing& of_this_call();
 
     // Say that `work` was done, in multiplications or what takes as long.
     void after(int64_t work) {
         left -= work;
         if (__builtin_expect(left < 0, 0)) look();
     }
+
+    // For a step that was compiled apart.
+    static Hearing* now_heard() { return current; }
+    static void look_at(Hearing* hearing) { hearing->look(); }
 
   private:
     typedef std::chrono::steady_clock Clock;
@@ -36,5 +40,19 @@ class Hearing {
 
     void look();
 };
+
+// What the kernels lend to a step that was compiled apart from them, into a library of its own.
+struct Lent {
+    Hearing* (*now_heard)();
+    void (*look_at)(Hearing*);
+};
+
+#if defined(COADJOINT_APART)
+inline Lent lent{};
+inline Hearing& Hearing::of_this_call() { return *lent.now_heard(); }
+inline void Hearing::look() { lent.look_at(this); }
+#else
+inline Hearing& Hearing::of_this_call() { return *current; }
+#endif
 
 }  // namespace coadjoint

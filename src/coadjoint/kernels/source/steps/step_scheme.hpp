@@ -22,9 +22,14 @@ struct StepScheme {
     virtual int64_t step(double* x, double* dx, double* group, double* dgroup, double t, double h) = 0;
 };
 
-#define STEP_SCHEME(name, Type)                                                      \
-    EXPORT StepScheme* name##_step(const StepTables& tables, const Own& constants) { \
-        return new Type(tables, constants);                                          \
+#if defined(COADJOINT_APART)
+// What a library of its own is lent by the kernels, before its steps are called.
+extern "C" __attribute__((visibility("default"), weak)) void borrow(const Lent* from) { lent = *from; }
+#endif
+
+#define STEP_SCHEME(name, Type)                                                                                   \
+    EXPORT coadjoint::StepScheme* name##_step(const coadjoint::StepTables& tables, const coadjoint::Own& own) { \
+        return new Type(tables, own);                                                                             \
     }
 
 }  // namespace coadjoint

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from coadjoint.methods.base import FlowMethod, Method
-from coadjoint.methods.step_method import StepMethod
 from coadjoint.program.describe import action_work, share_work
 from coadjoint.program.table import Program
 from coadjoint.systems.kinds import System
@@ -43,6 +43,26 @@ CROWD, WIDEST_CROWD = 16, 1024
 FLOWS_OF_A_CROWD = 0.1
 ELIMINATION = 0.015
 DENSE = 200
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a step of a scheme on a system costs.
+
+    Parameters
+    ----------
+    cost : callable
+        ``cost(iterations, evaluations)`` of a step, in rotations, for what the loop has counted of a step of one
+        member; linear systems are not counted.
+    flows : int
+        How many elementary flows round the momentum in a step; 0 for schemes that are not made of flows.
+    in_a_crowd : float
+        The part of that cost which each of many members has.
+    """
+
+    cost: Callable[[float, float], float]
+    flows: int = 0
+    in_a_crowd: float = 1.0
 
 
 def flow_work(program: Program, compensated: bool) -> float:
@@ -122,40 +142,54 @@ def field_work(system: System) -> tuple[int, int]:
     return multiplications + system.dim**2, functions + 1
 
 
-def step_work(
-    system: System, method: Method, program: Program | None, iterations: float, evaluations: float, group: Any
-) -> float:
-    """Return the cost of one step of one member.
+def flows_of(program: Program) -> int:
+    """Return how many flows a step has."""
+    return int(program.rows.section[2] - program.rows.section[1])
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        What moves.
-    method : Method
-        The scheme.
-    program : Program or None
-        Its table, if it is made of flows.
-    iterations, evaluations : float
-        Of a step, as measured; not used for flows. Linear systems are not counted.
-    group : ndarray of shape (n, d, d), "coadjoint", or None
-        What a group element is carried in.
 
-    Returns
-    -------
-    float
-        In rotations.
+def work_of_flows(program: Program, compensated: bool) -> Work:
+    """Return the work of a step that is made of flows."""
+    cost = flow_work(program, compensated)
+    return Work(lambda iterations, evaluations: cost, flows_of(program), FLOWS_OF_A_CROWD)
+
+
+def work_of_iterations(system: System, group: Any) -> Work:
+    """Return the work of a step that iterates, by the iterations and evaluations that it is seen to take."""
+
+    def cost(iterations: float, evaluations: float) -> float:
+        rounds = max(1.0, iterations)
+        return IMPLICIT_STEP + rounds * iteration_work(system, evaluations / rounds, group)
+
+    return Work(cost)
+
+
+def work_of_evaluations(system: System, evaluations: int, explicit: bool) -> Work:
+    """Return the work of a step of so many evaluations of the field, with a linear system where it is not explicit."""
+    cost = IMPLICIT_STEP + evaluations * iteration_work(system, 1, None)
+    if not explicit:
+        cost += newton_work(system.dim, 1)
+    return Work(lambda iterations, counted: cost)
+
+
+class Operations(NamedTuple):
+    """What an explicit step with a projection does: vectors of eight that it multiplies, operations that wait for the
+    one before, and terms of invariants that it looks at after every correction, once where there is none.
     """
-    if program is not None:
-        assert isinstance(method, FlowMethod)
-        return flow_work(program, bool(method.compensated))
-    innermost = method.innermost
-    if isinstance(innermost, StepMethod) and (operations := innermost.operations(system)) is not None:
-        substeps = len(method.fractions)
+
+    vectors: float
+    waiting: float
+    looks: float
+
+
+def work_of_operations(operations: Operations, substeps: int) -> Work:
+    """Return the work of a step of so many substeps; its corrections are counted as iterations."""
+
+    def cost(iterations: float, evaluations: float) -> float:
         corrections = FIRST_CORRECTION * min(iterations, substeps) + NEXT_CORRECTION * max(0.0, iterations - substeps)
         series = EXPLICIT_STEP + VECTOR * operations.vectors + WAITING * operations.waiting
         return substeps * series + LOOK * operations.looks * (substeps + corrections)
-    rounds = max(1.0, iterations)
-    return IMPLICIT_STEP + rounds * iteration_work(system, evaluations / rounds, group)
+
+    return Work(cost)
 
 
 def newton_work(dim: int, stages: float) -> float:

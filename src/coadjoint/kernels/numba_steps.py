@@ -1,0 +1,166 @@
+"""Steps compiled by Numba: what a step may ask of its system there, and how it becomes a C function.
+
+A step sees its scheme as a tuple of the parameters, and its system as a tuple whose methods call the compiled kernels:
+``dim``, ``sign``, ``vector_field(x, t)``, ``energy(x, t)``, ``structure_matrix(x)``, ``hamiltonian.value(x, t)``,
+``hamiltonian.gradient(x, t)``; where no function of the user is in the system also ``jacobian(x, t)`` and
+``hamiltonian.hessian(x, t)``.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import inspect
+from collections import namedtuple
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numba
+import numpy as np
+from numba import carray, types
+from numba.extending import overload_method
+
+from coadjoint.kernels.functions import reason_of
+from coadjoint.kernels.library import kernels
+
+NUMBERS = types.CPointer(types.float64)
+SIGNATURE = types.int64(types.CPointer(types.int64), NUMBERS, types.float64, types.float64, NUMBERS)
+
+SeenSystem = namedtuple("SeenSystem", ("dim", "sign", "place", "hamiltonian"))
+SeenHamiltonian = namedtuple("SeenHamiltonian", ("dim", "place"))
+DifferentiableSystem = namedtuple("DifferentiableSystem", ("dim", "sign", "place", "hamiltonian"))
+DifferentiableHamiltonian = namedtuple("DifferentiableHamiltonian", ("dim", "place"))
+SYSTEMS = (SeenSystem, DifferentiableSystem)
+HAMILTONIANS = (SeenHamiltonian, DifferentiableHamiltonian)
+
+
+def _kernel(name: str, *arguments: Any, result: Any = None) -> Any:
+    function = getattr(kernels(), name)
+    function.argtypes, function.restype = [ctypes.c_int64, ctypes.c_int64, *arguments], result
+    return function
+
+
+FIELD = _kernel("field_at", ctypes.c_double, ctypes.c_int64)
+GRADIENT = _kernel("gradient_at", ctypes.c_double, ctypes.c_int64)
+HESSIAN = _kernel("hessian_at", ctypes.c_double, ctypes.c_int64)
+JACOBIAN = _kernel("jacobian_at", ctypes.c_double, ctypes.c_int64)
+STRUCTURE = _kernel("structure_at", ctypes.c_int64)
+ENERGY = _kernel("energy_at", ctypes.c_double, result=ctypes.c_double)
+
+
+def _vector(kernel: Any, read: Any) -> Callable[..., Any]:
+    def method(self: Any, x: Any, t: float = 0.0) -> Any:
+        y, out = read(x), np.empty(self.dim)
+        kernel(self.place, y.ctypes.data, t, out.ctypes.data)
+        return out
+
+    return method
+
+
+def _matrix(kernel: Any, read: Any) -> Callable[..., Any]:
+    def method(self: Any, x: Any, t: float = 0.0) -> Any:
+        y, out = read(x), np.empty((self.dim, self.dim))
+        kernel(self.place, y.ctypes.data, t, out.ctypes.data)
+        return out
+
+    return method
+
+
+def _structure(kernel: Any, read: Any) -> Callable[..., Any]:
+    def method(self: Any, x: Any) -> Any:
+        y, out = read(x), np.empty((self.dim, self.dim))
+        kernel(self.place, y.ctypes.data, out.ctypes.data)
+        return out
+
+    return method
+
+
+def _number(kernel: Any, read: Any) -> Callable[..., Any]:
+    def method(self: Any, x: Any, t: float = 0.0) -> Any:
+        y = read(x)
+        return kernel(self.place, y.ctypes.data, t)
+
+    return method
+
+
+@numba.njit(inline="always")
+def _as_it_is(x: Any) -> Any:
+    return x
+
+
+@numba.njit
+def _copied(x: Any) -> Any:
+    return np.ascontiguousarray(x).astype(np.float64)
+
+
+def _offer(kinds: tuple[Any, ...], name: str, make: Callable[..., Any], kernel: Any) -> None:
+    """Let tuples of these kinds have a method in compiled code."""
+    direct, copying = make(kernel, _as_it_is), make(kernel, _copied)
+
+    def chosen(self: Any, x: Any) -> Any:
+        if getattr(self, "instance_class", None) not in kinds:
+            return None
+        as_kernels_read = getattr(x, "layout", "") == "C" and x.ndim == 1 and x.dtype == types.float64
+        return direct if as_kernels_read else copying
+
+    def timed(self: Any, x: Any, t: float = 0.0) -> Any:
+        return chosen(self, x)
+
+    for kind in (types.NamedTuple, types.NamedUniTuple):
+        overload_method(kind, name)(timed if "t" in inspect.signature(direct).parameters else chosen)
+
+
+_offer(SYSTEMS, "vector_field", _vector, FIELD)
+_offer(SYSTEMS, "structure_matrix", _structure, STRUCTURE)
+_offer(SYSTEMS, "energy", _number, ENERGY)
+_offer(SYSTEMS[1:], "jacobian", _matrix, JACOBIAN)
+_offer(HAMILTONIANS, "gradient", _vector, GRADIENT)
+_offer(HAMILTONIANS, "value", _number, ENERGY)
+_offer(HAMILTONIANS[1:], "hessian", _matrix, HESSIAN)
+
+
+@lru_cache(maxsize=256)
+def compiled_step(
+    function: Callable[..., Any], names: tuple[str, ...], values: tuple[Any, ...], derivatives: bool
+) -> tuple[Any, str]:
+    """Compile a step, for all systems of a kind.
+
+    Parameters
+    ----------
+    function : callable
+        ``step(self, system, x, t, h)``.
+    names, values : tuple
+        The parameters of the scheme.
+    derivatives : bool
+        Whether the systems give exact derivatives.
+
+    Returns
+    -------
+    callback : object or None
+        With an ``address``; None where Numba cannot compile the step.
+    reason : str
+        Why it cannot.
+    """
+    scheme: Any = namedtuple("Scheme", names or ("nothing",))(*(values or (0,)))
+    system_kind, hamiltonian_kind = SYSTEMS[derivatives], HAMILTONIANS[derivatives]
+    inner = numba.njit(error_model="numpy", boundscheck=True)(function)
+
+    def call(seen: Any, x: Any, t: float, h: float, out: Any) -> int:
+        numbers = carray(seen, (2,))
+        n, sign = numbers[0], numbers[1:2].view(np.float64)[0]
+        place = numbers.ctypes.data
+        system = system_kind(n, sign, place, hamiltonian_kind(n, place))
+        state = carray(x, (n,)).copy()
+        try:
+            found = inner(scheme, system, state, t, h)
+            if found.size == n:
+                for k in range(n):
+                    out[k] = found[k]
+        except Exception:
+            out[0] = np.nan
+        return 0
+
+    try:
+        return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(call), ""
+    except Exception as error:  # Numba raises errors of many kinds
+        return None, f"Numba cannot compile them ({reason_of(error)})"

@@ -1,0 +1,122 @@
+"""Steps that are written in Python, behind a C address: compiled by Numba where that is possible."""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+Step = Callable[[Any, Any, Any, Any], Any]
+
+# System, state, time, length, new state; 0, or 1 where it raised.
+CALLBACK = ctypes.CFUNCTYPE(
+    ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_void_p
+)
+
+
+class StepFunction:
+    """The step of a scheme on a system, as the loops call it.
+
+    Parameters
+    ----------
+    method : object
+        A scheme with ``step(system, x, t, h)``; where it is a dataclass of numbers, strings and arrays, the step may be
+        compiled by Numba.
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+
+    Attributes
+    ----------
+    address : int
+        Of the compiled function.
+    compiled : bool
+        Whether Numba compiled it; else each step is a call of Python.
+    """
+
+    def __init__(self, method: Any, system: Any) -> None:
+        self._raised: BaseException | None = None
+        found, reason = _compiled(method, system)
+        self.compiled = found is not None
+        if found is None:
+            _say_once(type(method), reason)
+            self._callback = CALLBACK(self._called(method, system))
+            self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
+        else:
+            self._callback = found
+            self.address = found.address
+
+    def raised(self) -> BaseException | None:
+        """Return what the step raised, once, if it did."""
+        found, self._raised = self._raised, None
+        return found
+
+    def _called(self, method: Any, system: Any) -> Callable[..., int]:
+        n, number = system.dim, ctypes.c_double
+
+        def call(_: int, x: int, t: float, h: float, out: int) -> int:
+            try:
+                state = np.array((number * n).from_address(x))
+                (number * n).from_address(out)[:] = checked_step(method.step(system, state, t, h), n, method)
+            except BaseException as error:
+                self._raised = error
+                return 1
+            return 0
+
+        return call
+
+
+def checked_step(found: Any, n: int, method: Any) -> Any:
+    """Return what a step gave, as floats, or refuse it by name."""
+    state = np.asarray(found)
+    if state.shape != (n,) or state.dtype.kind not in "fiu":
+        kind = "complex numbers" if state.dtype.kind == "c" else f"an array of {state.dtype} and shape {state.shape}"
+        raise TypeError(f"the step of {type(method).__name__} returned {kind}; it must return {n} real numbers")
+    return state.astype(np.float64)
+
+
+_said: set[type] = set()
+
+
+def _say_once(scheme: type, reason: str) -> None:
+    if scheme in _said:
+        return
+    _said.add(scheme)
+    warnings.warn(
+        f"the steps of {scheme.__name__} are calls of Python, some hundred times slower than compiled ones: {reason}",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+
+
+def _compiled(method: Any, system: Any) -> tuple[Any, str]:
+    """Return the step compiled by Numba, or None with the reason."""
+    try:
+        from coadjoint.kernels.numba_steps import compiled_step
+    except ImportError as error:
+        return None, str(error)
+    names, values = _parameters(method)
+    try:
+        hash(values)
+    except TypeError:
+        return None, f"{type(method).__name__} has parameters that cannot be compiled into its step"
+    return compiled_step(type(method).step, names, values, with_derivatives(system))
+
+
+def _parameters(method: Any) -> tuple[tuple[str, ...], tuple[Any, ...]]:
+    """Return what a step may read of its scheme: the fields of the dataclass, and plain attributes of the class."""
+    found: dict[str, Any] = {}
+    for kind in reversed(type(method).__mro__[:-1]):
+        plain = {key: value for key, value in vars(kind).items() if isinstance(value, int | float | str | tuple)}
+        found |= {key: value for key, value in plain.items() if not key.startswith("_")}
+    if dataclasses.is_dataclass(method):
+        found |= {field.name: getattr(method, field.name) for field in dataclasses.fields(method)}
+    return tuple(found), tuple(found.values())
+
+
+def with_derivatives(system: Any) -> bool:
+    """Return whether the compiled kernels know exact derivatives of a field: it has no functions of the user."""
+    return system.algebra is not None and not any(term.called for term in system.hamiltonian.terms())

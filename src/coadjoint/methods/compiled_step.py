@@ -1,0 +1,70 @@
+"""Compiled steps: schemes that are neither compositions of flows nor Runge-Kutta methods, and bring a step in C++."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from coadjoint.kernels.stepping import UNDEFINED as UNDEFINED
+from coadjoint.methods.base import Representation
+from coadjoint.methods.stepped import SteppedMethod
+from coadjoint.systems.kinds import System
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.work import Operations, Work
+
+
+class CompiledStepMethod(SteppedMethod):
+    """A scheme with a step in C++, and the same step read in NumPy.
+
+    The C++ file derives from ``StepScheme`` of ``steps/step_scheme.hpp``, which says what it is given. It stands beside
+    the Python file of the scheme, or anywhere, and is then compiled by `compile_step`.
+    """
+
+    @property
+    @abstractmethod
+    def compiled_step(self) -> Any:
+        """The name that a C++ file of the library gives to its step by ``STEP_SCHEME``, or what `compile_step` gave."""
+
+    @abstractmethod
+    def constants(self) -> tuple[Sequence[int], Sequence[float]]:
+        """Return the whole numbers and the coefficients that the compiled step reads.
+
+        Returns
+        -------
+        integers, numbers : sequences
+        """
+
+    def operations(self, system: System) -> Operations | None:
+        """Return what a step does; None for a scheme that iterates, whose work is counted by its evaluations.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        Operations or None
+        """
+        return None
+
+    def loop_of_substeps(
+        self, system: System, h: float, representation: Representation, fractions: Sequence[float]
+    ) -> CompiledLoop:
+        """Return the loop over steps of this kind."""
+        from coadjoint.kernels import stepping
+        from coadjoint.kernels.loop import CompiledLoop
+        from coadjoint.kernels.step_tables import step_tables
+
+        found = step_tables(system, self, representation, fractions)
+        return CompiledLoop(stepping.LOOP, found.tables, found.keep, memory=stepping.memory_of(found.tables))
+
+    def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
+        """Return the work of what a step does, or of its iterations."""
+        from coadjoint.methods.work import work_of_iterations, work_of_operations
+
+        operations = self.operations(system)
+        return work_of_iterations(system, group) if operations is None else work_of_operations(operations, substeps)

@@ -1,0 +1,157 @@
+"""A scheme at several fractions of a step, as each family takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.methods.base import Method, Properties, Representation
+from coadjoint.methods.flow_method import FlowMethod
+from coadjoint.methods.order_conditions import composition_order
+from coadjoint.methods.stepped import SteppedMethod
+from coadjoint.program.sweeps import Sweep
+from coadjoint.systems.kinds import System
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.work import Work
+
+
+class Composed(Method):
+    """A base at fractions of the step: what it keeps is what the base keeps."""
+
+    base: Method
+    coefficients: tuple[float, ...]
+
+    @property
+    def failures(self) -> Mapping[int, str]:  # type: ignore[override]
+        """Those of the base."""
+        return self.base.failures
+
+    @property
+    def order(self) -> int:
+        """The order, from the order conditions in the free associative algebra."""
+        return composition_order(self.coefficients, self.base.order)
+
+    @property
+    def explicit(self) -> bool:
+        """As the base is."""
+        return self.base.explicit
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the coefficients are a palindrome."""
+        return self.coefficients == self.coefficients[::-1]
+
+    @property
+    def compensates(self) -> bool:  # type: ignore[override]
+        """As the base does."""
+        return self.base.compensates
+
+    @property
+    def fractions(self) -> tuple[float, ...]:
+        """The fractions of the step of all substeps, compositions in the base multiplied out."""
+        return tuple(c * f for c in self.coefficients for f in self.base.fractions)
+
+    def properties(self, system: System) -> Properties:
+        """Return what the base keeps; a composition keeps the same.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        Properties
+            Those of the base.
+        """
+        return self.base.properties(system)
+
+    def restored(self, system: System) -> Mapping[str, Any] | None:
+        """Return what the base restores."""
+        return self.base.restored(system)
+
+
+@dataclass(frozen=True)
+class ComposedFlows(Composed, FlowMethod):
+    """The flows of all substeps, as one table."""
+
+    offered = False
+
+    base: FlowMethod
+    coefficients: tuple[float, ...]
+
+    @property
+    def compensates(self) -> bool:  # type: ignore[override]
+        """As the base does."""
+        return self.base.compensates
+
+    @property
+    def parts(self) -> Any:
+        """Those of the base."""
+        return self.base.parts
+
+    @property
+    def compensated(self) -> bool | None:
+        """As the base."""
+        return self.base.compensated
+
+    @property
+    def rotation(self) -> str:
+        """As the base."""
+        return self.base.rotation
+
+    def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
+        """Return the sweeps of the base, scaled and shifted."""
+        inner = self.base.sweeps(number)
+        result, passed = [], number(0)
+        for coefficient in map(number, self.coefficients):
+            result += [
+                Sweep(forward, coefficient * fraction, passed + coefficient * moment, turn)
+                for forward, fraction, moment, turn in inner
+            ]
+            passed = passed + coefficient
+        return result
+
+
+@dataclass(frozen=True)
+class Substeps(Composed):
+    """The step of the base, several times."""
+
+    offered = False
+
+    base: SteppedMethod
+    coefficients: tuple[float, ...]
+
+    def composed(self, coefficients: Sequence[float]) -> Method:
+        """Return the products of both fractions as substeps."""
+        return Substeps(self.base, tuple(c * f for c in coefficients for f in self.coefficients))
+
+    def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
+        """Return the loop of the base, with its substeps."""
+        return self.base.loop_of_substeps(system, h, representation, self.coefficients)
+
+    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:  # noqa: D102
+        number = type(h)
+        for fraction in map(number, self.coefficients):
+            x, t = self.base.step(system, x, t, h * fraction), t + h * fraction
+        return x
+
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:  # noqa: D102
+        product = np.eye(len(x))
+        for fraction in self.coefficients:
+            x, own = self.base.tangent(system, x, t, h * fraction)
+            product, t = own @ product, t + h * fraction
+        return x, product
+
+    def work(self, system: System, group: Representation = None) -> Work:  # noqa: D102
+        return self.base.work_of_substeps(system, group, len(self.coefficients))
+
+    def took_newton(self, memory: NDArray[np.float64]) -> bool:
+        """Return whether the base needed it."""
+        return self.base.took_newton(memory)

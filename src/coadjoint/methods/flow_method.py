@@ -1,0 +1,116 @@
+"""Flow methods: schemes that are made of exact flows of parts of the Hamiltonian, and become a table of rows."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError
+from coadjoint.methods.base import Method, Representation
+from coadjoint.program.numbers import Number
+from coadjoint.program.sweeps import Sweep
+from coadjoint.systems.kinds import System
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.work import Work
+    from coadjoint.program.reading import Reading
+    from coadjoint.program.table import Program
+
+
+class FlowMethod(Method):
+    """A scheme made of exact flows of parts: it says in which order they flow, and over which fractions of the step."""
+
+    @property
+    @abstractmethod
+    def parts(self) -> Any:
+        """How the Hamiltonian is taken apart: "auto", "coordinates", or sets of coordinates."""
+
+    @property
+    @abstractmethod
+    def compensated(self) -> bool | None:
+        """Whether the momentum is summed with compensation; None is no."""
+
+    @property
+    @abstractmethod
+    def rotation(self) -> str:
+        """Rotations by the angle itself ("exact"), or by tan(angle/2) := half the angle ("rational")."""
+
+    @abstractmethod
+    def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
+        """Return the sweeps of one step, first to last, with coefficients in the given number type."""
+
+    def processor(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
+        """Return the sweeps of the processor P of a step P K P^-1, whose `sweeps` are the kernel K; none by default."""
+        return ()
+
+    @property
+    def compensates(self) -> bool:  # type: ignore[override]
+        """As `compensated` says."""
+        return bool(self.compensated)
+
+    def composed(self, coefficients: Sequence[float]) -> Method:
+        """Return the flows of all substeps as one table, in which neighbours are merged."""
+        from coadjoint.methods.composed import ComposedFlows
+
+        return ComposedFlows(self, tuple(coefficients))
+
+    def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:  # noqa: D102
+        from coadjoint.program.table import build_program
+
+        self.properties(system)
+        assert isinstance(system, LiePoissonSystem)
+        return build_program(system, self, group=group, number=number)
+
+    def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
+        """Return the loop over the rows of the table."""
+        from coadjoint.kernels.flow import LOOP
+        from coadjoint.kernels.loop import CompiledLoop
+        from coadjoint.kernels.tables import flow_tables
+
+        program = self.program(system, group=representation)
+        found = flow_tables(program, h, bool(self.compensated))
+        return CompiledLoop(LOOP, found.tables, found.keep, program.shift)
+
+    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:  # noqa: D102
+        point = np.asarray(x)
+        number: Number = float if point.dtype != object else type(point[0])
+        return _reading(self, system, number).steps(point, number(h), 1, t0=number(t))
+
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:  # noqa: D102
+        point = np.asarray(x, dtype=np.float64)
+        try:
+            after, P = _reading(self, system, float).steps(point, h, 1, t0=t, tangent=np.eye(len(point)))
+        except (OverflowError, ValueError) as error:  # sines of what left float64
+            said = f"in step 1, at t = {t:g}, a number overflowed; take a smaller step than {abs(h):g}"
+            raise IntegrationError(said, step=1, time=t, residual=float("nan")) from error
+        return after, P
+
+    def work(self, system: System, group: Representation = None) -> Work:
+        """Return the work of the rows of a step, each by the blocks that it turns."""
+        from coadjoint.methods.work import work_of_flows
+
+        return work_of_flows(self.program(system, group=group), bool(self.compensated))
+
+    def look_ahead(self, systems: Sequence[System]) -> None:
+        """Take the Hamiltonians of many systems to parts together, which is quicker."""
+        from coadjoint.program.decompose import decompose_all
+
+        if self.parts == "auto":
+            # What cannot be split is refused later, where the member can be named.
+            with suppress(ValueError):
+                decompose_all([system for system in systems if isinstance(system, LiePoissonSystem)])
+
+
+@lru_cache(maxsize=8)
+def _reading(method: FlowMethod, system: System, number: Number) -> Reading:
+    from coadjoint.program.reading import Reading
+
+    return Reading(method.program(system, number=number))

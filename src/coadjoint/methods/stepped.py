@@ -1,0 +1,73 @@
+"""Schemes whose step is a function of the state and the time: a composition takes it several times."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from coadjoint.methods.base import Method, Representation
+from coadjoint.systems.kinds import System
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.work import Work
+
+WHOLE = (1.0,)
+
+
+class SteppedMethod(Method):
+    """A scheme that takes a step from a state; its loop takes any substeps of a step."""
+
+    @abstractmethod
+    def loop_of_substeps(
+        self, system: System, h: float, representation: Representation, fractions: Sequence[float]
+    ) -> CompiledLoop:
+        """Return the compiled loop.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+        h : float
+            The step, negative for backward.
+        representation : ndarray of shape (n, d, d), "coadjoint", or None
+            What a group element is carried in.
+        fractions : sequence of float
+            The lengths of the substeps of a step, in units of it.
+
+        Returns
+        -------
+        CompiledLoop
+        """
+
+    @abstractmethod
+    def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
+        """Return the work of a step of so many substeps, for the iterations and evaluations of all of them.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+        group : ndarray of shape (n, d, d), "coadjoint", or None
+            What a group element is carried in.
+        substeps : int
+            How many there are.
+
+        Returns
+        -------
+        Work
+        """
+
+    def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
+        """Return the loop whose steps are not divided."""
+        return self.loop_of_substeps(system, h, representation, WHOLE)
+
+    def work(self, system: System, group: Representation = None) -> Work:  # noqa: D102
+        return self.work_of_substeps(system, group, 1)
+
+    def composed(self, coefficients: Sequence[float]) -> Method:
+        """Return the scheme of these substeps."""
+        from coadjoint.methods.composed import Substeps
+
+        return Substeps(self, tuple(coefficients))

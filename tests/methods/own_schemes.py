@@ -1,0 +1,88 @@
+"""Schemes as a user writes them: in Python, with and without what Numba compiles."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+import coadjoint as co
+
+NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+
+@dataclasses.dataclass(frozen=True)
+class Kahan(co.methods.StepMethod):
+    """Kahan's method for quadratic fields: x' = x + h (1 - h/2 f'(x))^-1 f(x)."""
+
+    order, explicit, symmetric = 2, False, True
+
+    def properties(self, system):
+        return NOTHING
+
+    def step(self, system, x, t, h):
+        matrix = np.eye(len(x)) - h / 2 * system.jacobian(x, t)
+        return x + np.linalg.solve(matrix, h * system.vector_field(x, t))
+
+
+@dataclasses.dataclass(frozen=True)
+class Classical(co.methods.StepMethod):
+    """The classical Runge-Kutta method."""
+
+    order, explicit, symmetric = 4, True, False
+
+    def properties(self, system):
+        return NOTHING
+
+    def step(self, system, x, t, h):
+        k1 = system.vector_field(x, t)
+        k2 = system.vector_field(x + h / 2 * k1, t + h / 2)
+        k3 = system.vector_field(x + h / 2 * k2, t + h / 2)
+        k4 = system.vector_field(x + h * k3, t + h)
+        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+@dataclasses.dataclass(frozen=True)
+class Relaxed(co.methods.StepMethod):
+    """A step with a parameter, by J(x) grad H(x) written out."""
+
+    part: float = 1.0
+
+    order, explicit, symmetric = 1, True, False
+
+    def properties(self, system):
+        return NOTHING
+
+    def step(self, system, x, t, h):
+        gradient = system.hamiltonian.gradient(x, t)
+        return x + self.part * h * system.sign * (system.structure_matrix(x) @ gradient)
+
+
+@dataclasses.dataclass(frozen=True)
+class Interpreted(co.methods.StepMethod):
+    """What Numba does not compile: an import in the step."""
+
+    order, explicit, symmetric = 1, True, False
+
+    def properties(self, system):
+        return NOTHING
+
+    def step(self, system, x, t, h):
+        import math
+
+        return x + math.fsum([h]) * system.vector_field(x, t)
+
+
+@dataclasses.dataclass(frozen=True)
+class Failing(co.methods.StepMethod):
+    """A step that raises beyond a time."""
+
+    order, explicit, symmetric = 1, True, False
+
+    def properties(self, system):
+        return NOTHING
+
+    def step(self, system, x, t, h):
+        if t > 0.5:
+            raise LookupError(f"nothing is known at t = {t:.1f}")
+        return x + h * system.vector_field(x, t)

@@ -1,0 +1,242 @@
+"""A scheme of the user's own, in Python: it runs wherever a scheme runs, compiled by Numba or not."""
+
+import dataclasses
+import warnings
+
+import numpy as np
+import pytest
+from own_schemes import NOTHING, Classical, Failing, Interpreted, Kahan, Relaxed
+
+import coadjoint as co
+from coadjoint.kernels import step_functions
+from coadjoint.kernels.step_functions import StepFunction
+
+RNG = np.random.default_rng(10)
+C1 = 1 / (2 - 2 ** (1 / 3))
+JUMPS = (C1, 1 - 2 * C1, C1)
+
+
+def cubic(n):
+    exponents = [tuple(int(k == i) + 2 * int(k == (i + 1) % n) for k in range(n)) for i in range(n)]
+    return co.Polynomial({e: 0.1 * (i + 1) for i, e in enumerate(exponents)})
+
+
+SYSTEMS = {
+    "so(3)": co.systems.rigid_body(inertia=(1, 2, 3)),
+    "e(3), full": co.LiePoissonSystem(co.algebras.e(3), co.Quadratic(np.diag(np.arange(1.0, 7)) + 0.1, np.ones(6))),
+    "A3,7, sign -1": co.LiePoissonSystem(co.algebras.get("A3,7", a=0.5), co.Quadratic([1.0, 2, 3]), sign=-1),
+    "so(4), cubic": co.LiePoissonSystem(co.algebras.so(4), cubic(6)),
+    "driven": co.LiePoissonSystem(
+        co.algebras.so(3),
+        co.Hamiltonian(lambda x, t: x @ x * np.cos(t) + x[0], lambda x, t: 2 * np.cos(t) * x + np.array([1.0, 0, 0])),
+    ),
+    "J(x)": co.PoissonSystem(
+        lambda x: x[0] * np.array([[0.0, x[2], -x[1]], [-x[2], 0.0, x[0]], [x[1], -x[0], 0.0]]),
+        co.Quadratic([1.0, 2, 3]),
+    ),
+}
+
+
+def start_of(system):
+    return 0.4 * np.cos(np.arange(system.dim) + 1.0)
+
+
+def schemes_for(name):
+    # Derivatives of functions are not given here, so that Kahan's method has none.
+    return [Classical(), Relaxed(0.5)] + ([] if name in ("driven", "J(x)") else [Kahan()])
+
+
+CASES = [(name, scheme) for name in SYSTEMS for scheme in schemes_for(name)]
+
+
+@pytest.mark.parametrize(("name", "scheme"), CASES, ids=str)
+@pytest.mark.parametrize("h", [0.05, -0.05])
+def test_the_compiled_step_is_the_step(name, scheme, h):
+    system = SYSTEMS[name]
+    function = StepFunction(scheme, system)
+    assert function.compiled
+    x0, t0 = start_of(system), 0.3
+    sol = co.integrate(system, x0, (t0, t0 + 4 * h), abs(h), scheme)
+    x = x0
+    for k in range(4):
+        x = scheme.step(system, x, t0 + k * h, h)
+    assert np.max(np.abs(sol.x[-1] - x)) < 200 * system.dim * 2.0**-53 * max(1.0, np.max(np.abs(x)))
+    # It moves, and the way the field says.
+    moved = system.vector_field(x0, t0)
+    assert (sol.x[1] - x0) @ moved * h > 0
+
+
+def test_the_classical_method_is_the_one_that_is_built_in():
+    for name, system in SYSTEMS.items():
+        x0 = start_of(system)
+        own, known = (co.integrate(system, x0, (0, 2), 0.05, m) for m in (Classical(), co.ExplicitRungeKutta("rk4")))
+        assert np.max(np.abs(own.x - known.x)) < 40 * 64 * 2.0**-53, name
+        assert own.energy == pytest.approx(known.energy, abs=1e-12)
+        assert own.stats.steps == 40 and own.stats.evaluations == 40
+
+
+def test_ensembles_batches_and_threads_are_the_members_alone():
+    system = SYSTEMS["e(3), full"]
+    x0 = start_of(system) * RNG.uniform(0.5, 1.5, (11, 1))
+    whole = co.integrate(system, x0, (0, 1), 0.05, Kahan(), threads=2, save_every=3)
+    for m in (0, 4, 10):
+        alone = co.integrate(system, x0[m], (0, 1), 0.05, Kahan(), save_every=3)
+        assert np.array_equal(alone.x, whole.x[:, m]) and np.array_equal(alone.energy, whole.energy[:, m])
+        assert all(alone.drift()[name] == whole.drift()[name].members[m] for name in alone.drift())
+    bodies = [co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.25, 2.5, 2.75)]
+    states = RNG.standard_normal((3, 3))
+    together = co.integrate(co.batch(bodies), states, (0, 1), 0.05, Kahan())
+    for m, body in enumerate(bodies):
+        assert np.array_equal(together.x[:, m], co.integrate(body, states[m], (0, 1), 0.05, Kahan()).x)
+
+
+def test_watching_saving_and_observing():
+    system = SYSTEMS["so(3)"]
+    sol = co.integrate(system, (1, 0.2, 0.5), (0, 2), 0.05, Kahan(), save_every=7, observe={"first": lambda x: x[0]})
+    assert sol.t.tolist() == pytest.approx([0, 0.35, 0.7, 1.05, 1.4, 1.75, 2.0])
+    assert np.array_equal(sol.observed["first"], sol.x[:, 0])
+    every = co.integrate(system, (1, 0.2, 0.5), (0, 2), 0.05, Kahan())
+    assert sol.drift()["energy"] == np.max(np.abs(every.energy - every.energy[0])) > 0
+    assert np.array_equal(sol.x, every.x[[0, 7, 14, 21, 28, 35, 40]])
+
+
+def test_orders_and_compositions():
+    system = SYSTEMS["so(4), cubic"]
+    x0 = start_of(system)
+    exact = co.integrate(system, x0, (0, 1), 0.02, co.GaussLegendre(4)).x[-1]
+    own = co.Composition(Kahan(), JUMPS)
+    assert (own.order, own.symmetric) == (4, True)
+    body = SYSTEMS["so(3)"]
+    truth = body.exact((1, 0.2, 0.5), 2.0)
+    for scheme, order in ((Kahan(), 2), (own, 4), (Classical(), 4)):
+        errors = [
+            np.max(np.abs(co.integrate(body, (1, 0.2, 0.5), (0, 2), h, scheme).x[-1] - truth)) for h in (0.1, 0.05)
+        ]
+        assert 2.0 ** (order - 0.4) < errors[0] / errors[1] < 2.0 ** (order + 0.7)
+    assert np.max(np.abs(co.integrate(system, x0, (0, 1), 0.02, Classical()).x[-1] - exact)) < 1e-7
+    nested = co.Composition(co.Composition(Kahan(), (0.5, 0.5)), (0.25, 0.75))
+    x = x0
+    for fraction in (0.125, 0.125, 0.375, 0.375):
+        x = Kahan().step(system, x, 0.0, 0.1 * fraction)
+    assert np.max(np.abs(co.stepper(system, nested, 0.1)(x0) - x)) < 1e-14
+
+
+def test_steppers_and_their_tangents():
+    system = SYSTEMS["e(3), full"]
+    x0 = start_of(system)
+    step = co.stepper(system, Kahan(), 0.1)
+    assert np.max(np.abs(step(x0) - Kahan().step(system, x0, 0.0, 0.1))) < 1e-14
+    assert step.tangent_by(x0) == "complex step"
+    known = co.stepper(system, co.ExplicitRungeKutta("rk4"), 0.1)
+    own = co.stepper(system, Classical(), 0.1)
+    assert known.tangent_by(x0) == "formula"
+    assert np.max(np.abs(own.tangent(x0) - known.tangent(x0))) < 1e-14
+
+
+def test_differences_where_nothing_else_is_to_be_had():
+    @dataclasses.dataclass(frozen=True)
+    class Rough(co.methods.StepMethod):
+        order, explicit, symmetric = 1, True, False
+
+        def properties(self, system):
+            return NOTHING
+
+        def step(self, system, x, t, h):
+            return np.asarray(x, dtype=float) + h * np.abs(x) * x
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        step = co.stepper(SYSTEMS["so(3)"], Rough(), 0.1)
+        x = np.array([1.0, -2.0, 0.5])
+        assert step.tangent_by(x) == "differences"
+        assert np.max(np.abs(step.tangent(x) - np.diag(1 + 0.2 * np.abs(x)))) < 1e-8
+
+
+def test_choose_takes_it():
+    found = co.choose(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 10), 1e-4, methods=[Kahan(), Classical()])
+    assert isinstance(found.method, Kahan | Classical)
+    sol = co.integrate(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 10), method=Kahan(), accuracy=1e-4)
+    assert np.max(np.abs(sol.x[-1] - SYSTEMS["so(3)"].exact((1, 0.2, 0.5), 10.0))) < 1e-4
+
+
+def test_what_numba_cannot_compile_runs_in_python_and_says_so_once(monkeypatch):
+    monkeypatch.setattr(step_functions, "_said", set())
+    with pytest.warns(RuntimeWarning, match="the steps of Interpreted are calls of Python") as said:
+        sol = co.integrate(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 1), 0.1, Interpreted())
+        again = co.integrate(SYSTEMS["so(3)"], np.ones((5, 3)) * 0.3, (0, 1), 0.1, Interpreted(), threads=2)
+    assert len(said) == 1
+    x = np.array([1, 0.2, 0.5])
+    for k in range(10):
+        x = Interpreted().step(SYSTEMS["so(3)"], x, 0.1 * k, 0.1)
+    assert np.array_equal(sol.x[-1], x) and again.x.shape == (11, 5, 3)
+
+
+@pytest.mark.filterwarnings("ignore:the steps of")
+@pytest.mark.parametrize("members", [1, 5])
+def test_what_a_step_in_python_raises_comes_out_of_the_run(members):
+    x0 = np.ones((members, 3)) * np.arange(1, 4) / 4 if members > 1 else (0.25, 0.5, 0.75)
+    with pytest.raises(LookupError, match=r"nothing is known at t = 0\.6"):
+        co.integrate(SYSTEMS["so(3)"], x0, (0, 2), 0.1, Failing(), threads=2)
+    # The next run is as if nothing had been.
+    assert co.integrate(SYSTEMS["so(3)"], x0, (0, 0.5), 0.1, Failing()).x.shape[0] == 6
+
+
+@pytest.mark.filterwarnings("ignore:the steps of")
+def test_a_step_that_is_no_state_is_refused_by_name():
+    @dataclasses.dataclass(frozen=True)
+    class Short(co.methods.StepMethod):
+        order, explicit, symmetric = 1, True, False
+        kind: str = "short"
+
+        def properties(self, system):
+            return NOTHING
+
+        def step(self, system, x, t, h):
+            return {"short": x[:2], "complex": x + 1j, "text": "no"}[self.kind]
+
+    for kind, said in (("short", r"shape \(2,\)"), ("complex", "complex numbers"), ("text", "array of")):
+        with pytest.raises(TypeError, match=f"the step of Short returned .*{said}.*it must return 3 real numbers"):
+            co.integrate(SYSTEMS["so(3)"], (1, 0, 0), (0, 1), 0.1, Short(kind))
+
+
+def test_a_step_that_leaves_the_numbers_fails_alone():
+    """Forward steps of a growing member overflow; the others go on, with their bits."""
+    system = SYSTEMS["so(4), cubic"]
+    x0 = np.stack([start_of(system), 1e150 * start_of(system), 0.5 * start_of(system)])
+    with pytest.raises(
+        co.IntegrationError, match=r"in step 1, at t = 0, the step gave numbers that are not finite.*1 of 3"
+    ):
+        co.integrate(system, x0, (0, 1), 0.1, Classical())
+    try:
+        co.integrate(system, x0, (0, 1), 0.1, Classical())
+    except co.IntegrationError as error:
+        assert error.partial.failed.tolist() == [False, True, False]
+        assert np.array_equal(error.partial.x[:, 2], co.integrate(system, x0[2], (0, 1), 0.1, Classical()).x)
+
+
+def test_the_registry_knows_it_while_it_is_registered():
+    assert "Kahan" not in co.methods.names()
+    assert co.methods.register(Kahan) is Kahan
+    try:
+        assert "Kahan" in co.methods.names() and co.methods.get("Kahan") == Kahan()
+        co.methods.register(Kahan)  # once more is no other scheme
+        with pytest.raises(ValueError, match="there is another scheme Kahan"):
+            co.methods.register(dataclasses.make_dataclass("Kahan", [], bases=(Kahan,), frozen=True))
+        sol = co.integrate(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 1), 0.1, co.Composition(Kahan(), JUMPS))
+        assert co.methods.registry.from_description(co.methods.registry.description_of(sol.method)) == sol.method
+    finally:
+        co.methods.registry.forget("Kahan")
+    with pytest.raises(ValueError, match="'Kahan'"):
+        co.methods.get("Kahan")
+
+
+def test_what_is_no_scheme_is_not_registered():
+    class Plain(Kahan):
+        pass
+
+    with pytest.raises(TypeError, match="no scheme"):
+        co.methods.register(int)
+    with pytest.raises(TypeError, match="StepMethod has no"):
+        co.methods.register(co.methods.StepMethod)
+    assert co.methods.registry  # nothing was left behind
+    assert "StepMethod" not in co.methods.names()
