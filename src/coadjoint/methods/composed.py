@@ -58,18 +58,7 @@ class Composed(Method):
         return tuple(c * f for c in self.coefficients for f in self.base.fractions)
 
     def properties(self, system: System) -> Properties:
-        """Return what the base keeps; a composition keeps the same.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-
-        Returns
-        -------
-        Properties
-            Those of the base.
-        """
+        """Return what the base keeps; a composition keeps the same."""
         return self.base.properties(system)
 
     def restored(self, system: System) -> Mapping[str, Any] | None:
@@ -136,20 +125,20 @@ class Substeps(Composed):
         """Return the loop of the base, with its substeps."""
         return self.base.loop_of_substeps(system, h, representation, self.coefficients)
 
-    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:  # noqa: D102
+    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         number = type(h)
         for fraction in map(number, self.coefficients):
             x, t = self.base.step(system, x, t, h * fraction), t + h * fraction
         return x
 
-    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:  # noqa: D102
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         product = np.eye(len(x))
         for fraction in self.coefficients:
             x, own = self.base.tangent(system, x, t, h * fraction)
             product, t = own @ product, t + h * fraction
         return x, product
 
-    def work(self, system: System, group: Representation = None) -> Work:  # noqa: D102
+    def work(self, system: System, group: Representation = None) -> Work:
         return self.base.work_of_substeps(system, group, len(self.coefficients))
 
     def took_newton(self, memory: NDArray[np.float64]) -> bool:

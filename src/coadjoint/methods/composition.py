@@ -90,24 +90,24 @@ class Composition(Composed):
         """Return the composition of this composition."""
         return self.whole.composed(coefficients)
 
-    def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:  # noqa: D102
+    def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
         return self.whole.program(system, group=group, number=number)
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop of the base, composed."""
         return self.whole.compiled(system, h, representation)
 
-    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:  # noqa: D102
+    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         return self.whole.step(system, x, t, h)
 
-    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:  # noqa: D102
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         return self.whole.tangent(system, x, t, h)
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         """Return how the base finds it."""
         return self.base.tangent_by(system, x, t, h)
 
-    def work(self, system: System, group: Representation = None) -> Work:  # noqa: D102
+    def work(self, system: System, group: Representation = None) -> Work:
         return self.whole.work(system, group)
 
     def took_newton(self, memory: NDArray[np.float64]) -> bool:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from coadjoint.given import read_choice
 from coadjoint.methods.base import Properties
-from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod
-from coadjoint.methods.stages import Coefficients, Step
+from coadjoint.methods.runge_kutta import RungeKuttaMethod
+from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number, convert
 from coadjoint.systems.kinds import System, check_one_system
 
@@ -76,39 +76,14 @@ class ExplicitRungeKutta(RungeKuttaMethod):
         """2 or 4."""
         return TABLEAUX[self.name][0]
 
-    @property
-    def function_iterations(self) -> int:
-        """How often a stage is computed from earlier ones, s - 1."""
-        return len(TABLEAUX[self.name][1]) - 1
-
     def properties(self, system: System) -> Properties:
-        """Return what is kept: nothing but linear invariants; any system is served.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-
-        Returns
-        -------
-        Properties
-        """
+        """Return what is kept: nothing but linear invariants; any system is served."""
         check_one_system(system)
         attitude = "none" if system.algebra is None else "integrated"
         return Properties(poisson=False, energy=False, casimirs="none", attitude=attitude)
 
     def coefficients(self, number: Number = float) -> Coefficients:
-        """Return the tableau.
-
-        Parameters
-        ----------
-        number : callable
-            Number type; fractions stay exact.
-
-        Returns
-        -------
-        Coefficients
-        """
+        """Return the tableau."""
         _, nodes, rows, weights = TABLEAUX[self.name]
 
         def filled(values: tuple[Any, ...]) -> NDArray[Any]:
@@ -118,27 +93,3 @@ class ExplicitRungeKutta(RungeKuttaMethod):
         return Coefficients(
             filled(nodes), filled((1,) * len(nodes)), np.stack([filled(row) for row in rows]), filled(weights)
         )
-
-    def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
-        """Return the slopes L_j = h f(x + sum_{k<j} a_jk L_k), and dL_j = h f'(X_j) (1 + sum_{k<j} a_jk dL_k).
-
-        Parameters
-        ----------
-        step : Step
-            Where the step starts.
-        tangent : bool
-            Whether derivatives are wanted.
-
-        Returns
-        -------
-        Evaluation
-        """
-        s, n = len(step.times), step.x.size
-        slopes = np.zeros((s, n), dtype=step.x.dtype)
-        derivatives = np.zeros((s, n, n)) if tangent else None
-        for j in range(s):
-            X = step.points(slopes)[j]
-            slopes[j] = step.lengths[j] * step.system.vector_field(X, step.times[j])
-            if derivatives is not None:
-                derivatives[j] = step.lengths[j] * step.system.jacobian(X, step.times[j]) @ step.spread(derivatives)[j]
-        return Evaluation(slopes, derivatives)

@@ -62,7 +62,7 @@ class FlowMethod(Method):
 
         return ComposedFlows(self, tuple(coefficients))
 
-    def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:  # noqa: D102
+    def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
         from coadjoint.program.table import build_program
 
         self.properties(system)
@@ -79,12 +79,12 @@ class FlowMethod(Method):
         found = flow_tables(program, h, bool(self.compensated))
         return CompiledLoop(LOOP, found.tables, found.keep, program.shift)
 
-    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:  # noqa: D102
+    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         point = np.asarray(x)
         number: Number = float if point.dtype != object else type(point[0])
         return _reading(self, system, number).steps(point, number(h), 1, t0=number(t))
 
-    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:  # noqa: D102
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         point = np.asarray(x, dtype=np.float64)
         try:
             after, P = _reading(self, system, float).steps(point, h, 1, t0=t, tangent=np.eye(len(point)))

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from coadjoint.given import read_whole
 from coadjoint.methods.base import Properties, has_quadratic_energy
 from coadjoint.methods.gauss_coefficients import extrapolation, gauss_legendre
-from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod, settle
-from coadjoint.methods.stages import Coefficients, Step
+from coadjoint.methods.runge_kutta import RungeKuttaMethod
+from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number
 from coadjoint.systems.kinds import System, check_one_system
 
@@ -105,65 +105,15 @@ class GaussLegendre(RungeKuttaMethod):
         return 2 * self.stages
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: quadratic invariants; any system is served.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-
-        Returns
-        -------
-        Properties
-        """
+        """Return what is kept: quadratic invariants; any system is served."""
         check_one_system(system)
         attitude = "none" if system.algebra is None else "coadjoint"
         return Properties(poisson=False, energy=has_quadratic_energy(system), casimirs="quadratic", attitude=attitude)
 
     def coefficients(self, number: Number = float) -> Coefficients:
-        """Return the tableau.
-
-        Parameters
-        ----------
-        number : callable
-            Number type.
-
-        Returns
-        -------
-        Coefficients
-        """
+        """Return the tableau."""
         return gauss_tableau(self.stages, number)
 
     def forecast(self, ratio: float) -> NDArray[np.float64]:
-        """Return the matrix that continues the polynomial of the substep before.
-
-        Parameters
-        ----------
-        ratio : float
-            Length of the substep in units of the one before it.
-
-        Returns
-        -------
-        (s, s) array
-        """
+        """Return the matrix that continues the polynomial of the substep before."""
         return extrapolation(self.stages, ratio)
-
-    def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
-        """Return the slopes L_j = h b_j f(x + sum_k mu_jk L_k), and dL_j = h b_j f'(X_j) dX_j.
-
-        Parameters
-        ----------
-        step : Step
-            Where the step starts.
-        tangent : bool
-            Whether derivatives are wanted.
-
-        Returns
-        -------
-        Evaluation
-        """
-        slopes = settle(step, step.fields)
-        if not tangent:
-            return Evaluation(slopes, None)
-        jacobians = step.jacobians(step.points(slopes))
-        return Evaluation(slopes, step.solve(jacobians, np.zeros_like(jacobians)))

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from coadjoint.methods.base import Properties
 from coadjoint.methods.gauss_legendre import gauss_tableau, stages_given
-from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod, iterate, iterate_tangents
-from coadjoint.methods.stages import Coefficients, Step
+from coadjoint.methods.runge_kutta import RungeKuttaMethod
+from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number
 from coadjoint.systems.kinds import System, check_one_system
 
@@ -75,50 +75,10 @@ class IteratedGaussLegendre(RungeKuttaMethod):
         return min(self.function_iterations + 1, 2 * self.stages)
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: nothing but linear invariants; any system is served.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-
-        Returns
-        -------
-        Properties
-        """
+        """Return what is kept: nothing but linear invariants; any system is served."""
         check_one_system(system)
         return Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 
     def coefficients(self, number: Number = float) -> Coefficients:
-        """Return the tableau of the Gauss-Legendre method.
-
-        Parameters
-        ----------
-        number : callable
-            Number type.
-
-        Returns
-        -------
-        Coefficients
-        """
+        """Return the tableau of the Gauss-Legendre method."""
         return gauss_tableau(self.stages, number)
-
-    def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
-        """Return the slopes L_j = h b_j f(X_j^m), and dL_j = h b_j f'(X_j^m) dX_j^m.
-
-        Parameters
-        ----------
-        step : Step
-            Where the step starts.
-        tangent : bool
-            Whether derivatives are wanted.
-
-        Returns
-        -------
-        Evaluation
-        """
-        iterates = iterate(step, self.function_iterations)
-        slopes = step.fields(iterates[-1])
-        if not tangent:
-            return Evaluation(slopes, None)
-        return Evaluation(slopes, step.jacobians(iterates[-1]) @ iterate_tangents(step, iterates))

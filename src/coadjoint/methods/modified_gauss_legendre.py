@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
-
-from numpy.typing import NDArray
 
 from coadjoint.given import read_choice
 from coadjoint.methods.base import Properties, has_quadratic_energy
 from coadjoint.methods.gauss_legendre import gauss_tableau, stages_given
-from coadjoint.methods.runge_kutta import Evaluation, RungeKuttaMethod, iterate, iterate_tangents
-from coadjoint.methods.stages import Coefficients, Step
+from coadjoint.methods.runge_kutta import RungeKuttaMethod
+from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number
 from coadjoint.systems.kinds import System, check_one_system
 
@@ -98,15 +95,6 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
     def properties(self, system: System) -> Properties:
         """Return what is kept: the energy, or the quadratic Casimirs.
 
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-
-        Returns
-        -------
-        Properties
-
         Raises
         ------
         ValueError
@@ -129,49 +117,5 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
         return Properties(poisson=False, energy=False, casimirs="quadratic", attitude="coadjoint")
 
     def coefficients(self, number: Number = float) -> Coefficients:
-        """Return the tableau of the Gauss-Legendre method.
-
-        Parameters
-        ----------
-        number : callable
-            Number type.
-
-        Returns
-        -------
-        Coefficients
-        """
+        """Return the tableau of the Gauss-Legendre method."""
         return gauss_tableau(self.stages, number)
-
-    def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
-        """Return the slopes of equation (7), linear in the stages X.
-
-        With W_j = h b_j sign J(Z_j) M or h b_j sign D_u(Z_j), dL_j = W_j dX_j + (derivative of L_j with respect to Z_j)
-        dZ_j.
-
-        Parameters
-        ----------
-        step : Step
-            Where the step starts.
-        tangent : bool
-            Whether derivatives are wanted.
-
-        Returns
-        -------
-        Evaluation
-        """
-        self.properties(step.system)
-        iterates = iterate(step, self.function_iterations)
-        frozen, structure = iterates[-1], self.freeze == "structure"
-        gradients = step.gradients(frozen)
-
-        def slopes_at(points: NDArray[Any]) -> NDArray[Any]:
-            return step.products(frozen, step.gradients(points)) if structure else step.products(points, gradients)
-
-        blocks = step.bends(frozen) if structure else step.turns(frozen, gradients)
-        points = frozen + step.resolve(blocks, step.points(slopes_at(frozen)) - frozen)
-        slopes = slopes_at(points)
-        if not tangent:
-            return Evaluation(slopes, None)
-        points = step.points(slopes)
-        others = step.turns(frozen, step.gradients(points)) if structure else step.bends(points, frozen)
-        return Evaluation(slopes, step.solve(blocks, others @ iterate_tangents(step, iterates)))

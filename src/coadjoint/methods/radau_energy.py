@@ -14,7 +14,7 @@ from coadjoint.methods.base import Properties
 from coadjoint.methods.compiled_step import UNDEFINED, CompiledStepMethod
 from coadjoint.methods.gauss_coefficients import radau
 from coadjoint.methods.gauss_legendre import stages_given
-from coadjoint.methods.runge_kutta import settle
+from coadjoint.methods.solvers import settle
 from coadjoint.methods.stages import Coefficients, Step, begin, linear_solve
 from coadjoint.program.numbers import Number
 from coadjoint.systems.kinds import System, check_one_system
@@ -73,15 +73,6 @@ class RadauEnergy(CompiledStepMethod):
     def properties(self, system: System) -> Properties:
         """Return what is kept: the energy, quadratic or not.
 
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-
-        Returns
-        -------
-        Properties
-
         Raises
         ------
         ValueError
@@ -108,19 +99,6 @@ class RadauEnergy(CompiledStepMethod):
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, read in NumPy for any number type.
 
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-        x : (n,) array
-            The state.
-        t, h : number
-            Time at the start (without influence), and length of the step.
-
-        Returns
-        -------
-        (n,) array
-
         Raises
         ------
         IntegrationError
@@ -134,22 +112,6 @@ class RadauEnergy(CompiledStepMethod):
 
         With nu_j = h b_j lambda_j: ``dX_i = 1 + sum_j mu_ij ((h b_j f'(X_j) + nu_j) dX_j + X_j dnu_j)``, ``grad H(X_i)
         dX_i = grad H(x)``.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system; its Hamiltonian must have second derivatives, and a `PoissonSystem` the derivative of J.
-        x : (n,) array
-            The state.
-        t, h : float
-            Time at the start (without influence), and length of the step.
-
-        Returns
-        -------
-        x_new : (n,) array
-            The step.
-        P : (n, n) array
-            Its derivative with respect to x.
 
         Raises
         ------

@@ -230,16 +230,6 @@ class Splitting(FlowMethod):
         """Return what splitting keeps: the Poisson bracket, every Casimir, the spatial momentum in every
         representation.
 
-        Parameters
-        ----------
-        system : LiePoissonSystem
-            The system.
-
-        Returns
-        -------
-        Properties
-            The same for every system that it serves.
-
         Raises
         ------
         ValueError
@@ -254,36 +244,14 @@ class Splitting(FlowMethod):
         return Properties(poisson=True, energy=False, casimirs="all", attitude="every representation")
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
-        """Return the sweeps of one step; of a processed scheme those of its kernel.
-
-        Parameters
-        ----------
-        number : callable
-            Number type of the coefficients.
-
-        Returns
-        -------
-        list of Sweep
-            First to last.
-        """
+        """Return the sweeps of one step; of a processed scheme those of its kernel."""
         if self.order == 1:
             moment = 1 if self.adjoint else 0
             return [Sweep(not self.adjoint, number(1), number(moment))]
         return self._named.sweeps(number)
 
     def processor(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
-        """Return the sweeps of the processor P of a processed scheme.
-
-        Parameters
-        ----------
-        number : callable
-            Number type of the coefficients.
-
-        Returns
-        -------
-        list of Sweep
-            First to last; empty for a scheme without one.
-        """
+        """Return the sweeps of the processor P of a processed scheme."""
         return [] if self.order == 1 else self._named.processor(number)
 
     @property

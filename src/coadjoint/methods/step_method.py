@@ -59,8 +59,7 @@ class StepMethod(SteppedMethod):
     compensates: ClassVar[bool] = False
 
     @abstractmethod
-    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:  # noqa: D102
-        ...
+    def step(self, system: System, x: Any, t: Any, h: Any) -> Any: ...
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its derivative, by complex steps or differences.
@@ -86,7 +85,7 @@ class StepMethod(SteppedMethod):
         found = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
         return found.value, found.derivative
 
-    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:  # noqa: D102
+    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         from coadjoint.methods.step_derivatives import derivative_of
 
         if type(self).tangent is not StepMethod.tangent:

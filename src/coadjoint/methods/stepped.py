@@ -63,7 +63,7 @@ class SteppedMethod(Method):
         """Return the loop whose steps are not divided."""
         return self.loop_of_substeps(system, h, representation, WHOLE)
 
-    def work(self, system: System, group: Representation = None) -> Work:  # noqa: D102
+    def work(self, system: System, group: Representation = None) -> Work:
         return self.work_of_substeps(system, group, 1)
 
     def composed(self, coefficients: Sequence[float]) -> Method:

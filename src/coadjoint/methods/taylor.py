@@ -86,15 +86,6 @@ class Taylor(CompiledStepMethod):
     def properties(self, system: System) -> Properties:
         """Return what is kept: with `projected` the energy, and the Casimirs that are polynomials.
 
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-
-        Returns
-        -------
-        Properties
-
         Raises
         ------
         ValueError
@@ -134,17 +125,7 @@ class Taylor(CompiledStepMethod):
         return self._casimirs(system) if self.projected else None
 
     def operations(self, system: System) -> Operations:
-        """Return the work of a step: products of series, sparse sums for each coefficient, and the projection.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem
-            The system.
-
-        Returns
-        -------
-        Operations
-        """
+        """Return the work of a step: products of series, sparse sums for each coefficient, and the projection."""
         assert system.algebra is not None
         looks = 0.0
         if self.projected:
@@ -161,19 +142,6 @@ class Taylor(CompiledStepMethod):
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, read in NumPy for any number type; the values that are kept are those at x.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem
-            The system.
-        x : (n,) array
-            The state.
-        t, h : number
-            Time at the start (without influence), and length of the step.
-
-        Returns
-        -------
-        (n,) array
 
         Raises
         ------
@@ -195,22 +163,6 @@ class Taylor(CompiledStepMethod):
 
         With y = z + G(z)^T lambda and C(y) = C(x): ``dy = (1 + sum_a lambda_a C_a''(z)) dz + G(z)^T dlambda`` and
         ``G(y) dy = G(x) dx``.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem
-            The system.
-        x : (n,) array
-            The state.
-        t, h : float
-            Time at the start (without influence), and length of the step.
-
-        Returns
-        -------
-        x_new : (n,) array
-            The step.
-        P : (n, n) array
-            Its derivative with respect to x.
 
         Raises
         ------
