@@ -68,6 +68,12 @@ class Program:
     frequency: NDArray[Any]
     shift: tuple[tuple[Polynomial, float], ...]
 
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the table as plain arrays by name; see `plain_table`."""
+        from coadjoint.program.plain_table import plain_table
+
+        return plain_table(self)
+
 
 def build_program(
     system: LiePoissonSystem,
