@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.systems.kinds import System
-from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 
 WIDEST = 48  # diagonals on either side: each unknown costs two multiplications with all pairs of them
 MOST_NUMBERS = 2**25  # that the factors may hold
@@ -75,15 +74,11 @@ def _hessian(system: System, n: int) -> Any:
     rows: list[Any] = [np.zeros(0, dtype=np.int64)]
     columns: list[Any] = [np.zeros(0, dtype=np.int64)]
     for term in system.hamiltonian.terms():
-        if isinstance(term, QuadraticTerm):
-            rows.append(np.repeat(np.arange(n), np.diff(term.indptr)))
-            columns.append(np.asarray(term.indices))
+        if term.form is not None:
+            rows.append(term.form.rows)
+            columns.append(np.asarray(term.form.indices))
             continue
-        groups: list[Any] = []
-        if isinstance(term, PolynomialTerm):
-            groups = [np.flatnonzero(exponents) for exponents in term.polynomial.monomials]
-        elif isinstance(term, FunctionTerm):
-            groups = [np.asarray(term.coordinates)]
+        groups = list(term.couplings())
         if sum(len(group) ** 2 for group in groups) > MOST_COUPLINGS * n:
             return None
         rows.extend(np.repeat(group, len(group)) for group in groups)

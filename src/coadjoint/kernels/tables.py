@@ -17,9 +17,9 @@ from coadjoint.program.actions import Action, empty_action
 from coadjoint.program.blocks import Kind
 from coadjoint.program.rational import acts_rationally
 from coadjoint.program.table import Program
-from coadjoint.program.terms import LINEAR, TermTable
+from coadjoint.program.terms import LINEAR, ValueTable
 from coadjoint.systems.hamiltonian import as_hamiltonian
-from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
+from coadjoint.systems.terms import FunctionTerm
 from coadjoint.systems.user_functions import takes_time
 
 RATIONAL = 8
@@ -171,7 +171,7 @@ def invariants_table(invariants: Sequence[tuple[str, Any]], size: int) -> Compil
     Compiled
         With a `Watch`.
     """
-    table, first, constant, period, owners = TermTable(), [0], [], [], {}
+    table, first, constant, period, owners = ValueTable(), [0], [], [], {}
 
     def end(name: str, offset: float, wrapped: float) -> None:
         owners.update(dict.fromkeys(range(first[-1], len(table)), name))
@@ -182,16 +182,13 @@ def invariants_table(invariants: Sequence[tuple[str, Any]], size: int) -> Compil
     def add(hamiltonian: Any) -> float:
         offset = 0.0
         for term in hamiltonian.terms():
-            if isinstance(term, QuadraticTerm):
-                table.add_used_rows(term)
-            else:
-                table.add(term)
-            offset += float(term.constant) if isinstance(term, QuadraticTerm) else 0.0
+            table.add(term)
+            offset += float(term.constant)
         return offset
 
     for name, invariant in invariants:
         if isinstance(invariant, Invariant):
-            table.add_function(function_of_all(invariant, size))
+            table.function(function_of_all(invariant, size))
             end(name, 0.0, float(invariant.period))
         else:
             end(name, add(as_hamiltonian(invariant, size)), 0.0)

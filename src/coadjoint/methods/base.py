@@ -304,6 +304,4 @@ class Method(ABC):
 
 def has_quadratic_energy(system: System) -> bool:
     """Return whether the Hamiltonian is a polynomial of degree at most two that does not depend on time."""
-    from coadjoint.systems.terms import QuadraticTerm
-
-    return all(isinstance(term, QuadraticTerm) for term in system.hamiltonian.terms())
+    return all(term.form is not None for term in system.hamiltonian.terms())

@@ -96,7 +96,7 @@ class Taylor(CompiledStepMethod):
             raise ValueError(
                 f"Taylor multiplies series, but the structure matrix of {system.name} is a function; take GaussLegendre"
             )
-        if any(isinstance(term, FunctionTerm) for term in system.hamiltonian.terms()):
+        if any(term.degree is None for term in system.hamiltonian.terms()):
             raise ValueError(
                 f"Taylor multiplies series, but the Hamiltonian of {system.name} has a function in it; give a "
                 "polynomial, or take GaussLegendre or Splitting"
@@ -127,15 +127,14 @@ class Taylor(CompiledStepMethod):
     def operations(self, system: System) -> Operations:
         """Return the work of a step: products of series, sparse sums for each coefficient, and the projection."""
         assert system.algebra is not None
-        looks = 0.0
+        looks, energy = 0.0, _Products(system.hamiltonian)
         if self.projected:
-            terms = [term.polynomial for term in system.hamiltonian.terms() if isinstance(term, PolynomialTerm)]
             casimirs = self._casimirs(system).values()
-            higher = [C for C in casimirs if isinstance(C, Polynomial) and C.degree > 2]
-            looks = 1.0 + len(casimirs) + sum(_factors(polynomial) for polynomial in (*terms, *higher)) / LANES
+            higher = sum(_factors(C) for C in casimirs if isinstance(C, Polynomial) and C.degree > 2)
+            looks = 1.0 + len(casimirs) + (energy.in_value + higher) / LANES
         lanes = 4 if system.dim <= 4 else LANES
         products = _vectors_of_products(system, lanes) * lanes / LANES
-        sums = 2.0 * products + np.ceil(_entries(system.hamiltonian) / LANES)
+        sums = 2.0 * products + np.ceil(energy.in_gradient / LANES)
         # More vectors of rows are not kept in registers.
         waiting = self.order * (1.0 + sums * (1.0 if system.dim <= 2 * LANES else 2.0))
         return Operations(float(0.5 * self.order**2 * products), float(waiting), float(looks))
@@ -201,26 +200,33 @@ def _vectors_of_products(system: System, lanes: int) -> float:
     i, j, k, _ = system.algebra.triples
     row, moved, other = np.concatenate([i, j]), np.concatenate([k, k]), np.concatenate([j, i])
     terms = system.hamiltonian.terms()
-    diagonal = len(terms) == 1 and isinstance(terms[0], QuadraticTerm) and np.all(terms[0].rows == terms[0].indices)
-    if diagonal:
+    form = terms[0].form if len(terms) == 1 else None
+    if form is not None and np.all(form.rows == form.indices):
         # Products are written out, those with a coordinate that H does not have left out, the others once.
-        assert isinstance(terms[0], QuadraticTerm)
-        there = np.isin(other, terms[0].indices)
+        there = np.isin(other, form.indices)
         pairs = np.stack([row, np.minimum(moved, other), np.maximum(moved, other)], axis=1)[there]
         row = np.unique(pairs, axis=0)[:, 0] if len(pairs) else pairs[:, 0]
     counts = np.bincount(row, minlength=-(-system.dim // lanes) * lanes)
     return float(np.max(counts.reshape(-1, lanes), axis=1).sum())
 
 
-def _entries(H: HamiltonianLike) -> float:
-    """Return how many products are in a gradient."""
-    count = 0.0
-    for term in H.terms():
-        if isinstance(term, QuadraticTerm):
-            count += len(term.values)
-        elif isinstance(term, PolynomialTerm):
-            count += sum(sum(exponents) ** 2 for exponents in term.polynomial.monomials)
-    return count
+class _Products:
+    """How many products of series are in a gradient, and of numbers in the value of what is of higher degree."""
+
+    def __init__(self, H: HamiltonianLike) -> None:
+        self.in_gradient, self.in_value = 0.0, 0.0
+        for term in H.terms():
+            term.given_to(self)
+
+    def quadratic(self, term: QuadraticTerm) -> None:
+        self.in_gradient += len(term.values)
+
+    def polynomial(self, term: PolynomialTerm) -> None:
+        self.in_gradient += sum(sum(exponents) ** 2 for exponents in term.polynomial.monomials)
+        self.in_value += _factors(term.polynomial)
+
+    def function(self, term: FunctionTerm) -> None:
+        """Is refused."""
 
 
 def _factors(polynomial: Polynomial) -> float:

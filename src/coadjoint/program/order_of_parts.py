@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.program.parts import Parts
 from coadjoint.program.second_order import Samples
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.terms import FunctionTerm, QuadraticTerm, Term
+from coadjoint.systems.terms import Term
 
 MOST_PERMUTED = 5
 # More parts than this keep their order: comparing them would take longer than many a run.
@@ -57,7 +57,7 @@ def best_orders(
         terms = system.hamiltonian.terms()
         if len(parts) > 1 and len(points) and _has_hessians(terms):
             pattern = tuple(column.tobytes() for column in system.algebra.triples[:3])
-            quadratic = all(isinstance(term, QuadraticTerm) for term in terms)
+            quadratic = all(term.form is not None for term in terms)
             # Many parts are moved step by step, each set in its own way.
             key: Hashable = (len(parts), quadratic, pattern) if len(parts) <= MOST_PERMUTED else m
             alike.setdefault(key, []).append(m)
@@ -106,4 +106,4 @@ def _neighbours(order: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 
 def _has_hessians(terms: Iterable[Term]) -> bool:
-    return all(not isinstance(term, FunctionTerm) or term.hessian is not None for term in terms)
+    return all(term.differentiable for term in terms)

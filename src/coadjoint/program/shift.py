@@ -116,11 +116,11 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir
     unknown = [name for name, _ in shift if name not in casimirs]
     if unknown:
         raise ValueError(f"the shift names {unknown[0]!r}; the quadratic Casimirs are {', '.join(map(repr, casimirs))}")
-    own = next((k for k, term in enumerate(terms) if isinstance(term, QuadraticTerm) and term.piece is None), None)
+    own = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
     if own is None:
         raise ValueError("a shift needs a quadratic term in the Hamiltonian, outside the pieces of a SplitHamiltonian")
-    term = terms[own]
-    assert isinstance(term, QuadraticTerm)
+    term = terms[own].form
+    assert term is not None
     entries = [(term.rows, term.indices, term.values)]
     for name, factor in shift:
         casimir = casimirs[name]
@@ -158,7 +158,8 @@ def candidate_shifts(
     tuple of (str, float)
         Each at most once.
     """
-    quadratic = [term for term in system.hamiltonian.terms() if isinstance(term, QuadraticTerm) and term.piece is None]
+    forms = (term.form for term in system.hamiltonian.terms() if term.piece is None)
+    quadratic = [form for form in forms if form is not None]
     if not quadratic or not casimirs:
         return
     own = quadratic[0].rows == quadratic[0].indices

@@ -12,7 +12,6 @@ from coadjoint.program.first_fit import numbers_of_groups
 from coadjoint.program.shift import ROUNDING, QuadraticCasimir, Shift
 from coadjoint.program.sparse_rows import fresh
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.terms import QuadraticTerm
 
 
 def numbers_of_parts(
@@ -45,8 +44,8 @@ def numbers_of_parts(
     """
     unknown = np.zeros(len(shifts), dtype=np.int64)
     terms = system.hamiltonian.terms()
-    term = terms[0]
-    if not shifts or len(terms) > 1 or not isinstance(term, QuadraticTerm) or term.piece is not None:
+    term = terms[0].form
+    if not shifts or len(terms) > 1 or term is None or term.piece is not None:
         return unknown
     used = {name for shift in shifts for name, _ in shift}
     if np.any(term.rows != term.indices) or not all(casimirs[name].diagonal for name in used):

@@ -66,8 +66,8 @@ def _sorted(atoms: Parts) -> Parts:
 
 def _parts_by_pattern(terms: Sequence[Term], commutation: Commutation) -> Parts | None:
     """Return the automatic parts of a single quadratic term where no square is completed, and None elsewhere."""
-    term = terms[0]
-    if len(terms) > 1 or not isinstance(term, QuadraticTerm) or term.piece is not None:
+    term = terms[0].form
+    if len(terms) > 1 or term is None or term.piece is not None:
         return None
     where = (term.indptr, term.indices, term.linear != 0)
     model = _parts_of_pattern(Pattern((term, commutation), *where, *commutation.pattern))
@@ -86,17 +86,31 @@ def _parts_of_pattern(pattern: Pattern[tuple[QuadraticTerm, Commutation]]) -> Pa
     return None if atoms is None else few_parts(_sorted(atoms), commutation)
 
 
+class _Atoms:
+    """The parts that a term is made of, before they are joined."""
+
+    def __init__(self, system: LiePoissonSystem, commutation: Commutation, apart: bool) -> None:
+        self.found: list[Parts] = []
+        self._system, self._commutation, self._apart = system, commutation, apart
+
+    def quadratic(self, term: QuadraticTerm) -> None:
+        self.found.append(quadratic_atoms(term, self._commutation, self._apart))
+
+    def polynomial(self, term: PolynomialTerm) -> None:
+        self.found.append(_polynomial_atoms(self._system, term.polynomial, self._commutation, self._apart))
+
+    def function(self, term: FunctionTerm) -> None:
+        self.found.append(_function_atom(self._system, term, self._commutation))
+
+
 def _atoms(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation, apart: bool) -> Parts:
     found: list[Parts] = []
     pieces: dict[int, list[Parts]] = {}
     for term in terms:
         keep = term.piece
-        if isinstance(term, QuadraticTerm):
-            parts = quadratic_atoms(term, commutation, apart and keep is None)
-        elif isinstance(term, PolynomialTerm):
-            parts = _polynomial_atoms(system, term.polynomial, commutation, apart and keep is None)
-        else:
-            parts = _function_atom(system, term, commutation)
+        atoms = _Atoms(system, commutation, apart and keep is None)
+        term.given_to(atoms)
+        parts = atoms.found[0] if len(atoms.found) == 1 else Parts.concatenate(atoms.found)
         if keep is None:
             found.append(parts)
         else:
@@ -126,9 +140,9 @@ def _polynomial_atoms(system: LiePoissonSystem, polynomial: Polynomial, commutat
             continue
         low = {e: c for e, c in own.items() if sum(e) <= 2}
         if low:
-            for quadratic in Quadratic.from_polynomial(Polynomial(low)).terms():
-                assert isinstance(quadratic, QuadraticTerm)
-                found.append(quadratic_atoms(quadratic, commutation, apart))
+            (form,) = (term.form for term in Quadratic.from_polynomial(Polynomial(low)).terms())
+            assert form is not None
+            found.append(quadratic_atoms(form, commutation, apart))
         for exponents in (e for e in own if sum(e) > 2):
             monomial, coordinates = Polynomial({exponents: own[exponents]}), variables[exponents]
             clash = commutation.first_clash(coordinates)

@@ -151,7 +151,7 @@ def _term_table(parts: Parts) -> TermTable:
         if isinstance(share, PolynomialShare):
             table.add_polynomial(share.coordinates, share.polynomial)
         elif share is not None:
-            table.add_function(share.term)
+            table.function(share.term)
     return table
 
 

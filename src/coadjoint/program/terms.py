@@ -103,27 +103,23 @@ class TermTable:
             self._factor.append(len(self._exponent))
         self._add_empty_rows(POLYNOMIAL, coordinates)
 
-    def add_function(self, term: FunctionTerm) -> None:
+    def add(self, term: Term) -> None:
+        """Add a whole term of a Hamiltonian, over all coordinates."""
+        term.given_to(self)
+
+    def quadratic(self, term: QuadraticTerm) -> None:
+        """Add a quadratic term, with a row for each coordinate."""
+        self.add_linear(np.arange(len(term.linear)), term.linear, term.indptr, term.indices, term.values)
+
+    def polynomial(self, term: PolynomialTerm) -> None:
+        """Add a polynomial, with a row for each variable in it."""
+        used = sorted({k for exponents in term.polynomial.monomials for k, e in enumerate(exponents) if e})
+        self.add_polynomial(used, term.polynomial)
+
+    def function(self, term: FunctionTerm) -> None:
         """Add a term that calls the user's functions."""
         self.functions[len(self)] = term
         self._add_empty_rows(FUNCTION, term.coordinates.tolist())
-
-    def add(self, term: Term) -> None:
-        """Add a whole term of a Hamiltonian, over all coordinates."""
-        if isinstance(term, QuadraticTerm):
-            coordinates = np.arange(len(term.linear))
-            self.add_linear(coordinates, term.linear, term.indptr, term.indices, term.values)
-        elif isinstance(term, PolynomialTerm):
-            used = sorted({k for exponents in term.polynomial.monomials for k, e in enumerate(exponents) if e})
-            self.add_polynomial(used, term.polynomial)
-        else:
-            self.add_function(term)
-
-    def add_used_rows(self, term: QuadraticTerm) -> None:
-        """Add a quadratic term by its rows that are not zero: for its value, which may be of a few coordinates."""
-        rows = np.flatnonzero((term.linear != 0) | (np.diff(term.indptr) > 0))
-        own = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values).take(rows)
-        self.add_linear(rows, term.linear[rows], own.start, own.coordinate, own.value)
 
     def table(self, number: Number = float) -> Terms:
         """Return the table with its constants in the given number type."""
@@ -143,6 +139,16 @@ class TermTable:
             factor_row=np.array(self._factor_row, dtype=np.uint32),
             exponent=np.array(self._exponent, dtype=np.uint32),
         )
+
+
+class ValueTable(TermTable):
+    """The table of terms whose values are wanted: a quadratic one may be of a few coordinates."""
+
+    def quadratic(self, term: QuadraticTerm) -> None:
+        """Add a quadratic term by its rows that are not zero."""
+        rows = np.flatnonzero((term.linear != 0) | (np.diff(term.indptr) > 0))
+        own = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values).take(rows)
+        self.add_linear(rows, term.linear[rows], own.start, own.coordinate, own.value)
 
 
 def _joined(pieces: list[NDArray[Any]], dtype: Any) -> NDArray[Any]:

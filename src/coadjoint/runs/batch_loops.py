@@ -73,7 +73,7 @@ class BatchLoops(Loops):
             for system, found, representation in zip(batch, prepared, representations, strict=True)
         ]
         self.turned = partial(turned_each, self._unshifts) if any(self._unshifts) else plainly
-        self._keep = ([found.keep for found in prepared], [watch.keep for watch in watches])
+        self._prepared, self._keep = prepared, [watch.keep for watch in watches]
         self._first = np.cumsum([0] + [len(group.members) for group in self.groups])
         self.names = ["energy", *names]
         self.size, self.memory = batch.dim, max(found.memory for found in prepared)
@@ -86,6 +86,10 @@ class BatchLoops(Loops):
                 crews.append(Crew(group.loop, group.tables, group.watch, *places, group.stride, first))
         size = CREWS_IN_A_ROUND * workers
         return [crews[a : a + size] for a in range(0, len(crews), size)]
+
+    def raised(self) -> BaseException | None:
+        """Return what a function of the user raised in the loop of any member."""
+        return next((error for found in self._prepared if (error := found.raised())), None)
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
         """Return whether those of any member might be no numbers."""

@@ -54,8 +54,6 @@ class Loops(ABC):
     turned : callable
         ``turned(start, times, results, points)`` returns the group elements (points, members, d, d) of the run from
         those that the loops left; it does not hold the tables of the loops.
-    raised : callable
-        ``raised()`` returns what a function of the user raised in a loop, or None.
     """
 
     order: NDArray[np.int64] | None = None
@@ -63,7 +61,6 @@ class Loops(ABC):
     size: int
     memory: int
     turned: Turned
-    raised: Callable[[], BaseException | None]
     _plan: Plan | None = None
 
     def plan(self, members: int, points: int, square: int, workers: int) -> Plan:
@@ -82,6 +79,10 @@ class Loops(ABC):
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
         """Return whether `turned` might give elements that are no numbers, where those of the loops are."""
         return isinstance(self.turned, Unshift) and self.turned.may_overflow(start, times)
+
+    @abstractmethod
+    def raised(self) -> BaseException | None:
+        """Return what a function of the user raised in a loop, once, or None."""
 
     @abstractmethod
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -124,7 +125,7 @@ class SystemLoops(Loops):
         self._shifted = representation is not None and bool(prepared.shift)
         self.turned = Unshift(system, prepared.shift, representation) if self._shifted else plainly
         self._keep = watch.keep
-        self.raised = prepared.raised
+        self._prepared = prepared
         self._block = BLOCK if system.dim <= widest_crowd() else 1
         # As C structures once, not for each plan.
         self._given = prepared.name, pointed(prepared.tables), pointed(watch.tables)
@@ -132,6 +133,10 @@ class SystemLoops(Loops):
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return one round, of a crew for each worker; what the kernels advance side by side stays together."""
         return [[Crew(*self._given, *places) for places in shared_out(0, members, workers, self._block)]]
+
+    def raised(self) -> BaseException | None:
+        """Return what a function of the user raised in the loop."""
+        return self._prepared.raised()
 
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return unit elements for a shifted run (`turned` puts the initial ones before them), else the given ones."""

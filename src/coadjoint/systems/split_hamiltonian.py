@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.given import read_list, read_whole
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.points import point
 from coadjoint.systems.separable import MOST_COORDINATES
-from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+from coadjoint.systems.terms import Term
 from coadjoint.wording import short
 
 
@@ -141,7 +139,7 @@ class SplitHamiltonian:
         result: list[Term] = []
         for number, (chosen, part) in enumerate(zip(self.coordinates, self.pieces, strict=True)):
             where = np.array(chosen, dtype=np.int64)
-            result += [_placed(term, where, self.dim, number) for term in part.terms()]
+            result += [term.placed(where, self.dim, number) for term in part.terms()]
         return tuple(result)
 
     def __repr__(self) -> str:
@@ -149,23 +147,3 @@ class SplitHamiltonian:
         return (
             f"SplitHamiltonian([{', '.join(shown)}])" if len(shown) <= 4 else f"SplitHamiltonian({len(shown)} pieces)"
         )
-
-
-def _placed(term: Term, where: npt.NDArray[np.int64], n: int, piece: int) -> Term:
-    """Return a term in the coordinates `where` as one in all n coordinates."""
-    if isinstance(term, FunctionTerm):
-        return replace(term, coordinates=where[term.coordinates], piece=piece)
-    if isinstance(term, PolynomialTerm):
-        monomials = {}
-        for exponents, coefficient in term.polynomial.monomials.items():
-            placed = [0] * n
-            for i, power in zip(where.tolist(), exponents, strict=True):
-                placed[i] = power
-            monomials[tuple(placed)] = coefficient
-        return PolynomialTerm(Polynomial(monomials), piece)
-    rows, columns = where[term.rows], where[term.indices]
-    order = np.lexsort((columns, rows))
-    indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n))]).astype(np.int64)
-    linear = np.zeros(n)
-    linear[where] = term.linear
-    return QuadraticTerm(indptr, columns[order], term.values[order], linear, term.constant, piece)
