@@ -202,3 +202,24 @@ def test_the_command_says_one_line_and_ends_with_status_2(tmp_path):
         "coadjoint: the command coadjoint needs the package click, which is not installed; "
         'install it with: pip install "coadjoint[cli]"\n'
     )
+
+
+def test_a_step_of_ones_own_is_a_call_of_python_then():
+    code = """
+    import dataclasses, warnings
+    @dataclasses.dataclass(frozen=True)
+    class Euler(co.methods.StepMethod):
+        order, explicit, symmetric = 1, True, False
+        def properties(self, system):
+            return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+        def step(self, system, x, t, h):
+            return x + h * system.vector_field(x, t)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        sol = co.integrate(body, np.array([x0, 2 * x0]), (0.0, 1.0), 0.1, Euler())
+    print(sol.x.shape, len(said))
+    print(said[0].message)
+    """
+    first, second = printed(code)
+    assert first == "(11, 2, 3) 1"
+    assert "steps of Euler are calls of Python" in second and 'pip install "coadjoint[functions]"' in second

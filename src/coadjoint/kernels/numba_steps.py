@@ -20,7 +20,7 @@ import numpy as np
 from numba import carray, types
 from numba.extending import overload_method
 
-from coadjoint.kernels.functions import reason_of
+from coadjoint.kernels.callbacks import reason_of
 from coadjoint.kernels.library import kernels
 
 NUMBERS = types.CPointer(types.float64)

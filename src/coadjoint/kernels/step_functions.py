@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from coadjoint.extras import MissingPackageError, need
+
 Step = Callable[[Any, Any, Any, Any], Any]
 
 # System, state, time, length, new state; 0, or 1 where it raised.
@@ -95,9 +97,11 @@ def _say_once(scheme: type, reason: str) -> None:
 def _compiled(method: Any, system: Any) -> tuple[Any, str]:
     """Return the step compiled by Numba, or None with the reason."""
     try:
-        from coadjoint.kernels.numba_steps import compiled_step
-    except ImportError as error:
+        need("a compiled step", "numba")
+    except MissingPackageError as error:
         return None, str(error)
+    from coadjoint.kernels.numba_steps import compiled_step
+
     names, values = _parameters(method)
     try:
         hash(values)
