@@ -8,7 +8,7 @@ import numpy as np
 
 from coadjoint.kernels import runge_kutta
 from coadjoint.kernels.arrays import Block, Extent, Layout
-from coadjoint.kernels.loop import Crew, Stop
+from coadjoint.kernels.loop import Crew, Stop, remembered
 from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 from coadjoint.kernels.tables import watch_tables
 from coadjoint.kernels.watching import schedule_of
@@ -25,17 +25,17 @@ def begin(systems, method, x0, h, steps, representation=None, fractions=(1.0,)):
     watches = [watch_tables(system, system.casimirs) for system in systems]
     members, n = x0.shape
     d = found[0].tables.group.size
-    remembered = runge_kutta.memory_of(found[0].tables)
-    layout = Layout(Extent(members, 2, n, d * d, 1 + len(systems[0].casimirs), remembered))
-    results, work = Block(layout.results), Block(layout.work)
-    work["momenta"][:], work["groups"][:] = x0, np.eye(d).ravel()
+    memory = remembered(runge_kutta.LOOP, found[0].tables)
+    layout = Layout(Extent(members, 2, n, d * d, 1 + len(systems[0].casimirs), memory))
+    saved, state = Block(layout.saved), Block(layout.state)
+    state["momenta"][:], state["groups"][:] = x0, np.eye(d).ravel()
     tables, watch, stride = found[0].tables, watches[0].tables, 0
     if len(systems) > 1:
         stride = len(systems) + PADDING
         tables = spread([each.tables for each in found])
         watch = spread([each.tables for each in watches])
     crew = Crew(runge_kutta.LOOP, tables, watch, 0, members, stride)
-    return crew, (layout, schedule_of(0.0, h, steps, steps, True)), (results, work), (found, watches)
+    return crew, (layout, schedule_of(0.0, h, steps, steps, True)), (saved, state), (found, watches)
 
 
 def spread(tables):
@@ -53,13 +53,13 @@ def spread(tables):
 
 
 def run(systems, method, x0, h, steps, *, cuts=(), keep=None, **how):
-    """Return the blocks of what is worked with, at the end, and of the results; `keep` is called with the former
-    between calls, and returns what the next call works with.
+    """Return the state at the end and what was saved; `keep` is called with the state between calls, and returns the
+    one that the next call works with.
     """
-    crew, given, (results, work), alive = begin(systems, method, x0, h, steps, **how)
+    crew, given, (saved, state), alive = begin(systems, method, x0, h, steps, **how)
     for k0, k1 in pairwise([0, *cuts, steps]):
-        crew.advance(*given, results, work, k0, k1, Stop())
+        crew.advance(*given, saved, state, k0, k1, Stop())
         if keep is not None:
-            work = keep(work)
+            state = keep(state)
     assert alive
-    return work, results
+    return state, saved

@@ -11,6 +11,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels import loop
+from coadjoint.kernels.description import codes
 
 # A hang guard, far above the fraction of a second that is measured.
 GUARD = 30.0
@@ -109,7 +110,7 @@ def _said(stop):
 
 def test_no_memory_is_said_and_does_not_end_the_process(monkeypatch):
     """A loop that finds no room says so: here the library answers in its place."""
-    monkeypatch.setattr(loop, "_loop", lambda name: lambda *given: loop.NO_MEMORY)
+    monkeypatch.setattr(loop, "_loop", lambda name: lambda *given: codes("Outcome")["NO_MEMORY"])
     with pytest.raises(MemoryError, match="working arrays"):
         co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (0, 1), 0.1)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import coadjoint
-from coadjoint.kernels import library
+from coadjoint.kernels import library, structures
 from coadjoint.kernels.field import GroupField
 
 RUN = """
@@ -67,7 +67,7 @@ INDEX = np.zeros(2, dtype=np.uint32)
 )
 def test_arrays_that_the_kernels_do_not_read(value, was):
     with pytest.raises(TypeError) as refusal:
-        library.pointed(GroupField(1, 2, INDEX, INDEX, INDEX, value))
+        structures.pointed(GroupField(1, 2, INDEX, INDEX, INDEX, value))
     assert str(refusal.value) == f"GroupField.value is {was}, not a contiguous float64"
 
 
@@ -76,7 +76,9 @@ class Unknown(NamedTuple):
 
 
 def test_tables_of_another_version():
-    assert "have no table Unknown: they are of another version" in refusal_of(lambda: library.pointed(Unknown(1)))
+    assert "have no table Unknown: they were built for another version" in refusal_of(
+        lambda: structures.pointed(Unknown(1))
+    )
 
 
 def contents(folder):

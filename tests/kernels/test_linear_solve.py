@@ -8,7 +8,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from coadjoint.kernels.library import address, kernels
+from coadjoint.kernels.library import kernels
+from coadjoint.kernels.structures import address
 
 U = 2.0**-53
 

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.kernels.description import limit
+from coadjoint.kernels.structures import varied_fields
 from coadjoint.kernels.tables import watch_tables
-from coadjoint.kernels.varied_tables import BLOCK, CALLED, VARIED, stacked, structure_of
+from coadjoint.kernels.varied_tables import stacked, structure_of
 from coadjoint.runs.batch_loops import groups_of
 
 METHODS = [
@@ -36,8 +38,7 @@ def picked(varied, member):
     def own(name, item):
         if isinstance(item, tuple):
             return picked(item, member)
-        kind = VARIED if isinstance(item, np.ndarray) and item.dtype == np.float64 else CALLED
-        return item[:, member].copy() if isinstance(item, np.ndarray) and name in kind and item.ndim == 2 else item
+        return item[:, member].copy() if name in varied_fields(type(varied)) else item
 
     return varied._replace(**{name: own(name, item) for name, item in zip(varied._fields, varied, strict=True)})
 
@@ -65,9 +66,9 @@ def test_picking_from_a_stack_gives_the_tables_of_the_member(method, group):
             assert one.dtype == other.dtype and one.tobytes() == other.tobytes()
             assert other.flags.c_contiguous and other.flags.writeable
             if varies(one, stack):
-                assert stack.shape == (*one.shape, BLOCK) and stack.flags.c_contiguous
+                assert stack.shape == (*one.shape, limit("BLOCK")) and stack.flags.c_contiguous
                 assert np.array_equal(
-                    stack[:, len(tables) :], np.repeat(stack[:, [len(tables) - 1]], BLOCK - 3, axis=1)
+                    stack[:, len(tables) :], np.repeat(stack[:, [len(tables) - 1]], limit("BLOCK") - 3, axis=1)
                 )
                 differing += not np.array_equal(one, stack[..., 0])
     assert differing > 0

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.library import address, kernels
+from coadjoint.kernels.library import kernels
+from coadjoint.kernels.structures import address
 from coadjoint.program.reading import Reading
 from coadjoint.program.table import build_program
 

@@ -481,7 +481,7 @@ def test_members_of_a_batch_that_are_sought_alone(method):
         assert np.array_equal(alone.x, together.x[:, m]) and np.array_equal(alone.energy, together.energy[:, m])
     # Implicit schemes remember first for how many steps they still take Newton's method.
     runs = [short_run(s, method, x0[None], 0.0, 6 * STEP, 6) for s, x0 in zip(systems, states, strict=True)]
-    assert not newton or any(run.work["memory"][0, 0] > 0.0 for run in runs)
+    assert not newton or any(run.state["memory"][0, 0] > 0.0 for run in runs)
 
 
 PERMUTED = [

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from coadjoint.choosing.pilot import Pilot, Trial
+from coadjoint.kernels.description import limit
 from coadjoint.methods.base import Method
-from coadjoint.methods.work import CROWD, WIDEST_CROWD, Work, newton_work
+from coadjoint.methods.work import CROWD, Work, newton_work
 from coadjoint.runs.start import start_of
 from coadjoint.systems.kinds import System
 
@@ -109,6 +110,6 @@ def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, 
 def _candidate(system: System, method: Method, x0: Any, attitude: Any, free: bool) -> Candidate:
     start = start_of(system, method, x0, attitude)
     method.properties(system)
-    crowd = len(start.momenta) >= CROWD and system.dim <= WIDEST_CROWD
+    crowd = len(start.momenta) >= CROWD and system.dim <= limit("WIDEST")
     group = start.representation
     return Candidate(system, method, method.work(system, group), group, free, crowd)

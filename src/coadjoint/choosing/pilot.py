@@ -88,8 +88,8 @@ class Pilot:
         self.size = np.where(found > 0.0, found, 1.0)
         # One change may be small by chance: another number of steps shows rounding once more.
         again = self.run(REFERENCE, self.reference_steps + self.points)
-        if not np.any(again.results["status"]):
-            change = np.maximum(change, np.max(np.linalg.norm(again.results["x"] - self.reference, axis=2), axis=0))
+        if not np.any(again.state["status"]):
+            change = np.maximum(change, np.max(np.linalg.norm(again.saved["x"] - self.reference, axis=2), axis=0))
         self.noise = float(np.max(change / self.size))
         self.sensitivity = self._sensitivity()
         self.speed = self._speed()
@@ -128,12 +128,12 @@ class Pilot:
         Trial or None
         """
         run = self.run(method, steps)
-        if np.any(run.results["status"]):
+        if np.any(run.state["status"]):
             return None
         count = steps * len(self.momenta)
-        iterations, evaluations = int(run.results["iterations"].sum()), int(run.results["evaluations"].sum())
-        newton = method.took_newton(run.work["memory"])
-        return Trial(steps, self._growth(run.results["x"]), iterations / count, evaluations / count, newton)
+        iterations, evaluations = int(run.state["iterations"].sum()), int(run.state["evaluations"].sum())
+        newton = method.took_newton(run.state["memory"])
+        return Trial(steps, self._growth(run.saved["x"]), iterations / count, evaluations / count, newton)
 
     def _growth(self, found: NDArray[np.float64]) -> Growth:
         """Compare states, saved at evenly spaced points of the window, with the reference."""
@@ -158,9 +158,9 @@ class Pilot:
         for _ in range(64):
             signed = math.copysign(h, self.span)
             one, two = (short_run(self.system, REFERENCE, self.momenta, self.t0, signed, n) for n in (1, 2))
-            if not (np.any(one.results["status"]) or np.any(two.results["status"])):
-                size = np.max(np.linalg.norm(two.results["x"], axis=2), axis=0)
-                if np.all(np.linalg.norm(one.results["x"][-1] - two.results["x"][-1], axis=1) <= SETTLED * size):
+            if not (np.any(one.state["status"]) or np.any(two.state["status"])):
+                size = np.max(np.linalg.norm(two.saved["x"], axis=2), axis=0)
+                if np.all(np.linalg.norm(one.saved["x"][-1] - two.saved["x"][-1], axis=1) <= SETTLED * size):
                     return h
             h /= 2
         raise ValueError(f"no step is small enough for {self.system.name} at x0: its pilot run fails at the first step")
@@ -172,25 +172,25 @@ class Pilot:
         failed: Run | None = None
         for steps in (fewest * 2**k for k in range(REFINEMENTS)):
             run = self.run(REFERENCE, steps)
-            if np.any(run.results["status"]):
+            if np.any(run.state["status"]):
                 failed, last = run, None
                 continue
             if last is not None:
-                size = np.max(np.linalg.norm(run.results["x"], axis=2), axis=0)
-                moved = np.max(np.linalg.norm(run.results["x"] - last, axis=2), axis=0)
+                size = np.max(np.linalg.norm(run.saved["x"], axis=2), axis=0)
+                moved = np.max(np.linalg.norm(run.saved["x"] - last, axis=2), axis=0)
                 stalled = stalled + 1 if change is not None and not np.any(moved < change / 16) else 0
                 # Large changes that do not fall yet may do so with smaller steps; or the motion is chaotic.
                 done = stalled >= (1 if np.all(moved <= NOT_YET * size) else PATIENCE)
                 if done or np.all(moved <= 64 * UNIT_ROUNDOFF * size):
-                    return run.results["x"], steps, np.maximum(moved, UNIT_ROUNDOFF * size)
+                    return run.saved["x"], steps, np.maximum(moved, UNIT_ROUNDOFF * size)
                 change = moved
-            last = run.results["x"]
+            last = run.saved["x"]
         raise ValueError(self._lost(failed))
 
     def _lost(self, failed: Run | None) -> str:
         if failed is None:
             return f"the motion of {self.system.name} from x0 is too rough: its pilot run does not settle at any step"
-        step = int(np.max(failed.results["step"][failed.results["status"] != 0]))
+        step = int(np.max(failed.state["step"][failed.state["status"] != 0]))
         when = self.t0 + step * failed.times.h
         return (
             f"the motion of {self.system.name} from x0 cannot be followed over t_span: its pilot run fails near "
@@ -202,7 +202,7 @@ class Pilot:
         direction = np.random.default_rng(SEED).standard_normal(self.momenta.shape)
         direction *= NUDGE * (self.size / np.linalg.norm(direction, axis=1))[:, np.newaxis]
         run = self.run(REFERENCE, self.reference_steps, self.momenta + direction)
-        grown = None if np.any(run.results["status"]) else self._growth(run.results["x"])
+        grown = None if np.any(run.state["status"]) else self._growth(run.saved["x"])
         if grown is None or grown.whole > LOST:
             # Beyond the size of the motion nothing grows, and what has reached it says nothing of what follows.
             return Growth(math.sqrt(NUDGE), 1.0, 1.0 / NUDGE)

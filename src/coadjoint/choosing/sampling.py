@@ -47,8 +47,8 @@ def sample_of(system: System, momenta: NDArray[np.float64], t0: float, span: flo
     fastest = float(np.max(rates[np.isfinite(rates)], initial=0.0))
     time = abs(span) if fastest == 0.0 else min(abs(span), STEPS / FINENESS / fastest)
     ends = [short_run(system, SCREEN, crowd, t0, np.copysign(time, span), n) for n in (STEPS, 2 * STEPS)]
-    failed = (ends[0].results["status"] != 0) | (ends[1].results["status"] != 0)
-    apart = np.max(np.linalg.norm(ends[0].results["x"][1:] - ends[1].results["x"][2::2], axis=2), axis=0)
+    failed = (ends[0].state["status"] != 0) | (ends[1].state["status"] != 0)
+    apart = np.max(np.linalg.norm(ends[0].saved["x"][1:] - ends[1].saved["x"][2::2], axis=2), axis=0)
     errors = np.where(failed | ~np.isfinite(rates), np.inf, apart / np.where(sizes > 0.0, sizes, 1.0))
     worst = looked_at[np.argsort(-errors, kind="stable")[: SAMPLE - 1]]
     return momenta[np.unique(np.concatenate([[0], worst]))]

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     from coadjoint.runs.solution import Solution
 
-TENTHS = 10
 NEEDED = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
 
 
@@ -91,7 +90,7 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
         "time": solution.t,
         "component": list(basis),
         "invariant": list(drifts),
-        "tenth": np.arange(1, TENTHS + 1),
+        "tenth": np.arange(1, tenths.shape[-1] + 1),
     }
     return xarray.Dataset(variables, coordinates, _attributes(solution))
 

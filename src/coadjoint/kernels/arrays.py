@@ -10,12 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.library import pointed
-
-TENTHS = 10
-WHOLE = frozenset(("status", "step", "evaluations", "iterations"))
-"""The arrays of whole numbers; all others are of float64."""
-
+from coadjoint.kernels.description import described
+from coadjoint.kernels.structures import ARRAYS, pointed
 
 # The first number of a contiguous array that can be written to; twenty times quicker than its `ctypes`.
 number_at: Any = ctypes.c_double.from_buffer
@@ -35,10 +31,18 @@ class Extent(NamedTuple):
 
 
 class Places:
-    """Where arrays stand in a block, one after the other."""
+    """Where arrays of numbers of eight bytes stand in a block, one after the other.
 
-    def __init__(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        self.shapes = shapes
+    Parameters
+    ----------
+    shapes : mapping
+        Name -> shape.
+    types : mapping
+        Name -> type of the numbers.
+    """
+
+    def __init__(self, shapes: Mapping[str, tuple[int, ...]], types: Mapping[str, Any]) -> None:
+        self.shapes, self.types = shapes, types
         self.slices: dict[str, slice] = {}
         self.size = 0
         for name, shape in shapes.items():
@@ -57,12 +61,19 @@ class Block:
         self.address = ctypes.byref(number_at(self.numbers))
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        found = self.numbers[self.places.slices[name]]
-        return (found.view(np.int64) if name in WHOLE else found).reshape(self.places.shapes[name])
+        places = self.places
+        return self.numbers[places.slices[name]].view(places.types[name]).reshape(places.shapes[name])
 
     def place_of(self, name: str) -> int:
         """Return where an array stands in memory."""
         return ctypes.addressof(number_at(self.numbers)) + 8 * self.places.slices[name].start
+
+    def take(self, members: NDArray[np.int64], axis: int) -> Block:
+        """Return another block with these members in their order, along an axis that all arrays have."""
+        other = Block(self.places)
+        for name in self.places.shapes:
+            self[name].take(members, axis=axis, out=other[name])
+        return other
 
     def copy(self) -> Block:
         """Return another block with the same numbers."""
@@ -72,40 +83,30 @@ class Block:
 
 
 class Layout:
-    """The blocks of a run, in the order of `source/boundary/arrays.hpp`.
+    """The two blocks of a run, in the order, types and shapes that the library describes.
 
-    Of what is left, the `results`: `x` (K, M, n); `group` (K, M, d*d), transposed matrices; `values` (K, M, I), of the
-    invariants; `worst` (M, 10, I), the largest deviation in each tenth of the run; and of every member how it fares,
-    (M,): `status`, the `step` that failed, the `residual` of its last iteration, and the work done, `evaluations`
-    (elementary flows of a program, or evaluations of the vector field) and `iterations`.
+    What is `saved`, at K points: `x` (K, M, n); `group` (K, M, d*d), transposed matrices; `values` (K, M, I), of the
+    invariants.
 
-    Of what is worked with, `work`: `first` and `last` (M, I), the values of the invariants at the start and at the step
-    before; `momenta` (M, n) and `groups` (M, d*d), each followed by what compensated sums owe, `errors` and
-    `group_errors`; and the `memory` (M, remembered) of a scheme.
+    The `state`, what a run is between two steps: `momenta` (M, n) and `groups` (M, d*d), each with what compensated
+    sums owe, `errors` and `group_errors`; the `memory` (M, remembered) of a scheme; `first` and `last` (M, I), the
+    values of the invariants at the start and at the step before; `worst` (M, 10, I), their largest deviation in each
+    tenth of the run; and of every member how it fares, (M,): `status`, the `step` that failed, the `residual` of its
+    last iteration, and the work done, `evaluations` (elementary flows of a program, or evaluations of the vector field)
+    and `iterations`.
     """
 
     def __init__(self, extent: Extent) -> None:
-        members, points, size, square, invariants, remembered = extent
+        self.extent = extent
         self.table = pointed(extent)
         self.address = ctypes.byref(self.table)
-        self.results = Places(
-            {
-                "x": (points, members, size),
-                "group": (points, members, square),
-                "values": (points, members, invariants),
-                "worst": (members, TENTHS, invariants),
-                "residual": (members,),
-                **dict.fromkeys(("status", "step", "evaluations", "iterations"), (members,)),
-            }
-        )
-        self.work = Places(
-            {
-                "first": (members, invariants),
-                "last": (members, invariants),
-                "momenta": (members, size),
-                "errors": (members, size),
-                "groups": (members, square),
-                "group_errors": (members, square),
-                "memory": (members, remembered),
-            }
+        self.saved, self.state = self._places("saved"), self._places("state")
+
+    def _places(self, block: str) -> Places:
+        description = described()
+        sizes = {**description.codes["Limit"], **self.extent._asdict()}
+        arrays = description.arrays[block]
+        return Places(
+            {name: tuple(sizes[axis] for axis in array.axes) for name, array in arrays.items()},
+            {name: ARRAYS[array.kind] for name, array in arrays.items()},
         )

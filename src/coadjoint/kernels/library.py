@@ -1,4 +1,4 @@
-"""The compiled kernels: found for this processor, and handed tables as C structures."""
+"""The compiled kernels, found for this processor."""
 
 from __future__ import annotations
 
@@ -8,21 +8,8 @@ import importlib.machinery
 import os
 import platform
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from coadjoint.wording import short
-
-# What a field is, by its type in `source/boundary/tables.hpp`: a number, or the elements of an array.
-SCALARS: dict[str, Any] = {"integer": ctypes.c_int64, "number": ctypes.c_double, "flag": ctypes.c_int64}
-ARRAYS: dict[str, Any] = {
-    "bytes": np.dtype(np.uint8),
-    "indices": np.dtype(np.uint32),
-    "integers": np.dtype(np.int64),
-    "numbers": np.dtype(np.float64),
-}
-
 
 # Levels of the x86-64 instructions that the kernels are built for: AVX-512, AVX2, and what every processor has.
 LEVELS = (4, 3, 1)
@@ -86,69 +73,3 @@ def listening_kernels() -> ctypes.PyDLL:
     heard = python.PyEval_SaveThread, python.PyEval_RestoreThread, python.PyErr_CheckSignals
     library.listen(*(ctypes.cast(function, ctypes.c_void_p) for function in heard))
     return ctypes.PyDLL(library._name, handle=library._handle)
-
-
-@functools.cache
-def structures() -> dict[str, Any]:
-    """Return the C structures of the tables by name, as the library itself describes them."""
-    found: dict[str, Any] = {}
-    for line in "".join(_described(name) for name in ("table_fields", "unshift_fields")).splitlines():
-        name, _, fields = line.partition(":")
-        pairs = [field.split(" ") for field in fields.split(";") if field]
-        members = [
-            (label, SCALARS.get(kind) or (ctypes.c_void_p if kind in ARRAYS else found[kind])) for kind, label in pairs
-        ]
-        found[name] = type(name, (ctypes.Structure,), {"_fields_": members, "kinds": [kind for kind, _ in pairs]})
-    return found
-
-
-def _described(name: str) -> str:
-    describe = getattr(kernels(), name)
-    describe.restype = ctypes.c_char_p
-    return str(describe().decode())
-
-
-def pointed(table: Any) -> Any:
-    """Return a table as the C structure of its name; it keeps the arrays alive.
-
-    Parameters
-    ----------
-    table : NamedTuple
-        Its fields are read by name; arrays must be C-contiguous and of the type that the kernels read.
-
-    Returns
-    -------
-    ctypes.Structure
-        The same, if it is given one.
-
-    Raises
-    ------
-    TypeError
-        An array has another type or layout.
-    ImportError
-        The library has no such table.
-    """
-    if isinstance(table, ctypes.Structure):
-        return table
-    name = type(table).__name__
-    kind = structures().get(name)
-    if kind is None:
-        raise ImportError(f"the compiled kernels have no table {name}: they are of another version, build them again")
-    filled = kind()
-    for field, token in zip((field for field, _ in kind._fields_), kind.kinds, strict=True):
-        value = getattr(table, field)
-        if token in SCALARS:
-            setattr(filled, field, value)
-        elif token in ARRAYS:
-            if value.dtype != ARRAYS[token] or not value.flags.c_contiguous:
-                raise TypeError(f"{name}.{field} is {value.dtype}, not a contiguous {ARRAYS[token]}")
-            setattr(filled, field, value.ctypes.data)
-        else:
-            setattr(filled, field, pointed(value))
-    filled.source = table
-    return filled
-
-
-def address(array: Any) -> ctypes.c_void_p:
-    """Return where the elements of a contiguous array begin."""
-    return ctypes.c_void_p(array.ctypes.data)

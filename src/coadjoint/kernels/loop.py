@@ -11,13 +11,13 @@ import numpy as np
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.kernels.arrays import Block, Layout
-from coadjoint.kernels.library import kernels, listening_kernels, pointed
+from coadjoint.kernels.description import codes
+from coadjoint.kernels.library import kernels, listening_kernels
+from coadjoint.kernels.structures import pointed
 
-# Tables, watch, members, first, last, stride; extent, schedule, results, work, k0, k1, stop.
+# Tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop.
 ARGUMENTS = [ctypes.c_void_p] * 3 + [ctypes.c_int64] * 3 + [ctypes.c_void_p] * 4 + [ctypes.c_int64] * 2
 ARGUMENTS += [ctypes.c_void_p]
-# What a loop returns in place of a count, as in `source/boundary/crew.hpp`; any other such number: interrupted.
-NO_MEMORY = -2
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Crew:
         places = members.ctypes.data, first - base, last - base, stride
         self._advance = partial(_loop(loop), *map(ctypes.byref, given), *places)
 
-    def advance(self, layout: Layout, schedule: Any, results: Block, work: Block, k0: int, k1: int, stop: Stop) -> int:
+    def advance(self, layout: Layout, schedule: Any, saved: Block, state: Block, k0: int, k1: int, stop: Stop) -> int:
         """Take the steps k0 + 1 to k1 of the `pointed` schedule; where k0 is 0 the start is saved first.
 
         Signals are heard meanwhile in the main thread, some times a second; what their handlers raise comes from here.
@@ -108,10 +108,10 @@ class Crew:
         MemoryError
             There is none for what the loop works with.
         """
-        wrong = self._advance(layout.address, schedule, results.address, work.address, k0, k1, stop.address)
+        wrong = self._advance(layout.address, schedule, saved.address, state.address, k0, k1, stop.address)
         if wrong >= 0:
             return wrong
-        if wrong == NO_MEMORY:
+        if wrong == codes("Outcome")["NO_MEMORY"]:
             raise MemoryError("there is no memory for the working arrays of the loop")
         raise KeyboardInterrupt
 
@@ -123,6 +123,23 @@ def _loop(name: str) -> Any:
     return found
 
 
-def widest_crowd() -> int:
-    """Return the dimension up to which the loops advance members side by side."""
-    return int(kernels().widest_crowd())
+def remembered(loop: str, tables: Any) -> int:
+    """Return how many numbers a member remembers from step to step.
+
+    Parameters
+    ----------
+    loop : str
+        The name of the loop in the library.
+    tables : NamedTuple
+        Tables of the scheme.
+
+    Returns
+    -------
+    int
+    """
+    ask, table = getattr(kernels(), f"{loop}_remembers"), pointed(tables)
+    ask.restype = ctypes.c_int64
+    count = int(ask(ctypes.byref(table)))
+    if count < 0:
+        raise MemoryError("there is no memory to lay out the steps of the loop")
+    return count

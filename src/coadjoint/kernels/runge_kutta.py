@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.field import Field, GroupField
 
-EXPLICIT, ITERATED, IMPLICIT, STRUCTURE, GRADIENT = range(5)
-
 
 class RungeKuttaTables(NamedTuple):
     """The arrays of a Runge-Kutta method on a system.
@@ -42,15 +40,6 @@ class RungeKuttaTables(NamedTuple):
     position: NDArray[np.uint32]
     fraction: NDArray[np.float64]
     moment: NDArray[np.float64]
-
-
-def memory_of(tables: RungeKuttaTables) -> int:
-    """Return how many numbers a member remembers from step to step: for how many steps it still begins with Newton's
-    method, how many iterations of each substep need no test, and the slopes of an implicit step. They begin as NaN,
-    which no step starts from.
-    """
-    size = tables.field.size + tables.group.size**2
-    return 1 + tables.substeps + tables.stages * size if tables.solver == IMPLICIT else 0
 
 
 LOOP = "runge_kutta_advance"

@@ -9,20 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.couplings import NO_BAND, narrow_band
+from coadjoint.kernels.description import codes, limit
 from coadjoint.kernels.field_tables import field_of, group_of, substeps
-from coadjoint.kernels.runge_kutta import EXPLICIT, GRADIENT, IMPLICIT, ITERATED, STRUCTURE, RungeKuttaTables
+from coadjoint.kernels.runge_kutta import RungeKuttaTables
 from coadjoint.kernels.tables import Compiled
 from coadjoint.systems.kinds import System
-
-SOLVERS = {
-    "explicit": EXPLICIT,
-    "iterated": ITERATED,
-    "implicit": IMPLICIT,
-    "structure": STRUCTURE,
-    "gradient": GRADIENT,
-}
-LARGEST_DIRECT = 160  # unknowns: above, iterating costs less than LU factors, and their square is not stored
-LARGEST_DENSE = 200  # unknowns of Newton's method by a dense matrix, as `runge_kutta.hpp` has it
 
 
 class Tableau(Protocol):
@@ -72,13 +63,13 @@ def runge_kutta_tables(
     field, keep = field_of(system)
     group = group_of(system, representation)
     node, scale, mix, out = method.coefficients()
-    solver = SOLVERS[method.solver]
-    direct = solver in (STRUCTURE, GRADIENT) and node.size * max(system.dim, group.size) <= LARGEST_DIRECT
+    linear, implicit = method.solver in ("structure", "gradient"), method.solver == "implicit"
+    direct = linear and node.size * max(system.dim, group.size) <= limit("LARGEST_DIRECT")
     dense = np.zeros((0, 0))
-    if direct and solver == STRUCTURE:
+    if direct and method.solver == "structure":
         dense = np.asarray(system.hamiltonian.hessian(np.zeros(system.dim)), dtype=np.float64)
-    most = LARGEST_DENSE if solver == IMPLICIT else LARGEST_DIRECT
-    large = solver in (STRUCTURE, GRADIENT, IMPLICIT) and not direct and node.size * system.dim > most
+    most = limit("LARGEST_DENSE" if implicit else "LARGEST_DIRECT")
+    large = (linear or implicit) and not direct and node.size * system.dim > most
     band, position = narrow_band(system, node.size, method.solver) if large else NO_BAND
     fraction, moment = substeps(fractions)
     tables = RungeKuttaTables(
@@ -86,7 +77,7 @@ def runge_kutta_tables(
         group,
         node.size,
         len(fractions),
-        solver,
+        codes("Solver")[method.solver.upper()],
         method.function_iterations,
         direct,
         _flat(node),

@@ -12,9 +12,6 @@ from coadjoint.kernels.field import Field, GroupField
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.watching import Watch
 
-UNDEFINED = 3
-"""Status of a step that its scheme does not define; the scheme's `failures` says why."""
-
 
 class StepTables(NamedTuple):
     """What a step reads: the field, the compiled values of the terms of H, the group equation, the invariants that it
@@ -67,11 +64,6 @@ def step_address(step: Any) -> int:
             f"the kernels have no step {step!r}; its C++ file must stand beside the scheme when they are built"
         ) from error
     return ctypes.cast(found, ctypes.c_void_p).value or 0
-
-
-def memory_of(tables: Stepping) -> int:
-    """Return how many numbers a member remembers from step to step: of what is restored, the values and how exactly."""
-    return 2 * int(tables.tables.kept.size)
 
 
 LOOP = "stepping_advance"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.logarithmic import LogarithmicInvariant
+from coadjoint.kernels.description import limit
 from coadjoint.kernels.flow import FlowTables
 from coadjoint.kernels.functions import CompiledFunction, Kept, TabledFunction
 from coadjoint.kernels.watching import Watch
@@ -22,8 +23,6 @@ from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.terms import FunctionTerm
 from coadjoint.systems.user_functions import takes_time
 
-RATIONAL = 8
-"""Added to the kind of a rotation by tan(angle/2) := half the angle: the same block, with another sine and cosine."""
 
 
 class Compiled(NamedTuple):
@@ -130,11 +129,11 @@ def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
 
 
 def _marked(action: Action, rational: NDArray[np.bool_]) -> Action:
-    """Mark the rotations of some parts as rational."""
+    """Mark the rotations of some parts, by tan(angle/2) := half the angle, as rational."""
     kind = action.kind.copy()
     for part in np.flatnonzero(rational):
         own = kind[action.run[part] : action.run[part + 1]]
-        own[(own == Kind.ROTATE) | (own == Kind.CUBIC)] += RATIONAL
+        own[(own == Kind.ROTATE) | (own == Kind.CUBIC)] += limit("RATIONAL")
     return action._replace(kind=kind)
 
 

@@ -4,24 +4,43 @@ from __future__ import annotations
 
 import ctypes
 import struct
+from collections.abc import Callable
 from ctypes import addressof
 from functools import cache
+from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import number_at
-from coadjoint.kernels.library import kernels, pointed, structures
+from coadjoint.kernels.library import kernels
+from coadjoint.kernels.structures import pointed, structure_of_table
 from coadjoint.program.unshift import UnshiftTables
 
 # Products of numbers in one call: between two of them the interpreter hears an interrupt.
 MOST_PRODUCTS = 2e7
-UNSHIFTED = (
-    *("momenta", "initial", "held", "out"),
-    *("members", "first", "last", "k0", "k1"),
-    *("h", "rate", "save_every", "steps"),
-)
-"""The fields of the table `Unshifted`, in the order in which they are given."""
+
+
+class Unshifted(NamedTuple):
+    """What of a run is turned: addresses of its arrays, of `members` members, and which members and points are meant.
+
+    Point k is after min(k save_every, steps) steps of length h; X acts `rate` times as fast.
+    """
+
+    momenta: int
+    initial: int
+    held: int
+    out: int
+    members: int
+    first: int
+    last: int
+    k0: int
+    k1: int
+    h: float
+    rate: float
+    save_every: int
+    steps: int
 
 
 class Unshifting:
@@ -42,7 +61,7 @@ class Unshifting:
 
     def __init__(self, tables: UnshiftTables, rate: float) -> None:
         self._keep, self._rate = pointed(tables), rate
-        self._address, self._packed = ctypes.byref(self._keep), _packing().pack
+        self._address, self._packed = ctypes.byref(self._keep), _packing()
         self._unshift = kernels().unshift
         # No X is larger than that times the largest component of the momentum.
         self.most = abs(rate) * float(np.sum(np.abs(tables.weight)))
@@ -85,14 +104,14 @@ class Unshifting:
         for k in range(0, points, size):
             stop = min(k + size, points)
             # The table as plain bytes: a tenth of the time that a structure takes.
-            numbers = members, first, last, k, stop, h, self._rate, save_every, steps
-            self._unshift(self._address, self._packed(x0, g0, held, whole, *numbers))
+            numbers = x0, g0, held, whole, members, first, last, k, stop, h, self._rate, save_every, steps
+            self._unshift(self._address, self._packed(Unshifted(*numbers)))
 
 
 @cache
-def _packing() -> struct.Struct:
-    """Return how the table `Unshifted` is laid out: numbers of eight bytes all."""
-    kind = structures()["Unshifted"]
-    if tuple(name for name, _ in kind._fields_) != UNSHIFTED:
-        raise ImportError("the compiled kernels have another table Unshifted: they are of another version, build again")
-    return struct.Struct("=" + "".join("d" if token == "number" else "q" for token in kind.kinds))
+def _packing() -> Callable[[Unshifted], bytes]:
+    """Return what lays out the table `Unshifted`: numbers of eight bytes all."""
+    kind = structure_of_table(Unshifted)
+    in_order = itemgetter(*(Unshifted._fields.index(name) for name, _ in kind._fields_))
+    pack = struct.Struct("=" + "".join("d" if token == "number" else "q" for token in kind.kinds)).pack
+    return lambda numbers: pack(*in_order(numbers))

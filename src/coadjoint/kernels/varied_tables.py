@@ -7,24 +7,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from coadjoint.kernels.description import limit
+from coadjoint.kernels.structures import varied_fields
+
 Tables = TypeVar("Tables", bound=tuple[Any, ...])
 
-# The float64 arrays that the kernels read by member; steps and coefficients of a scheme are not among them.
-VARIED = frozenset(
-    ("offset", "weight", "coefficient", "constants", "frequency", "constant", "period", "value", "quadratic")
-)
-# The arrays of addresses of compiled functions, which differ by member as well.
-CALLED = frozenset(("addresses", "structure", "values"))
-BLOCK = 32
-"""The most members that the kernels advance as lanes on any processor. Crews begin at multiples of it, and the columns
-of a stack are a multiple of it, the last one repeated, so that lanes may read beyond the last member.
-"""
 
-
-def _varies(name: str, item: Any) -> bool:
-    if not isinstance(item, np.ndarray):
-        return False
-    return (name in VARIED and item.dtype == np.float64) or (name in CALLED and item.dtype == np.int64)
+def _varies(tables: Any, name: str) -> bool:
+    kind: Any = type(tables)
+    return hasattr(kind, "_fields") and name in varied_fields(kind)
 
 
 def _fields(tables: Any) -> Sequence[str]:
@@ -34,8 +25,8 @@ def _fields(tables: Any) -> Sequence[str]:
 def structure_of(tables: Any) -> Hashable:
     """Return everything in tables but their constants: two members with equal structure can share one set of tables.
 
-    Constants are the float64 arrays of a name in `VARIED` and the addresses of functions; of those the shape and which
-    addresses are zero is structure.
+    Constants are the arrays that the kernels call `constants`, and the `addresses` of functions; of those the shape and
+    which addresses are zero is structure.
 
     Parameters
     ----------
@@ -59,7 +50,7 @@ def structure_of(tables: Any) -> Hashable:
         return tables.dtype.char, tables.shape, tables.tobytes()
     if isinstance(tables, tuple):
         items = zip(_fields(tables), tables, strict=True)
-        return type(tables), *(_shape_of(item) if _varies(name, item) else structure_of(item) for name, item in items)
+        return type(tables), *(_shape_of(item) if _varies(tables, name) else structure_of(item) for name, item in items)
     found: Hashable = tables
     return found
 
@@ -80,7 +71,8 @@ def stacked(members: Sequence[Tables]) -> Tables:
     -------
     NamedTuple
         The integers and functions of the first member; every array of constants (count,) has become (count, columns),
-        C-contiguous, a column for each member and the last one repeated up to a multiple of `BLOCK`.
+        C-contiguous, a column for each member and the last one repeated up to a multiple of the limit BLOCK: lanes may
+        read beyond the last member.
 
     Examples
     --------
@@ -92,14 +84,14 @@ def stacked(members: Sequence[Tables]) -> Tables:
     """
     first = members[0]
     columns = zip(_fields(first), first, zip(*members, strict=True), strict=True)
-    return _remade(first, [_stacked_column(name, item, column) for name, item, column in columns])
+    return _remade(first, [_stacked_column(first, name, item, column) for name, item, column in columns])
 
 
-def _stacked_column(name: str, item: Any, column: Sequence[Any]) -> Any:
+def _stacked_column(tables: Any, name: str, item: Any, column: Sequence[Any]) -> Any:
     if isinstance(item, tuple):
         return stacked(column)
-    if _varies(name, item):
-        beyond = -len(column) % BLOCK
+    if _varies(tables, name):
+        beyond = -len(column) % limit("BLOCK")
         return np.ascontiguousarray(np.pad(np.array(column), ((0, beyond), (0, 0)), mode="edge").T)
     return item
 

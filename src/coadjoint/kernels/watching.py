@@ -8,10 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.library import address, kernels, pointed, structures
+from coadjoint.kernels.library import kernels
+from coadjoint.kernels.structures import address, pointed, structures
 from coadjoint.program.terms import Terms
-
-DONE, NOT_CONVERGED, OVERFLOW = 0, 1, 2
 
 
 class Watch(NamedTuple):

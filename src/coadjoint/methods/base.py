@@ -57,8 +57,8 @@ class Method(ABC):
     to this protocol.
     """
 
-    failures: ClassVar[Mapping[int, str]] = {}
-    """What statuses of a step other than the common ones (no convergence, overflow) mean, for messages."""
+    failures: ClassVar[Mapping[str, str]] = {}
+    """What statuses of a step, by name, mean other than the common ones (no convergence, overflow), for messages."""
 
     largest: ClassVar[float] = np.inf
     """The dimension up to which the scheme is considered where none was asked for."""

@@ -6,7 +6,6 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from coadjoint.kernels.stepping import UNDEFINED as UNDEFINED
 from coadjoint.methods.base import Representation
 from coadjoint.methods.stepped import SteppedMethod
 from coadjoint.systems.kinds import System
@@ -56,11 +55,11 @@ class CompiledStepMethod(SteppedMethod):
     ) -> CompiledLoop:
         """Return the loop over steps of this kind."""
         from coadjoint.kernels import stepping
-        from coadjoint.kernels.loop import CompiledLoop
+        from coadjoint.kernels.loop import CompiledLoop, remembered
         from coadjoint.kernels.step_tables import step_tables
 
         found = step_tables(system, self, representation, fractions)
-        return CompiledLoop(stepping.LOOP, found.tables, found.keep, memory=stepping.memory_of(found.tables))
+        return CompiledLoop(stepping.LOOP, found.tables, found.keep, memory=remembered(stepping.LOOP, found.tables))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of what a step does, or of its iterations."""

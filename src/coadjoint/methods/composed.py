@@ -28,7 +28,7 @@ class Composed(Method):
     coefficients: tuple[float, ...]
 
     @property
-    def failures(self) -> Mapping[int, str]:  # type: ignore[override]
+    def failures(self) -> Mapping[str, str]:  # type: ignore[override]
         """Those of the base."""
         return self.base.failures
 

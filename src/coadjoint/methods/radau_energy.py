@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Properties
-from coadjoint.methods.compiled_step import UNDEFINED, CompiledStepMethod
+from coadjoint.methods.compiled_step import CompiledStepMethod
 from coadjoint.methods.gauss_coefficients import radau
 from coadjoint.methods.gauss_legendre import stages_given
 from coadjoint.methods.solvers import settle
@@ -60,7 +60,7 @@ class RadauEnergy(CompiledStepMethod):
 
     explicit = False
     symmetric = False
-    failures: ClassVar[Mapping[int, str]] = {UNDEFINED: NO_MULTIPLIER}
+    failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": NO_MULTIPLIER}
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stages", stages_given(self.stages, "stages of RadauEnergy"))

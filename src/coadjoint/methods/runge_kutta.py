@@ -89,11 +89,11 @@ class RungeKuttaMethod(SteppedMethod):
     ) -> CompiledLoop:
         """Return the loop over stages, for this tableau and solver."""
         from coadjoint.kernels import runge_kutta
-        from coadjoint.kernels.loop import CompiledLoop
+        from coadjoint.kernels.loop import CompiledLoop, remembered
         from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 
         found = runge_kutta_tables(system, self, representation, fractions)
-        return CompiledLoop(runge_kutta.LOOP, found.tables, found.keep, memory=runge_kutta.memory_of(found.tables))
+        return CompiledLoop(runge_kutta.LOOP, found.tables, found.keep, memory=remembered(runge_kutta.LOOP, found.tables))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the iterations that a step takes."""

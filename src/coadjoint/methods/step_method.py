@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.stepping import UNDEFINED
 from coadjoint.methods.base import Representation
 from coadjoint.methods.stepped import SteppedMethod
 from coadjoint.systems.kinds import System
@@ -55,7 +54,7 @@ class StepMethod(SteppedMethod):
     True
     """
 
-    failures: ClassVar[Mapping[int, str]] = {UNDEFINED: "the step gave numbers that are not finite, or failed"}
+    failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "the step gave numbers that are not finite, or failed"}
     compensates: ClassVar[bool] = False
 
     @abstractmethod

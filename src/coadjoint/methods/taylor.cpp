@@ -19,6 +19,7 @@ struct Taylor final : StepScheme {
         : blocks(blocks_of<W>(tables.field.size)), series(tables.field, constants, tables.whole[0]),
           projection(tables.kept, constants, tables.field.size), owed(blocks) {
         work = series.work() + 8 * tables.field.size;
+        remembered = projection.remembered();
     }
 
     int64_t step(double* x, double* dx, double*, double*, double, double h) override {

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from coadjoint.kernels.description import limit
 from coadjoint.program.describe import action_work, share_work
 from coadjoint.program.table import Program
 from coadjoint.systems.kinds import System
@@ -38,10 +39,9 @@ LOOK = 0.5
 FIRST_CORRECTION = 3.2
 NEXT_CORRECTION = 1.0
 # Of so many members in no more dimensions, flows turn many at once; other steps are as wide for one.
-CROWD, WIDEST_CROWD = 16, 1024
+CROWD = 16
 FLOWS_OF_A_CROWD = 0.1
 ELIMINATION = 0.015
-DENSE = 200
 
 
 @dataclass(frozen=True)
@@ -185,4 +185,4 @@ def work_of_operations(operations: Operations, substeps: int) -> Work:
 
 def newton_work(dim: int, stages: float) -> float:
     """Return what Newton's method adds to a step: about one elimination of the stages' linear system."""
-    return ELIMINATION * min(dim * stages, DENSE) ** 3
+    return ELIMINATION * min(dim * stages, limit("LARGEST_DENSE")) ** 3

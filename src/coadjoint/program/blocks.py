@@ -34,7 +34,7 @@ TAYLOR_DEGREE = 20
 # Constants of a CUBIC block before the values of its entries.
 CUBIC_HEADER = 6
 MOST_SUBSTEPS = 4096
-"""Substeps of norm one that a SERIES block takes at most, as in the compiled kernels: no step of use needs more."""
+"""Substeps of norm one that a SERIES block takes at most: no step of use needs more."""
 
 
 class Block(NamedTuple):

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import Block
+from coadjoint.kernels.description import limit
 from coadjoint.kernels.loop import CompiledLoop, Crew
-from coadjoint.kernels.varied_tables import BLOCK
 from coadjoint.methods.base import Method
 from coadjoint.runs.loops import Loops, as_rows, shared_out, unit_row
 from coadjoint.runs.start import Representation, Start
@@ -82,7 +82,7 @@ class BatchLoops(Loops):
         """Return rounds of crews, each within a group and of whole blocks of lanes."""
         crews: list[Crew] = []
         for group, (first, last) in zip(self.groups, pairwise(self._first.tolist()), strict=True):
-            for places in shared_out(first, last, workers, BLOCK):
+            for places in shared_out(first, last, workers, limit("BLOCK")):
                 crews.append(Crew(group.loop, group.tables, group.watch, *places, group.stride, first))
         size = CREWS_IN_A_ROUND * workers
         return [crews[a : a + size] for a in range(0, len(crews), size)]
@@ -103,10 +103,10 @@ class BatchLoops(Loops):
 
 
 def turned_each(
-    unshifts: Sequence[Unshift | None], start: Start, times: Times, results: Block, points: int
+    unshifts: Sequence[Unshift | None], start: Start, times: Times, saved: Block, points: int
 ) -> NDArray[np.float64]:
     """Return the group elements (points, members, d, d), each member turned by what was taken off its H."""
-    found, held = np.array(plainly(start, times, results, points), order="C"), results.place_of("group")
+    found, held = np.array(plainly(start, times, saved, points), order="C"), saved.place_of("group")
     for m, unshift in enumerate(unshifts):
         if unshift is not None:
             unshift.fill(found, start, times, held, m, m + 1)
@@ -137,9 +137,10 @@ def groups_of(prepared: Sequence[CompiledLoop], watches: Sequence[Any]) -> list[
     >>> [group.members.tolist() for group in groups_of(own, [watch_tables(b, b.casimirs).tables for b in bodies])]
     [[0, 1, 2]]
     """
-    from coadjoint.kernels.library import pointed
+    from coadjoint.kernels.structures import pointed
     from coadjoint.kernels.varied_tables import stacked, structure_of
 
+    block = limit("BLOCK")
     found: dict[Hashable, list[int]] = {}
     for m, (own, watch) in enumerate(zip(prepared, watches, strict=True)):
         found.setdefault((own.name, structure_of(own.tables), structure_of(watch)), []).append(m)
@@ -149,7 +150,7 @@ def groups_of(prepared: Sequence[CompiledLoop], watches: Sequence[Any]) -> list[
             prepared[members[0]].name,
             pointed(stacked([prepared[m].tables for m in members])),
             pointed(stacked([watches[m] for m in members])),
-            -(-len(members) // BLOCK) * BLOCK,
+            -(-len(members) // block) * block,
         )
         for members in found.values()
     ]

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import Block, Extent, Layout
 from coadjoint.kernels.loop import Crew
-from coadjoint.kernels.varied_tables import BLOCK
 from coadjoint.methods.base import Method
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
@@ -52,7 +51,7 @@ class Loops(ABC):
     memory : int
         How many numbers a member remembers from step to step.
     turned : callable
-        ``turned(start, times, results, points)`` returns the group elements (points, members, d, d) of the run from
+        ``turned(start, times, saved, points)`` returns the group elements (points, members, d, d) of the run from
         those that the loops left; it does not hold the tables of the loops.
     """
 
@@ -114,8 +113,8 @@ class SystemLoops(Loops):
         representation: Representation,
         casimirs: Mapping[str, Any] | None = None,
     ) -> None:
-        from coadjoint.kernels.library import pointed
-        from coadjoint.kernels.loop import widest_crowd
+        from coadjoint.kernels.description import limit
+        from coadjoint.kernels.structures import pointed
         from coadjoint.kernels.tables import watch_tables
 
         followed = system.casimirs if casimirs is None else casimirs
@@ -126,7 +125,7 @@ class SystemLoops(Loops):
         self.turned = Unshift(system, prepared.shift, representation) if self._shifted else plainly
         self._keep = watch.keep
         self._prepared = prepared
-        self._block = BLOCK if system.dim <= widest_crowd() else 1
+        self._block = limit("BLOCK") if system.dim <= limit("WIDEST") else 1
         # As C structures once, not for each plan.
         self._given = prepared.name, pointed(prepared.tables), pointed(watch.tables)
 

@@ -29,16 +29,13 @@ def check_room_of_run(layout: Layout, times: Times, members: int) -> None:
     ValueError
         With the estimate, with what is free, and with a `save_every` that fits, where there is one.
     """
-    need = BYTES * (layout.results.size + layout.work.size) + PER_POINT * times.points
+    need = BYTES * (layout.saved.size + layout.state.size) + PER_POINT * times.points
     if need <= SMALL:
         return
     free = memory.available()
     if need <= free:
         return
-    saved = sum(
-        layout.results.slices[name].stop - layout.results.slices[name].start for name in ("x", "group", "values")
-    )
-    one = BYTES * (saved // times.points) + PER_POINT
+    one = BYTES * (layout.saved.size // times.points) + PER_POINT
     points = (free - (need - one * times.points)) // one
     # The start and the end are always saved.
     every = -(-times.steps // (points - 1)) if points >= 2 else 0

@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
 from coadjoint.given import read_flag
 from coadjoint.kernels.arrays import Block
+from coadjoint.kernels.description import codes
 from coadjoint.kernels.loop import Crew, Stop
-from coadjoint.kernels.watching import NOT_CONVERGED, schedule_of
+from coadjoint.kernels.watching import schedule_of
 from coadjoint.methods.base import Method
 from coadjoint.runs.loops import Loops
 from coadjoint.runs.observed import Observed
@@ -50,12 +50,12 @@ class Run:
         members, square = len(start.momenta), start.groups.shape[1] ** 2
         self.plan = loops.plan(members, times.points, square, workers)
         check_room_of_run(self.plan.layout, times, members)
-        self.results, self.work = Block(self.plan.layout.results), Block(self.plan.layout.work)
+        self.saved, self.state = Block(self.plan.layout.saved), Block(self.plan.layout.state)
         held = slice(None) if loops.order is None else loops.order
-        self.work["momenta"][:] = start.momenta[held]
+        self.state["momenta"][:] = start.momenta[held]
         if square:
             groups = loops.started(start.groups)
-            self.work["groups"][:] = groups[held] if groups.ndim == 2 else groups
+            self.state["groups"][:] = groups[held] if groups.ndim == 2 else groups
         self._schedule = schedule_of(times.t0, times.h, times.steps, times.save_every, watching)
         self.seconds = 0.0
         self.wrong = 0
@@ -76,14 +76,15 @@ class Run:
                         self.wrong += self._take(crews, 0, steps, pool)
         self.seconds = time.perf_counter() - began
         if self.loops.order is not None:
-            self.results = self._put_in_order(self.loops.order)
+            place = np.argsort(self.loops.order)
+            self.saved, self.state = self.saved.take(place, 1), self.state.take(place, 0)
 
     def _take(self, crews: list[Crew], done: int, target: int, pool: ThreadPoolExecutor | None) -> int:
         """Take the steps done + 1 to target of some crews; return how many members have failed."""
         stop = Stop()
 
         def take(crew: Crew) -> int:
-            return crew.advance(self.plan.layout, self._schedule, self.results, self.work, done, target, stop)
+            return crew.advance(self.plan.layout, self._schedule, self.saved, self.state, done, target, stop)
 
         try:
             return sum(map(take, crews) if pool is None else pool.map(take, crews))
@@ -107,13 +108,6 @@ class Run:
             if done == steps or wrong == sum(crew.count for crew in crews):
                 return wrong
 
-    def _put_in_order(self, order: NDArray[np.int64]) -> Block:
-        """Return what is left with every member in the place that it was given at."""
-        place, ordered = np.argsort(order), Block(self.results.places)
-        for name in ordered.places.shapes:
-            ordered[name][:] = self.results[name].take(place, axis=1 if name in ("x", "group", "values") else 0)
-        return ordered
-
     def solution(self, observed: Observed | None) -> Solution:
         """Return what was saved, or raise the failure with it."""
         kept = self.times.points
@@ -122,7 +116,7 @@ class Run:
             if self.start.representation is not None and self.loops.attitude_may_overflow(self.start, self.times):
                 self._check_attitude(whole)
             return whole
-        report = self.results
+        report = self.state
         failed = report["status"].nonzero()[0]
         if not len(failed):
             raise self._energy_error(self._solution(kept, observed))
@@ -159,14 +153,15 @@ class Run:
         )
 
     def _error(self, member: int, count: int, partial: Solution) -> IntegrationError:
-        step = int(self.results["step"][member])
+        step = int(self.state["step"][member])
         when = float(self.times.t0 + (step - 1) * self.times.h)
-        residual = float(self.results["residual"][member])
+        residual = float(self.state["residual"][member])
         who = "" if self.start.single else f" for {count} of {len(self.start.momenta)} members (first: member {member})"
-        status = int(self.results["status"][member])
+        found = int(self.state["status"][member])
+        status = next(name for name, code in codes("Status").items() if code == found)
         if status in self.method.failures:
             what = self.method.failures[status]
-        elif status == NOT_CONVERGED:
+        elif status == "NOT_CONVERGED":
             what = f"the iteration of {self.method} did not converge (last correction {residual:.3g})"
         else:
             what = "a number overflowed"

@@ -23,7 +23,7 @@ class Saved:
 
     def __init__(self, run: Run, kept: int, observed: Observed | None) -> None:
         self.system, self.method, self.watched = run.system, run.method, run.watching
-        self._results, self._kept, self._seconds = run.results, kept, run.seconds
+        self._saved, self._state, self._kept, self._seconds = run.saved, run.state, kept, run.seconds
         self._times, self._start, self._names, self._turned = run.times, run.start, run.loops.names, run.loops.turned
         self.observed: Mapping[str, NDArray[np.float64]] = {}
         if observed is not None:
@@ -31,7 +31,7 @@ class Saved:
             self.observed = {name: self._picked(values) for name, values in series.items()}
 
     def _series(self, name: str) -> NDArray[Any]:
-        return self._results[name][: self._kept]
+        return self._saved[name][: self._kept]
 
     def _picked(self, series: NDArray[Any]) -> NDArray[Any]:
         """Without the axis of members where there is one alone."""
@@ -63,7 +63,7 @@ class Saved:
         """Group elements, with what was taken off the Hamiltonian put back."""
         if self._start.representation is None:
             return None
-        found = self._turned(self._start, self._times, self._results, self._kept)
+        found = self._turned(self._start, self._times, self._saved, self._kept)
         return found[:, 0] if self._start.single else found
 
     @property
@@ -71,15 +71,15 @@ class Saved:
         """The work done."""
         return Statistics(
             steps=int(self._times.steps),
-            evaluations=int(self._results["evaluations"].sum()),
-            iterations=int(self._results["iterations"].sum()),
+            evaluations=int(self._state["evaluations"].sum()),
+            iterations=int(self._state["iterations"].sum()),
             seconds=self._seconds,
         )
 
     @property
     def failed(self) -> NDArray[np.bool_] | None:
         """Which members of an ensemble failed."""
-        return None if self._start.single else self._results["status"] != 0
+        return None if self._start.single else self._state["status"] != 0
 
     @property
     def t_span(self) -> tuple[float, float]:
@@ -103,5 +103,5 @@ class Saved:
 
     @property
     def _worst(self) -> NDArray[np.float64]:
-        worst = self._results["worst"]
+        worst = self._state["worst"]
         return worst[0] if self._start.single else worst

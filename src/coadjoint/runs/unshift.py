@@ -25,9 +25,9 @@ Shift = tuple[tuple[Polynomial, float], ...]
 FINITE_GROWTH = 700.0
 
 
-def plainly(start: Start, times: Times, results: Block, points: int) -> NDArray[np.float64]:
+def plainly(start: Start, times: Times, saved: Block, points: int) -> NDArray[np.float64]:
     """Return group elements (points, members, d, d) as the loops left them; they hold them transposed."""
-    return np.swapaxes(results["group"][:points].reshape(points, *start.groups.shape), 2, 3)
+    return np.swapaxes(saved["group"][:points].reshape(points, *start.groups.shape), 2, 3)
 
 
 class Unshift:
@@ -72,10 +72,10 @@ class Unshift:
             return most * max(map(abs, momenta.ravel().tolist())) > FINITE_GROWTH
         return most * float(np.max(np.abs(momenta))) > FINITE_GROWTH
 
-    def __call__(self, start: Start, times: Times, results: Block, points: int) -> NDArray[np.float64]:
+    def __call__(self, start: Start, times: Times, saved: Block, points: int) -> NDArray[np.float64]:
         """Return group elements (points, members, d, d) from those that the loops left."""
         found = np.empty((points, *start.groups.shape))
-        self.fill(found, start, times, results.place_of("group"), 0, len(start.groups))
+        self.fill(found, start, times, saved.place_of("group"), 0, len(start.groups))
         return found
 
     def fill(self, out: NDArray[np.float64], start: Start, times: Times, held: int, first: int, last: int) -> None:

@@ -1,60 +1,52 @@
-// The arrays of a run, in the order of `coadjoint.kernels.arrays`, which says what they are.
+// The arrays of a run: each with its type, its name, and its axes as a product of numbers of `Extent` and of limits.
+// `coadjoint.kernels.arrays` says what they hold.
 #pragma once
 
+#include "boundary/codes.hpp"
 #include "boundary/tables.hpp"
 
 namespace coadjoint {
 
-constexpr int64_t TENTHS = 10;
+// What a run leaves at its saved points.
+#define SAVED_ARRAYS(_)                        \
+    _(numbers, x, points * members * size)     \
+    _(numbers, group, points * members * square) \
+    _(numbers, values, points * members * invariants)
 
-struct Saves {
-    int64_t members;
-    double *x, *group, *values, *worst, *first, *last;
-};
+// What a run is between two steps.
+#define STATE_ARRAYS(_)                          \
+    _(numbers, momenta, members * size)          \
+    _(numbers, errors, members * size)           \
+    _(numbers, groups, members * square)         \
+    _(numbers, group_errors, members * square)   \
+    _(numbers, memory, members * remembered)     \
+    _(numbers, first, members * invariants)      \
+    _(numbers, last, members * invariants)       \
+    _(numbers, worst, members * TENTHS * invariants) \
+    _(numbers, residual, members)                \
+    _(integers, status, members)                 \
+    _(integers, step, members)                   \
+    _(integers, evaluations, members)            \
+    _(integers, iterations, members)
 
-struct Report {
-    int64_t *status, *step, *evaluations, *iterations;
-    double* residual;
-};
+#define DECLARE_ARRAY(type, name, axes) coadjoint::type name;
+#define PLACE_ARRAY(type, name, axes) name = reinterpret_cast<coadjoint::type>(at), at += axes;
+#define DESCRIBE_ARRAY(type, name, axes) #type " " #name " " #axes ";"
 
-struct State {
-    int64_t size, square, remembered;
-    double *momenta, *errors, *groups, *group_errors, *memory;
-};
+// Each kind stands in one block, array after array, and every number takes eight bytes.
+struct Arrays : Extent {
+    SAVED_ARRAYS(DECLARE_ARRAY)
+    STATE_ARRAYS(DECLARE_ARRAY)
 
-struct Arrays {
-    Saves saves;
-    State state;
-    Report report;
-    int64_t points;
-
-    Arrays(const Extent& extent, double* results, double* work) : points(extent.points) {
-        const int64_t members = extent.members, size = extent.size, square = extent.square;
-        const auto next = [members](double*& at, int64_t count) {
-            double* here = at;
-            at += members * count;
-            return here;
-        };
-        const auto next_whole = [&](double*& at) { return reinterpret_cast<int64_t*>(next(at, 1)); };
-        saves.members = members;
-        saves.x = next(results, extent.points * size);
-        saves.group = next(results, extent.points * square);
-        saves.values = next(results, extent.points * extent.invariants);
-        saves.worst = next(results, TENTHS * extent.invariants);
-        report.residual = next(results, 1);
-        report.status = next_whole(results);
-        report.step = next_whole(results);
-        report.evaluations = next_whole(results);
-        report.iterations = next_whole(results);
-        saves.first = next(work, extent.invariants);
-        saves.last = next(work, extent.invariants);
-        state = {size, square, extent.remembered};
-        state.momenta = next(work, size);
-        state.errors = next(work, size);
-        state.groups = next(work, square);
-        state.group_errors = next(work, square);
-        state.memory = next(work, extent.remembered);
+    Arrays(const Extent& extent, double* saved, double* state) : Extent(extent) {
+        double* at = saved;
+        SAVED_ARRAYS(PLACE_ARRAY)
+        at = state;
+        STATE_ARRAYS(PLACE_ARRAY)
     }
 };
+
+constexpr char saved_arrays[] = "arrays saved:" SAVED_ARRAYS(DESCRIBE_ARRAY) "\n";
+constexpr char state_arrays[] = "arrays state:" STATE_ARRAYS(DESCRIBE_ARRAY) "\n";
 
 }  // namespace coadjoint

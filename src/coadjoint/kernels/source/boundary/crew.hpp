@@ -28,24 +28,20 @@ struct Loop {
     const Tables& tables;
     const Watch& watch;
     const Schedule& schedule;
-    const Saves& saves;
-    const State& state;
-    const Report& report;
+    const Arrays& arrays;
     Hearing& hearing;
     int64_t k0, k1;
 
-    double* memory_of(int64_t member) const { return state.memory + member * state.remembered; }
+    double* memory_of(int64_t member) const { return arrays.memory + member * arrays.remembered; }
     void fail(int64_t member, int64_t step, int64_t status, double residual) const {
-        report.status[member] = status;
-        report.step[member] = step;
-        report.residual[member] = residual;
+        arrays.status[member] = status;
+        arrays.step[member] = step;
+        arrays.residual[member] = residual;
     }
     void overflow(int64_t member, int64_t step) const {
         fail(member, step, OVERFLOWED, std::numeric_limits<double>::quiet_NaN());
     }
 };
-
-constexpr int64_t INTERRUPTED = -1, NO_MEMORY = -2;
 
 // Take the steps k0 + 1 to k1 of a crew by `follow(loop, crew)`, from the start where k0 is 0; return `wrong`, or why
 // they were not all taken: then nothing that the crew was to leave is of use.
@@ -55,7 +51,7 @@ int64_t take_steps(const Tables& tables, const Watch& watch, const Crew& crew, c
     Hearing hearing(stop);
     try {
         if (k0 == 0) begin(watch, arrays, schedule, crew);
-        const Loop<Tables> loop{tables, watch, schedule, arrays.saves, arrays.state, arrays.report, hearing, k0, k1};
+        const Loop<Tables> loop{tables, watch, schedule, arrays, hearing, k0, k1};
         if (k0 < k1) follow(loop, crew);
         return wrong(watch, arrays, crew, k1 == schedule.steps);
     } catch (const Interrupted&) {
@@ -65,12 +61,19 @@ int64_t take_steps(const Tables& tables, const Watch& watch, const Crew& crew, c
     }
 }
 
-// What Python calls for a family of schemes.
-#define EXPORT_LOOP(name, Tables, follow)                                                                            \
+// What Python calls for a family of schemes: its loop, and how many numbers a member remembers from step to step.
+#define EXPORT_LOOP(name, Tables, follow, remembered_by)                                                             \
+    EXPORT int64_t name##_remembers(const Tables* tables) {                                                          \
+        try {                                                                                                        \
+            return remembered_by(*tables);                                                                           \
+        } catch (const std::bad_alloc&) {                                                                            \
+            return NO_MEMORY;                                                                                        \
+        }                                                                                                            \
+    }                                                                                                                \
     EXPORT int64_t name(const Tables* tables, const Watch* watch, const int64_t* members, int64_t first,             \
                         int64_t last, int64_t stride, const Extent* extent, const Schedule* schedule,                \
-                        double* results, double* work, int64_t k0, int64_t k1, const int64_t* stop) {                \
-        return take_steps(*tables, *watch, Crew{members, first, last, stride}, Arrays(*extent, results, work),       \
+                        double* saved, double* state, int64_t k0, int64_t k1, const int64_t* stop) {                \
+        return take_steps(*tables, *watch, Crew{members, first, last, stride}, Arrays(*extent, saved, state),       \
                           *schedule, k0, k1, stop, follow);                                                          \
     }
 
@@ -89,7 +92,7 @@ void write_lane(const A* from, double* to, int64_t length, int64_t member, int l
 }
 
 constexpr int CROWD = 4 * NATIVE;    // members side by side: four vectors hide each other's latency
-constexpr int64_t WIDEST = 1024;     // dimension up to which lanes of states stay in the cache
 constexpr int64_t FEWEST = 3;        // members that are worth a block of lanes
+static_assert(BLOCK % CROWD == 0, "crews begin at multiples of BLOCK, and crowds within them at multiples of CROWD");
 
 }  // namespace coadjoint

@@ -11,25 +11,30 @@ namespace coadjoint {
 #define EXPORT extern "C" __attribute__((visibility("default")))
 #endif
 
+// What a field is. Where the constants of members differ, `constants` and `addresses` (of compiled functions) hold a
+// column for each member; all else is the same for all of them.
 typedef int64_t integer;
 typedef double number;
 typedef int64_t flag;
 typedef uint8_t* bytes;
 typedef uint32_t* indices;
 typedef int64_t* integers;
+typedef int64_t* addresses;
 typedef double* numbers;
+typedef double* constants;
 
-#define DECLARE_FIELD(type, name) type name;
+// Qualified, so that a field may have the name of a type.
+#define DECLARE_FIELD(type, name) coadjoint::type name;
 #define DESCRIBE_FIELD(type, name) #type " " #name ";"
 #define TABLE(Name, FIELDS)    \
     struct Name {              \
         FIELDS(DECLARE_FIELD)  \
     };                         \
-    constexpr char Name##_fields[] = #Name ":" FIELDS(DESCRIBE_FIELD) "\n";
+    constexpr char Name##_fields[] = "table " #Name ":" FIELDS(DESCRIBE_FIELD) "\n";
 
 #define TERMS_FIELDS(_)                                                                                              \
-    _(integer, size) _(bytes, kind) _(indices, row) _(indices, target) _(numbers, offset) _(indices, entry)         \
-    _(indices, column) _(numbers, weight) _(indices, monomial) _(numbers, coefficient) _(indices, factor)           \
+    _(integer, size) _(bytes, kind) _(indices, row) _(indices, target) _(constants, offset) _(indices, entry)         \
+    _(indices, column) _(constants, weight) _(indices, monomial) _(constants, coefficient) _(indices, factor)           \
     _(indices, factor_row) _(indices, exponent)
 TABLE(Terms, TERMS_FIELDS)
 
@@ -42,26 +47,18 @@ TABLE(Forms, FORMS_FIELDS)
 #define ACTION_FIELDS(_)                                                                                             \
     _(integer, size) _(indices, run) _(bytes, kind) _(indices, angles) _(indices, repeat) _(indices, angle)          \
     _(indices, place) _(indices, constant) _(indices, width) _(indices, entries) _(indices, degree)                 \
-    _(indices, indices) _(numbers, constants)
-// The field `indices` has the name of its type.
-struct Action {
-    integer size;
-    uint32_t* run;
-    uint8_t* kind;
-    uint32_t *angles, *repeat, *angle, *place, *constant, *width, *entries, *degree, *indices;
-    double* constants;
-};
-constexpr char Action_fields[] = "Action:" ACTION_FIELDS(DESCRIBE_FIELD) "\n";
+    _(indices, indices) _(constants, constants)
+TABLE(Action, ACTION_FIELDS)
 
 #define FLOW_FIELDS(_)                                                                                               \
-    _(integer, longest) _(integers, only) _(bytes, bent) _(numbers, frequency) _(indices, part) _(numbers, tau)      \
-    _(numbers, moment) _(indices, section) _(indices, share) _(Terms, terms) _(integers, addresses)                 \
+    _(integer, longest) _(integers, only) _(bytes, bent) _(constants, frequency) _(indices, part) _(numbers, tau)      \
+    _(numbers, moment) _(indices, section) _(indices, share) _(Terms, terms) _(addresses, addresses)                 \
     _(Action, state) _(Action, group) _(flag, compensated)
 TABLE(FlowTables, FLOW_FIELDS)
 
 #define WATCH_FIELDS(_)                                                                                              \
-    _(integer, size) _(Terms, terms) _(integers, addresses) _(indices, first) _(numbers, constant)                  \
-    _(numbers, period) _(integer, longest)
+    _(integer, size) _(Terms, terms) _(addresses, addresses) _(indices, first) _(constants, constant)                  \
+    _(constants, period) _(integer, longest)
 TABLE(Watch, WATCH_FIELDS)
 
 #define EXTENT_FIELDS(_)                                                                                             \
@@ -73,28 +70,42 @@ TABLE(Extent, EXTENT_FIELDS)
 TABLE(Schedule, SCHEDULE_FIELDS)
 
 #define FIELD_FIELDS(_)                                                                                              \
-    _(integer, size) _(number, sign) _(indices, first) _(indices, column) _(indices, state) _(numbers, constant)     \
-    _(flag, nonlinear) _(integers, structure) _(Terms, terms) _(integers, addresses) _(integer, longest)
+    _(integer, size) _(number, sign) _(indices, first) _(indices, column) _(indices, state) _(constants, constant)     \
+    _(flag, nonlinear) _(addresses, structure) _(Terms, terms) _(addresses, addresses) _(integer, longest)
 TABLE(Field, FIELD_FIELDS)
 
 #define GROUP_FIELD_FIELDS(_)                                                                                        \
-    _(integer, size) _(integer, entries) _(indices, element) _(indices, row) _(indices, column) _(numbers, value)
+    _(integer, size) _(integer, entries) _(indices, element) _(indices, row) _(indices, column) _(constants, value)
 TABLE(GroupField, GROUP_FIELD_FIELDS)
 
 #define RUNGE_KUTTA_FIELDS(_)                                                                                        \
     _(Field, field) _(GroupField, group) _(integer, stages) _(integer, substeps) _(integer, solver)                  \
     _(integer, iterations) _(flag, direct) _(numbers, node) _(numbers, scale) _(numbers, mix) _(numbers, out)        \
-    _(numbers, forecast) _(numbers, quadratic) _(integer, band) _(indices, position) _(numbers, fraction)            \
+    _(numbers, forecast) _(constants, quadratic) _(integer, band) _(indices, position) _(numbers, fraction)            \
     _(numbers, moment)
 TABLE(RungeKuttaTables, RUNGE_KUTTA_FIELDS)
 
 #define STEP_FIELDS(_)                                                                                               \
-    _(Field, field) _(integers, values) _(GroupField, group) _(Watch, kept) _(integers, whole) _(numbers, coefficients)
+    _(Field, field) _(addresses, values) _(GroupField, group) _(Watch, kept) _(integers, whole) _(numbers, coefficients)
 TABLE(StepTables, STEP_FIELDS)
 
 #define STEPPING_FIELDS(_)                                                                                           \
     _(integers, step) _(integer, substeps) _(numbers, fraction) _(numbers, moment) _(StepTables, tables)            \
     _(integer, serial)
 TABLE(Stepping, STEPPING_FIELDS)
+
+#define UNSHIFT_FIELDS(_)                                                                                            \
+    _(integer, size) _(integer, dim) _(integer, blocks) _(bytes, kind) _(bytes, leaning) _(indices, order)           \
+    _(indices, begin) _(indices, coordinate) _(indices, form) _(indices, cell) _(indices, entry) _(indices, column)  \
+    _(numbers, weight) _(integers, metric) _(numbers, metrics)
+TABLE(UnshiftTables, UNSHIFT_FIELDS)
+
+// Arrays of a run, (members, n), (members, d, d), (points, members, d*d) and (points, members, d, d); which members and
+// saved points are wanted. Point k is after min(k save_every, steps) steps of length h; X acts `rate` times as fast.
+#define UNSHIFTED_FIELDS(_)                                                                                          \
+    _(numbers, momenta) _(numbers, initial) _(numbers, held) _(numbers, out) _(integer, members) _(integer, first)   \
+    _(integer, last) _(integer, k0) _(integer, k1) _(number, h) _(number, rate) _(integer, save_every)               \
+    _(integer, steps)
+TABLE(Unshifted, UNSHIFTED_FIELDS)
 
 }  // namespace coadjoint

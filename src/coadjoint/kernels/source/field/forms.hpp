@@ -4,11 +4,11 @@
 #include <cmath>
 #include <limits>
 
+#include "boundary/codes.hpp"
 #include "boundary/tables.hpp"
 
 namespace coadjoint {
 
-constexpr int64_t HOLD = 0, QUOTIENT = 1, LOGARITHM = 2;  // any other role is an angle
 
 // The value at y, NaN where the function is undefined; operation by operation that of `algebra/logarithmic.py`.
 inline double value_of_forms(const Forms& forms, const double* y) {

@@ -2,11 +2,10 @@
 #pragma once
 
 #include "field/forms.hpp"
+#include "boundary/codes.hpp"
 #include "numbers/constants.hpp"
 
 namespace coadjoint {
-
-constexpr int LINEAR = 0, POLYNOMIAL = 1;
 
 constexpr int64_t WORK_OF_A_CALL = int64_t(1) << 16;  // functions of the user may take long: so many multiplications
 

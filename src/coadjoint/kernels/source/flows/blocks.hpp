@@ -4,14 +4,14 @@
 // rows of a group element as lanes. Component i of vector r stands at i * rows + r.
 #pragma once
 
+#include "boundary/codes.hpp"
 #include "numbers/arithmetic.hpp"
 #include "numbers/constants.hpp"
 
 namespace coadjoint {
 
-constexpr int SCALE = 0, ROTATE = 1, PLANE = 2, SHEAR = 3, CUBIC = 4;
 // Rotations by tan(phi/2) := half the angle: the same blocks, with another sine and cosine.
-constexpr int RATIONAL = 8, RATIONAL_ROTATE = ROTATE + RATIONAL, RATIONAL_CUBIC = CUBIC + RATIONAL;
+constexpr int64_t RATIONAL_ROTATE = ROTATE + RATIONAL, RATIONAL_CUBIC = CUBIC + RATIONAL;
 
 constexpr uint32_t MANY = 4;  // blocks of one angle that are worth a call
 

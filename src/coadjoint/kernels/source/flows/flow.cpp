@@ -10,7 +10,7 @@ static void advance_crew(const FlowLoop& loop, const Crew& crew) {
     const auto shared = [](int64_t) { return Shared{}; };
     const auto own = [&](int64_t place) { return Varied{crew.stride, place}; };
     int64_t place = crew.first;
-    const bool narrow = loop.state.size <= WIDEST;
+    const bool narrow = loop.arrays.size <= WIDEST;
     while (place < crew.last && (crew.stride || (narrow && crew.last - place >= FEWEST))) {
         const int64_t next = std::min<int64_t>(place + BLOCKS * CROWD, crew.last);
         if (crew.stride)
@@ -21,7 +21,7 @@ static void advance_crew(const FlowLoop& loop, const Crew& crew) {
     }
     for (; place < crew.last; ++place) {
         const int64_t member = crew.members[place];
-        if (loop.report.status[member] != DONE) continue;
+        if (loop.arrays.status[member] != DONE) continue;
         if (narrow)
             follow_alone<care, carry, Crowd>(loop, member);
         else
@@ -32,16 +32,15 @@ static void advance_crew(const FlowLoop& loop, const Crew& crew) {
 // The state is unfinished between calls: the outer flow of a step is merged with the next one, and the finish acts on
 // a copy.
 static void follow(const FlowLoop& loop, const Crew& crew) {
-    const bool carry = loop.state.square > 0;
+    const bool carry = loop.arrays.square > 0;
     if (loop.tables.compensated)
         carry ? advance_crew<CORRECTED, true>(loop, crew) : advance_crew<CORRECTED, false>(loop, crew);
     else
         carry ? advance_crew<PLAIN, true>(loop, crew) : advance_crew<PLAIN, false>(loop, crew);
 }
 
-EXPORT_LOOP(flow_advance, FlowTables, follow)
+static int64_t remembered_by(const FlowTables&) { return 0; }
 
-// The dimension up to which members go side by side.
-EXPORT int64_t widest_crowd() { return WIDEST; }
+EXPORT_LOOP(flow_advance, FlowTables, follow, remembered_by)
 
 }  // namespace coadjoint

@@ -30,16 +30,16 @@ template <Care care, bool carry, class Side>
 void follow_alone(const FlowLoop& loop, int64_t member) {
     const FlowTables& tables = loop.tables;
     const Schedule& schedule = loop.schedule;
-    const State& state = loop.state;
-    const int64_t size = state.size, d = tables.group.size, rows = (d + ROWS - 1) / ROWS;
+    const Arrays& arrays = loop.arrays;
+    const int64_t size = arrays.size, d = tables.group.size, rows = (d + ROWS - 1) / ROWS;
     Room<double> scratch(3 * size), copies(2 * size), momenta(2 * size);
     Room<GroupRows> elements(2 * d * rows), finished(2 * d * rows), group_scratch(3 * d * rows);
     AngleRoom<double> angles(tables.longest);
     Finisher<care, Side> finisher(tables, schedule, size);
-    Follower<Side, Finisher<care, Side>> follower(loop.watch, loop.saves, schedule, size, finisher);
+    Follower<Side, Finisher<care, Side>> follower(loop.watch, loop.arrays, schedule, size, finisher);
     double *x = momenta.at, *dx = momenta.at + size;
-    std::copy_n(state.momenta + member * size, size, x);
-    std::copy_n(state.errors + member * size, size, dx);
+    std::copy_n(arrays.momenta + member * size, size, x);
+    std::copy_n(arrays.errors + member * size, size, dx);
     const Vectors<GroupRows> group{elements.at, elements.at + d * rows, rows, group_scratch.at};
     auto each_entry = [&](auto&& visit) {
         for (int64_t i = 0; i < d; ++i)
@@ -48,11 +48,11 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
     double *g = reinterpret_cast<double*>(group.at), *dg = reinterpret_cast<double*>(group.errors);
     if constexpr (carry)
         each_entry([&](int64_t from, int64_t to) {
-            g[to] = state.groups[member * d * d + from];
-            dg[to] = state.group_errors[member * d * d + from];
+            g[to] = arrays.groups[member * d * d + from];
+            dg[to] = arrays.group_errors[member * d * d + from];
         });
     auto saved_group = [&](int64_t k) {
-        return loop.saves.group + (slot_of(schedule, k) * loop.saves.members + member) * d * d;
+        return loop.arrays.group + (slot_of(schedule, k) * loop.arrays.members + member) * d * d;
     };
     const Vectors<double> momentum{x, dx, 1, scratch.at};
     FlowsOfRows flows_of(tables, carry);
@@ -108,15 +108,15 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
             if (k == schedule.steps) break;
         }
     const int64_t taken = (failed ? failed : loop.k1) - loop.k0, start = loop.k0 == 0 && taken > 0;
-    loop.report.evaluations[member] += start * (int64_t(tables.section[1]) - tables.section[0]) +
+    loop.arrays.evaluations[member] += start * (int64_t(tables.section[1]) - tables.section[0]) +
                                        (taken - start) * (int64_t(tables.section[2]) - tables.section[1]);
     if (failed) loop.overflow(member, failed);
-    std::copy_n(x, size, state.momenta + member * size);
-    std::copy_n(dx, size, state.errors + member * size);
+    std::copy_n(x, size, arrays.momenta + member * size);
+    std::copy_n(dx, size, arrays.errors + member * size);
     if constexpr (carry)
         each_entry([&](int64_t to, int64_t from) {
-            state.groups[member * d * d + to] = g[from];
-            state.group_errors[member * d * d + to] = dg[from];
+            arrays.groups[member * d * d + to] = g[from];
+            arrays.group_errors[member * d * d + to] = dg[from];
         });
 }
 

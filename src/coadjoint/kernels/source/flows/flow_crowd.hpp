@@ -21,26 +21,26 @@ struct Block {
     Vectors<A> momentum, group;
 
     Block(const FlowLoop& loop, const C& constants, const int64_t* members, int64_t count, Room<A>& scratch)
-        : loop(loop), constants(constants), members(members), count(count), size(loop.state.size),
-          square(loop.state.square), momenta(2 * size), elements(2 * square), going{},
-          watcher(loop.watch, loop.saves, loop.schedule, this->constants, members, going, count),
+        : loop(loop), constants(constants), members(members), count(count), size(loop.arrays.size),
+          square(loop.arrays.square), momenta(2 * size), elements(2 * square), going{},
+          watcher(loop.watch, loop.arrays, loop.schedule, this->constants, members, going, count),
           momentum{momenta.at, momenta.at + size, 1, scratch.at},
           group{elements.at, elements.at + square, loop.tables.group.size, scratch.at} {
-        for (int64_t lane = 0; lane < count; ++lane) left += going[lane] = loop.report.status[members[lane]] == DONE;
-        read_lanes(momentum.at, loop.state.momenta, size, members, count);
-        read_lanes(momentum.errors, loop.state.errors, size, members, count);
-        read_lanes(group.at, loop.state.groups, square, members, count);
-        read_lanes(group.errors, loop.state.group_errors, square, members, count);
+        for (int64_t lane = 0; lane < count; ++lane) left += going[lane] = loop.arrays.status[members[lane]] == DONE;
+        read_lanes(momentum.at, loop.arrays.momenta, size, members, count);
+        read_lanes(momentum.errors, loop.arrays.errors, size, members, count);
+        read_lanes(group.at, loop.arrays.groups, square, members, count);
+        read_lanes(group.errors, loop.arrays.group_errors, square, members, count);
     }
 
     ~Block() {
         for (int64_t lane = 0; lane < count; ++lane) {
             const int64_t member = members[lane];
-            if (going[lane]) loop.report.evaluations[member] += evaluations;
-            write_lane(momentum.at, loop.state.momenta, size, member, int(lane));
-            write_lane(momentum.errors, loop.state.errors, size, member, int(lane));
-            write_lane(group.at, loop.state.groups, square, member, int(lane));
-            write_lane(group.errors, loop.state.group_errors, square, member, int(lane));
+            if (going[lane]) loop.arrays.evaluations[member] += evaluations;
+            write_lane(momentum.at, loop.arrays.momenta, size, member, int(lane));
+            write_lane(momentum.errors, loop.arrays.errors, size, member, int(lane));
+            write_lane(group.at, loop.arrays.groups, square, member, int(lane));
+            write_lane(group.errors, loop.arrays.group_errors, square, member, int(lane));
         }
     }
 
@@ -53,7 +53,7 @@ struct Block {
             going[lane] = 0;
             --left;
             loop.overflow(members[lane], k);
-            loop.report.evaluations[members[lane]] += evaluations;
+            loop.arrays.evaluations[members[lane]] += evaluations;
         }
     }
 
@@ -87,7 +87,7 @@ void follow_together(const FlowLoop& loop, const ConstantsFrom& constants_from, 
     constexpr int64_t lanes = Numbers<A>::lanes;
     const FlowTables& tables = loop.tables;
     const Schedule& schedule = loop.schedule;
-    const int64_t size = loop.state.size, square = loop.state.square;
+    const int64_t size = loop.arrays.size, square = loop.arrays.square;
     Room<A> scratch(3 * std::max(size, square)), copies(2 * (size + square));
     AngleRoom<A> angles(tables.longest);
     std::optional<Own> blocks[BLOCKS];

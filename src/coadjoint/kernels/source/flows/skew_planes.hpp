@@ -90,7 +90,7 @@ class SkewPlanesOf {
         double* u = found.vectors.data();
         for (int64_t a = 0; a < odd; ++a) {
             // What D leaves where it is must not begin to turn by rounding.
-            if (all[a] <= 4.0 * double(m) * UNIT * fastest) continue;
+            if (all[a] <= 4.0 * double(m) * UNIT_ROUNDOFF * fastest) continue;
             double* w = u + m;
             for (int64_t e = 0; e < even; ++e) {
                 const double factor = rows[a * even + e] / all[a];
@@ -106,7 +106,6 @@ class SkewPlanesOf {
     }
 
   private:
-    static constexpr double UNIT = 0x1p-53;
     static constexpr int64_t SWEEPS = 40;  // of Jacobi's method, which needs six or seven
     const int64_t m, odd, even;
     Matrix T, Q, rows, mixed, v, image;
@@ -144,7 +143,7 @@ class SkewPlanesOf {
                 for (int64_t b = a + 1; b < odd; ++b) {
                     double *one = &rows[a * even], *other = &rows[b * even];
                     const double between = dot(one, other, even);
-                    if (between * between <= 4.0 * UNIT * UNIT * (square[a] * square[b])) continue;
+                    if (between * between <= 4.0 * UNIT_ROUNDOFF * UNIT_ROUNDOFF * (square[a] * square[b])) continue;
                     turned = true;
                     const double slope = (square[b] - square[a]) / (2.0 * between);
                     const double tangent =

@@ -8,8 +8,6 @@
 
 namespace coadjoint {
 
-constexpr int CUBIC_HEADER = 6;  // constants of a CUBIC block before the values of its entries
-constexpr double MOST_SUBSTEPS = 4096.0;  // of norm one: a step that turns so far knows nothing of the motion any more
 constexpr int64_t BETWEEN_CHECKS = 64;  // substeps after which what has overflowed is left alone
 
 // A CUBIC or SERIES block: its coordinates and the compressed sparse rows of D in them.
@@ -143,7 +141,7 @@ NOINLINE void series(const Action& action, const C& constants, uint32_t run, con
     uint32_t longest = 1;
     for (int lane = 0; lane < Numbers<A>::lanes; ++lane) {
         double needed = std::ceil(absolute(lane_of(theta, lane)) * lane_of(norm, lane));
-        if (needed <= MOST_SUBSTEPS) {
+        if (needed <= double(MOST_SUBSTEPS)) {
             double own = needed > 1.0 ? needed : 1.0;
             const double reached = absolute(lane_of(theta, lane)) * lane_of(norm, lane) / own;
             const uint32_t degree = reached > 0.0 ? degree_of(reached, action.degree[run]) : action.degree[run];

@@ -2,31 +2,15 @@
 // constant and linear in the initial momentum. The blocks of X and their kinds are in the tables, found once for a
 // system (`coadjoint.program.unshift`, which says what they are); here only numbers change.
 #include <limits>
-#include <string>
 
 #include "numbers/arithmetic.hpp"
 #include "flows/skew_planes.hpp"
+#include "boundary/codes.hpp"
 #include "boundary/tables.hpp"
 
 namespace coadjoint {
 
-#define UNSHIFT_FIELDS(_)                                                                                            \
-    _(integer, size) _(integer, dim) _(integer, blocks) _(bytes, kind) _(bytes, leaning) _(indices, order)           \
-    _(indices, begin) _(indices, coordinate) _(indices, form) _(indices, cell) _(indices, entry) _(indices, column)  \
-    _(numbers, weight) _(integers, metric) _(numbers, metrics)
-TABLE(UnshiftTables, UNSHIFT_FIELDS)
-
-// Arrays of a run, (members, n), (members, d, d), (points, members, d*d) and (points, members, d, d); which members and
-// saved points are wanted. Point k is after min(k save_every, steps) steps of length h; X acts `rate` times as fast.
-#define UNSHIFTED_FIELDS(_)                                                                                          \
-    _(numbers, momenta) _(numbers, initial) _(numbers, held) _(numbers, out) _(integer, members) _(integer, first)   \
-    _(integer, last) _(integer, k0) _(integer, k1) _(number, h) _(number, rate) _(integer, save_every)               \
-    _(integer, steps)
-TABLE(Unshifted, UNSHIFTED_FIELDS)
-
 namespace {
-
-enum Turn { NILPOTENT = 0, PLANE = 1, CUBIC = 2, PAIR = 3, SKEW = 4, GENERAL = 5 };
 
 constexpr int64_t TAYLOR = 20;   // the rest of the series, 1/21! = 2e-20, is below rounding where the norm is at most 1
 constexpr int64_t POWERS = 5;    // of D that the series is made of
@@ -74,11 +58,11 @@ class Block {
         const double factor = std::ldexp(1.0, -exponent);
         for (double& value : D) value *= factor;
         if (tables.leaning[b]) lean_on(x);
-        if (kind == NILPOTENT || kind == GENERAL) find_powers();
-        if (kind == PLANE && m == 2) find_plane();
-        if (kind == CUBIC) find_cubic();
-        if (kind == PAIR) find_pair();
-        if (kind == SKEW) find_planes(tables.metric[b] < 0 ? nullptr : tables.metrics + tables.metric[b]);
+        if (kind == turns::NILPOTENT || kind == turns::GENERAL) find_powers();
+        if (kind == turns::PLANE && m == 2) find_plane();
+        if (kind == turns::CUBIC) find_cubic();
+        if (kind == turns::PAIR) find_pair();
+        if (kind == turns::SKEW) find_planes(tables.metric[b] < 0 ? nullptr : tables.metrics + tables.metric[b]);
     }
 
     // Find exp(t X) - 1.
@@ -86,18 +70,18 @@ class Block {
         if (still) return;
         const double t = time * scale;
         std::fill(increment.begin(), increment.end(), 0.0);
-        if (kind == NILPOTENT) {
+        if (kind == turns::NILPOTENT) {
             double power = 1.0;
             for (const Matrix& next : powers) add(power *= t, next, increment);
         }
-        if (kind == PLANE) plane_at(t);
-        if (kind == CUBIC) {
+        if (kind == turns::PLANE) plane_at(t);
+        if (kind == turns::CUBIC) {
             const Rotation<double> turn = entire_turn(lam, root, t);
             for (int64_t e = 0; e < m * m; ++e) increment[e] = fma(turn.sine, D[e], turn.lowered * powers[0][e]);
         }
-        if (kind == PAIR) pair_at(t);
-        if (kind == SKEW) planes_at(t);
-        if (kind == GENERAL) series_at(t);
+        if (kind == turns::PAIR) pair_at(t);
+        if (kind == turns::SKEW) planes_at(t);
+        if (kind == turns::GENERAL) series_at(t);
         if (!leaned.empty()) {
             // X leaves x where it is; rounded, it would push it away in proportion to time.
             change.assign(m, 0.0);
@@ -142,9 +126,9 @@ class Block {
     // D, D^2/2, D^3/6, ... up to the last that is not zero; for a series the first few powers.
     void find_powers() {
         powers.push_back(D);
-        for (int64_t k = 2; k <= (kind == GENERAL ? POWERS : order); ++k) {
+        for (int64_t k = 2; k <= (kind == turns::GENERAL ? POWERS : order); ++k) {
             powers.push_back(product(D.data(), powers.back().data(), m));
-            if (kind == NILPOTENT)
+            if (kind == turns::NILPOTENT)
                 for (double& value : powers.back()) value /= double(k);
         }
     }
@@ -331,11 +315,6 @@ EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run) {
             transpose(unit ? moved.data() : placed.data(), run->out + here, d);
         }
     }
-}
-
-EXPORT const char* unshift_fields() {
-    static const std::string all = std::string(UnshiftTables_fields) + Unshifted_fields;
-    return all.c_str();
 }
 
 }  // namespace coadjoint

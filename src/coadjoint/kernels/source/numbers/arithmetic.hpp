@@ -6,6 +6,7 @@
 namespace coadjoint {
 
 // pi/2 in three doubles. For |q| < 2^20 the fused phi - q*P1 is exact; P2 and P3 correct it.
+constexpr double UNIT_ROUNDOFF = 0x1p-53;
 constexpr double P1 = 1.5707963267948966;
 constexpr double P2 = 6.123233995736766e-17;
 constexpr double P3 = -1.4973849048591698e-33;

@@ -1,6 +1,4 @@
-// How a run begins and whether it went well, functions along saved points, and the tables as they are laid out.
-#include <string>
-
+// How a run begins and whether it went well, and functions along saved points.
 #include "boundary/crew.hpp"
 
 namespace coadjoint {
@@ -24,50 +22,46 @@ static void fill(double* at, int64_t planes, int64_t members, int64_t first, int
 }
 
 void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, const Crew& crew) {
-    const Saves& saves = arrays.saves;
-    const State& state = arrays.state;
-    const Report& report = arrays.report;
     if (crew.first >= crew.last) return;
     const auto blank = [&](double* at, int64_t planes, int64_t length, double value) {
-        fill(at, planes, saves.members, crew.members[crew.first], crew.members[crew.last - 1] + 1, length, value);
+        fill(at, planes, arrays.members, crew.members[crew.first], crew.members[crew.last - 1] + 1, length, value);
     };
     // What nothing is saved in stays NaN, and says so.
-    blank(saves.x, arrays.points, state.size, NAN);
-    blank(saves.group, arrays.points, state.square, NAN);
-    blank(saves.values, arrays.points, watch.size, NAN);
-    blank(saves.worst, 1, TENTHS * watch.size, 0.0);
-    blank(state.errors, 1, state.size, 0.0);
-    blank(state.group_errors, 1, state.square, 0.0);
-    blank(state.memory, 1, state.remembered, NAN);
+    blank(arrays.x, arrays.points, arrays.size, NAN);
+    blank(arrays.group, arrays.points, arrays.square, NAN);
+    blank(arrays.values, arrays.points, watch.size, NAN);
+    blank(arrays.worst, 1, TENTHS * watch.size, 0.0);
+    blank(arrays.errors, 1, arrays.size, 0.0);
+    blank(arrays.group_errors, 1, arrays.square, 0.0);
+    blank(arrays.memory, 1, arrays.remembered, NAN);
     std::vector<double> y(watch.longest + 1), room(2 * watch.longest + 2);
-    const int64_t work = work_of_terms(watch.terms, 0, watch.terms.size) + 64 + state.size + state.square;
+    const int64_t work = work_of_terms(watch.terms, 0, watch.terms.size) + 64 + arrays.size + arrays.square;
     for (int64_t place = crew.first; place < crew.last; ++place) {
         Hearing::of_this_call().after(work);
         const int64_t member = crew.members[place];
-        report.status[member] = DONE;
-        report.step[member] = report.evaluations[member] = report.iterations[member] = 0;
-        report.residual[member] = NAN;
-        const double* x = state.momenta + member * state.size;
+        arrays.status[member] = DONE;
+        arrays.step[member] = arrays.evaluations[member] = arrays.iterations[member] = 0;
+        arrays.residual[member] = NAN;
+        const double* x = arrays.momenta + member * arrays.size;
         for (int64_t i = 0; i < watch.size; ++i) {
             const double value =
                 crew.stride ? value_of(watch, Own{crew.stride, place}, i, x, schedule.t0, y.data(), room.data())
                             : value_of(watch, Shared{}, i, x, schedule.t0, y.data(), room.data());
-            note_value(saves, watch.size, i, 0.0, member, 0, 0, 0, value);
+            note_value(arrays, watch.size, i, 0.0, member, 0, 0, 0, value);
         }
-        save_state(saves, member, 0, state.size, x, 0);
-        std::copy_n(state.groups + member * state.square, state.square, saves.group + member * state.square);
+        save_state(arrays, member, 0, arrays.size, x, 0);
+        std::copy_n(arrays.groups + member * arrays.square, arrays.square, arrays.group + member * arrays.square);
     }
 }
 
 int64_t wrong(const Watch& watch, const Arrays& arrays, const Crew& crew, bool ended) {
-    const Saves& saves = arrays.saves;
     int64_t found = 0;
     for (int64_t place = crew.first; place < crew.last; ++place) {
         Hearing::of_this_call().after(ended ? 4 * arrays.points : 1);
         const int64_t member = crew.members[place];
-        bool sound = arrays.report.status[member] == DONE;
+        bool sound = arrays.status[member] == DONE;
         for (int64_t point = 0; ended && sound && point < arrays.points; ++point)
-            sound = std::isfinite(saves.values[(point * saves.members + member) * watch.size]);
+            sound = std::isfinite(arrays.values[(point * arrays.members + member) * watch.size]);
         found += !sound;
     }
     return found;
@@ -81,13 +75,6 @@ EXPORT void watch_values(const Watch* watch, const double* x, const double* time
         for (int64_t i = 0; i < watch->size; ++i)
             out[here * watch->size + i] = value_of(*watch, Shared{}, i, x + here * size, times[here / members],
                                                    y.data(), room.data());
-}
-
-EXPORT const char* table_fields() {
-    static const std::string all = std::string(Terms_fields) + Forms_fields + Action_fields + FlowTables_fields +
-                                   Watch_fields + Extent_fields + Schedule_fields + Field_fields + GroupField_fields +
-                                   RungeKuttaTables_fields + StepTables_fields + Stepping_fields;
-    return all.c_str();
 }
 
 }  // namespace coadjoint

@@ -10,8 +10,6 @@
 
 namespace coadjoint {
 
-constexpr int64_t DONE = 0, NOT_CONVERGED = 1, OVERFLOWED = 2;
-
 // Whether every component is finite: 0 times it is 0.
 template <class A>
 INLINE auto finite(int64_t size, const A* x) {
@@ -50,30 +48,30 @@ INLINE double unwrapped(double now, double last, double period) {
 }
 
 // Note the value of invariant i of a member at step k, where it has come from the values of the steps before.
-INLINE void note_value(const Saves& saves, int64_t count, int64_t i, double period, int64_t member, int64_t k,
+INLINE void note_value(const Arrays& arrays, int64_t count, int64_t i, double period, int64_t member, int64_t k,
                        int64_t slot, int64_t tenth, double now) {
     int64_t place = member * count + i;
     if (k == 0)
-        saves.first[place] = now;
+        arrays.first[place] = now;
     else if (period > 0.0)
-        now = unwrapped(now, saves.last[place], period);
-    saves.last[place] = now;
-    double deviation = std::fabs(now - saves.first[place]);
-    double& worst = saves.worst[(member * TENTHS + tenth) * count + i];
+        now = unwrapped(now, arrays.last[place], period);
+    arrays.last[place] = now;
+    double deviation = std::fabs(now - arrays.first[place]);
+    double& worst = arrays.worst[(member * TENTHS + tenth) * count + i];
     if (!(deviation <= worst)) worst = deviation;
-    if (slot >= 0) saves.values[(slot * saves.members + member) * count + i] = now;
+    if (slot >= 0) arrays.values[(slot * arrays.members + member) * count + i] = now;
 }
 
 template <class A>
-INLINE void save_state(const Saves& saves, int64_t member, int64_t slot, int64_t size, const A* x, int lane) {
-    double* to = saves.x + (slot * saves.members + member) * size;
+INLINE void save_state(const Arrays& arrays, int64_t member, int64_t slot, int64_t size, const A* x, int lane) {
+    double* to = arrays.x + (slot * arrays.members + member) * size;
     for (int64_t i = 0; i < size; ++i) to[i] = lane_of(x[i], lane);
 }
 
 // Note the first `count` lanes, steps of one member that follow each other: deviations of the invariants, and what is
 // saved.
 template <class A, class C>
-void note_steps(const Watch& watch, const C& constants, const Saves& saves, const Schedule& schedule, int64_t member,
+void note_steps(const Watch& watch, const C& constants, const Arrays& arrays, const Schedule& schedule, int64_t member,
                 int64_t count, const int64_t* step, int64_t size, const A* x, A* y, double* room) {
     A t(schedule.t0);
     for (int lane = 0; lane < Numbers<A>::lanes; ++lane)
@@ -93,20 +91,20 @@ void note_steps(const Watch& watch, const C& constants, const Saves& saves, cons
         A period = constants.template number_at<A>(watch.period, i);
         if (together && !(lane_of(period, 0) > 0.0)) {
             int64_t place = member * watch.size + i;
-            A deviation = absolute(now - A(saves.first[place]));
-            double& worst = saves.worst[(member * TENTHS + tenth) * watch.size + i];
+            A deviation = absolute(now - A(arrays.first[place]));
+            double& worst = arrays.worst[(member * TENTHS + tenth) * watch.size + i];
             if (all(deviation <= A(worst))) continue;
             for (int64_t lane = 0; lane < count; ++lane)
                 if (!(lane_of(deviation, lane) <= worst)) worst = lane_of(deviation, lane);
             continue;
         }
         for (int64_t lane = 0; lane < count; ++lane)
-            note_value(saves, watch.size, i, lane_of(period, lane), member, step[lane], slots[lane],
+            note_value(arrays, watch.size, i, lane_of(period, lane), member, step[lane], slots[lane],
                        tenth_of(schedule, step[lane]), lane_of(now, lane));
     }
     if (!saving) return;
     for (int64_t lane = 0; lane < count; ++lane)
-        if (slots[lane] >= 0) save_state(saves, member, slots[lane], size, x, lane);
+        if (slots[lane] >= 0) save_state(arrays, member, slots[lane], size, x, lane);
 }
 
 // Steps of one member gathered side by side, so that they are finished and watched as lanes; `A` is a double for
@@ -115,7 +113,7 @@ template <class A, class Finish>
 struct Follower {
     static constexpr int lanes = Numbers<A>::lanes;
     const Watch& watch;
-    const Saves& saves;
+    const Arrays& arrays;
     const Schedule& schedule;
     const int64_t size;
     Finish& finish;
@@ -123,8 +121,8 @@ struct Follower {
     std::vector<double> room;
     int64_t member = 0, step[lanes], waiting = 0;
 
-    Follower(const Watch& watch, const Saves& saves, const Schedule& schedule, int64_t size, Finish& finish)
-        : watch(watch), saves(saves), schedule(schedule), size(size), finish(finish), states(size), errors(size),
+    Follower(const Watch& watch, const Arrays& arrays, const Schedule& schedule, int64_t size, Finish& finish)
+        : watch(watch), arrays(arrays), schedule(schedule), size(size), finish(finish), states(size), errors(size),
           arguments(watch.longest + 1), room(2 * watch.longest + 2) {}
 
     INLINE void push(int64_t who, int64_t k, const double* x, const double* dx) {
@@ -156,7 +154,7 @@ struct Follower {
         while (good < waiting && at(sound, int(good))) ++good;
         int64_t failed = good < waiting ? step[good] : 0;
         if (good > 0)
-            note_steps(watch, Shared{}, saves, schedule, member, good, step, size, states.at, arguments.at,
+            note_steps(watch, Shared{}, arrays, schedule, member, good, step, size, states.at, arguments.at,
                        room.data());
         waiting = 0;
         return failed;
@@ -169,7 +167,7 @@ template <class A, class C>
 struct CrowdWatcher {
     static constexpr int lanes = Numbers<A>::lanes;
     const Watch& watch;
-    const Saves& saves;
+    const Arrays& arrays;
     const Schedule& schedule;
     const C& constants;
     const int64_t *members, *going;
@@ -178,20 +176,20 @@ struct CrowdWatcher {
     std::vector<double> room;
     int64_t tenth = -1;
 
-    CrowdWatcher(const Watch& watch, const Saves& saves, const Schedule& schedule, const C& constants,
+    CrowdWatcher(const Watch& watch, const Arrays& arrays, const Schedule& schedule, const C& constants,
                  const int64_t* members, const int64_t* going, int64_t count)
-        : watch(watch), saves(saves), schedule(schedule), constants(constants), members(members), going(going),
+        : watch(watch), arrays(arrays), schedule(schedule), constants(constants), members(members), going(going),
           count(count), first(watch.size), last(watch.size), worst(watch.size), arguments(watch.longest + 1),
           room(2 * watch.longest + 2) {
         each([&](int64_t lane, int64_t i) {
-            set_lane(first.at[i], lane, saves.first[members[lane] * watch.size + i]);
-            set_lane(last.at[i], lane, saves.last[members[lane] * watch.size + i]);
+            set_lane(first.at[i], lane, arrays.first[members[lane] * watch.size + i]);
+            set_lane(last.at[i], lane, arrays.last[members[lane] * watch.size + i]);
         });
     }
 
     ~CrowdWatcher() {
         keep_worst();
-        each([&](int64_t lane, int64_t i) { saves.last[members[lane] * watch.size + i] = lane_of(last.at[i], lane); });
+        each([&](int64_t lane, int64_t i) { arrays.last[members[lane] * watch.size + i] = lane_of(last.at[i], lane); });
     }
 
     void note(int64_t k, int64_t slot, int64_t size, const A* x) {
@@ -213,15 +211,15 @@ struct CrowdWatcher {
             if (slot < 0) continue;
             for (int64_t lane = 0; lane < count; ++lane)
                 if (going[lane])
-                    saves.values[(slot * saves.members + members[lane]) * watch.size + i] = lane_of(now, lane);
+                    arrays.values[(slot * arrays.members + members[lane]) * watch.size + i] = lane_of(now, lane);
         }
         for (int64_t lane = 0; slot >= 0 && lane < count; ++lane)
-            if (going[lane]) save_state(saves, members[lane], slot, size, x, lane);
+            if (going[lane]) save_state(arrays, members[lane], slot, size, x, lane);
     }
 
     void save_group(int64_t slot, int64_t square, const A* element) {
         for (int64_t lane = 0; lane < count; ++lane) {
-            double* place = saves.group + (slot * saves.members + members[lane]) * square;
+            double* place = arrays.group + (slot * arrays.members + members[lane]) * square;
             for (int64_t i = 0; going[lane] && i < square; ++i) place[i] = lane_of(element[i], int(lane));
         }
     }
@@ -235,7 +233,7 @@ struct CrowdWatcher {
     }
 
   private:
-    double& worst_of(int64_t lane, int64_t i) { return saves.worst[(members[lane] * TENTHS + tenth) * watch.size + i]; }
+    double& worst_of(int64_t lane, int64_t i) { return arrays.worst[(members[lane] * TENTHS + tenth) * watch.size + i]; }
 
     template <class Visit>
     void each(Visit visit) {

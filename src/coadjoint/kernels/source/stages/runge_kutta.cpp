@@ -30,7 +30,7 @@ static void follow(const RungeKuttaLoop& loop, const Crew& crew) {
     const auto one = single_of(tables, Shared{});
     for (; place < last; ++place) {
         const int64_t member = members[place];
-        if (loop.report.status[member] != DONE) continue;
+        if (loop.arrays.status[member] != DONE) continue;
         if (tables.field.size <= WIDEST)
             follow_alone<Crowd>(loop, *one, member);
         else
@@ -38,6 +38,6 @@ static void follow(const RungeKuttaLoop& loop, const Crew& crew) {
     }
 }
 
-EXPORT_LOOP(runge_kutta_advance, RungeKuttaTables, follow)
+EXPORT_LOOP(runge_kutta_advance, RungeKuttaTables, follow, remembered_by)
 
 }  // namespace coadjoint

@@ -1,12 +1,12 @@
 // The stages of one step of a Runge-Kutta method: explicit, iterated, implicit, and linear in the last iterate.
 #pragma once
 
+#include "boundary/codes.hpp"
 #include "numbers/linear_solve.hpp"
 #include "stages/brackets.hpp"
 
 namespace coadjoint {
 
-constexpr int64_t EXPLICIT = 0, ITERATED = 1, IMPLICIT = 2, STRUCTURE = 3, GRADIENT = 4;
 constexpr int64_t NOT_FROZEN = -1;
 constexpr int64_t REFINED = 3;  // evaluations of a linear system: before the solution, before one refinement, and after
 

@@ -17,11 +17,11 @@ struct Finished {
 
 // Visit every row of a member: where it is kept in the state, and where the loop has it.
 template <class V, class Visit>
-INLINE void each_row(const State& state, V* x, V* dx, V* g, V* dg, Visit visit) {
-    visit(state.momenta, x, state.size);
-    visit(state.errors, dx, state.size);
-    visit(state.groups, g, state.square);
-    visit(state.group_errors, dg, state.square);
+INLINE void each_row(const Arrays& arrays, V* x, V* dx, V* g, V* dg, Visit visit) {
+    visit(arrays.momenta, x, arrays.size);
+    visit(arrays.errors, dx, arrays.size);
+    visit(arrays.groups, g, arrays.square);
+    visit(arrays.group_errors, dg, arrays.square);
 }
 
 // About how many multiplications a step of one member takes, if it needs some iterations.
@@ -39,19 +39,19 @@ INLINE int64_t failure_of(double residual) { return residual == residual ? NOT_C
 template <class Side>
 void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member) {
     const Schedule& schedule = loop.schedule;
-    const State& state = loop.state;
-    const int64_t n = state.size, square = state.square;
-    each_row(state, one.x, one.dx, one.g, one.dg, [&](const double* from, double* to, int64_t length) {
+    const Arrays& arrays = loop.arrays;
+    const int64_t n = arrays.size, square = arrays.square;
+    each_row(arrays, one.x, one.dx, one.g, one.dg, [&](const double* from, double* to, int64_t length) {
         std::copy_n(from + member * length, length, to);
     });
     double* memory = loop.memory_of(member);
     one.iterations = one.evaluations = 0;
-    if (state.remembered > 0) {
+    if (arrays.remembered > 0) {
         one.newton = memory[0];
         one.read_slopes(memory + 1);
     }
     Finished nothing;
-    Follower<Side, Finished> follower(loop.watch, loop.saves, schedule, n, nothing);
+    Follower<Side, Finished> follower(loop.watch, loop.arrays, schedule, n, nothing);
     int64_t saved = next_saved(schedule, loop.k0);
     const int64_t work = work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
@@ -75,18 +75,18 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member) {
         follower.push(member, k, one.x, one.dx);
         if (k == saved) {
             saved = next_saved(schedule, k);
-            const int64_t place = slot_of(schedule, k) * loop.saves.members + member;
-            std::copy_n(one.g, square, loop.saves.group + place * square);
+            const int64_t place = slot_of(schedule, k) * loop.arrays.members + member;
+            std::copy_n(one.g, square, loop.arrays.group + place * square);
         }
         if (follower.full()) follower.flush();
     }
     follower.flush();
-    loop.report.iterations[member] += one.iterations;
-    loop.report.evaluations[member] += one.evaluations;
-    each_row(state, one.x, one.dx, one.g, one.dg, [&](double* to, const double* from, int64_t length) {
+    loop.arrays.iterations[member] += one.iterations;
+    loop.arrays.evaluations[member] += one.evaluations;
+    each_row(arrays, one.x, one.dx, one.g, one.dg, [&](double* to, const double* from, int64_t length) {
         std::copy_n(from, length, to + member * length);
     });
-    if (state.remembered > 0) {
+    if (arrays.remembered > 0) {
         memory[0] = one.newton;
         one.write_slopes(memory + 1);
     }
@@ -108,12 +108,12 @@ struct Together {
 
     Together(const RungeKuttaLoop& loop, const C& constants, const int64_t* members, int64_t count)
         : loop(loop), constants(constants), members(members), count(count), crowd(loop.tables, constants),
-          slopes(std::max<int64_t>(loop.state.remembered, 1)) {
-        each_row(loop.state, crowd.x, crowd.dx, crowd.g, crowd.dg, [&](const double* from, A* to, int64_t length) {
+          slopes(std::max<int64_t>(loop.arrays.remembered, 1)) {
+        each_row(loop.arrays, crowd.x, crowd.dx, crowd.g, crowd.dg, [&](const double* from, A* to, int64_t length) {
             read_lanes(to, from, length, members, count);
         });
-        for (int64_t lane = 0; lane < count; ++lane) left += going[lane] = loop.report.status[members[lane]] == DONE;
-        if (loop.state.remembered == 0) return;
+        for (int64_t lane = 0; lane < count; ++lane) left += going[lane] = loop.arrays.status[members[lane]] == DONE;
+        if (loop.arrays.remembered == 0) return;
         for (int lane = 0; lane < lanes; ++lane) {
             const double* memory = loop.memory_of(members[std::min<int64_t>(lane, count - 1)]);
             newton[lane] = memory[0];
@@ -128,10 +128,10 @@ struct Together {
 
     void write(int lane) {
         const int64_t member = members[lane];
-        each_row(loop.state, crowd.x, crowd.dx, crowd.g, crowd.dg, [&](double* to, const A* from, int64_t length) {
+        each_row(loop.arrays, crowd.x, crowd.dx, crowd.g, crowd.dg, [&](double* to, const A* from, int64_t length) {
             write_lane(from, to, length, member, lane);
         });
-        if (loop.state.remembered == 0) return;
+        if (loop.arrays.remembered == 0) return;
         loop.memory_of(member)[0] = newton[lane];
         crowd.write_slopes(false, loop.memory_of(member) + 1, lane);
     }
@@ -146,23 +146,23 @@ struct Together {
         auto take = [&](double* to, const A* from, int64_t length) {
             for (int64_t i = 0; i < length; ++i) to[i] = lane_of(from[i], lane);
         };
-        take(one.x, crowd.x, loop.state.size), take(one.dx, crowd.dx, loop.state.size);
-        take(one.g, crowd.g, loop.state.square), take(one.dg, crowd.dg, loop.state.square);
+        take(one.x, crowd.x, loop.arrays.size), take(one.dx, crowd.dx, loop.arrays.size);
+        take(one.g, crowd.g, loop.arrays.square), take(one.dg, crowd.dg, loop.arrays.square);
         one.newton = newton[lane];
         one.iterations = one.evaluations = 0;
         crowd_slopes(lane, one);
         const bool found = one.solve(t, h, part);
         newton[lane] = one.newton;
-        loop.report.iterations[members[lane]] += one.iterations;
-        loop.report.evaluations[members[lane]] += one.evaluations;
-        slopes.resize(crowd.remembered());
+        loop.arrays.iterations[members[lane]] += one.iterations;
+        loop.arrays.evaluations[members[lane]] += one.evaluations;
+        slopes.resize(remembered_slopes(loop.tables));
         one.write_slopes(slopes.data());
         crowd.read_slopes(slopes.data(), lane);
         return found;
     }
 
     void crowd_slopes(int lane, Single& one) {
-        if (loop.state.remembered == 0) return;
+        if (loop.arrays.remembered == 0) return;
         crowd.write_slopes(true, slopes.data(), lane);
         one.read_slopes(slopes.data());
     }
@@ -178,7 +178,7 @@ struct Together {
     void follow() {
         const RungeKuttaTables& tables = loop.tables;
         const Schedule& schedule = loop.schedule;
-        CrowdWatcher<A, C> watcher(loop.watch, loop.saves, schedule, constants, members, going, count);
+        CrowdWatcher<A, C> watcher(loop.watch, loop.arrays, schedule, constants, members, going, count);
         int64_t saved = next_saved(schedule, loop.k0);
         const int64_t work = lanes * work_of_step(loop);
         for (int64_t k = loop.k0 + 1; k <= loop.k1 && left > 0; ++k) {
@@ -217,8 +217,8 @@ struct Together {
             if (!going[lane]) continue;
             if (at(found, int(lane))) {
                 newton[lane] = 0.0;
-                loop.report.iterations[members[lane]] += int64_t(iterations[lane]);
-                loop.report.evaluations[members[lane]] += int64_t(evaluations[lane]);
+                loop.arrays.iterations[members[lane]] += int64_t(iterations[lane]);
+                loop.arrays.evaluations[members[lane]] += int64_t(evaluations[lane]);
             } else if (!alone(int(lane), t, h, part)) {
                 const double residual = single[lane]->residual;
                 stop(watcher, lane, k, failure_of(residual), residual);

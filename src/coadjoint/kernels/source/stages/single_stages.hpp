@@ -7,7 +7,6 @@
 
 namespace coadjoint {
 
-constexpr int64_t LARGEST_DENSE = 200;  // unknowns: above, Newton corrections are solved by a band or without a matrix
 constexpr double STEPS_OF_NEWTON = 64;  // after which the function iteration is tried again
 
 // Room for what few trajectories need.

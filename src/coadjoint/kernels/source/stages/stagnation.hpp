@@ -4,6 +4,7 @@
 #include <limits>
 #include <type_traits>
 
+#include "numbers/arithmetic.hpp"
 #include "boundary/hearing.hpp"
 #include "stages/stages.hpp"
 
@@ -113,7 +114,7 @@ struct Unknowns {
     INLINE auto falling(const typename Numbers<V>::Mask& where, int64_t blocks, int64_t size) {
         auto found = A(0.0) < A(0.0);
         for (int64_t k = 0; k < blocks * size; ++k) {
-            const A unit = A(0x1p-52) * absolute(points.at[k]);
+            const A unit = A(2.0 * UNIT_ROUNDOFF) * absolute(points.at[k]);
             const A own = select(change.at[k] <= unit, A(0.0), change.at[k]);
             auto fell = own < least.at[k];
             if constexpr (Numbers<V>::lanes > 1) fell = fell & where;

@@ -6,6 +6,16 @@
 
 namespace coadjoint {
 
+// How many numbers the iterations that are trusted, and the slopes of a step, take.
+inline int64_t remembered_slopes(const RungeKuttaTables& tables) {
+    return tables.substeps + tables.stages * (tables.field.size + tables.group.size * tables.group.size);
+}
+
+// What a member remembers from step to step: for how many steps it still begins with Newton's method, and these.
+inline int64_t remembered_by(const RungeKuttaTables& tables) {
+    return tables.solver == IMPLICIT ? 1 + remembered_slopes(tables) : 0;
+}
+
 template <class Layout, class AllStages>
 struct Traveller {
     typedef typename Layout::A A;
@@ -31,7 +41,6 @@ struct Traveller {
 
     // What is remembered of one lane: the iterations that are trusted in each substep, and the slopes, stage after
     // stage, of the step before or of this one.
-    int64_t remembered() const { return tables.substeps + s * (n + square); }
     void write_slopes(bool before, double* to, int lane) {
         for (int64_t part = 0; part < tables.substeps; ++part) *to++ = lane_of(stages.trusted.at[part], lane);
         each_slope(before ? stages.p.before.at : stages.p.slopes.at, before ? stages.g.before.at : stages.g.slopes.at,

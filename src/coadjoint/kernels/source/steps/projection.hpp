@@ -2,12 +2,13 @@
 // for lambda with the Gram matrix of the gradients at z.
 #pragma once
 
+#include "numbers/arithmetic.hpp"
 #include "steps/invariant_rows.hpp"
 #include "numbers/sparse_factors.hpp"
 
 namespace coadjoint {
 
-constexpr double EXACT = 0x1p-51;   // of the sum of the terms of x . dC/dx: a defect that rounding alone leaves
+constexpr double EXACT = 4.0 * UNIT_ROUNDOFF;   // of the sum of the terms of x . dC/dx: a defect that rounding alone leaves
 constexpr double STAGNANT = 0x1p8;  // times that: where corrections no longer help
 constexpr int64_t MOST_CORRECTIONS = 64;
 
@@ -34,7 +35,8 @@ struct Projection {
         factors.analyse(rows.coupled());
     }
 
-    // The values that are to be kept, and up to which defect: 2 * size numbers.
+    // The values that are to be kept, and up to which defect.
+    int64_t remembered() const { return 2 * int64_t(size); }
     void begin(const Row* x, double* kept) {
         for (size_t a = 0; a < size; ++a) {
             kept[a] = rows.template value<true>(a, Newest<0, W>(x), x);

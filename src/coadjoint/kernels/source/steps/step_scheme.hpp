@@ -8,13 +8,12 @@
 
 namespace coadjoint {
 
-constexpr int64_t UNDEFINED = 3;  // status of a step that its scheme does not define
-
 struct StepScheme {
     int64_t work = 0;       // about how many multiplications a step takes
     double residual = 0.0;  // the last correction of the last step
     int64_t evaluations = 0, iterations = 0;
-    double* memory = nullptr;  // what the scheme remembers of a member from step to step, NaN before the first
+    int64_t remembered = 0;    // how many numbers the scheme remembers of a member from step to step: its constructor says
+    double* memory = nullptr;  // where they stand, NaN before the first step; null where there are none
 
     virtual ~StepScheme() = default;
     // Take one step of length h from time t in place, with what compensated sums owe; return a status. Both are aligned

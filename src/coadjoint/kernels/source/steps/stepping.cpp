@@ -45,11 +45,9 @@ static StepScheme* remembered_step(const Stepping& tables) {
 static void follow(const Loop<Stepping>& loop, const Crew& crew) {
     const Stepping& tables = loop.tables;
     const Watch& watch = loop.watch;
-    const Saves& saves = loop.saves;
     const Schedule& schedule = loop.schedule;
-    const State& state = loop.state;
-    const Report& report = loop.report;
-    const int64_t n = state.size, square = state.square;
+    const Arrays& arrays = loop.arrays;
+    const int64_t n = arrays.size, square = arrays.square;
     std::vector<double> arguments(watch.longest + 1), room(2 * watch.longest + 2);
     const int64_t eights = (n + 7) / 8;
     Room<Lanes<8>> momentum(2 * eights);
@@ -59,18 +57,18 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
     StepScheme* scheme = crew.stride || n > SMALL ? nullptr : remembered_step(tables);
     for (int64_t place = crew.first; place < crew.last; ++place) {
         const int64_t member = crew.members[place];
-        if (report.status[member] != DONE) continue;
+        if (arrays.status[member] != DONE) continue;
         const Own constants{crew.stride ? crew.stride : 1, crew.stride ? place : 0};
         if (crew.stride || !scheme) {
             own = made(tables, constants);
             scheme = own.get();
         }
-        scheme->memory = state.remembered ? loop.memory_of(member) : nullptr;
+        scheme->memory = arrays.remembered ? loop.memory_of(member) : nullptr;
         // Beyond the last coordinate there is nothing, and nothing that the member before may have left.
         std::fill_n(x, 16 * eights, 0.0);
-        std::copy_n(state.momenta + member * n, n, x);
-        std::copy_n(state.errors + member * n, n, dx);
-        double *g = state.groups + member * square, *dg = state.group_errors + member * square;
+        std::copy_n(arrays.momenta + member * n, n, x);
+        std::copy_n(arrays.errors + member * n, n, dx);
+        double *g = arrays.groups + member * square, *dg = arrays.group_errors + member * square;
         for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
             const double start = schedule.t0 + double(k - 1) * schedule.h;
             int64_t status = DONE;
@@ -79,8 +77,8 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
                 scheme->evaluations = scheme->iterations = 0;
                 status = scheme->step(x, dx, g, dg, start + tables.moment[part] * schedule.h,
                                       tables.fraction[part] * schedule.h);
-                report.evaluations[member] += scheme->evaluations;
-                report.iterations[member] += scheme->iterations;
+                arrays.evaluations[member] += scheme->evaluations;
+                arrays.iterations[member] += scheme->iterations;
             }
             if (status == DONE && !finite(n, x)) {
                 status = OVERFLOWED;
@@ -92,14 +90,16 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
             }
             const int64_t slot = slot_of(schedule, k);
             if (!schedule.watching && slot < 0) continue;
-            note_steps(watch, constants, saves, schedule, member, 1, &k, n, x, arguments.data(), room.data());
-            if (slot >= 0) std::copy_n(g, square, saves.group + (slot * saves.members + member) * square);
+            note_steps(watch, constants, arrays, schedule, member, 1, &k, n, x, arguments.data(), room.data());
+            if (slot >= 0) std::copy_n(g, square, arrays.group + (slot * arrays.members + member) * square);
         }
-        std::copy_n(x, n, state.momenta + member * n);
-        std::copy_n(dx, n, state.errors + member * n);
+        std::copy_n(x, n, arrays.momenta + member * n);
+        std::copy_n(dx, n, arrays.errors + member * n);
     }
 }
 
-EXPORT_LOOP(stepping_advance, Stepping, follow)
+static int64_t remembered_by(const Stepping& tables) { return made(tables, Own{1, 0})->remembered; }
+
+EXPORT_LOOP(stepping_advance, Stepping, follow, remembered_by)
 
 }  // namespace coadjoint

@@ -1,0 +1,225 @@
+"""What the kernels and Python share, as the library itself describes it, and whether this package is of the same mind.
+
+Tables, arrays of a run, codes and limits are written in the headers of `source/boundary`. The plain reading of a
+program works without compiled code, so that the room `program` writes what it needs of them as well: that is compared,
+name by name, when the description is first read.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import Any, NamedTuple
+
+from coadjoint.algebra.logarithmic import ANGLE, HOLD, LOGARITHM, QUOTIENT
+from coadjoint.kernels.library import kernels
+from coadjoint.program.blocks import CUBIC_HEADER, MOST_SUBSTEPS, Kind
+from coadjoint.program.terms import FUNCTION, LINEAR, POLYNOMIAL
+from coadjoint.program.unshift import Turn
+
+Fields = tuple[tuple[str, str], ...]
+
+BUILT_AGAIN = "they were built for another version; build them again, for instance by `pip install --force-reinstall`"
+
+
+class Array(NamedTuple):
+    """An array of a run: its type, and its axes by name, those of `Extent` and limits."""
+
+    kind: str
+    axes: tuple[str, ...]
+
+
+class Description(NamedTuple):
+    """What the library says of its boundary.
+
+    Parameters
+    ----------
+    tables : mapping
+        Name -> pairs of the type and the name of a field, in their order.
+    arrays : mapping
+        Name of a block -> name -> `Array`, in their order.
+    codes : mapping
+        Name of a list -> name -> code. The limits are the list "Limit".
+    """
+
+    tables: Mapping[str, Fields]
+    arrays: Mapping[str, Mapping[str, Array]]
+    codes: Mapping[str, Mapping[str, int]]
+
+
+WRITTEN: Mapping[str, Mapping[str, int]] = {
+    "Kind": {kind.name: int(kind) for kind in Kind},
+    "TermKind": {"LINEAR": LINEAR, "POLYNOMIAL": POLYNOMIAL, "FUNCTION": FUNCTION},
+    "Role": {"HOLD": HOLD, "QUOTIENT": QUOTIENT, "LOGARITHM": LOGARITHM, "ANGLE": ANGLE},
+    "Turn": {turn.name: int(turn) for turn in Turn},
+    "Limit": {"CUBIC_HEADER": CUBIC_HEADER, "MOST_SUBSTEPS": MOST_SUBSTEPS},
+}
+"""Codes that Python writes as well: of each list all, of the limits those that the plain reading needs."""
+
+USED: Mapping[str, Iterable[str]] = {
+    "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED"),
+    "Outcome": ("INTERRUPTED", "NO_MEMORY"),
+    "Solver": ("EXPLICIT", "ITERATED", "IMPLICIT", "STRUCTURE", "GRADIENT"),
+    "Limit": ("TENTHS", "RATIONAL", "LARGEST_DENSE", "LARGEST_DIRECT", "WIDEST", "BLOCK", "STATE_VERSION"),
+}
+"""Codes whose values Python asks for, by name."""
+
+ARRAYS: Mapping[str, frozenset[str]] = {
+    "saved": frozenset(("x", "group", "values")),
+    "state": frozenset(
+        (
+            *("momenta", "errors", "groups", "group_errors", "memory", "first", "last", "worst"),
+            *("residual", "status", "step", "evaluations", "iterations"),
+        )
+    ),
+}
+"""The arrays of a run, which Python uses by name; their order, types and axes are those of the library."""
+
+
+def parsed(text: str) -> Description:
+    r"""Return what a description says.
+
+    Parameters
+    ----------
+    text : str
+        A line for each table, block of arrays and list of codes: what it is, its name, and its entries.
+
+    Returns
+    -------
+    Description
+
+    Examples
+    --------
+    >>> said = parsed("table Pair:number left;number right;\narrays saved:numbers x points * size;\ncodes Way:UP 1;")
+    >>> said.tables["Pair"], said.arrays["saved"]["x"].axes, said.codes["Way"]
+    ((('number', 'left'), ('number', 'right')), ('points', 'size'), {'UP': 1})
+    """
+    found: dict[str, dict[str, Any]] = {"table": {}, "arrays": {}, "codes": {}}
+    for line in text.splitlines():
+        head, _, rest = line.partition(":")
+        what, name = head.split(" ")
+        entries = [entry.split(" ") for entry in rest.split(";") if entry]
+        if what == "table":
+            found[what][name] = tuple((kind, field) for kind, field in entries)
+        elif what == "arrays":
+            found[what][name] = {label: Array(kind, tuple(axes[::2])) for kind, label, *axes in entries}
+        else:
+            found[what][name] = {label: int(value) for label, value in entries}
+    return Description(found["table"], found["arrays"], found["codes"])
+
+
+def check(description: Description) -> None:
+    """Refuse kernels whose codes or arrays are not those of this package.
+
+    Parameters
+    ----------
+    description : Description
+        What they say.
+
+    Raises
+    ------
+    ImportError
+        With the first difference: its name, both values, and the remedy.
+    """
+    codes, arrays = description.codes, description.arrays
+    for what, values in WRITTEN.items():
+        for name, value in values.items():
+            _agree(f"{what}.{name}", value, codes.get(what, {}).get(name))
+        if what != "Limit":
+            _agree(f"{what}: names", sorted(values), sorted(codes[what]))
+    for what, names in USED.items():
+        for name in names:
+            if name not in codes.get(what, {}):
+                _agree(f"{what}.{name}", "a number", None)
+    axes = {name for _, name in description.tables.get("Extent", ())} | set(codes["Limit"])
+    for block, used in ARRAYS.items():
+        _agree(f"arrays of a run, {block}", sorted(used), sorted(arrays.get(block, {})))
+        for name, array in arrays[block].items():
+            unknown = sorted(set(array.axes) - axes)
+            if unknown:
+                _agree(f"axes of {block}.{name}", "numbers of Extent and limits", unknown)
+
+
+def check_fields(name: str, fields: Iterable[str]) -> None:
+    """Refuse kernels whose table of this name has other fields than the one in Python.
+
+    Parameters
+    ----------
+    name : str
+        Of the table.
+    fields : iterable of str
+        Those in Python, which are given by name.
+
+    Raises
+    ------
+    ImportError
+        The library has no such table, or one with other fields.
+    """
+    there = described().tables.get(name)
+    if there is None:
+        raise ImportError(f"the compiled kernels have no table {name}: {BUILT_AGAIN}")
+    _agree(f"table {name}: fields", sorted(fields), sorted(field for _, field in there))
+
+
+def _agree(name: str, own: Any, theirs: Any) -> None:
+    if own == theirs:
+        return
+    if isinstance(own, list) and isinstance(theirs, list):
+        own, theirs = (sorted(set(one) - set(other)) for one, other in ((own, theirs), (theirs, own)))
+        raise ImportError(
+            f"{name}: {_listed(own)} only in this package, {_listed(theirs)} only in the compiled kernels: "
+            f"{BUILT_AGAIN}"
+        )
+    said = "missing" if theirs is None else theirs
+    raise ImportError(f"{name} is {own} in this package and {said} in the compiled kernels: {BUILT_AGAIN}")
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names) or "nothing"
+
+
+def text_of_kernels() -> str:
+    """Return the description as the loaded library gives it."""
+    describe = kernels().description
+    describe.restype = ctypes.c_char_p
+    return str(describe().decode())
+
+
+@cache
+def described() -> Description:
+    """Return what the loaded kernels say of their boundary, checked once.
+
+    Raises
+    ------
+    ImportError
+        They are missing, or of another version than this package.
+    """
+    try:
+        description = parsed(text_of_kernels())
+    except AttributeError as error:
+        raise ImportError(f"the compiled kernels do not describe themselves: {BUILT_AGAIN}") from error
+    check(description)
+    return description
+
+
+def codes(name: str) -> Mapping[str, int]:
+    """Return the codes of a list, by name.
+
+    Examples
+    --------
+    >>> codes("Status")["DONE"]
+    0
+    """
+    return described().codes[name]
+
+
+def limit(name: str) -> int:
+    """Return a limit or a count that the kernels have.
+
+    Examples
+    --------
+    >>> limit("TENTHS")
+    10
+    """
+    return described().codes["Limit"][name]

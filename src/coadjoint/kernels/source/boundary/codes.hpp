@@ -1,0 +1,57 @@
+// The codes and limits that Python and the kernels share. Each is written here, once, and told to Python by its name.
+#pragma once
+
+#include <cstdint>
+
+namespace coadjoint {
+
+#define DECLARE_CODE(name, value) constexpr int64_t name = value;
+#define DESCRIBE_CODE(name, value) #name " " #value ";"
+#define CODES(Name, LIST) \
+    LIST(DECLARE_CODE)    \
+    constexpr char Name##_codes[] = "codes " #Name ":" LIST(DESCRIBE_CODE) "\n";
+
+// How a step ended. UNDEFINED: its scheme does not define it.
+#define STATUSES(_) _(DONE, 0) _(NOT_CONVERGED, 1) _(OVERFLOWED, 2) _(UNDEFINED, 3)
+CODES(Status, STATUSES)
+
+// What a loop returns in place of a count, where it did not take all steps.
+#define OUTCOMES(_) _(INTERRUPTED, -1) _(NO_MEMORY, -2)
+CODES(Outcome, OUTCOMES)
+
+// Terms of a scalar function.
+#define TERM_KINDS(_) _(LINEAR, 0) _(POLYNOMIAL, 1) _(FUNCTION, 2)
+CODES(TermKind, TERM_KINDS)
+
+// What a form of an invariant that is no polynomial is: held for the next one, or the second polynomial of a term.
+#define ROLES(_) _(HOLD, 0) _(QUOTIENT, 1) _(LOGARITHM, 2) _(ANGLE, 3)
+CODES(Role, ROLES)
+
+// How exp(theta D) - 1 acts on a block of the state or of the group element.
+#define BLOCK_KINDS(_) _(SCALE, 0) _(ROTATE, 1) _(PLANE, 2) _(SHEAR, 3) _(CUBIC, 4) _(SERIES, 5)
+CODES(Kind, BLOCK_KINDS)
+
+// By which closed form what was taken off a Hamiltonian turns the group element.
+namespace turns {
+#define TURNS(_) _(NILPOTENT, 0) _(PLANE, 1) _(CUBIC, 2) _(PAIR, 3) _(SKEW, 4) _(GENERAL, 5)
+CODES(Turn, TURNS)
+}  // namespace turns
+
+// How the stages of a Runge-Kutta method are found.
+#define SOLVERS(_) _(EXPLICIT, 0) _(ITERATED, 1) _(IMPLICIT, 2) _(STRUCTURE, 3) _(GRADIENT, 4)
+CODES(Solver, SOLVERS)
+
+// TENTHS: pieces of a run whose largest deviations are told apart. RATIONAL: added to the kind of a rotation by
+// tan(angle/2) := half the angle. CUBIC_HEADER: constants of a CUBIC block before the values of its entries.
+// MOST_SUBSTEPS: of norm one, in a step of a series; one that turns so far knows nothing of the motion any more.
+// LARGEST_DENSE: unknowns of Newton's method with a dense matrix; above, a band or no matrix is used. LARGEST_DIRECT:
+// unknowns of a linear scheme; above, iterating costs less than LU factors, and their square is not stored. WIDEST:
+// dimension up to which members go side by side, since lanes of states stay in the cache. BLOCK: the most members that
+// go side by side on any processor; crews begin at multiples of it. STATE_VERSION: of what a run is between two steps;
+// to be raised where the meaning of an array of the state changes.
+#define LIMITS(_)                                                                                             \
+    _(TENTHS, 10) _(RATIONAL, 8) _(CUBIC_HEADER, 6) _(MOST_SUBSTEPS, 4096) _(LARGEST_DENSE, 200)              \
+    _(LARGEST_DIRECT, 160) _(WIDEST, 1024) _(BLOCK, 32) _(STATE_VERSION, 1)
+CODES(Limit, LIMITS)
+
+}  // namespace coadjoint

@@ -1,0 +1,19 @@
+// All that Python and the kernels share, as text: a line for each table, each block of arrays, and each list of codes.
+#include <string>
+
+#include "boundary/arrays.hpp"
+#include "boundary/codes.hpp"
+#include "boundary/tables.hpp"
+
+namespace coadjoint {
+
+EXPORT const char* description() {
+    static const std::string all =
+        std::string(Terms_fields) + Forms_fields + Action_fields + FlowTables_fields + Watch_fields + Extent_fields +
+        Schedule_fields + Field_fields + GroupField_fields + RungeKuttaTables_fields + StepTables_fields +
+        Stepping_fields + UnshiftTables_fields + Unshifted_fields + saved_arrays + state_arrays + Status_codes +
+        Outcome_codes + TermKind_codes + Role_codes + Kind_codes + turns::Turn_codes + Solver_codes + Limit_codes;
+    return all.c_str();
+}
+
+}  // namespace coadjoint

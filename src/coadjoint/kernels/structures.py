@@ -1,0 +1,109 @@
+"""Tables handed to the kernels as C structures, laid out as the library describes them."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from typing import Any
+
+import numpy as np
+
+from coadjoint.kernels.description import check_fields, described
+
+# What a field is, by its type in `source/boundary/tables.hpp`: a number, or the elements of an array.
+SCALARS: dict[str, Any] = {"integer": ctypes.c_int64, "number": ctypes.c_double, "flag": ctypes.c_int64}
+ARRAYS: dict[str, Any] = {
+    "bytes": np.dtype(np.uint8),
+    "indices": np.dtype(np.uint32),
+    "integers": np.dtype(np.int64),
+    "addresses": np.dtype(np.int64),
+    "numbers": np.dtype(np.float64),
+    "constants": np.dtype(np.float64),
+}
+VARIED = frozenset(("addresses", "constants"))
+"""The types of arrays that hold a column for each member, where the constants of members differ."""
+
+
+@functools.cache
+def structures() -> dict[str, Any]:
+    """Return the C structures of the tables by name."""
+    found: dict[str, Any] = {}
+    for name, fields in described().tables.items():
+        members = [
+            (label, SCALARS.get(kind) or (ctypes.c_void_p if kind in ARRAYS else found[kind])) for kind, label in fields
+        ]
+        found[name] = type(name, (ctypes.Structure,), {"_fields_": members, "kinds": [kind for kind, _ in fields]})
+    return found
+
+
+@functools.cache
+def structure_of_table(kind: Any) -> Any:
+    """Return the C structure for tables of a class of named tuples; it has the name and the fields of the class.
+
+    Raises
+    ------
+    ImportError
+        The library has no such table, or one with other fields.
+    """
+    check_fields(kind.__name__, getattr(kind, "_fields", ()))
+    return structures()[kind.__name__]
+
+
+@functools.cache
+def varied_fields(kind: Any) -> frozenset[str]:
+    """Return which arrays of a class of tables hold a column for each member, where the constants of members differ.
+
+    Examples
+    --------
+    >>> from coadjoint.kernels.field import GroupField
+    >>> sorted(varied_fields(GroupField))
+    ['value']
+    """
+    structure = structure_of_table(kind)
+    return frozenset(
+        name for (name, _), token in zip(structure._fields_, structure.kinds, strict=True) if token in VARIED
+    )
+
+
+def pointed(table: Any) -> Any:
+    """Return a table as the C structure of its name; it keeps the arrays alive.
+
+    Parameters
+    ----------
+    table : NamedTuple
+        Its fields are read by name; arrays must be C-contiguous and of the type that the kernels read.
+
+    Returns
+    -------
+    ctypes.Structure
+        The same, if it is given one.
+
+    Raises
+    ------
+    TypeError
+        An array has another type or layout.
+    ImportError
+        The library has no such table, or one with other fields.
+    """
+    if isinstance(table, ctypes.Structure):
+        return table
+    own: Any = type(table)
+    kind = structure_of_table(own)
+    filled = kind()
+    for field, token in zip((field for field, _ in kind._fields_), kind.kinds, strict=True):
+        value = getattr(table, field)
+        if token in SCALARS:
+            setattr(filled, field, value)
+        elif token in ARRAYS:
+            if value.dtype != ARRAYS[token] or not value.flags.c_contiguous:
+                raise TypeError(f"{kind.__name__}.{field} is {value.dtype}, not a contiguous {ARRAYS[token]}")
+            setattr(filled, field, value.ctypes.data)
+        else:
+            setattr(filled, field, pointed(value))
+    filled.source = table
+    return filled
+
+
+def address(array: Any) -> ctypes.c_void_p:
+    """Return where the elements of a contiguous array begin."""
+    return ctypes.c_void_p(array.ctypes.data)
