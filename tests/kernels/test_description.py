@@ -40,6 +40,7 @@ CHANGES = {
         "",
         "arrays of a run, saved: values only in this package, nothing only",
     ),
+    "type of an array": ("integers status", "bytes status", "type of state.status is numbers or integers in this"),
     "axis of an array": ("members * remembered;", "members * room;", "axes of state.memory is numbers of Extent and"),
 }
 

@@ -11,6 +11,7 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.loop import Crew
 from coadjoint.runs import prepared_run, run
+from coadjoint.runs.solution import FEW_NUMBERS, PARTS, Solution
 
 BODY = co.systems.rigid_body((1, 2, 3))
 X = np.array([0.1, 1.0, 0.2])
@@ -134,7 +135,7 @@ def test_what_a_run_refuses():
 def test_parts_of_a_solution_are_made_when_asked_for_and_stay():
     """In whatever order, after other runs, after the states were written over, and for copies."""
     ready = co.prepare(BODY, co.Splitting(order=4), 0.1, attitude=True, observe={"x1": lambda x: x[0]})
-    parts = [field.name for field in dataclasses.fields(co.Solution)]
+    parts = list(PARTS)
     for x in (X, np.array([X, 2 * X])):
         sol, other = ready.run(x, (0, 1), 4), ready.run(x, (0, 1), 4)
         at_once = {name: getattr(other, name) for name in parts}
@@ -163,7 +164,7 @@ def test_a_solution_is_pickled_whole_and_has_nothing_else():
     sol = co.integrate(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25])), X, (0, 1), 0.1)
     there = pickle.loads(pickle.dumps(sol))
     assert np.array_equal(there.x, sol.x) and there.stats == sol.stats and there.drift() == sol.drift()
-    assert set(vars(there)) == {field.name for field in dataclasses.fields(co.Solution)}
+    assert set(vars(there)) == set(PARTS)
     with pytest.raises(AttributeError, match="'Solution' object has no attribute 'momentum'"):
         _ = sol.momentum
     with pytest.raises(dataclasses.FrozenInstanceError):
@@ -206,3 +207,21 @@ def test_one_call_for_a_run_and_many_under_a_progress_bar(monkeypatch, capsys):
     assert [k0 for k0, _ in cuts[1:]] == [k1 for _, k1 in cuts[:-1]] and cuts[-1][1] == 10**5
     assert np.array_equal(whole.x, pieces.x)
     assert "100%" in capsys.readouterr().err
+
+
+def test_a_solution_shows_what_it_has_from_the_start():
+    sol = co.integrate(BODY, X, (0, 1), 0.1)
+    public = {name for name in PARTS if not name.startswith("_")} | {"drift", "to_xarray", "plot"}
+    assert {name for name in dir(sol) if not name.startswith("_")} == public
+    assert not hasattr(Solution, "of") and Solution.__getattribute__ is object.__getattribute__
+    assert not hasattr(Solution, "__getattr__")
+    assert repr(sol).endswith("by Splitting(order=2), 11 points from t = 0 to 1, step 0.1>")
+
+
+def test_a_solution_of_many_members_does_not_hold_their_state():
+    many = np.tile(X, (FEW_NUMBERS // 8, 1))
+    sol = co.integrate(BODY, many, (0, 1), 0.1)
+    assert set(sol._state.places.shapes) == {"worst", "status", "evaluations", "iterations"}
+    one = co.integrate(BODY, X, (0, 1), 0.1)
+    assert sol.stats.evaluations == len(many) * one.stats.evaluations and not sol.failed.any()
+    assert np.array_equal(sol.drift()["energy"].tenths[-1], one.drift()["energy"].tenths)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Set
 from math import prod
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.description import described
-from coadjoint.kernels.structures import ARRAYS, pointed
+from coadjoint.kernels.structures import pointed
 
 # The first number of a contiguous array that can be written to; twenty times quicker than its `ctypes`.
 number_at: Any = ctypes.c_double.from_buffer
@@ -37,12 +37,12 @@ class Places:
     ----------
     shapes : mapping
         Name -> shape.
-    types : mapping
-        Name -> type of the numbers.
+    whole : set
+        The names of those of whole numbers; all others are of float64.
     """
 
-    def __init__(self, shapes: Mapping[str, tuple[int, ...]], types: Mapping[str, Any]) -> None:
-        self.shapes, self.types = shapes, types
+    def __init__(self, shapes: Mapping[str, tuple[int, ...]], whole: Set[str]) -> None:
+        self.shapes, self.whole = shapes, whole
         self.slices: dict[str, slice] = {}
         self.size = 0
         for name, shape in shapes.items():
@@ -62,7 +62,8 @@ class Block:
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         places = self.places
-        return self.numbers[places.slices[name]].view(places.types[name]).reshape(places.shapes[name])
+        found = self.numbers[places.slices[name]]
+        return (found.view(np.int64) if name in places.whole else found).reshape(places.shapes[name])
 
     def place_of(self, name: str) -> int:
         """Return where an array stands in memory."""
@@ -73,6 +74,14 @@ class Block:
         other = Block(self.places)
         for name in self.places.shapes:
             self[name].take(members, axis=axis, out=other[name])
+        return other
+
+    def only(self, names: Iterable[str]) -> Block:
+        """Return a copy of some of the arrays."""
+        places = self.places
+        other = Block(Places({name: places.shapes[name] for name in names}, places.whole))
+        for name in other.places.shapes:
+            other[name][:] = self[name]
         return other
 
     def copy(self) -> Block:
@@ -108,5 +117,5 @@ class Layout:
         arrays = description.arrays[block]
         return Places(
             {name: tuple(sizes[axis] for axis in array.axes) for name, array in arrays.items()},
-            {name: ARRAYS[array.kind] for name, array in arrays.items()},
+            {name for name, array in arrays.items() if array.kind == "integers"},
         )

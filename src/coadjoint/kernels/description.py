@@ -77,6 +77,10 @@ ARRAYS: Mapping[str, frozenset[str]] = {
 """The arrays of a run, which Python uses by name; their order, types and axes are those of the library."""
 
 
+TYPES = ("numbers", "integers")
+"""Types of the arrays of a run: float64, and whole numbers of as many bytes."""
+
+
 def parsed(text: str) -> Description:
     r"""Return what a description says.
 
@@ -139,6 +143,8 @@ def check(description: Description) -> None:
             unknown = sorted(set(array.axes) - axes)
             if unknown:
                 _agree(f"axes of {block}.{name}", "numbers of Extent and limits", unknown)
+            if array.kind not in TYPES:
+                _agree(f"type of {block}.{name}", " or ".join(TYPES), array.kind)
 
 
 def check_fields(name: str, fields: Iterable[str]) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from coadjoint.algebra.logarithmic import Forms
 from coadjoint.extras import need
-from coadjoint.kernels.library import pointed
+from coadjoint.kernels.structures import pointed
 
 
 class CompiledFunction:

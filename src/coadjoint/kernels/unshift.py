@@ -105,13 +105,16 @@ class Unshifting:
             stop = min(k + size, points)
             # The table as plain bytes: a tenth of the time that a structure takes.
             numbers = x0, g0, held, whole, members, first, last, k, stop, h, self._rate, save_every, steps
-            self._unshift(self._address, self._packed(Unshifted(*numbers)))
+            self._unshift(self._address, self._packed(*numbers))
 
 
 @cache
-def _packing() -> Callable[[Unshifted], bytes]:
-    """Return what lays out the table `Unshifted`: numbers of eight bytes all."""
+def _packing() -> Callable[..., bytes]:
+    """Return what lays out the fields of the table `Unshifted`: numbers of eight bytes all."""
     kind = structure_of_table(Unshifted)
-    in_order = itemgetter(*(Unshifted._fields.index(name) for name, _ in kind._fields_))
+    names = tuple(name for name, _ in kind._fields_)
     pack = struct.Struct("=" + "".join("d" if token == "number" else "q" for token in kind.kinds)).pack
-    return lambda numbers: pack(*in_order(numbers))
+    if names == Unshifted._fields:
+        return pack
+    in_order = itemgetter(*map(Unshifted._fields.index, names))
+    return lambda *numbers: pack(*in_order(numbers))

@@ -21,7 +21,6 @@ from coadjoint.methods.base import Method
 from coadjoint.runs.loops import Loops
 from coadjoint.runs.observed import Observed
 from coadjoint.runs.room import check_room_of_run
-from coadjoint.runs.saved import Saved
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
@@ -169,7 +168,7 @@ class Run:
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
 
     def _solution(self, kept: int, observed: Observed | None) -> Solution:
-        return Solution.of(Saved(self, kept, observed))
+        return Solution(self, kept, observed)
 
 
 @contextmanager

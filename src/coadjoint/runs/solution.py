@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import FrozenInstanceError, dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,16 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from coadjoint.runs.saved import Saved
+    from coadjoint.kernels.arrays import Block
+    from coadjoint.runs.loops import Turned
+    from coadjoint.runs.observed import Observed
+    from coadjoint.runs.run import Run
+    from coadjoint.runs.start import Start
+    from coadjoint.runs.times import Times
+
+# Of the state of a run a solution looks at these; a larger one is not held for them.
+REPORTED = ("worst", "status", "evaluations", "iterations")
+FEW_NUMBERS = 2**12
 
 
 @dataclass(frozen=True)
@@ -75,11 +85,10 @@ class Drift(float):
             return np.divide(self.tenths[..., -1], self.tenths[..., 0])
 
 
-@dataclass(frozen=True)
 class Solution:
     """A run: arrays over the saved times, k of them, for one member or (k, members, ...) for an ensemble.
 
-    Parameters
+    Attributes
     ----------
     t : ndarray, shape (k,)
         t0, every save_every-th step, and the last.
@@ -104,7 +113,7 @@ class Solution:
 
     Notes
     -----
-    Of a run, each part is made when it is first asked for, and kept.
+    `integrate` makes it. Each part is made when it is first asked for, and kept; the tables of the run are not held.
 
     Examples
     --------
@@ -114,40 +123,128 @@ class Solution:
     ((11, 3), ['energy', '|x|^2'])
     """
 
-    t: NDArray[np.float64]
-    x: NDArray[np.float64]
-    energy: NDArray[np.float64]
-    casimirs: Mapping[str, NDArray[np.float64]]
-    attitude: NDArray[np.float64] | None
-    observed: Mapping[str, NDArray[np.float64]]
-    stats: Statistics
-    failed: NDArray[np.bool_] | None
     system: System | Batch
     method: Method
-    t_span: tuple[float, float]
-    step: float
-    save_every: int
     watched: bool
-    carried: str | None
-    _worst: NDArray[np.float64] = field(repr=False)
+    observed: Mapping[str, NDArray[np.float64]]
+    _saved: Block
+    _state: Block
+    _kept: int
+    _seconds: float
+    _times: Times
+    _start: Start
+    _names: list[str]
+    _turned: Turned
 
-    @classmethod
-    def of(cls, saved: Saved) -> Solution:
-        """Return the solution of a run; each part is made when it is first asked for, and kept."""
-        solution = object.__new__(cls)
-        solution.__dict__["_saved"] = saved
-        return solution
+    def __init__(self, run: Run, kept: int, observed: Observed | None) -> None:
+        loops = run.loops
+        self.__dict__.update(
+            system=run.system,
+            method=run.method,
+            watched=run.watching,
+            observed={},
+            _saved=run.saved,
+            _state=run.state if run.state.numbers.size <= FEW_NUMBERS else run.state.only(REPORTED),
+            _kept=kept,
+            _seconds=run.seconds,
+            _times=run.times,
+            _start=run.start,
+            _names=loops.names,
+            _turned=loops.turned,
+        )
+        if observed is not None:
+            series = observed.along(self.t, self._series("x"))
+            self.__dict__["observed"] = {name: self._picked(values) for name, values in series.items()}
 
-    if not TYPE_CHECKING:
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise FrozenInstanceError(f"cannot assign to field {name!r}: a Solution stays as the run left it")
 
-        def __getattr__(self, name: str) -> Any:
-            if name not in PARTS or "_saved" not in self.__dict__:
-                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-            return self.__dict__.setdefault(name, getattr(self._saved, name))
+    def __delattr__(self, name: str) -> None:
+        raise FrozenInstanceError(f"cannot delete field {name!r}: a Solution stays as the run left it")
+
+    def __repr__(self) -> str:
+        points = f"{len(self.t)} points from t = {self.t_span[0]:g} to {self.t_span[1]:g}"
+        return f"<solution of {self.system!r} by {self.method}, {points}, step {self.step:g}>"
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all parts, for copies and for `pickle`."""
         return {name: getattr(self, name) for name in PARTS}
+
+    def _series(self, name: str) -> NDArray[Any]:
+        return self._saved[name][: self._kept]
+
+    def _picked(self, series: NDArray[Any]) -> NDArray[Any]:
+        """Without the axis of members where there is one alone."""
+        return series[:, 0] if self._start.single else series
+
+    @cached_property
+    def t(self) -> NDArray[np.float64]:
+        """The saved times."""
+        return self._times.at(self._times.saved[: self._kept])
+
+    @cached_property
+    def x(self) -> NDArray[np.float64]:
+        """Momenta."""
+        return self._picked(self._series("x"))
+
+    @cached_property
+    def energy(self) -> NDArray[np.float64]:
+        """The Hamiltonian."""
+        return self._picked(self._series("values")[..., 0])
+
+    @cached_property
+    def casimirs(self) -> Mapping[str, NDArray[np.float64]]:
+        """Name -> values."""
+        values = self._series("values")
+        return {name: self._picked(values[..., i + 1]) for i, name in enumerate(self._names[1:])}
+
+    @cached_property
+    def attitude(self) -> NDArray[np.float64] | None:
+        """Group elements, with what was taken off the Hamiltonian put back."""
+        if self._start.representation is None:
+            return None
+        found = self._turned(self._start, self._times, self._saved, self._kept)
+        return found[:, 0] if self._start.single else found
+
+    @cached_property
+    def stats(self) -> Statistics:
+        """The work done."""
+        return Statistics(
+            steps=int(self._times.steps),
+            evaluations=int(self._state["evaluations"].sum()),
+            iterations=int(self._state["iterations"].sum()),
+            seconds=self._seconds,
+        )
+
+    @cached_property
+    def failed(self) -> NDArray[np.bool_] | None:
+        """Which members of an ensemble failed."""
+        return None if self._start.single else self._state["status"] != 0
+
+    @cached_property
+    def t_span(self) -> tuple[float, float]:
+        """Start and end."""
+        return self._times.t0, self._times.end
+
+    @cached_property
+    def step(self) -> float:
+        """Its size."""
+        return abs(self._times.h)
+
+    @cached_property
+    def save_every(self) -> int:
+        """As it was given, no more than the steps."""
+        return self._times.save_every
+
+    @cached_property
+    def carried(self) -> str | None:
+        """In which matrices the group element is."""
+        return self._start.carried
+
+    @cached_property
+    def _worst(self) -> NDArray[np.float64]:
+        worst = self._state["worst"]
+        return worst[0] if self._start.single else worst
 
     def drift(self) -> dict[str, Drift]:
         """Return how far each invariant strayed from its start.
@@ -192,4 +289,7 @@ def check_solution(solution: Any) -> None:
         raise TypeError(f"solution is {short(solution)}; it must be a Solution, from co.integrate")
 
 
-PARTS = frozenset(part.name for part in fields(Solution))
+PARTS = ("system", "method", "watched", "observed") + tuple(
+    name for name, value in vars(Solution).items() if isinstance(value, cached_property)
+)
+"""What a copy of a solution has."""

@@ -9,7 +9,6 @@
 
 namespace coadjoint {
 
-
 // The value at y, NaN where the function is undefined; operation by operation that of `algebra/logarithmic.py`.
 inline double value_of_forms(const Forms& forms, const double* y) {
     double total = 0.0, held = 0.0;
