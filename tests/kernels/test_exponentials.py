@@ -9,6 +9,7 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.kernels.unshift import Unshifting
+from coadjoint.kernels.watching import schedule_of
 from coadjoint.program.shift import quadratic_casimirs
 from coadjoint.program.unshift import Turn, unshift_tables
 
@@ -80,7 +81,9 @@ def moved(algebra, carried, shift, x, time):
     tables = unshift_tables(algebra, carried, -1, shift)
     d = tables.size
     held, out = np.tile(np.eye(d).reshape(1, 1, -1), (2, 1, 1)), np.empty((2, 1, d, d))
-    Unshifting(tables, 1.0).fill(out, held.ctypes.data, np.array([x]), np.eye(d)[None], 0, 1, time, 1, 1)
+    Unshifting(tables, 1.0).fill(
+        out, held.ctypes.data, np.array([x]), np.eye(d)[None], 0, 1, schedule_of(0.0, time, 1, 1, False)
+    )
     assert np.array_equal(out[0, 0], np.eye(d))
     return out[1, 0]
 

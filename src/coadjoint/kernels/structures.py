@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import struct
+from collections.abc import Callable
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -102,6 +105,29 @@ def pointed(table: Any) -> Any:
             setattr(filled, field, pointed(value))
     filled.source = table
     return filled
+
+
+@functools.cache
+def packer(kind: Any) -> Callable[..., bytes]:
+    """Return what lays out a table of plain numbers and addresses, in a tenth of the time that a structure takes.
+
+    Parameters
+    ----------
+    kind : class
+        Of named tuples. An array is given by its address.
+
+    Returns
+    -------
+    callable
+        It takes the fields in the order of the class, and returns the bytes of the table.
+    """
+    structure = structure_of_table(kind)
+    names = tuple(name for name, _ in structure._fields_)
+    pack = struct.Struct("=" + "".join("d" if token == "number" else "q" for token in structure.kinds)).pack
+    if names == kind._fields:
+        return pack
+    in_order = itemgetter(*map(kind._fields.index, names))
+    return lambda *numbers: pack(*in_order(numbers))
 
 
 def address(array: Any) -> ctypes.c_void_p:

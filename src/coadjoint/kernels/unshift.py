@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-import struct
-from collections.abc import Callable
 from ctypes import addressof
-from functools import cache
-from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import number_at
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.structures import pointed, structure_of_table
+from coadjoint.kernels.structures import packer, pointed
 from coadjoint.program.unshift import UnshiftTables
 
 # Products of numbers in one call: between two of them the interpreter hears an interrupt.
@@ -25,7 +21,7 @@ MOST_PRODUCTS = 2e7
 class Unshifted(NamedTuple):
     """What of a run is turned: addresses of its arrays, of `members` members, and which members and points are meant.
 
-    Point k is after min(k save_every, steps) steps of length h; X acts `rate` times as fast.
+    X acts `rate` times as fast.
     """
 
     momenta: int
@@ -37,10 +33,7 @@ class Unshifted(NamedTuple):
     last: int
     k0: int
     k1: int
-    h: float
     rate: float
-    save_every: int
-    steps: int
 
 
 class Unshifting:
@@ -61,7 +54,7 @@ class Unshifting:
 
     def __init__(self, tables: UnshiftTables, rate: float) -> None:
         self._keep, self._rate = pointed(tables), rate
-        self._address, self._packed = ctypes.byref(self._keep), _packing()
+        self._address, self._packed = ctypes.byref(self._keep), packer(Unshifted)
         self._unshift = kernels().unshift
         # No X is larger than that times the largest component of the momentum.
         self.most = abs(rate) * float(np.sum(np.abs(tables.weight)))
@@ -76,9 +69,7 @@ class Unshifting:
         initial: NDArray[np.float64],
         first: int,
         last: int,
-        h: float,
-        save_every: int,
-        steps: int,
+        schedule: bytes,
     ) -> None:
         """Fill out (k, members, d, d) with the elements of the members `first` to `last` - 1.
 
@@ -93,10 +84,8 @@ class Unshifting:
             The start; the elements at step 0 are `initial`, to the bit.
         first, last : int
             Members.
-        h : float
-            The signed step.
-        save_every, steps : int
-            Every how many steps something was saved, and how many steps there are.
+        schedule : bytes
+            The steps of the run, from `schedule_of`.
         """
         x0, g0, whole = addressof(number_at(momenta)), addressof(number_at(initial)), addressof(number_at(out))
         points, members = out.shape[:2]
@@ -104,17 +93,5 @@ class Unshifting:
         for k in range(0, points, size):
             stop = min(k + size, points)
             # The table as plain bytes: a tenth of the time that a structure takes.
-            numbers = x0, g0, held, whole, members, first, last, k, stop, h, self._rate, save_every, steps
-            self._unshift(self._address, self._packed(*numbers))
-
-
-@cache
-def _packing() -> Callable[..., bytes]:
-    """Return what lays out the fields of the table `Unshifted`: numbers of eight bytes all."""
-    kind = structure_of_table(Unshifted)
-    names = tuple(name for name, _ in kind._fields_)
-    pack = struct.Struct("=" + "".join("d" if token == "number" else "q" for token in kind.kinds)).pack
-    if names == Unshifted._fields:
-        return pack
-    in_order = itemgetter(*map(Unshifted._fields.index, names))
-    return lambda *numbers: pack(*in_order(numbers))
+            numbers = x0, g0, held, whole, members, first, last, k, stop, self._rate
+            self._unshift(self._address, self._packed(*numbers), schedule)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.structures import address, pointed, structures
+from coadjoint.kernels.structures import address, packer, pointed
 from coadjoint.program.terms import Terms
 
 
@@ -30,18 +30,19 @@ class Watch(NamedTuple):
 
 
 class Schedule(NamedTuple):
-    """Which steps there are, and after which of them something is looked at."""
+    """Which steps there are, and after which of them something is looked at; `passed` saved ones lie behind."""
 
     t0: float
     h: float
     steps: int
     save_every: int
+    passed: int
     watching: bool
 
 
-def schedule_of(t0: float, h: float, steps: int, save_every: int, watching: bool) -> Any:
+def schedule_of(t0: float, h: float, steps: int, save_every: int, watching: bool, passed: int = 0) -> bytes:
     """Return a `Schedule` as the loops take it."""
-    return ctypes.byref(structures()["Schedule"](t0, h, steps, save_every, watching))
+    return packer(Schedule)(t0, h, steps, save_every, passed, watching)
 
 
 def values_along(watch: Any, points: NDArray[np.float64], times: NDArray[np.float64], out: NDArray[np.float64]) -> None:

@@ -23,6 +23,7 @@ from coadjoint.runs.observed import Observed
 from coadjoint.runs.room import check_room_of_run
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start
+from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System
@@ -32,7 +33,30 @@ SECONDS_BETWEEN_LOOKS = 0.2
 
 
 class Run:
-    """Arrays of one run, from checked states and times, and the loops that fill them."""
+    """Arrays of one run, from checked states and times, and the loops that fill them.
+
+    Parameters
+    ----------
+    system, method
+        What runs, for messages and the solution.
+    loops : Loops
+        Its compiled loops.
+    times : Times
+        The steps.
+    start : Start
+        Where the first of them begins.
+    watching : bool
+        Whether every step is watched.
+    workers : int
+        How many threads.
+    state : RunState, optional
+        Where to go on, after some of the steps; it stays as it is. What was saved until then is not saved again.
+
+    Attributes
+    ----------
+    state : RunState
+        After the last step that was taken.
+    """
 
     def __init__(
         self,
@@ -43,47 +67,60 @@ class Run:
         start: Start,
         watching: bool,
         workers: int = 1,
+        state: RunState | None = None,
     ) -> None:
+        if state is not None:
+            times = times.after(state.number)
         self.system, self.method, self.loops = system, method, loops
         self.times, self.start, self.watching, self.workers = times, start, watching, workers
         members, square = len(start.momenta), start.groups.shape[1] ** 2
         self.plan = loops.plan(members, times.points, square, workers)
         check_room_of_run(self.plan.layout, times, members)
-        self.saved, self.state = Block(self.plan.layout.saved), Block(self.plan.layout.state)
-        held = slice(None) if loops.order is None else loops.order
-        self.state["momenta"][:] = start.momenta[held]
-        if square:
-            groups = loops.started(start.groups)
-            self.state["groups"][:] = groups[held] if groups.ndim == 2 else groups
-        self._schedule = schedule_of(times.t0, times.h, times.steps, times.save_every, watching)
+        self.saved = Block(self.plan.layout.saved)
+        if state is None:
+            self.state = RunState(Block(self.plan.layout.state))
+            self.state["momenta"][:] = start.momenta
+            if square:
+                self.state["groups"][:] = loops.started(start.groups)
+        else:
+            state.check_fits(self.plan.layout.state)
+            self.state = state.copy()
+            self.saved.numbers.fill(np.nan)
+        self._schedule = schedule_of(*times[:4], watching, times.passed)
         self.seconds = 0.0
         self.wrong = 0
 
-    def advance(self, progress: bool = False) -> None:
-        """Take all steps, round after round; the loops hear an interrupt."""
-        plan, steps = self.plan, self.times.steps
+    def advance(self, progress: bool = False, until: int | None = None) -> None:
+        """Take the steps up to the number `until`, or all, round after round; the loops hear an interrupt."""
+        plan, order = self.plan, self.loops.order
+        first, last = self.state.number, self.times.steps if until is None else until
         began = time.perf_counter()
+        if order is not None:
+            self.state.arrays = self.state.arrays.take(order, 0)
         if self.workers == 1 and not progress:
             for crews in plan.rounds:
-                self.wrong += self._take(crews, 0, steps, None)
+                self.wrong += self._take(crews, first, last, None)
         else:
-            with _pool(self.workers) as pool, _bar(steps * len(plan.rounds), progress) as bar:
+            with _pool(self.workers) as pool, _bar((last - first) * len(plan.rounds), progress) as bar:
                 for crews in plan.rounds:
                     if progress:
-                        self.wrong += self._take_in_chunks(crews, pool, bar)
+                        self.wrong += self._take_in_chunks(crews, first, last, pool, bar)
                     else:
-                        self.wrong += self._take(crews, 0, steps, pool)
-        self.seconds = time.perf_counter() - began
-        if self.loops.order is not None:
-            place = np.argsort(self.loops.order)
-            self.saved, self.state = self.saved.take(place, 1), self.state.take(place, 0)
+                        self.wrong += self._take(crews, first, last, pool)
+        self.seconds += time.perf_counter() - began
+        self.state.number = last
+        if order is not None:
+            place = np.argsort(order)
+            self.state.arrays = self.state.arrays.take(place, 0)
+            if last == self.times.steps:
+                self.saved = self.saved.take(place, 1)
 
     def _take(self, crews: list[Crew], done: int, target: int, pool: ThreadPoolExecutor | None) -> int:
         """Take the steps done + 1 to target of some crews; return how many members have failed."""
-        stop = Stop()
+        stop, state = Stop(), self.state.arrays
 
         def take(crew: Crew) -> int:
-            return crew.advance(self.plan.layout, self._schedule, self.saved, self.state, done, target, stop)
+            return crew.advance(self.plan.layout, self._schedule, self.saved, state, done, target, stop)
 
         try:
             return sum(map(take, crews) if pool is None else pool.map(take, crews))
@@ -94,17 +131,19 @@ class Run:
                 raise raised from None
             raise ended
 
-    def _take_in_chunks(self, crews: list[Crew], pool: ThreadPoolExecutor | None, bar: Callable[[int], Any]) -> int:
-        """Take all steps of some crews, some at a time, so that the bar moves."""
-        steps, chunk, done = self.times.steps, 1, 0
+    def _take_in_chunks(
+        self, crews: list[Crew], done: int, last: int, pool: ThreadPoolExecutor | None, bar: Callable[[int], Any]
+    ) -> int:
+        """Take the steps done + 1 to last of some crews, some at a time, so that the bar moves."""
+        chunk = 1
         while True:
-            target = min(steps, done + chunk)
+            target = min(last, done + chunk)
             before = time.perf_counter()
             wrong = self._take(crews, done, target, pool)
             pace = (target - done) / max(time.perf_counter() - before, 1e-6)
             bar(target - done)
             chunk, done = max(1, min(int(pace * SECONDS_BETWEEN_LOOKS), 1000 * chunk)), target
-            if done == steps or wrong == sum(crew.count for crew in crews):
+            if done == last or wrong == sum(crew.count for crew in crews):
                 return wrong
 
     def solution(self, observed: Observed | None) -> Solution:

@@ -137,14 +137,14 @@ class Solution:
     _turned: Turned
 
     def __init__(self, run: Run, kept: int, observed: Observed | None) -> None:
-        loops = run.loops
+        loops, state = run.loops, run.state.arrays
         self.__dict__.update(
             system=run.system,
             method=run.method,
             watched=run.watching,
             observed={},
             _saved=run.saved,
-            _state=run.state if run.state.numbers.size <= FEW_NUMBERS else run.state.only(REPORTED),
+            _state=state if state.numbers.size <= FEW_NUMBERS else state.only(REPORTED),
             _kept=kept,
             _seconds=run.seconds,
             _times=run.times,

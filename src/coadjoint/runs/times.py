@@ -13,12 +13,16 @@ from coadjoint.wording import short
 
 
 class Times(NamedTuple):
-    """Start, signed step, number of steps, and every how many of them a state is saved."""
+    """Start, signed step, number of steps, and every how many of them a state is saved.
+
+    The first `passed` of the saved steps are not meant: a run that goes on has them behind it.
+    """
 
     t0: float
     h: float
     steps: int
     save_every: int
+    passed: int = 0
 
     @property
     def end(self) -> float:
@@ -28,13 +32,27 @@ class Times(NamedTuple):
     @property
     def points(self) -> int:
         """How many steps are saved."""
-        return -(-self.steps // self.save_every) + 1
+        return -(-self.steps // self.save_every) + 1 - self.passed
 
     @property
     def saved(self) -> NDArray[np.int64]:
         """Numbers of the saved steps: 0, every save_every-th, and the last."""
         numbers = np.arange(0, self.steps + 1, self.save_every)
-        return numbers if numbers[-1] == self.steps else np.append(numbers, self.steps)
+        numbers = numbers if numbers[-1] == self.steps else np.append(numbers, self.steps)
+        return numbers[self.passed :]
+
+    def after(self, number: int) -> Times:
+        """Return the same times with the saved steps after step `number` alone.
+
+        Examples
+        --------
+        >>> Times(0.0, 0.5, 10, 4).after(4).saved
+        array([ 8, 10])
+        """
+        every = self._replace(passed=0)
+        if not 0 <= number <= self.steps:
+            raise ValueError(f"the state is that after step {number}; a run of {self.steps} steps cannot go on from it")
+        return every._replace(passed=int(np.searchsorted(every.saved, number, side="right")))
 
     def at(self, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return t0 + j h."""

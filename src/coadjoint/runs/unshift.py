@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.kernels.arrays import Block
+from coadjoint.kernels.watching import schedule_of
 from coadjoint.program.unshift import unshift_tables
 from coadjoint.runs.start import FEW, Representation, Start
 from coadjoint.runs.times import Times
@@ -80,5 +81,5 @@ class Unshift:
 
     def fill(self, out: NDArray[np.float64], start: Start, times: Times, held: int, first: int, last: int) -> None:
         """Fill in the members `first` to `last` - 1 of `out` from what stands at the address `held`."""
-        _, h, steps, save_every = times
-        self._unshifting.fill(out, held, start.momenta, start.groups, first, last, h, save_every, steps)
+        schedule = schedule_of(*times[:4], False, times.passed)
+        self._unshifting.fill(out, held, start.momenta, start.groups, first, last, schedule)

@@ -66,7 +66,9 @@ TABLE(Watch, WATCH_FIELDS)
     _(integer, remembered)
 TABLE(Extent, EXTENT_FIELDS)
 
-#define SCHEDULE_FIELDS(_) _(number, t0) _(number, h) _(integer, steps) _(integer, save_every) _(flag, watching)
+// The first `passed` saved steps lie behind: a run that goes on has no room for them.
+#define SCHEDULE_FIELDS(_)                                                                                           \
+    _(number, t0) _(number, h) _(integer, steps) _(integer, save_every) _(integer, passed) _(flag, watching)
 TABLE(Schedule, SCHEDULE_FIELDS)
 
 #define FIELD_FIELDS(_)                                                                                              \
@@ -101,11 +103,10 @@ TABLE(Stepping, STEPPING_FIELDS)
 TABLE(UnshiftTables, UNSHIFT_FIELDS)
 
 // Arrays of a run, (members, n), (members, d, d), (points, members, d*d) and (points, members, d, d); which members and
-// saved points are wanted. Point k is after min(k save_every, steps) steps of length h; X acts `rate` times as fast.
+// saved points are wanted. X acts `rate` times as fast.
 #define UNSHIFTED_FIELDS(_)                                                                                          \
     _(numbers, momenta) _(numbers, initial) _(numbers, held) _(numbers, out) _(integer, members) _(integer, first)   \
-    _(integer, last) _(integer, k0) _(integer, k1) _(number, h) _(number, rate) _(integer, save_every)               \
-    _(integer, steps)
+    _(integer, last) _(integer, k0) _(integer, k1) _(number, rate)
 TABLE(Unshifted, UNSHIFTED_FIELDS)
 
 }  // namespace coadjoint

@@ -5,8 +5,7 @@
 
 #include "numbers/arithmetic.hpp"
 #include "flows/skew_planes.hpp"
-#include "boundary/codes.hpp"
-#include "boundary/tables.hpp"
+#include "recording/watching.hpp"
 
 namespace coadjoint {
 
@@ -281,7 +280,7 @@ void transpose(const double* from, double* to, int64_t size) {
 }  // namespace
 
 // The group elements of a run from those of its loop. What was given is left to the bit at the start.
-EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run) {
+EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run, const Schedule* schedule) {
     const int64_t d = tables->size, square = d * d;
     Matrix moved(square), placed, before;
     std::vector<Block> blocks;
@@ -297,7 +296,7 @@ EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run) {
             transpose(initial, before.data(), d);
         }
         for (int64_t k = run->k0; k < run->k1; ++k) {
-            const int64_t step = std::min(k * run->save_every, run->steps), here = (k * run->members + member) * square;
+            const int64_t step = step_of(*schedule, k), here = (k * run->members + member) * square;
             if (step == 0) {
                 std::copy_n(initial, square, run->out + here);
                 continue;
@@ -305,7 +304,7 @@ EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run) {
             const double* group = run->held + here;
             std::copy_n(group, square, moved.begin());
             for (Block& block : blocks) {
-                block.move_to(run->rate * (double(step) * run->h));
+                block.move_to(run->rate * (double(step) * schedule->h));
                 block.apply(group, moved.data(), d);
             }
             if (!unit) {

@@ -20,8 +20,13 @@ INLINE auto finite(int64_t size, const A* x) {
 
 // The place of step k among the saved points, or -1.
 INLINE int64_t slot_of(const Schedule& schedule, int64_t k) {
-    if (k % schedule.save_every == 0) return k / schedule.save_every;
-    return k == schedule.steps ? k / schedule.save_every + 1 : -1;
+    if (k % schedule.save_every == 0) return k / schedule.save_every - schedule.passed;
+    return k == schedule.steps ? k / schedule.save_every + 1 - schedule.passed : -1;
+}
+
+// The step of a saved point.
+INLINE int64_t step_of(const Schedule& schedule, int64_t slot) {
+    return std::min((slot + schedule.passed) * schedule.save_every, schedule.steps);
 }
 
 // The next step after k that is saved.

@@ -1,0 +1,164 @@
+"""What a run is between two steps: everything that its loops read and write, for all members."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.arrays import Block, Extent, Layout, Places
+from coadjoint.kernels.description import described, limit
+from coadjoint.wording import short
+
+
+class RunState:
+    """The state of a run after some of its steps; what it has saved until then is not part of it.
+
+    With the system, the scheme, the times and the start of the run it is all that the next steps depend on: they have
+    the same bits whether the run went on, or began again from a copy. Two states are equal where all bits are.
+
+    Parameters
+    ----------
+    arrays : Block
+        The arrays of `coadjoint.kernels.arrays.Layout`, of all members in the order in which they were given.
+    number : int
+        How many steps were taken.
+
+    Attributes
+    ----------
+    version : int
+        Of the meaning of the arrays; kernels of another version do not go on from the state.
+    """
+
+    __slots__ = ("arrays", "number")
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, arrays: Block, number: int = 0) -> None:
+        self.arrays, self.number = arrays, number
+
+    @property
+    def version(self) -> int:
+        """The version of the kernels that are in use."""
+        return limit("STATE_VERSION")
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.arrays[name]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, RunState):
+            return NotImplemented
+        one, two = self.arrays, other.arrays
+        return (
+            self.number == other.number
+            and one.places.shapes == two.places.shapes
+            and np.array_equal(one.numbers.view(np.int64), two.numbers.view(np.int64))
+        )
+
+    def __repr__(self) -> str:
+        members = len(self["status"])
+        return f"<state of {members} member{'s' if members > 1 else ''} after step {self.number}>"
+
+    def copy(self) -> RunState:
+        """Return another state with the same numbers."""
+        return RunState(self.arrays.copy(), self.number)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return plain numbers and copies of the arrays, by name, with the version.
+
+        Returns
+        -------
+        dict
+            "version" and "number", whole numbers, and an ndarray for each array.
+        """
+        arrays = {name: self[name].copy() for name in self.arrays.places.shapes}
+        return {"version": self.version, "number": self.number, **arrays}
+
+    @classmethod
+    def from_mapping(cls, mapping: Mapping[str, Any]) -> RunState:
+        """Return the state that a mapping was made of.
+
+        Parameters
+        ----------
+        mapping : mapping
+            As `to_mapping` returns it.
+
+        Returns
+        -------
+        RunState
+            With copies.
+
+        Raises
+        ------
+        ValueError
+            The state is of another version, or something is missing, unknown, or of another shape or type than the rest
+            asks for.
+        """
+        version, number = (_whole(mapping, name) for name in ("version", "number"))
+        if version != limit("STATE_VERSION"):
+            raise ValueError(
+                f"the state of the run is of version {version}, and this library goes on from version "
+                f"{limit('STATE_VERSION')}; go on with the library that wrote it"
+            )
+        if number < 0:
+            raise ValueError(f"number of the state is {number}; it must be a whole number from 0 up")
+        places = _places_of(mapping)
+        arrays = Block(places)
+        for name in places.shapes:
+            arrays[name][:] = mapping[name]
+        return cls(arrays, number)
+
+    def check_fits(self, places: Places) -> None:
+        """Refuse a state that is not of a run with these arrays.
+
+        Raises
+        ------
+        ValueError
+            Naming the first array of another shape, and both.
+        """
+        for name, shape in places.shapes.items():
+            own = self.arrays.places.shapes[name]
+            if own != shape:
+                raise ValueError(
+                    f"the state of the run has {name} of shape {own}, and this run needs {shape}; a state goes on with "
+                    "the system, scheme, attitude and members that it came from"
+                )
+
+
+def _whole(mapping: Mapping[str, Any], name: str) -> int:
+    if name not in mapping:
+        raise ValueError(f"the state of a run has no {name}; it must be as to_mapping returns it")
+    value = mapping[name]
+    if isinstance(value, bool) or np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iu":
+        raise ValueError(f"{name} of the state is {short(value)}; it must be a whole number")
+    return int(value)
+
+
+def _places_of(mapping: Mapping[str, Any]) -> Places:
+    """Return where the arrays of a mapping stand in a block, their sizes read from their shapes."""
+    described_arrays = described().arrays["state"]
+    names = set(mapping) - {"version", "number"}
+    if names != set(described_arrays):
+        missing, unknown = (sorted(some) for some in (set(described_arrays) - names, names - set(described_arrays)))
+        raise ValueError(
+            f"the state of a run must have the arrays {', '.join(described_arrays)}; "
+            f"missing: {', '.join(missing) or 'none'}; unknown: {', '.join(map(short, unknown)) or 'none'}"
+        )
+    sizes: dict[str, int] = {}
+    for name, array in described_arrays.items():
+        shape = np.shape(mapping[name])
+        if len(shape) == len(array.axes):
+            for axis, length in zip(array.axes, shape, strict=True):
+                sizes.setdefault(axis, length)
+    extent = Extent(*(sizes.get(axis, 0) for axis in Extent._fields))
+    places = Layout(extent).state
+    for name, shape in places.shapes.items():
+        given = np.asarray(mapping[name])
+        kind = np.dtype(np.int64 if name in places.whole else np.float64)
+        if given.shape != shape or given.dtype != kind:
+            raise ValueError(
+                f"{name} of the state is {given.dtype} of shape {given.shape}; with the other arrays it must be "
+                f"{kind} of shape {shape}"
+            )
+    return places

@@ -1,0 +1,199 @@
+"""What a run is between two steps is one object: cut anywhere, written, read and gone on from, with the same bits."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.kernels.description import limit
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.run import Run
+from coadjoint.runs.state import RunState
+from coadjoint.runs.times import Times
+
+from .schemes_under_test import schemes, serves
+
+STEPS, EVERY, CUTS = 13, 4, (0, 1, 4, 6, 11)
+TOP = co.LiePoissonSystem(
+    co.algebras.e(3), co.Quadratic([1.0, 0.5, 0.25, 0.0, 0.0, 0.0], linear=[0, 0, 0, 0.75, 0.5, 1.0]), sign=-1
+)
+BODY = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]))
+# On so(3) where the heavy top, with its linear terms, is refused.
+SYSTEMS = {"top": (TOP, [1.0, -0.5, 1.5, 0.625, 0.25, 0.75]), "body": (BODY, [0.3, -1.0, 0.7])}
+
+
+def begun(system, method, x0, attitude, workers=1, state=None, steps=STEPS):
+    """Return a run of so many steps, from the start or from a state."""
+    ready = PreparedRun(system, method, 0.05, attitude=attitude)
+    start = ready.start(x0)
+    return Run(system, method, ready.loops(0.05), Times(0.25, 0.05, steps, EVERY), start, True, workers, state)
+
+
+def cases():
+    for name, method in schemes().items():
+        system = "top" if serves(method, TOP) else "body"
+        kept = method.properties(SYSTEMS[system][0]).attitude
+        for attitude in (False, "coadjoint") if kept != "none" else (False,):
+            for members in (1, 5):
+                yield pytest.param(
+                    method, system, attitude, members, id=f"{name}, {attitude or 'momentum'}, {members} members"
+                )
+
+
+def written_and_read(state):
+    """A copy by way of bytes, as a file would hold it."""
+    mapping = state.to_mapping()
+    plain = {name: value for name, value in mapping.items() if isinstance(value, int)}
+    stored = {
+        name: (value.tobytes(), value.dtype.str, value.shape)
+        for name, value in mapping.items()
+        if isinstance(value, np.ndarray)
+    }
+    assert {*plain, *stored} == set(mapping)
+    read = {name: np.frombuffer(raw, dtype).reshape(shape) for name, (raw, dtype, shape) in stored.items()}
+    return RunState.from_mapping({**plain, **read})
+
+
+def parts_of(solution):
+    found = {"t": solution.t, "x": solution.x, "energy": solution.energy, **solution.casimirs}
+    return found if solution.attitude is None else {**found, "attitude": solution.attitude}
+
+
+@pytest.mark.parametrize(("method", "name", "attitude", "members"), list(cases()))
+def test_a_run_goes_on_from_a_state_with_the_bits_of_one_that_was_never_cut(method, name, attitude, members):
+    system, x = SYSTEMS[name]
+    x0 = np.array(x) if members == 1 else np.multiply.outer(1.0 - 0.03 * np.arange(members), x)
+    whole = begun(system, method, x0, attitude)
+    whole.advance()
+    expected = whole.solution(None)
+    pieces, state = [], None
+    for number in (*CUTS, STEPS):
+        # A run that knows nothing of the one before but its state.
+        piece = begun(system, method, x0, attitude, state=state)
+        before = None if state is None else state.copy()
+        piece.advance(until=number)
+        assert state == before
+        held = len(piece.times.saved[piece.times.saved <= number])
+        pieces.append({part: values[:held] for part, values in parts_of(piece.solution(None)).items()})
+        state = written_and_read(piece.state)
+        assert state == piece.state and state is not piece.state
+    assert state == whole.state and state.number == STEPS
+    for part, values in parts_of(expected).items():
+        assert np.array_equal(np.concatenate([piece[part] for piece in pieces]), values), part
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(6)], ids=str)
+def test_one_run_is_taken_in_pieces(method):
+    """Where one stops to look: the momenta of a flow method are unfinished there, and it goes on with them."""
+    x0 = np.array(SYSTEMS["top"][1])
+    whole, piecewise = (begun(TOP, method, x0, False) for _ in range(2))
+    whole.advance()
+    for _, until in pairwise((0, *CUTS, STEPS)):
+        piecewise.advance(until=until)
+        assert piecewise.state.number == until
+    assert piecewise.state == whole.state and np.array_equal(piecewise.saved["x"], whole.saved["x"])
+
+
+def test_members_of_several_groups_stay_in_the_order_in_which_they_were_given():
+    """A batch whose members have tables of different structures, so that the loops hold them in another order."""
+    bodies = [co.systems.rigid_body(inertia) for inertia in ((1, 2, 3), (3, 1, 2), (1, 2, 4), (3, 1, 2.5), (1, 2, 5))]
+    states = np.multiply.outer(np.linspace(1.0, 1.4, 5), [0.3, -1.0, 0.7])
+    batch, method = co.batch(bodies), co.Splitting(order=2)
+    whole = begun(batch, method, states, "coadjoint", workers=2)
+    assert whole.loops.order is not None and whole.loops.order.tolist() != list(range(5))
+    whole.advance()
+    first = begun(batch, method, states, "coadjoint")
+    first.advance(until=6)
+    for m, body in enumerate(bodies):
+        alone = begun(body, method, states[m], "coadjoint")
+        alone.advance(until=6)
+        for name in ("momenta", "groups", "worst", "evaluations"):
+            assert np.array_equal(first.state[name][m], alone.state[name][0]), name
+    second = begun(batch, method, states, "coadjoint", state=written_and_read(first.state))
+    second.advance()
+    assert second.state == whole.state
+    assert np.array_equal(second.solution(None).attitude, whole.solution(None).attitude[2:])
+
+
+def test_a_run_that_failed_stays_failed():
+    system = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, -1.0, 2.0]))
+    x0 = np.array([[1.0, 1.0, 0.0], [1.0, 0.5, 0.25]])
+    first = begun(system, co.RadauEnergy(2), x0, False)
+    first.advance(until=3)
+    second = begun(system, co.RadauEnergy(2), x0, False, state=written_and_read(first.state))
+    second.advance()
+    with pytest.raises(
+        co.IntegrationError, match=r"in step 1, at t = 0.25, x \. grad H.* for 1 of 2 members"
+    ) as failure:
+        second.solution(None)
+    assert failure.value.partial.failed.tolist() == [True, False]
+
+
+def some_state():
+    run = begun(TOP, co.GaussLegendre(2), np.array(SYSTEMS["top"][1]), False)
+    run.advance(until=5)
+    return run.state
+
+
+def test_states_are_equal_where_all_bits_are():
+    state = some_state()
+    other = state.copy()
+    assert state == other and not state != other and state != "state"
+    other["momenta"][0, 0] = np.nextafter(other["momenta"][0, 0], 1.0)
+    assert state != other
+    assert state["residual"][0] != state["residual"][0] and state == state.copy()  # no number equals itself here
+    later = state.copy()
+    later.number += 1
+    assert state != later
+    zero = state.copy()
+    zero["errors"][:], other = 0.0, zero.copy()
+    other["errors"][:] = -0.0
+    assert zero != other
+    assert repr(state) == "<state of 1 member after step 5>"
+    with pytest.raises(TypeError, match="unhashable"):
+        hash(state)
+
+
+def changed(**parts):
+    mapping = some_state().to_mapping()
+    mapping.update(parts)
+    return {name: value for name, value in mapping.items() if value is not None}
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"version": limit("STATE_VERSION") + 1}, r"of version 2, and this library goes on from version 1"),
+        ({"version": None}, "the state of a run has no version"),
+        ({"number": 2.5}, "number of the state is 2.5; it must be a whole number"),
+        ({"number": -1}, "number of the state is -1"),
+        ({"worst": None}, "missing: worst; unknown: none"),
+        ({"mood": 1.0}, "missing: none; unknown: 'mood'"),
+        (
+            {"momenta": np.zeros((2, 6))},
+            r"errors of the state is float64 of shape \(1, 6\); .* float64 of shape \(2, 6\)",
+        ),
+        ({"status": np.zeros(1)}, r"status of the state is float64 of shape \(1,\); .* must be int64"),
+        (
+            {"worst": np.zeros((1, 9, 3))},
+            r"worst of the state is float64 of shape \(1, 9, 3\); .* of shape \(1, 10, 3\)",
+        ),
+        ({"last": np.zeros(4)}, r"last of the state is float64 of shape \(4,\)"),
+    ],
+)
+def test_what_is_no_state_is_refused(parts, message):
+    with pytest.raises(ValueError, match=message):
+        RunState.from_mapping(changed(**parts))
+
+
+def test_a_state_of_another_run_is_refused():
+    state = some_state()
+    with pytest.raises(ValueError, match=r"has momenta of shape \(1, 6\), and this run needs \(1, 3\)"):
+        begun(BODY, co.GaussLegendre(2), SYSTEMS["body"][1], False, state=state)
+    with pytest.raises(ValueError, match=r"has memory of shape \(1, 14\), and this run needs \(1, 0\)"):
+        begun(TOP, co.ExplicitRungeKutta("rk4"), SYSTEMS["top"][1], False, state=state)
+    with pytest.raises(ValueError, match="after step 5; a run of 3 steps cannot go on from it"):
+        begun(TOP, co.GaussLegendre(2), SYSTEMS["top"][1], False, state=state, steps=3)
