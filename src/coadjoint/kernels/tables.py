@@ -24,7 +24,6 @@ from coadjoint.systems.terms import FunctionTerm
 from coadjoint.systems.user_functions import takes_time
 
 
-
 class Compiled(NamedTuple):
     """Tables for a compiled loop, and the compiled user functions that must live as long as they do."""
 

@@ -93,7 +93,9 @@ class RungeKuttaMethod(SteppedMethod):
         from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 
         found = runge_kutta_tables(system, self, representation, fractions)
-        return CompiledLoop(runge_kutta.LOOP, found.tables, found.keep, memory=remembered(runge_kutta.LOOP, found.tables))
+        return CompiledLoop(
+            runge_kutta.LOOP, found.tables, found.keep, memory=remembered(runge_kutta.LOOP, found.tables)
+        )
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the iterations that a step takes."""
