@@ -3,18 +3,20 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	$$p -c 'import sys, venv; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && { echo $$p; break; }; done)
 VENV := .venv
 BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+BUILD := build/editable
 FIGURES ?= figures
 
 # Random runs of `make soak`: take another first seed each time.
 FIRST ?= 0
 COUNT ?= 3000
 
-.PHONY: demo test core mutants soak sanitize bench release-checks clean
+.PHONY: demo test core mutants soak sanitize aarch64 bench kernels release-checks clean
 
-demo: $(VENV)/installed
+demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
 
-test: $(VENV)/installed
+test: kernels
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -28,30 +30,41 @@ core:
 	cd tests && ../build/core/bin/python -m pytest test_core_alone.py
 
 # Plants the defects of tests/mutants one after the other, in a copy, and prints those that no test notices.
-mutants: $(VENV)/installed
-	$(BIN)/python tests/mutants/plant.py $(MUTANTS)
+mutants: kernels
+	cd tests && ../$(BIN)/python -m mutants.plant $(MUTANTS)
 
 # Random systems, schemes and crowds: the same bits in any company, and an end to every run.
-soak: $(VENV)/installed
+soak: kernels
 	cd tests && ../$(BIN)/python -m random_runs.soak $(FIRST) $(COUNT) --jobs 2
 
 # The kernels built to find their own faults, under tests and random runs.
-sanitize: $(VENV)/installed
+sanitize: kernels
 	cd tests && ../$(BIN)/python sanitize.py address
 	cd tests && ../$(BIN)/python sanitize.py threads
 
-bench: $(VENV)/peers
+# The same bits on aarch64, under emulation; what is missing for that is named.
+aarch64: kernels
+	cd tests && ../$(BIN)/python aarch64.py ../build/aarch64
+
+bench: kernels $(VENV)/peers
 	$(BIN)/python benchmarks/run_all.py
 
-$(VENV)/installed: pyproject.toml setup.py $(wildcard src/coadjoint/kernels/source/*/* src/coadjoint/methods/*.cpp)
+# With the tools of the build beside the package, so that it can be built again without looking for them.
+$(VENV)/installed: pyproject.toml
 	@test -n "$(PYTHON)" || { echo "coadjoint needs Python 3.11 or newer: set PYTHON=/path/to/python" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(PIP) cmake ninja scikit-build-core
+	$(PIP) --no-build-isolation --editable '.[dev]'
 	@touch $@
+
+# Compiles what has changed. COADJOINT_LEVELS=all builds for every level of x86-64.
+kernels: $(VENV)/installed
+	$(if $(COADJOINT_LEVELS),$(BIN)/cmake -DCOADJOINT_LEVELS="$(COADJOINT_LEVELS)" $(BUILD))
+	@$(BIN)/cmake --build $(BUILD)
 
 # The integrators that coadjoint is measured beside.
 $(VENV)/peers: $(VENV)/installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	$(PIP) --no-build-isolation --editable '.[bench]'
 	@touch $@
 
 # Metadata, citation, workflows, source distribution and wheel, by tools in a virtual environment of their own. Once that
@@ -77,4 +90,4 @@ $(RELEASE)/installed: pyproject.toml
 	@touch $@
 
 clean:
-	rm -rf $(VENV) $(FIGURES)
+	rm -rf $(VENV) $(FIGURES) build src/coadjoint/kernels/*.so src/coadjoint/kernels/*.dylib

@@ -14,7 +14,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from mutants.building import Kernels
+from building import Kernels
 
 ROOT = Path(__file__).parents[1]
 LEVEL = 3  # of the wide instructions those that every processor of today has
@@ -59,7 +59,7 @@ def main() -> int:
         tree = Path(folder)
         for name in ("src", "tests", "docs", "examples"):
             shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
-        for name in ("setup.py", "pyproject.toml", "README.md"):
+        for name in ("pyproject.toml", "README.md"):
             shutil.copy(ROOT / name, tree)
         if said := Kernels(tree, level=LEVEL, tuning=[*OPTIONS[kind], *QUICK]).build():
             print(said)

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,25 +36,73 @@ def test_missing_kernels(monkeypatch, tmp_path):
 def test_kernels_that_cannot_be_loaded(monkeypatch, tmp_path):
     monkeypatch.setattr(library, "FOLDER", tmp_path)
     for name in ("_processor", "_kernels"):
-        (tmp_path / f"{name}{EXTENSION_SUFFIXES[0]}").write_bytes(b"of another machine")
+        (tmp_path / f"{name}{library.SUFFIX}").write_bytes(b"of another machine")
     message = refusal_of(library.kernels.__wrapped__)
-    assert f"{EXTENSION_SUFFIXES[0]} cannot be loaded (" in message and "build them again" in message
+    assert f"{library.SUFFIX} cannot be loaded (" in message and "build them again" in message
 
 
-@pytest.mark.parametrize("level", ["v5", "4", ""])
-def test_level_that_the_processor_has_not(monkeypatch, level):
-    monkeypatch.setattr(library, "processor_level", lambda: 3)
-    monkeypatch.setenv("COADJOINT_LEVEL", level)
+def installed(monkeypatch, folder, processor, built, asked=None):
+    """Pretend that this processor has a level, that some are built, and that one is asked for."""
+    monkeypatch.setattr(library, "processor_level", lambda: processor)
+    monkeypatch.setattr(library, "FOLDER", folder)
+    for level in built:
+        (folder / f"_kernels_v{level}{library.SUFFIX}").touch()
+    if asked is None:
+        monkeypatch.delenv("COADJOINT_LEVEL", raising=False)
+    else:
+        monkeypatch.setenv("COADJOINT_LEVEL", asked)
+
+
+@pytest.mark.parametrize(
+    ("processor", "built", "asked", "taken"),
+    [
+        (4, (4, 3, 1), None, 4),
+        (3, (4, 3, 1), None, 3),
+        (1, (4, 3, 1), None, 1),
+        (4, (3, 1), None, 3),
+        (4, (1,), None, 1),
+        (4, (4, 3, 1), "v1", 1),
+        (3, (3, 1), "v1", 1),
+        (None, (), None, None),
+    ],
+)
+def test_the_highest_level_that_is_built_and_usable(monkeypatch, tmp_path, processor, built, asked, taken):
+    installed(monkeypatch, tmp_path, processor, built, asked)
+    assert library.level_in_use() == taken
+
+
+@pytest.mark.parametrize("level", ["v5", "4", "", "v4"])
+def test_level_that_the_processor_has_not(monkeypatch, tmp_path, level):
+    installed(monkeypatch, tmp_path, 3, (4, 3, 1), level)
     message = refusal_of(library.kernels.__wrapped__)
-    assert message == f"COADJOINT_LEVEL is {level!r}, but this processor can use v3, v1"
+    can = "this processor can use v3, v1, and of the kernels v4, v3, v1 are built"
+    assert message == f"COADJOINT_LEVEL is {level!r}, but {can}"
+
+
+def test_level_that_is_asked_for_and_was_not_built(monkeypatch, tmp_path):
+    installed(monkeypatch, tmp_path, 4, (4,), "v3")
+    message = refusal_of(library.kernels.__wrapped__)
+    assert message.startswith(
+        "COADJOINT_LEVEL is 'v3', but this processor can use v4, v3, v1, and of the kernels v4 is built: "
+    )
+    assert "COADJOINT_LEVELS=v3 pip install" in message
+
+
+def test_level_where_there_are_none(monkeypatch, tmp_path):
+    installed(monkeypatch, tmp_path, None, (), "v3")
+    assert "only x86-64 processors have levels" in refusal_of(library.kernels.__wrapped__)
 
 
 @pytest.mark.parametrize("level", [1, 3, 4])
-def test_level_that_was_not_built(monkeypatch, tmp_path, level):
-    monkeypatch.setattr(library, "processor_level", lambda: level)
-    monkeypatch.delenv("COADJOINT_LEVEL", raising=False)
-    monkeypatch.setattr(library, "FOLDER", tmp_path)
+def test_nothing_was_built(monkeypatch, tmp_path, level):
+    installed(monkeypatch, tmp_path, level, ())
     assert f"(_kernels_v{level}) are missing" in refusal_of(library.kernels.__wrapped__)
+
+
+def test_only_higher_levels_were_built(monkeypatch, tmp_path):
+    installed(monkeypatch, tmp_path, 3, (4,))
+    message = refusal_of(library.kernels.__wrapped__)
+    assert "are built for v4, but this processor can use v3, v1: build it by `COADJOINT_LEVELS=v3 pip" in message
 
 
 INDEX = np.zeros(2, dtype=np.uint32)

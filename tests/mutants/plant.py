@@ -17,10 +17,10 @@ from pathlib import Path
 from queue import SimpleQueue
 
 from building import Kernels
-from defects import ROOT, Defect, defects, missing_test
+from mutants.defects import ROOT, Defect, defects, missing_test
 
 SECONDS = 300.0
-COPIED = ("src", "tests", "docs", "examples", "README.md", "pyproject.toml", "setup.py")
+COPIED = ("src", "tests", "docs", "examples", "README.md", "pyproject.toml")
 NOTICED, SURVIVED, EQUIVALENT, WRONG = "noticed", "SURVIVED", "equivalent", "WRONG"
 # Exit statuses of pytest: a test failed, or its file could not be read; the others say that it was called wrongly.
 FAILED, STOPPED = 1, 2

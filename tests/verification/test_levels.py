@@ -16,9 +16,9 @@ from coadjoint.kernels import library
 
 
 def usable_levels() -> list[str]:
-    """Return the levels of this processor, the highest first; none where there is but one library."""
+    """Return the levels that are built and that this processor has, the highest first; none where it has no levels."""
     highest = library.processor_level()
-    return [f"v{level}" for level in library.LEVELS if highest is not None and level <= highest]
+    return [f"v{level}" for level in library.built_levels() if highest is not None and level <= highest]
 
 
 @cache

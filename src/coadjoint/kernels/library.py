@@ -4,61 +4,113 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import importlib.machinery
 import os
 import platform
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 
+from coadjoint.kernels import compiling
 from coadjoint.wording import short
 
-# Levels of the x86-64 instructions that the kernels are built for: AVX-512, AVX2, and what every processor has.
-LEVELS = (4, 3, 1)
 FOLDER = Path(__file__).parent
+# They are no modules of Python: their names have nothing of its version.
+SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
 
 def _load(name: str) -> ctypes.CDLL:
-    found = [path for suffix in importlib.machinery.EXTENSION_SUFFIXES if (path := FOLDER / f"{name}{suffix}").exists()]
-    if not found:
+    place = FOLDER / f"{name}{SUFFIX}"
+    if not place.exists():
         raise ImportError(
             f"the compiled kernels ({name}) are missing from {FOLDER}: install the package "
             "with a C++ compiler at hand, for instance by `pip install --force-reinstall coadjoint`"
         )
     try:
-        return ctypes.CDLL(str(found[0]))
+        return ctypes.CDLL(str(place))
     except OSError as error:
         raise ImportError(
-            f"the compiled kernels {found[0]} cannot be loaded ({error}): build them again on this machine, for "
+            f"the compiled kernels {place} cannot be loaded ({error}): build them again on this machine, for "
             "instance by `pip install --force-reinstall --no-binary coadjoint coadjoint`"
         ) from error
 
 
 def processor_level() -> int | None:
-    """Return the highest of `LEVELS` that this processor has, or None where it is no x86-64."""
+    """Return the highest level of `coadjoint.kernels.compiling` that this processor has; None where it is no x86-64."""
     if platform.machine().lower() not in ("x86_64", "amd64"):
         return None
     return int(_load("_processor").processor_level())
 
 
-@functools.cache
-def kernels() -> ctypes.CDLL:
-    """Return the library of kernels for this processor, on x86-64 the one of the highest level that it has.
+def built_levels() -> list[int]:
+    """Return the levels of the libraries that are there, the highest first; none where the processor is no x86-64."""
+    return [level for level in compiling.levels() if (FOLDER / f"_kernels_v{level}{SUFFIX}").exists()]
 
-    All levels give the same bits; the environment variable ``COADJOINT_LEVEL`` (v1, v3 or v4), read when the library is
-    first used, asks for a lower one, so that they can be compared.
+
+def level_in_use() -> int | None:
+    """Return the level of `kernels`: the highest that is built and that this processor has; None on other processors.
+
+    Returns
+    -------
+    int or None
 
     Raises
     ------
     ImportError
-        It was not built or cannot be loaded, or ``COADJOINT_LEVEL`` is none that the processor has.
+        There is none, or not the one that the environment variable ``COADJOINT_LEVEL`` asks for.
     """
     highest = processor_level()
+    asked = os.environ.get("COADJOINT_LEVEL")
     if highest is None:
-        return _load("_kernels")
-    level = os.environ.get("COADJOINT_LEVEL", f"v{highest}")
-    usable = [f"v{known}" for known in LEVELS if known <= highest]
-    if level not in usable:
-        raise ImportError(f"COADJOINT_LEVEL is {short(level)}, but this processor can use {', '.join(usable)}")
-    return _load(f"_kernels_{level}")
+        if asked is not None:
+            raise ImportError(f"COADJOINT_LEVEL is {short(asked)}, but only x86-64 processors have levels: unset it")
+        return None
+    known, built = [level for level in compiling.levels() if level <= highest], built_levels()
+    usable = [level for level in built if level <= highest]
+    can_use = f"this processor can use {_listed(known)}"
+    if asked is not None:
+        for level in usable:
+            if asked == f"v{level}":
+                return level
+        raise ImportError(
+            f"COADJOINT_LEVEL is {short(asked)}, but {can_use}, and of the kernels {_listed(built)} "
+            f"{'is' if len(built) == 1 else 'are'} built{_how_to_build(asked) if asked in _names(known) else ''}"
+        )
+    if not built:
+        _load(f"_kernels_v{highest}")
+    if not usable:
+        raise ImportError(
+            f"the compiled kernels in {FOLDER} are built for {_listed(built)}, but {can_use}"
+            f"{_how_to_build(f'v{known[0]}')}"
+        )
+    return usable[0]
+
+
+def _names(some: Sequence[int]) -> list[str]:
+    return [f"v{level}" for level in some]
+
+
+def _listed(some: Sequence[int]) -> str:
+    return ", ".join(_names(some)) or "none"
+
+
+def _how_to_build(level: str) -> str:
+    return f": build it by `COADJOINT_LEVELS={level} pip install --force-reinstall --no-binary coadjoint coadjoint`"
+
+
+@functools.cache
+def kernels() -> ctypes.CDLL:
+    """Return the library of kernels for this processor, on x86-64 the one of the highest level that it can use.
+
+    All levels give the same bits; the environment variable ``COADJOINT_LEVEL`` (v1, v3 or v4), read when the library is
+    first used, asks for another one that is built, so that they can be compared.
+
+    Raises
+    ------
+    ImportError
+        It was not built or cannot be loaded, or ``COADJOINT_LEVEL`` is none that is built and that the processor has.
+    """
+    level = level_in_use()
+    return _load("_kernels" if level is None else f"_kernels_v{level}")
 
 
 @functools.cache

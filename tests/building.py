@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import subprocess
-import sysconfig
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from coadjoint.kernels.library import processor_level
+from coadjoint.kernels import compiling
+from coadjoint.kernels.library import SUFFIX, processor_level
 
 SOURCE = "src/coadjoint/kernels/source"
 
@@ -25,9 +24,11 @@ class Kernels:
     compiler : sequence of str
         The command.
     level : int, optional
-        Of `coadjoint.kernels.library.LEVELS`; that of this machine by default.
+        Of `coadjoint.kernels.compiling.levels`; that of this machine by default.
     tuning : sequence of str, optional
         In place of the options of the level.
+    elsewhere : bool
+        The compiler is for a processor that has no levels.
     """
 
     def __init__(
@@ -36,9 +37,15 @@ class Kernels:
         compiler: Sequence[str] = ("g++",),
         level: int | None = None,
         tuning: Sequence[str] | None = None,
+        elsewhere: bool = False,
     ) -> None:
         self.tree, self.compiler = tree, list(compiler)
-        self.flags, self.library = flags_of(tree, processor_level() if level is None else level, tuning)
+        if level is None and not elsewhere:
+            level = processor_level()
+        source = tree / SOURCE
+        self.flags = compiling.options(compiling.tuning(level, source) if tuning is None else tuning, source)
+        name = "_kernels" if level is None else f"_kernels_v{level}"
+        self.library = str(tree / "src/coadjoint/kernels" / f"{name}{SUFFIX}")
         self.linking = [option for option in tuning or () if option.startswith("-fsanitize")]
         self.objects = tree / "objects"
         self.sources = sorted(
@@ -76,21 +83,6 @@ class Kernels:
 
     def _object(self, path: Path) -> Path:
         return self.objects / f"{path.stem}.o"
-
-
-def flags_of(tree: Path, level: int | None, tuning: Sequence[str] | None) -> tuple[list[str], str]:
-    """Return how the sources are compiled, and the library that they make, as the build of the package says it."""
-    constants = {
-        target.id: ast.literal_eval(node.value)
-        for node in ast.parse((tree / "setup.py").read_text(encoding="utf-8")).body
-        if isinstance(node, ast.Assign) and isinstance(target := node.targets[0], ast.Name)
-        if target.id in ("FLAGS", "LEVELS")
-    }
-    own = ["-O3"] if level is None else [*constants["LEVELS"][f"v{level}"], "-mtune=generic"]
-    name = "_kernels" if level is None else f"_kernels_v{level}"
-    place = tree / "src/coadjoint/kernels" / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}"
-    options = [*constants["FLAGS"], *(own if tuning is None else tuning), "-fPIC", f"-I{tree / SOURCE}"]
-    return options, str(place)
 
 
 def _called(command: list[str]) -> str:

@@ -1,0 +1,135 @@
+"""The build of the compiled kernels: what it refuses, what it compiles again, and what its libraries export."""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from coadjoint.kernels import compiling
+from coadjoint.kernels.library import FOLDER, SUFFIX, kernels, processor_level
+
+ROOT = Path(__file__).parents[2]
+SOURCES = "src/coadjoint/kernels/source"
+NO_TOOLS = any(shutil.which(tool) is None for tool in ("cmake", "ninja", "c++"))
+needs_tools = pytest.mark.skipif(NO_TOOLS, reason="cmake, ninja or a compiler is missing from the path")
+needs_levels = pytest.mark.skipif(processor_level() is None, reason="only x86-64 has levels")
+
+
+def copied(folder):
+    """Return a copy of what the build reads."""
+    shutil.copy(ROOT / "CMakeLists.txt", folder)
+    for path in (ROOT / "src").rglob("*"):
+        if path.suffix in (".cpp", ".hpp", ".json", ".map"):
+            place = folder / path.relative_to(ROOT)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(path, place)
+    return folder
+
+
+def configured(tree, *options):
+    """Configure a build of a copy; return its exit status and what it says."""
+    command = ["cmake", "-S", str(tree), "-B", str(tree / "build"), "-G", "Ninja", "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON"]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False, timeout=300)
+    return done.returncode, " ".join((done.stdout + done.stderr).split())
+
+
+def commands(tree):
+    """Return how each source of each library is compiled."""
+    entries = json.loads((tree / "build/compile_commands.json").read_text())
+    named = [(re.search(r"/(\w+)\.dir/", entry["command"])[1], entry) for entry in entries]
+    return {(library, Path(entry["file"]).name): entry["command"] for library, entry in named}
+
+
+def compiled(tree):
+    """Build; return the libraries and sources that were compiled."""
+    command = ["cmake", "--build", str(tree / "build")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
+    return sorted(re.findall(r"Building CXX object \S*?(\w+)\.dir/\S*?(\w+\.cpp)\.o", done.stdout))
+
+
+@needs_tools
+@needs_levels
+def test_levels_are_chosen_by_name(tmp_path):
+    tree = copied(tmp_path)
+    sources = {path.name for path in tree.rglob("*.cpp")} - {"processor.cpp"}
+    for chosen, names in {
+        "v1;v3": ["v1", "v3"],
+        "all": [f"v{level}" for level in compiling.levels()],
+        "": [f"v{processor_level()}"],
+    }.items():
+        assert configured(tree, f"-DCOADJOINT_LEVELS={chosen}")[0] == 0
+        libraries = {(f"_kernels_{name}", source) for name in names for source in sources}
+        assert set(commands(tree)) == {("_processor", "processor.cpp"), *libraries}
+
+
+@needs_tools
+@needs_levels
+@pytest.mark.parametrize(("levels", "wrong"), [("v2", "v2"), ("v1;fast", "fast"), ("v3;all", "all"), ("4", "4")])
+def test_unknown_levels_are_refused_by_name(tmp_path, levels, wrong):
+    status, said = configured(copied(tmp_path), f"-DCOADJOINT_LEVELS={levels}")
+    assert status != 0
+    assert f"COADJOINT_LEVELS has {wrong}, which is none of v1;v3;v4" in said
+
+
+@needs_tools
+@pytest.mark.parametrize("option", ["-ffast-math", "-Ofast"])
+def test_options_that_change_bits_are_refused(tmp_path, option):
+    status, said = configured(copied(tmp_path), f"-DCMAKE_CXX_FLAGS=-g {option}")
+    assert status != 0
+    assert f"CXXFLAGS has {option}, which changes the bits of a run" in said
+
+
+@needs_tools
+def test_what_has_changed_is_compiled_and_nothing_else(tmp_path):
+    """On sources that are made as short as can be: which are compiled does not depend on what they hold."""
+    tree = copied(tmp_path)
+    for path in tree.rglob("*.cpp"):
+        if path.name != "processor.cpp":
+            path.write_text('#include "boundary/hearing.hpp"\n')
+    names = ["_kernels_v1", "_kernels_v3"] if processor_level() else ["_kernels"]
+    assert configured(tree, *(["-DCOADJOINT_LEVELS=v1;v3"] if processor_level() else []))[0] == 0
+    assert {name for name, _ in compiled(tree)} == {*names, *(["_processor"] if processor_level() else [])}
+    assert compiled(tree) == []
+    changed = tree / SOURCES / "boundary/probes.cpp"
+    changed.write_text(changed.read_text() + "// more\n")
+    assert compiled(tree) == [(name, "probes.cpp") for name in names]
+    assert compiled(tree) == []
+    (tree / SOURCES / "boundary/added.cpp").write_text("\n")
+    assert compiled(tree) == [(name, "added.cpp") for name in names]
+    header = tree / SOURCES / "boundary/hearing.hpp"
+    header.write_text(header.read_text() + "// more\n")
+    including = {path.name for path in tree.rglob("*.cpp")} - {"processor.cpp", "added.cpp"}
+    assert compiled(tree) == sorted((name, source) for name in names for source in including)
+
+
+@needs_tools
+@needs_levels
+def test_options_of_the_build_are_those_of_the_tests(tmp_path):
+    """The build reads options.json by CMake, the tests by Python: the compiler is told the same."""
+    tree = copied(tmp_path)
+    assert configured(tree, "-DCOADJOINT_LEVELS=all")[0] == 0
+    told = commands(tree)
+    for level in compiling.levels():
+        expected = compiling.options(compiling.tuning(level), tree / SOURCES)
+        command = told[f"_kernels_v{level}", "flow.cpp"].partition(" -o ")[0].split()[1:]
+        kept = [option for option in command if not option.startswith("-D_kernels")]
+        assert sorted(kept) == sorted(expected)
+        # In the same order but for the last three, which add nothing to what others say.
+        assert [option for option in kept if option in expected[:-3]] == expected[:-3]
+
+
+@pytest.mark.skipif(SUFFIX != ".so" or shutil.which("nm") is None, reason="nm is missing, or the libraries are no ELF")
+def test_libraries_export_what_python_calls():
+    done = subprocess.run(
+        ["nm", "-D", "--defined-only", kernels()._name], capture_output=True, text=True, check=True, timeout=60
+    )
+    names = {line.split()[-1] for line in done.stdout.splitlines()}
+    texts = [path.read_text(encoding="utf-8") for path in FOLDER.parent.rglob("*.cpp")]
+    said = set(re.findall(r"^EXPORT [^;=]*?(\w+)\(", "\n".join(texts), flags=re.MULTILINE))
+    loops = set(re.findall(r"^EXPORT_LOOP\((\w+),", "\n".join(texts), flags=re.MULTILINE))
+    steps = {f"{name}_step" for name in re.findall(r"^\s*STEP_SCHEME\((\w+)", "\n".join(texts), flags=re.MULTILINE)}
+    assert len(said) > 8 and len(loops) == 3 and steps
+    assert names == (said - {"processor_level"}) | loops | steps
