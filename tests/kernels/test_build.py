@@ -1,9 +1,11 @@
 """The build of the compiled kernels: what it refuses, what it compiles again, and what its libraries export."""
 
 import json
+import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,8 +15,10 @@ from coadjoint.kernels.library import FOLDER, SUFFIX, kernels, processor_level
 
 ROOT = Path(__file__).parents[2]
 SOURCES = "src/coadjoint/kernels/source"
-NO_TOOLS = any(shutil.which(tool) is None for tool in ("cmake", "ninja", "c++"))
-needs_tools = pytest.mark.skipif(NO_TOOLS, reason="cmake, ninja or a compiler is missing from the path")
+# The packages cmake and ninja stand beside the interpreter.
+PLACES = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+CMAKE, NINJA, COMPILER = (shutil.which(tool, path=PLACES) for tool in ("cmake", "ninja", "c++"))
+needs_tools = pytest.mark.skipif(None in (CMAKE, NINJA, COMPILER), reason="cmake, ninja or a compiler is missing")
 needs_levels = pytest.mark.skipif(processor_level() is None, reason="only x86-64 has levels")
 
 
@@ -31,8 +35,9 @@ def copied(folder):
 
 def configured(tree, *options):
     """Configure a build of a copy; return its exit status and what it says."""
-    command = ["cmake", "-S", str(tree), "-B", str(tree / "build"), "-G", "Ninja", "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON"]
-    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False, timeout=300)
+    command = [str(CMAKE), "-S", str(tree), "-B", str(tree / "build"), "-G", "Ninja", f"-DCMAKE_MAKE_PROGRAM={NINJA}"]
+    command += ["-DCMAKE_EXPORT_COMPILE_COMMANDS=ON", *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     return done.returncode, " ".join((done.stdout + done.stderr).split())
 
 
@@ -45,7 +50,7 @@ def commands(tree):
 
 def compiled(tree):
     """Build; return the libraries and sources that were compiled."""
-    command = ["cmake", "--build", str(tree / "build")]
+    command = [str(CMAKE), "--build", str(tree / "build")]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
     return sorted(re.findall(r"Building CXX object \S*?(\w+)\.dir/\S*?(\w+\.cpp)\.o", done.stdout))
 
@@ -101,7 +106,7 @@ def test_what_has_changed_is_compiled_and_nothing_else(tmp_path):
     assert compiled(tree) == [(name, "added.cpp") for name in names]
     header = tree / SOURCES / "boundary/hearing.hpp"
     header.write_text(header.read_text() + "// more\n")
-    including = {path.name for path in tree.rglob("*.cpp")} - {"processor.cpp", "added.cpp"}
+    including = {path.name for path in (tree / "src").rglob("*.cpp")} - {"processor.cpp", "added.cpp"}
     assert compiled(tree) == sorted((name, source) for name in names for source in including)
 
 
