@@ -88,6 +88,18 @@ def test_options_that_change_bits_are_refused(tmp_path, option):
 
 
 @needs_tools
+def test_another_compiler_is_not_left_out_in_silence(tmp_path, monkeypatch):
+    tree = copied(tmp_path)
+    assert configured(tree)[0] == 0
+    other = tmp_path / "other++"
+    other.symlink_to(str(COMPILER))
+    monkeypatch.setenv("CXX", f"{other} -g")
+    status, said = configured(tree)
+    assert status != 0
+    assert f"CXX is {other}, but {tree / 'build'} was made for" in said
+
+
+@needs_tools
 def test_what_has_changed_is_compiled_and_nothing_else(tmp_path):
     """On sources that are made as short as can be: which are compiled does not depend on what they hold."""
     tree = copied(tmp_path)
