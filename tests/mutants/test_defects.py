@@ -4,7 +4,8 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from defects import ROOT, Defect, defects, missing_test
+
+from mutants.defects import ROOT, Defect, defects, missing_test
 
 ROOMS = {"algebra", "systems", "program", "methods", "kernels", "runs", "choosing", "files", "analysis", "command"}
 

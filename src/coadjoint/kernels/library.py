@@ -18,13 +18,17 @@ FOLDER = Path(__file__).parent
 SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
 
+def _missing(name: str) -> ImportError:
+    return ImportError(
+        f"the compiled kernels ({name}) are missing from {FOLDER}: install the package "
+        "with a C++ compiler at hand, for instance by `pip install --force-reinstall coadjoint`"
+    )
+
+
 def _load(name: str) -> ctypes.CDLL:
     place = FOLDER / f"{name}{SUFFIX}"
     if not place.exists():
-        raise ImportError(
-            f"the compiled kernels ({name}) are missing from {FOLDER}: install the package "
-            "with a C++ compiler at hand, for instance by `pip install --force-reinstall coadjoint`"
-        )
+        raise _missing(name)
     try:
         return ctypes.CDLL(str(place))
     except OSError as error:
@@ -76,7 +80,7 @@ def level_in_use() -> int | None:
             f"{'is' if len(built) == 1 else 'are'} built{_how_to_build(asked) if asked in _names(known) else ''}"
         )
     if not built:
-        _load(f"_kernels_v{highest}")
+        raise _missing(f"_kernels_v{highest}")
     if not usable:
         raise ImportError(
             f"the compiled kernels in {FOLDER} are built for {_listed(built)}, but {can_use}"
