@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from coadjoint.kernels.library import FOLDER, kernels
+from coadjoint.kernels.compiling import SOURCE, options, tuning
+from coadjoint.kernels.library import kernels, level_in_use
 from coadjoint.wording import short
 
-SOURCES = FOLDER / "source"
 COMPILERS = ("c++", "g++", "clang++")
 SECONDS = 600.0
 
@@ -97,27 +97,21 @@ def _address(name: str, path: str) -> int:
 def _library(source: Path) -> ctypes.CDLL:
     kernels()  # refused first, where they are missing
     compiler = _compiler()
-    options = [*_options(), "-DCOADJOINT_APART", "-fPIC", "-shared", f"-I{SOURCES}"]
+    # The same level, the same bits.
+    how = [*options(tuning(level_in_use())), "-DCOADJOINT_APART", "-shared"]
     said = subprocess.run([*compiler, "--version"], capture_output=True, text=True, timeout=SECONDS, check=False).stdout
-    key = hashlib.sha256(json.dumps([compiler, options, said]).encode())
-    for part in [source, *sorted(SOURCES.rglob("*.hpp"))]:
+    key = hashlib.sha256(json.dumps([compiler, how, said]).encode())
+    for part in [source, *sorted(SOURCE.rglob("*.hpp"))]:
         key.update(part.read_bytes())
     target = _cache() / f"{source.stem}-{key.hexdigest()[:24]}.so"
     if not target.exists():
         target.parent.mkdir(parents=True, exist_ok=True)
-        _build([*compiler, *options, str(source)], source, target)
+        _build([*compiler, *how, str(source)], source, target)
     library = ctypes.CDLL(str(target))
     lending = kernels().lent_to_others
     lending.restype = ctypes.c_void_p
     library.borrow(ctypes.c_void_p(lending()))
     return library
-
-
-def _options() -> list[str]:
-    """Return the options by which the kernels in use were compiled: the same level, the same bits."""
-    known = json.loads((SOURCES / "options.json").read_text(encoding="utf-8"))
-    level = Path(kernels()._name).name.partition(".")[0].rpartition("_")[2]
-    return [*known["always"], *known["levels"].get(level, known["elsewhere"])]
 
 
 def _build(command: list[str], source: Path, target: Path) -> None:
