@@ -13,16 +13,18 @@ from coadjoint.kernels.field import Field, GroupField
 from coadjoint.kernels.functions import CompiledFunction, Kept
 from coadjoint.kernels.tables import addresses_of
 from coadjoint.program.terms import TermTable
-from coadjoint.systems.kinds import System
+from coadjoint.systems.kinds import System, tabulated
 
 
-def field_of(system: System) -> tuple[Field, Kept]:
+def field_of(system: System, called: bool = False) -> tuple[Field, Kept]:
     """Return the vector field of a system, its functions compiled.
 
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
         The system.
+    called : bool
+        Whether the field is a call of Python, and its bracket is not read.
 
     Returns
     -------
@@ -42,12 +44,21 @@ def field_of(system: System) -> tuple[Field, Kept]:
     terms = table.table()
     addresses, keep = addresses_of(table.functions, len(table), "gradient", "the Hamiltonian")
     none = np.zeros(0, dtype=np.int64)
-    i, j, k, c = (none, none, none, np.zeros(0)) if system.algebra is None else system.algebra.triples
+    if called:
+        read = (none, none, none, np.zeros(0))
+    elif tabulated(system):
+        read = (none, none, none, np.zeros(0)) if system.algebra is None else system.algebra.triples
+    else:
+        raise TypeError(
+            f"{system.name} has no structure constants in memory, which this scheme reads; take one whose step is "
+            "written in Python, a StepMethod"
+        )
+    i, j, k, c = read
     # Both orders of every pair, row by row, and within a row as they are listed.
     order = np.argsort(np.stack([i, j], axis=1).ravel(), kind="stable")
     row, column, state, constant = (np.stack(pair, axis=1).ravel()[order] for pair in ((i, j), (j, i), (k, k), (c, -c)))
     structure = none
-    if system.algebra is None:
+    if system.algebra is None and not called:
         n = system.dim
         compiled = CompiledFunction(
             system.structure_function, n, n * n, scalar=False, flat=True, timed=False, what="the structure matrix"
@@ -60,7 +71,7 @@ def field_of(system: System) -> tuple[Field, Kept]:
         _indices(column),
         _indices(state),
         np.ascontiguousarray(system.sign * constant, dtype=np.float64),
-        system.algebra is None,
+        len(structure) > 0,
         structure,
         terms,
         addresses,

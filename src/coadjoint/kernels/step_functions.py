@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.extras import MissingPackageError, need
+from coadjoint.systems.kinds import tabulated
 
 Step = Callable[[Any, Any, Any, Any], Any]
 
@@ -96,6 +97,8 @@ def _say_once(scheme: type, reason: str) -> None:
 
 def _compiled(method: Any, system: Any) -> tuple[Any, str]:
     """Return the step compiled by Numba, or None with the reason."""
+    if not tabulated(system):
+        return None, f"{system.name} has no structure constants in memory, which compiled steps read"
     try:
         need("a compiled step", "numba")
     except MissingPackageError as error:

@@ -13,7 +13,7 @@ from coadjoint.kernels.stepping import Stepping, StepTables, step_address
 from coadjoint.kernels.tables import Compiled, addresses_of, invariants_table, watch_tables
 from coadjoint.kernels.watching import Watch
 from coadjoint.program.terms import TermTable
-from coadjoint.systems.kinds import System
+from coadjoint.systems.kinds import System, tabulated
 
 
 class CompiledStep(Protocol):
@@ -81,14 +81,19 @@ def function_tables(system: System, function: int, fractions: Sequence[float] = 
     """
     constant = sum(term.constant for term in system.hamiltonian.terms() if not term.called)
     none = invariants_table([], system.dim)
-    made = _tables(system, group_of(system, None), none.tables, [function], [constant])
+    made = _tables(system, group_of(system, None), none.tables, [function], [constant], not tabulated(system))
     return _stepping(step_address("step_function"), fractions, *made, ())
 
 
 def _tables(
-    system: System, group: GroupField, kept: Watch, integers: Sequence[int], numbers: Sequence[float]
+    system: System,
+    group: GroupField,
+    kept: Watch,
+    integers: Sequence[int],
+    numbers: Sequence[float],
+    called: bool = False,
 ) -> tuple[StepTables, tuple[Any, ...]]:
-    field, keep = field_of(system)
+    field, keep = field_of(system, called)
     table = TermTable()
     for term in system.hamiltonian.terms():
         table.add(term)

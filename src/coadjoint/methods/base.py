@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.memory import check_room
 from coadjoint.program.numbers import Number
-from coadjoint.systems.kinds import System
+from coadjoint.systems.kinds import System, tabulated
 from coadjoint.wording import short
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ class Method(ABC):
             The scheme cannot serve the system.
         """
         self.properties(system)
-        if system.algebra is not None:
+        if system.algebra is not None and tabulated(system):
             constants = system.algebra.triples.c.size
             check_room(BYTES_PER_CONSTANT * constants, f"the tables of {type(self).__name__} for {system.name}")
         return self.compiled(system, h, representation)

@@ -185,7 +185,9 @@ class Solution:
     @cached_property
     def x(self) -> NDArray[np.float64]:
         """Momenta."""
-        return self._picked(self._series("x"))
+        found = self._picked(self._series("x"))
+        shape = getattr(self.system, "shape", None)
+        return found if shape is None else found.reshape(*found.shape[:-1], *shape)
 
     @cached_property
     def energy(self) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from coadjoint.memory import check_room
 from coadjoint.methods.attitude import check_attitude
 from coadjoint.methods.base import Method
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.kinds import System, check_system
+from coadjoint.systems.kinds import System, check_system, shape_of
 from coadjoint.wording import short
 
 FEW = 64
@@ -91,8 +91,12 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
         Of another shape, empty, or not finite.
     """
     momenta = read_numbers(x0, "x0")
+    n, shape = system.dim, shape_of(system)
+    if len(shape) > 1:
+        if momenta.shape[-len(shape) :] != shape or momenta.ndim > len(shape) + 1:
+            raise ValueError(f"x0 has the shape {momenta.shape}; it must be {shape} or (members, {str(shape)[1:]}")
+        momenta = momenta.reshape(*momenta.shape[: -len(shape)], n)
     single = momenta.ndim == 1
-    n = system.dim
     if isinstance(system, Batch):
         if momenta.shape not in ((n,), (len(system), n)):
             raise ValueError(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Protocol, runtime_checkable
 
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -10,6 +11,67 @@ from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.wording import short
 
 System = LiePoissonSystem | PoissonSystem
+
+
+@runtime_checkable
+class GeneralSystem(Protocol):
+    """What runs ask of a system, whatever it is: one of your own may have a matrix for its state, or no table.
+
+    `shape` may say that a state is a matrix; without it, it is a vector of `dim` numbers. An `algebra` need not have
+    its structure constants in memory, as `triples`: then schemes whose step is written in Python serve the system, and
+    the compiled loops, which read tables, refuse it by name.
+    """
+
+    @property
+    def dim(self) -> int:
+        """Number of coordinates."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+
+    @property
+    def sign(self) -> int:
+        """Of the right-hand side."""
+
+    @property
+    def algebra(self) -> Any:
+        """Where the state lives, or None."""
+
+    @property
+    def representation(self) -> Any:
+        """Matrices for the group element, or None."""
+
+    @property
+    def hamiltonian(self) -> Any:
+        """The energy, a `HamiltonianLike` of vectors."""
+
+    @property
+    def casimirs(self) -> Mapping[str, Any]:
+        """Name to what is followed beside the energy."""
+
+    def vector_field(self, x: Any, t: float = 0.0) -> Any:
+        """Return x'."""
+
+    def energy(self, x: Any, t: float = 0.0) -> Any:
+        """Return H(x, t)."""
+
+
+def shape_of(system: Any) -> tuple[int, ...]:
+    """Return the shape of a state.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.rigid_body import rigid_body
+    >>> shape_of(rigid_body((1, 2, 3)))
+    (3,)
+    """
+    return tuple(getattr(system, "shape", (system.dim,)))
+
+
+def tabulated(system: Any) -> bool:
+    """Return whether the kernels can read the bracket: from structure constants, or from a function J."""
+    return system.algebra is None or getattr(system.algebra, "triples", None) is not None
 
 
 def check_system(system: Any) -> None:
@@ -23,9 +85,9 @@ def check_system(system: Any) -> None:
     Raises
     ------
     TypeError
-        It is neither a `LiePoissonSystem` nor a `PoissonSystem`, nor a `Batch` of them.
+        It is neither a `LiePoissonSystem` nor a `PoissonSystem`, nor a `Batch` of them, and no `GeneralSystem`.
     """
-    if not isinstance(system, LiePoissonSystem | PoissonSystem | Batch):
+    if not isinstance(system, LiePoissonSystem | PoissonSystem | Batch | GeneralSystem):
         raise TypeError(
             f"system is {short(system)}; it must be a LiePoissonSystem or a PoissonSystem, such as "
             "co.systems.rigid_body()"

@@ -1,0 +1,256 @@
+"""What the protocols admit: a bracket without a table, a state that is a matrix, a part that is no Hamiltonian flow."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import coadjoint as co
+from coadjoint.program.blocks import Kind
+from coadjoint.program.terms import LINEAR
+from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
+
+RNG = np.random.default_rng(20)
+
+
+class SkewMatrices:
+    """so(N) as matrices: a bracket, and no structure constants."""
+
+    def __init__(self, N):
+        self.dim, self.basis = N * N, [f"x{i}{j}" for i in range(N) for j in range(N)]
+
+    def bracket(self, A, B):
+        return A @ B - B @ A
+
+
+class MatrixBody:
+    """X' = [X, A(X)], A(X)_ij = w_ij X_ij, for a skew matrix X."""
+
+    sign, representation = 1, None
+
+    def __init__(self, weights):
+        N = len(weights)
+        self.shape, self.dim, self.name = (N, N), N * N, f"a body of {N} x {N}"
+        self.algebra, self.weights = SkewMatrices(N), weights
+        self.hamiltonian = co.Quadratic(weights.ravel())
+        self.casimirs = {"|X|^2": co.Quadratic(2.0 * np.ones(N * N))}
+
+    def vector_field(self, x, t=0.0):
+        X = np.reshape(x, self.shape)
+        return self.algebra.bracket(X, self.weights * X).ravel()
+
+    def energy(self, x, t=0.0):
+        return 0.5 * float(np.sum(self.weights * np.reshape(x, self.shape) ** 2))
+
+
+@dataclasses.dataclass(frozen=True)
+class Isospectral(co.methods.StepMethod):
+    """X -> Q^T X Q with Q the Cayley map of h A at the midpoint: all eigenvalues are kept."""
+
+    order, explicit, symmetric = 2, False, False
+
+    def properties(self, system):
+        return co.methods.Properties(poisson=False, energy=False, casimirs="all", attitude="none")
+
+    def step(self, system, x, t, h):
+        X = np.reshape(x, system.shape)
+        one, middle = np.eye(len(X)), X + h / 2 * np.reshape(system.vector_field(x), system.shape)
+        A = system.weights * middle
+        Q = np.linalg.solve(one - h / 2 * A, one + h / 2 * A)
+        return (Q.T @ X @ Q).ravel()
+
+
+def skew(N):
+    half = RNG.standard_normal((N, N))
+    return (half - half.T) / 2
+
+
+def body(N):
+    half = RNG.uniform(0.5, 2.0, (N, N))
+    return MatrixBody((half + half.T) / 2)
+
+
+@pytest.mark.filterwarnings("ignore:the steps of Isospectral")
+def test_matrices_without_structure_constants():
+    system = body(7)
+    X = np.stack([skew(7), 0.5 * skew(7)])
+    sol = co.integrate(system, X, (0, 2), 0.02, Isospectral(), save_every=50, threads=2)
+    assert sol.x.shape == (3, 2, 7, 7) and sol.energy.shape == (3, 2)
+    assert np.array_equal(sol.x[0], X)
+    for m in range(2):
+        alone = co.integrate(system, X[m], (0, 2), 0.02, Isospectral(), save_every=50)
+        assert alone.x.shape == (3, 7, 7) and np.array_equal(alone.x, sol.x[:, m])
+        exact = solve_ivp(lambda t, x: system.vector_field(x), (0, 2), X[m].ravel(), rtol=1e-11, atol=1e-12).y[:, -1]
+        fine = co.integrate(system, X[m], (0, 2), 0.01, Isospectral(), save_every=200).x[-1]
+        errors = [np.max(np.abs(found.ravel() - exact)) for found in (alone.x[-1], fine)]
+        assert 3.0 < errors[0] / errors[1] < 5.0 and errors[1] < 1e-2
+        before, after = (np.sort(np.linalg.eigvals(found).imag) for found in (X[m], alone.x[-1]))
+        assert np.max(np.abs(before - after)) < 1e-12
+    assert sol.drift()["|X|^2"] < 1e-11 and 1e-8 < sol.drift()["energy"] < 1e-1
+    assert abs(sol.energy[0, 0] - system.energy(X[0])) < 1e-12
+
+
+def test_the_compiled_loops_refuse_it_by_name():
+    for method in (co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")):
+        with pytest.raises(TypeError, match=r"a body of 4 x 4 has no structure constants in memory.*StepMethod"):
+            co.integrate(body(4), skew(4), (0, 1), 0.1, method)
+    with pytest.raises(ValueError, match=r"x0 has the shape \(4, 3\); it must be \(4, 4\) or \(members, 4, 4\)"):
+        co.integrate(body(4), np.ones((4, 3)), (0, 1), 0.1, Isospectral())
+    with pytest.raises(TypeError, match="system is"):
+        co.integrate(object(), skew(4), (0, 1), 0.1, Isospectral())
+
+
+class Springs:
+    """A term of one's own: an energy that is a square and the function of one coordinate."""
+
+    piece, constant, degree, called, differentiable, form = None, 0.0, None, True, True, None
+    multiplications = 2
+
+    def __init__(self, square, function):
+        self.parts = (square, function)
+
+    def couplings(self):
+        for part in self.parts:
+            yield from part.couplings()
+
+    def placed(self, where, n, piece):
+        return Springs(*(part.placed(where, n, piece) for part in self.parts))
+
+    def given_to(self, reader):
+        return [part.given_to(reader) for part in self.parts][-1]
+
+
+class SpringEnergy:
+    """A Hamiltonian of one's own with one such term, H = x1^2 / 2 + cosh x2."""
+
+    timed = False
+
+    def __init__(self, n):
+        self.dim = n
+        square = co.Quadratic([0.0, 1.0] + [0.0] * (n - 2)).terms()[0]
+        assert isinstance(square, QuadraticTerm)
+        self._terms = (Springs(square, FunctionTerm(np.array([2]), np.cosh, np.sinh, np.cosh, scalar=True)),)
+
+    def bind(self, n):
+        return self
+
+    def value(self, x, t=0.0):
+        return 0.5 * x[1] ** 2 + np.cosh(x[2])
+
+    def gradient(self, x, t=0.0):
+        found = np.zeros(len(x), dtype=np.asarray(x).dtype)
+        found[1], found[2] = x[1], np.sinh(x[2])
+        return found
+
+    def hessian(self, x, t=0.0):
+        found = np.zeros((len(x), len(x)))
+        found[1, 1], found[2, 2] = 1.0, np.cosh(x[2])
+        return found
+
+    def terms(self):
+        return self._terms
+
+
+@pytest.mark.parametrize("algebra", [co.algebras.so(3), co.algebras.e(3), co.algebras.get("A4,10")], ids=repr)
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")], ids=str)
+def test_a_term_of_ones_own_is_what_it_gives_itself_as(algebra, method):
+    n = algebra.dim
+    known = co.Separable({1: (lambda y: 0.5 * y * y, lambda y: y), 2: (np.cosh, np.sinh)})
+    own, other = (co.LiePoissonSystem(algebra, H) for H in (SpringEnergy(n), known))
+    x0 = 0.3 * np.cos(np.arange(n) + 1.0)
+    found, expected = (co.integrate(system, x0, (0, 2), 0.05, method) for system in (own, other))
+    # Parts in another order have another error of the scheme, which is below the bound of order four.
+    assert np.max(np.abs(found.x - expected.x)) < 1e-5
+    assert np.max(np.abs(found.x[-1] - x0)) > 1e-2
+    assert np.max(np.abs(found.energy - expected.energy)) < 1e-5
+
+
+@dataclasses.dataclass(frozen=True)
+class Damped(co.methods.FlowMethod):
+    """Sweeps of a splitting, each followed by the flow of x' = -rate x, which is no Hamiltonian one."""
+
+    rate: float = 0.1
+
+    order, explicit, symmetric = 1, True, False
+    parts, compensated, rotation = "coordinates", False, "exact"
+
+    def properties(self, system):
+        return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+    def sweeps(self, number=float):
+        return co.Splitting(order=1).sweeps(number)
+
+    def program(self, system, *, group=None, number=float):
+        program = co.Splitting(order=1, parts="coordinates").program(system, group=group, number=number)
+        return with_damping(program, self.rate)
+
+
+def with_damping(program, rate):
+    """The program with one part more: all coordinates scaled, by an angle that does not depend on the state."""
+    terms, state, rows, new = program.terms, program.state, program.rows, len(program.parts)
+
+    def more(array, *values):
+        return np.append(array, np.array(values, dtype=array.dtype))
+
+    angles = terms._replace(
+        size=terms.size + 1,
+        kind=more(terms.kind, LINEAR),
+        row=more(terms.row, terms.row[-1] + 1),
+        target=more(terms.target, 0),
+        offset=more(terms.offset, -rate),
+        entry=more(terms.entry, terms.entry[-1]),
+        monomial=more(terms.monomial, terms.monomial[-1]),
+    )
+    action = state._replace(
+        run=more(state.run, state.run[-1] + 1),
+        kind=more(state.kind, Kind.SCALE),
+        angles=more(state.angles, 1),
+        repeat=more(state.repeat, state.size),
+        angle=more(state.angle, 0),
+        place=more(state.place, len(state.indices)),
+        constant=more(state.constant, len(state.constants)),
+        width=more(state.width, 1),
+        entries=more(state.entries, 0),
+        degree=more(state.degree, 0),
+        indices=more(state.indices, *range(state.size)),
+        constants=more(state.constants, 1.0),
+    )
+    cuts = rows.section.astype(int)
+    columns = {}
+    for name, value in (("part", new), ("coefficient", 1.0), ("moment", 0.0)):
+        column = getattr(rows, name)
+        start, step, finish = column[: cuts[1]], column[cuts[1] : cuts[2]], column[cuts[2] :]
+        pieces = [more(start, value), more(step, value), finish]
+        columns[name] = np.concatenate(pieces)
+    section = (cuts + np.array([0, 1, 2, 2])).astype(rows.section.dtype)
+    return dataclasses.replace(
+        program,
+        rows=rows._replace(section=section, **columns),
+        terms=angles,
+        share=more(program.share, program.share[-1] + 1),
+        state=action,
+        frequency=more(program.frequency, 0.0),
+    )
+
+
+@pytest.mark.parametrize("h", [0.05, -0.05])
+@pytest.mark.parametrize("members", [1, 6])
+def test_a_part_that_is_no_hamiltonian_flow(h, members):
+    """The scheme keeps |x|^2 but for the damping, which is exact: it shrinks by exp(-2 rate t)."""
+    four = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(np.arange(1.0, 7)))
+    for system in (co.systems.rigid_body(inertia=(1, 2, 4)), four):
+        x0 = RNG.standard_normal((members, system.dim))
+        sol = co.integrate(system, x0, (0, 40 * h), abs(h), Damped(0.3))
+        squares = np.sum(sol.x**2, axis=-1)
+        exact = squares[0] * np.exp(-0.6 * sol.t)[:, None]
+        assert np.max(np.abs(squares / exact - 1)) < 40 * 64 * 2.0**-53
+        plain = co.integrate(system, x0, (0, 40 * h), abs(h), co.Splitting(order=1, parts="coordinates"))
+        assert np.max(np.abs(sol.x - plain.x)) > 0.1
+        # The plain reading knows the part too, and its tangent.
+        read = Damped(0.3).step(system, x0[0], 0.0, h)
+        assert np.max(np.abs(read - sol.x[1, 0])) < 1e-14
+        P = co.stepper(system, Damped(0.3), h).tangent(x0[0])
+        direction = np.eye(system.dim)[0]
+        ahead, behind = (Damped(0.3).step(system, x0[0] + side * 1e-6 * direction, 0.0, h) for side in (1, -1))
+        assert np.max(np.abs(P @ direction - (ahead - behind) / 2e-6)) < 1e-8
