@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from own_schemes import NOTHING, Classical, Failing, Interpreted, Kahan, Relaxed
+from own_schemes import NOTHING, Asking, Classical, Failing, Interpreted, Kahan, Relaxed
 
 import coadjoint as co
 from coadjoint.kernels import step_functions
@@ -64,6 +64,43 @@ def test_the_compiled_step_is_the_step(name, scheme, h):
     # It moves, and the way the field says.
     moved = system.vector_field(x0, t0)
     assert (sol.x[1] - x0) @ moved * h > 0
+
+
+def test_all_that_a_compiled_step_may_ask():
+    polynomial = co.Polynomial({(2, 0, 0): 0.5, (0, 2, 1): 0.3, (1, 1, 1): -0.2, (0, 0, 0): 7.0})
+    systems = [
+        co.LiePoissonSystem(co.algebras.get("A3,7", a=0.5), polynomial, sign=-1),
+        co.LiePoissonSystem(
+            co.algebras.e(3), co.Quadratic.from_polynomial(co.Polynomial({(2,) + (0,) * 5: 1.0, (0,) * 6: 3.0}))
+        ),
+    ]
+    for system in systems:
+        function = StepFunction(Asking(), system)
+        assert function.compiled
+        x0 = start_of(system)
+        found = co.integrate(system, x0, (0, 0.3), 0.1, Asking()).x[-1]
+        x = x0
+        for k in range(3):
+            x = Asking().step(system, x, 0.1 * k, 0.1)
+        assert np.max(np.abs(found - x)) < 1e-14
+
+
+def test_a_complex_step_is_compared_with_a_difference():
+    """A step that drops the imaginary part of a factor is no analytic function."""
+
+    @dataclasses.dataclass(frozen=True)
+    class Dropping(co.methods.StepMethod):
+        order, explicit, symmetric = 1, True, False
+
+        def properties(self, system):
+            return NOTHING
+
+        def step(self, system, x, t, h):
+            return x * (1 + h * np.real(x))
+
+    step, x = co.stepper(SYSTEMS["so(3)"], Dropping(), 0.1), np.array([1.0, -2.0, 0.5])
+    assert step.tangent_by(x) == "differences"
+    assert np.max(np.abs(step.tangent(x) - np.diag(1 + 0.2 * x))) < 1e-8
 
 
 def test_the_classical_method_is_the_one_that_is_built_in():

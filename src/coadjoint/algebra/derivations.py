@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.connected import connected, parts
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.joins import DEFECT_FACTOR, UNIT_ROUNDOFF, Integers, expand, groups
+from coadjoint.algebra.joins import DEFECT_FACTOR, Integers, expand, groups
+from coadjoint.rounding import UNIT_ROUNDOFF
 
 Vector = dict[int, Any]  # unknown -> coefficient, in order; the first one is 1
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-UNIT_ROUNDOFF = 2.0**-53
+from coadjoint.rounding import UNIT_ROUNDOFF
+
 DEFECT_FACTOR = 64  # an identity holds when its defect is below 64 u times the sum of the absolute products in it
 CHUNK = 1 << 21  # products held in memory at a time
 

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from coadjoint.algebra.derivations import Equations, Vector, blocks, check_block
-from coadjoint.algebra.joins import DEFECT_FACTOR, UNIT_ROUNDOFF, Floats, groups
+from coadjoint.algebra.joins import DEFECT_FACTOR, Floats, groups
 from coadjoint.algebra.numerical_rank import clear_rank
+from coadjoint.rounding import UNIT_ROUNDOFF
 
 PIVOT = 2.0**-20  # pivots of vectors of norm 1 are above this, or below round-off
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from coadjoint.algebra.connected import connected, parts
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.joins import DEFECT_FACTOR, UNIT_ROUNDOFF, Floats
+from coadjoint.algebra.joins import DEFECT_FACTOR, Floats
+from coadjoint.rounding import UNIT_ROUNDOFF
 
 GAP = 2.0**10  # the smallest singular value that counts must be this much above round-off
 

@@ -9,19 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples, triple_name
-from coadjoint.algebra.joins import (
-    DEFECT_FACTOR,
-    UNIT_ROUNDOFF,
-    Floats,
-    Integers,
-    chunks,
-    expand,
-    groups,
-    largest_alike,
-    violated,
-)
+from coadjoint.algebra.joins import DEFECT_FACTOR, Floats, Integers, chunks, expand, groups, largest_alike, violated
 from coadjoint.given import read_numbers
 from coadjoint.memory import check_room
+from coadjoint.rounding import UNIT_ROUNDOFF
 
 FOLDED_ROWS = 1 << 12  # equations of the linear systems that are folded into a triangle at a time
 

@@ -8,10 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.given import read_finite, read_whole
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.stepper import Stepper
 from coadjoint.wording import short
-
-UNIT_ROUNDOFF = 2.0**-53
 
 
 class PoissonDefect(NamedTuple):

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from coadjoint.choosing.growth import Growth
 from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.loops import SystemLoops
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.kinds import System
 
-UNIT_ROUNDOFF = 2.0**-53
 REFERENCE = GaussLegendre(8)
 # Where the errors of a window are looked at: many divisors, so that runs of any number of steps share some.
 POINTS = 240

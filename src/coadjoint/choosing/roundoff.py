@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from coadjoint.choosing.pilot import UNIT_ROUNDOFF, Pilot
+from coadjoint.choosing.pilot import Pilot
+from coadjoint.rounding import UNIT_ROUNDOFF
 
 # In units of u. Each flow rounds the momentum without bias by so much, as Casimirs of so(3) and e(3) show after 10^7
 # steps; Gauss methods, which keep quadratic invariants and round their slopes alone, by less.

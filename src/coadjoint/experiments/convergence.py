@@ -11,10 +11,10 @@ import numpy.typing as npt
 from coadjoint.analysis.order import OrderFit, fit_order
 from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
 from coadjoint.systems.kinds import System
 
-UNIT_ROUNDOFF = 2.0**-53
 SLOPE_TOLERANCE = 0.2  # what the next term of the error adds to a slope at the steps taken here
 
 # Steps for slopes: few and large for high orders, which soon meet round-off; small for low ones, which settle late.

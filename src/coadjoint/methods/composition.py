@@ -14,6 +14,7 @@ from coadjoint.given import read_finite
 from coadjoint.methods.base import Method, Representation
 from coadjoint.methods.composed import Composed
 from coadjoint.program.numbers import Number
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.kinds import System
 from coadjoint.wording import short
 
@@ -73,7 +74,7 @@ class Composition(Composed):
                 f"{LARGEST_SUM:g} rounding would undo the composition"
             )
         total = sum(self.coefficients)
-        if abs(total - 1.0) > 4 * len(self.coefficients) * 2.0**-53 * sum(map(abs, self.coefficients)):
+        if abs(total - 1.0) > 4 * len(self.coefficients) * UNIT_ROUNDOFF * sum(map(abs, self.coefficients)):
             raise ValueError(f"the coefficients of a Composition add up to 1, not to {total!r}")
 
     @cached_property

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from coadjoint.rounding import UNIT_ROUNDOFF
+
 HIGHEST_ORDER = 12
 
 
@@ -40,7 +42,7 @@ def composition_order(coefficients: Sequence[float], base_order: int) -> int:
     for order in range(base_order + 1, highest + 1):
         words = {word for word in product.keys() | exact.keys() if sum(word) == order}
         # Rounding of the coefficients themselves moves a condition by u times the sum of the terms in it.
-        tolerance = 2.0**-53 * 8 * len(coefficients) * scale**order
+        tolerance = UNIT_ROUNDOFF * 8 * len(coefficients) * scale**order
         if any(abs(product.get(word, 0.0) - exact.get(word, 0.0)) > tolerance for word in words):
             return order - 1
     return highest

@@ -14,13 +14,14 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.parts import Parts
 from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
 from coadjoint.program.sparse_rows import fresh, order_by, starts_of, sums
+from coadjoint.rounding import UNIT_ROUNDOFF
 
 Pairs = tuple[Integers, Integers]
 
 # Forms are looked up in a dense table up to this many entries.
 LARGEST_TABLE = 1 << 22
 # A bracket of two forms is zero where it is below this many units of round-off of its products.
-BRACKET_ROUNDOFF = 16 * 2.0**-53
+BRACKET_ROUNDOFF = 16 * UNIT_ROUNDOFF
 
 
 class Commutation:

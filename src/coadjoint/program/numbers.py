@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.rounding import UNIT_ROUNDOFF
+
 Number = Callable[[Any], Any]
 
 
@@ -36,7 +38,7 @@ def roundoff(number: Number) -> Any:
     """Return the unit round-off of a number type: half the gap between 1 and the next number."""
     one = number(1)
     if number is float:
-        return 2.0**-53
+        return UNIT_ROUNDOFF
     if isinstance(one, Fraction):
         return Fraction(0)
     u = one

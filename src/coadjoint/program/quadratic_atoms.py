@@ -14,6 +14,7 @@ from coadjoint.program.commutation import Commutation
 from coadjoint.program.parts import Parts
 from coadjoint.program.sparse_rows import SparseRows, fresh, order_by, starts_of
 from coadjoint.program.sparse_squares import SparseSquares, sparse_squares
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.terms import QuadraticTerm
 
 
@@ -114,7 +115,7 @@ def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tu
 
 def _without_rounding(squares: SparseSquares, entries: NDArray[np.float64]) -> SparseSquares:
     """Leave out squares below the rounding of the entries, which a Casimir shift made vanish."""
-    floor = 8 * 2.0**-53 * np.max(np.abs(entries))
+    floor = 8 * UNIT_ROUNDOFF * np.max(np.abs(entries))
     largest = np.maximum.reduceat(np.abs(squares.forms.value), squares.forms.start[:-1])
     kept = np.flatnonzero((squares.linear != 0) | (np.abs(squares.weights) * largest**2 > floor))
     return SparseSquares(squares.forms.take(kept), squares.weights[kept], squares.linear[kept])

@@ -12,6 +12,7 @@ from coadjoint.program.blocks import Kind
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.program.parts import Parts, PolynomialShare
 from coadjoint.program.sparse_rows import SparseRows, starts_of
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
@@ -121,7 +122,7 @@ def _along(forms: SparseRows, weights: SparseRows) -> NDArray[np.bool_]:
     form, weight = forms.take(same), weights.take(same)
     first = form.start[:-1][form.owner]
     one, other = weight.value * form.value[first], weight.value[first] * form.value
-    agree = np.asarray(abs(one - other) <= 8 * 2.0**-53 * abs(one), dtype=bool)
+    agree = np.asarray(abs(one - other) <= 8 * UNIT_ROUNDOFF * abs(one), dtype=bool)
     agree &= form.coordinate == weight.coordinate
     along[same[form.owner[~agree]]] = False
     return along
@@ -140,5 +141,5 @@ def acts_rationally(action: Action, parts: Parts, frequency: NDArray[Any]) -> ND
     least, largest, known, acting = _frequencies(action, parts, float)
     apart = np.maximum(np.abs(least - frequency), np.abs(largest - frequency))
     agree = np.ones(len(parts), dtype=bool)
-    agree[parts.part_of_angle[acting & ~(known & (apart <= 64 * 2.0**-53 * np.abs(frequency)))]] = False
+    agree[parts.part_of_angle[acting & ~(known & (apart <= 64 * UNIT_ROUNDOFF * np.abs(frequency)))]] = False
     return agree

@@ -15,6 +15,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.program.parts import Parts
 from coadjoint.program.pattern import LARGEST_PATTERN
 from coadjoint.program.pencil import singular_factors
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import factors_of
 from coadjoint.systems.terms import QuadraticTerm, Term
@@ -24,7 +25,7 @@ Shift = tuple[tuple[str, float], ...]
 LARGEST_SINGULAR = 8
 LARGEST_DENSE = 32  # coordinates: up to here a sum over all n^2 entries is quicker than to sort those that are not zero
 # What a shift leaves of an entry is zero below this many units of round-off of what is added up.
-ROUNDING = 4 * 2.0**-53
+ROUNDING = 4 * UNIT_ROUNDOFF
 
 
 class QuadraticCasimir(NamedTuple):

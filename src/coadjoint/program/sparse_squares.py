@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.joins import Integers
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.program.squares import LARGEST_RATIONAL, SMALLEST_PIVOT, complete_squares, split_linear
+from coadjoint.rounding import UNIT_ROUNDOFF
 
 # With fewer entries than this in a row, on average, rows are kept as lists.
 DENSE_ROW = 16
@@ -73,7 +74,7 @@ class _Reduction:
         self.entries = [(-abs(v), i, j) for i, row in enumerate(self.rows) for j, v in row.items() if i <= j]
         heapify(self.diagonal)
         heapify(self.entries)
-        self.floor = 4.0 * len(linear) * 2.0**-53 * float(np.max(np.abs(matrix.value), initial=0.0))
+        self.floor = 4.0 * len(linear) * UNIT_ROUNDOFF * float(np.max(np.abs(matrix.value), initial=0.0))
 
     def squares(self) -> SparseSquares:
         forms: list[Form] = []

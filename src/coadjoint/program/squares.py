@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.rounding import UNIT_ROUNDOFF
+
 # A square is taken of one coordinate unless its diagonal entry is this much smaller than the largest entry: no form
 # then has large coefficients (Bunch and Parlett 1971, (1 + sqrt 17)/8).
 SMALLEST_PIVOT = Fraction(41, 64)
@@ -62,7 +64,7 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
     exact = matrix.dtype == np.float64 and size <= LARGEST_RATIONAL
     lift = np.vectorize(Fraction, otypes=[object]) if exact else np.copy
     residual, b = lift(matrix), lift(linear)
-    floor = 0 if exact or matrix.dtype == object else 4.0 * size * 2.0**-53 * np.max(np.abs(matrix), initial=0.0)
+    floor = 0 if exact or matrix.dtype == object else 4.0 * size * UNIT_ROUNDOFF * np.max(np.abs(matrix), initial=0.0)
     forms: list[NDArray[Any]] = []
     weights: list[Any] = []
     betas: list[Any] = []

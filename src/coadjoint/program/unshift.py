@@ -22,11 +22,11 @@ from coadjoint.program.generators import BasisMatrices, Generators
 from coadjoint.program.layers import layers
 from coadjoint.program.shift import quadratic_entries
 from coadjoint.program.sparse_rows import SparseRows, fresh, order_by, starts_of
+from coadjoint.rounding import UNIT_ROUNDOFF
 
 Taken = tuple[Polynomial, float]
 Entries = tuple[Integers, Integers, NDArray[np.float64]]
 
-UNIT = 2.0**-53
 SEED = 1993
 SAMPLES = 3
 # An invariant form counts as definite where its pivots differ by less.
@@ -265,7 +265,7 @@ def _kind_of(block: _Block, samples: NDArray[np.float64], casimirs: Sequence[Ent
 
 
 def _vanishes(matrix: NDArray[np.float64], bound: NDArray[np.float64]) -> bool:
-    return bool(np.all(abs(matrix) <= UNIT * bound))
+    return bool(np.all(abs(matrix) <= UNIT_ROUNDOFF * bound))
 
 
 def _rank_of_cubic(powers: Sequence[NDArray[np.float64]], bounds: Sequence[NDArray[np.float64]]) -> int:

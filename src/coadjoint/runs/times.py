@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_number, read_numbers, read_whole
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.wording import short
 
 
@@ -102,7 +103,7 @@ def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Ti
         raise ValueError(f"step {size!r} is too small for the time {abs(span)!r}: the steps could not be counted")
     steps = round(quotient)
     # The ends, the span, the step and their quotient are each rounded: 8 u relative covers them.
-    if abs(quotient - steps) > 8 * 2.0**-53 * max(quotient, abs(first) / size):
+    if abs(quotient - steps) > 8 * UNIT_ROUNDOFF * max(quotient, abs(first) / size):
         count = max(1, math.floor(quotient))
         raise ValueError(
             f"step {size!r} does not divide the time {abs(span)!r}; "

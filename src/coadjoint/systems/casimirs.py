@@ -13,7 +13,8 @@ import numpy.typing as npt
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.systems.points import UNIT_ROUNDOFF, scatter
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.points import scatter
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import QuadraticTerm
 from coadjoint.systems.user_functions import sample_points

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from coadjoint.algebra.joins import distinct
 from coadjoint.given import REAL, array_given, read_finite
 from coadjoint.memory import check_room
-from coadjoint.systems.points import UNIT_ROUNDOFF
+from coadjoint.rounding import UNIT_ROUNDOFF
 
 BYTES_PER_ENTRY = 100  # while its place is sorted, and compared with the one across the diagonal
 SPARSE = "give a sparse matrix, or a diagonal"

@@ -15,8 +15,6 @@ import numpy.typing as npt
 from coadjoint.given import REAL, array_given, is_real, read_title
 from coadjoint.wording import short
 
-UNIT_ROUNDOFF = 2.0**-53
-
 QUIET = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 """At a point where a function leaves float64 its value is infinite or undefined, and no warning is needed to say so."""
 

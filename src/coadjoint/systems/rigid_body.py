@@ -12,9 +12,9 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.given import check_finite, read_numbers
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.free_rigid_body import exact_solution
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.points import UNIT_ROUNDOFF
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
 

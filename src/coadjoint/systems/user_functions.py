@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.systems.points import UNIT_ROUNDOFF
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.wording import short
 
 SEED = 1993

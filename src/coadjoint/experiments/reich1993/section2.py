@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from coadjoint.analysis.poisson_defect import poisson_defect
-from coadjoint.experiments.convergence import UNIT_ROUNDOFF
 from coadjoint.experiments.reich1993.systems import CALM_START, SPIRAL_START
 from coadjoint.experiments.statement import Statement, judged
 from coadjoint.experiments.step_matrices import stage_iterates, step_matrix
 from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.stepper import stepper
 from coadjoint.systems.paper_examples import paper_a37, paper_rigid_body
 

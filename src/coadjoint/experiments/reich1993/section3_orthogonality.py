@@ -8,13 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.analysis.order import fit_order
-from coadjoint.experiments.convergence import UNIT_ROUNDOFF, roundoff, within
+from coadjoint.experiments.convergence import roundoff, within
 from coadjoint.experiments.reich1993.systems import CALM_START
 from coadjoint.experiments.statement import Statement, judged
 from coadjoint.experiments.step_matrices import stage_iterates, step_matrix
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.methods.radau_energy import RadauEnergy
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper
 from coadjoint.systems.paper_examples import paper_rigid_body

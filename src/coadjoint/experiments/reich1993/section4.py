@@ -8,13 +8,7 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.analysis.poisson_defect import poisson_defect
-from coadjoint.experiments.convergence import (
-    SLOPE_TOLERANCE,
-    UNIT_ROUNDOFF,
-    fitted_order,
-    roundoff,
-    within,
-)
+from coadjoint.experiments.convergence import SLOPE_TOLERANCE, fitted_order, roundoff, within
 from coadjoint.experiments.reich1993.systems import (
     CALM_START,
     COORDINATES,
@@ -26,6 +20,7 @@ from coadjoint.experiments.reich1993.systems import (
 from coadjoint.experiments.statement import Statement, judged
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper
 from coadjoint.systems.lie_poisson import LiePoissonSystem

@@ -7,12 +7,13 @@ import numpy as np
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.analysis.order import fit_order
-from coadjoint.experiments.convergence import SLOPE_TOLERANCE, UNIT_ROUNDOFF, roundoff, within
+from coadjoint.experiments.convergence import SLOPE_TOLERANCE, roundoff, within
 from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES, body_trial
 from coadjoint.experiments.statement import Statement, judged
 from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.methods.splitting import Splitting
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper
 from coadjoint.systems.lie_poisson import LiePoissonSystem
