@@ -51,13 +51,14 @@ class Places:
 
 
 class Block:
-    """Arrays in one piece of memory, by name: `block["x"]` is a view."""
+    """Arrays in one piece of memory, zero at first, by name: `block["x"]` is a view."""
 
     __slots__ = ("address", "numbers", "places")
 
     def __init__(self, places: Places) -> None:
         self.places = places
-        self.numbers = np.empty(places.size)
+        # One at least: an address needs something to stand at.
+        self.numbers = np.zeros(places.size or 1)
         self.address = ctypes.byref(number_at(self.numbers))
 
     def __getitem__(self, name: str) -> NDArray[Any]:

@@ -30,7 +30,11 @@ class Watch(NamedTuple):
 
 
 class Schedule(NamedTuple):
-    """Which steps there are, and after which of them something is looked at; `passed` saved ones lie behind."""
+    """Which steps there are, and after which of them something is looked at; `passed` saved ones lie behind.
+
+    Saved are the steps at the address `marks`, `marked` of them, ascending; where it is 0, every `save_every`-th and
+    the last.
+    """
 
     t0: float
     h: float
@@ -38,11 +42,22 @@ class Schedule(NamedTuple):
     save_every: int
     passed: int
     watching: bool
+    marked: int
+    marks: int
 
 
-def schedule_of(t0: float, h: float, steps: int, save_every: int, watching: bool, passed: int = 0) -> bytes:
-    """Return a `Schedule` as the loops take it."""
-    return packer(Schedule)(t0, h, steps, save_every, passed, watching)
+def schedule_of(
+    t0: float,
+    h: float,
+    steps: int,
+    save_every: int,
+    watching: bool,
+    passed: int = 0,
+    marks: NDArray[np.int64] | None = None,
+) -> bytes:
+    """Return a `Schedule` as the loops take it; the marks must live as long."""
+    marked, address_of_marks = (0, 0) if marks is None else (len(marks), marks.ctypes.data)
+    return packer(Schedule)(t0, h, steps, save_every, passed, watching, marked, address_of_marks)
 
 
 def values_along(watch: Any, points: NDArray[np.float64], times: NDArray[np.float64], out: NDArray[np.float64]) -> None:

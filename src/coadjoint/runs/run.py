@@ -86,7 +86,7 @@ class Run:
             state.check_fits(self.plan.layout.state)
             self.state = state.copy()
             self.saved.numbers.fill(np.nan)
-        self._schedule = schedule_of(*times[:4], watching, times.passed)
+        self._schedule = schedule_of(*times[:4], watching, *times[4:])
         self.seconds = 0.0
         self.wrong = 0
 

@@ -14,7 +14,7 @@ from coadjoint.wording import short
 
 
 class Times(NamedTuple):
-    """Start, signed step, number of steps, and every how many of them a state is saved.
+    """Start, signed step, number of steps, and every how many of them a state is saved, or after which: `marks`.
 
     The first `passed` of the saved steps are not meant: a run that goes on has them behind it.
     """
@@ -24,6 +24,7 @@ class Times(NamedTuple):
     steps: int
     save_every: int
     passed: int = 0
+    marks: NDArray[np.int64] | None = None
 
     @property
     def end(self) -> float:
@@ -33,14 +34,34 @@ class Times(NamedTuple):
     @property
     def points(self) -> int:
         """How many steps are saved."""
-        return -(-self.steps // self.save_every) + 1 - self.passed
+        every = -(-self.steps // self.save_every) + 1 if self.marks is None else len(self.marks)
+        return every - self.passed
 
     @property
     def saved(self) -> NDArray[np.int64]:
-        """Numbers of the saved steps: 0, every save_every-th, and the last."""
+        """Numbers of the saved steps: the marks, or 0, every save_every-th, and the last."""
+        if self.marks is not None:
+            return self.marks[self.passed :]
         numbers = np.arange(0, self.steps + 1, self.save_every)
         numbers = numbers if numbers[-1] == self.steps else np.append(numbers, self.steps)
         return numbers[self.passed :]
+
+    def marking(self, numbers: Any) -> Times:
+        """Return the same times with the saved steps given, ascending: any of 0 to `steps`.
+
+        Examples
+        --------
+        >>> Times(0.0, 0.5, 10, 1).marking([0, 3, 4]).saved
+        array([0, 3, 4])
+        """
+        marks = np.array(numbers)
+        whole = marks.ndim == 1 and (marks.dtype.kind in "iu" or not len(marks))
+        if not whole or np.any(np.diff(marks) <= 0) or np.any((marks < 0) | (marks > self.steps)):
+            raise ValueError(
+                f"the steps to be saved are {short(numbers)}; they must be whole numbers from 0 to {self.steps}, "
+                "each larger than the one before"
+            )
+        return self._replace(passed=0, marks=np.ascontiguousarray(marks, dtype=np.int64))
 
     def after(self, number: int) -> Times:
         """Return the same times with the saved steps after step `number` alone.

@@ -5,7 +5,7 @@
 #include <new>
 
 #include "boundary/hearing.hpp"
-#include "recording/watching.hpp"
+#include "recording/recorder.hpp"
 
 namespace coadjoint {
 

@@ -66,9 +66,11 @@ TABLE(Watch, WATCH_FIELDS)
     _(integer, remembered)
 TABLE(Extent, EXTENT_FIELDS)
 
-// The first `passed` saved steps lie behind: a run that goes on has no room for them.
+// Saved are the steps at `marks`, `marked` of them, ascending, or without those every save_every-th from 0 on, and the
+// last. The first `passed` saved ones lie behind: a run that goes on has no room for them.
 #define SCHEDULE_FIELDS(_)                                                                                           \
-    _(number, t0) _(number, h) _(integer, steps) _(integer, save_every) _(integer, passed) _(flag, watching)
+    _(number, t0) _(number, h) _(integer, steps) _(integer, save_every) _(integer, passed) _(flag, watching)  \
+    _(integer, marked) _(integers, marks)
 TABLE(Schedule, SCHEDULE_FIELDS)
 
 #define FIELD_FIELDS(_)                                                                                              \

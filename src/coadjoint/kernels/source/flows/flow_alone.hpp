@@ -11,7 +11,7 @@ typedef Lanes<ROWS> GroupRows;
 
 template <Care care, class A>
 struct Finisher {
-    static constexpr bool with_errors = care != PLAIN;
+    static constexpr bool nothing = false, with_errors = care != PLAIN;
     const FlowTables& tables;
     const Schedule& schedule;
     Room<A> scratch;
@@ -36,7 +36,8 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
     Room<GroupRows> elements(2 * d * rows), finished(2 * d * rows), group_scratch(3 * d * rows);
     AngleRoom<double> angles(tables.longest);
     Finisher<care, Side> finisher(tables, schedule, size);
-    Follower<Side, Finisher<care, Side>> follower(loop.watch, loop.arrays, schedule, size, finisher);
+    MemberRecorder<Side, Shared, Finisher<care, Side>> recorder(loop.watch, arrays, schedule, Shared{}, finisher);
+    recorder.begin(member, Shared{}, loop.k0);
     double *x = momenta.at, *dx = momenta.at + size;
     std::copy_n(arrays.momenta + member * size, size, x);
     std::copy_n(arrays.errors + member * size, size, dx);
@@ -51,14 +52,29 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
             g[to] = arrays.groups[member * d * d + from];
             dg[to] = arrays.group_errors[member * d * d + from];
         });
-    auto saved_group = [&](int64_t k) {
-        return loop.arrays.group + (slot_of(schedule, k) * loop.arrays.members + member) * d * d;
-    };
     const Vectors<double> momentum{x, dx, 1, scratch.at};
+    // The group element is finished on a copy, and turned by angles of a copy of the momentum.
+    auto finished_group = [&](int64_t k, double* to) {
+        if constexpr (carry) {
+            std::copy_n(x, 2 * size, copies.at);
+            std::copy_n(elements.at, 2 * d * rows, finished.at);
+            const double t = schedule.t0 + double(k - 1) * schedule.h;
+            const Vectors<GroupRows> copy{finished.at, finished.at + d * rows, rows, group_scratch.at};
+            sweep<care, true>(tables, Shared{}, tables.section[2], tables.section[3],
+                              Vectors<double>{copies.at, copies.at + size, 1, scratch.at}, copy, t, schedule.h, angles);
+            const double* element = reinterpret_cast<double*>(finished.at);
+            bool sound = true;
+            each_entry([&](int64_t, int64_t from) { sound &= 0.0 * element[from] == 0.0; });
+            if (sound) each_entry([&](int64_t place, int64_t from) { to[place] = element[from]; });
+            return sound;
+        } else {
+            return true;
+        }
+    };
     FlowsOfRows flows_of(tables, carry);
     const std::vector<ElementaryFlow> opening = flows_of(tables.section[0], tables.section[loop.k0 == 0]),
                                       repeated = flows_of(tables.section[1], tables.section[loop.k1 > 1 ? 2 : 1]);
-    int64_t saved = next_saved(schedule, loop.k0), failed = 0;
+    int64_t failed = 0;
     const int64_t work = work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.hearing.after(work);
@@ -76,37 +92,10 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
             failed = k;
             break;
         }
-        if (!schedule.watching && k != saved) continue;
-        if (k == saved) {
-            saved = next_saved(schedule, k);
-            if constexpr (carry) {
-                std::copy_n(x, 2 * size, copies.at);
-                std::copy_n(elements.at, 2 * d * rows, finished.at);
-                const Vectors<GroupRows> copy{finished.at, finished.at + d * rows, rows, group_scratch.at};
-                sweep<care, true>(tables, Shared{}, tables.section[2], tables.section[3],
-                                  Vectors<double>{copies.at, copies.at + size, 1, scratch.at}, copy, t, schedule.h,
-                                  angles);
-                const double* element = reinterpret_cast<double*>(finished.at);
-                bool sound = true;
-                each_entry([&](int64_t, int64_t from) { sound &= 0.0 * element[from] == 0.0; });
-                if (!sound) {
-                    failed = k;
-                    break;
-                }
-                double* to = saved_group(k);
-                each_entry([&](int64_t place, int64_t from) { to[place] = element[from]; });
-            }
-        }
-        follower.push(member, k, x, dx);
-        if (follower.full() && (failed = follower.flush())) break;
+        if ((failed = recorder.after(k, x, dx, finished_group))) break;
     }
-    if (int64_t earlier = follower.flush()) failed = earlier;
-    // Momenta are finished some at a time: what was saved of the group since the step that failed is taken back.
-    if (carry && failed)
-        for (int64_t k = next_saved(schedule, failed - 1); k <= loop.k1; k = next_saved(schedule, k)) {
-            std::fill_n(saved_group(k), d * d, NAN);
-            if (k == schedule.steps) break;
-        }
+    // Momenta are finished some at a time: one that waited may have failed before.
+    if (const int64_t earlier = recorder.flush()) failed = earlier;
     const int64_t taken = (failed ? failed : loop.k1) - loop.k0, start = loop.k0 == 0 && taken > 0;
     loop.arrays.evaluations[member] += start * (int64_t(tables.section[1]) - tables.section[0]) +
                                        (taken - start) * (int64_t(tables.section[2]) - tables.section[1]);

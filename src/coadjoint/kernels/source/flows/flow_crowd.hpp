@@ -17,13 +17,13 @@ struct Block {
     const int64_t count, size, square;
     Room<A> momenta, elements;
     int64_t going[Numbers<A>::lanes], left = 0, evaluations = 0;
-    CrowdWatcher<A, C> watcher;
+    CrowdRecorder<A, C> recorder;
     Vectors<A> momentum, group;
 
     Block(const FlowLoop& loop, const C& constants, const int64_t* members, int64_t count, Room<A>& scratch)
         : loop(loop), constants(constants), members(members), count(count), size(loop.arrays.size),
           square(loop.arrays.square), momenta(2 * size), elements(2 * square), going{},
-          watcher(loop.watch, loop.arrays, loop.schedule, this->constants, members, going, count),
+          recorder(loop.watch, loop.arrays, loop.schedule, loop.k0, this->constants, members, going, count),
           momentum{momenta.at, momenta.at + size, 1, scratch.at},
           group{elements.at, elements.at + square, loop.tables.group.size, scratch.at} {
         for (int64_t lane = 0; lane < count; ++lane) left += going[lane] = loop.arrays.status[members[lane]] == DONE;
@@ -49,7 +49,7 @@ struct Block {
         if (__builtin_expect(all(sound), 1)) return;
         for (int64_t lane = 0; lane < count; ++lane) {
             if (at(sound, int(lane)) || !going[lane]) continue;
-            watcher.keep_worst();
+            recorder.keep_worst();
             going[lane] = 0;
             --left;
             loop.overflow(members[lane], k);
@@ -57,23 +57,22 @@ struct Block {
         }
     }
 
-    // Finish copies, note them, and save what has a slot.
-    NOINLINE void look(int64_t k, int64_t slot, const A& t, A* copies, A* scratch, AngleRoom<A>& angles) {
+    // Finish copies, the group element where it is saved.
+    NOINLINE FinishedRows<A> finished(int64_t k, bool saving, const A& t, A* copies, A* scratch, AngleRoom<A>& angles) {
         const uint32_t first = loop.tables.section[2], last = loop.tables.section[3];
         A* element = copies + 2 * size;
         const Vectors<A> copy{copies, copies + size, 1, scratch};
         std::copy_n(momentum.at, 2 * size, copies);
-        if (carry && slot >= 0) {
+        if (carry && saving) {
             std::copy_n(group.at, 2 * square, element);
-            const Vectors<A> finished{element, element + square, group.rows, scratch};
-            sweep<care, carry>(loop.tables, constants, first, last, copy, finished, t, loop.schedule.h, angles);
+            const Vectors<A> turned{element, element + square, group.rows, scratch};
+            sweep<care, carry>(loop.tables, constants, first, last, copy, turned, t, loop.schedule.h, angles);
             stop_where_not(finite(square, element), k);
         } else {
             sweep<care, false>(loop.tables, constants, first, last, copy, Vectors<A>{}, t, loop.schedule.h, angles);
         }
         stop_where_not(finite(size, copies), k);
-        watcher.note(k, slot, size, copies);
-        if (carry && slot >= 0) watcher.save_group(slot, square, element);
+        return {copies, element};
     }
 };
 
@@ -94,7 +93,6 @@ void follow_together(const FlowLoop& loop, const ConstantsFrom& constants_from, 
     int used = 0;
     for (int64_t place = first; place < last; place += lanes)
         blocks[used++].emplace(loop, constants_from(place), members + place, std::min(lanes, last - place), scratch);
-    int64_t saved = next_saved(schedule, loop.k0);
     const int64_t work = used * lanes * work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.hearing.after(work);
@@ -104,16 +102,14 @@ void follow_together(const FlowLoop& loop, const ConstantsFrom& constants_from, 
             for (int b = 0; b < used; ++b)
                 apply_row<care, carry>(tables, blocks[b]->constants, r, blocks[b]->momentum, blocks[b]->group, t,
                                        schedule.h, angles);
-        const bool looking = schedule.watching || k == saved;
-        const int64_t slot = k == saved ? slot_of(schedule, k) : -1;
         int64_t left = 0;
         for (int b = 0; b < used; ++b) {
             blocks[b]->evaluations += to - from;
             blocks[b]->stop_where_not(finite(size, blocks[b]->momentum.at), k);
-            if (looking) blocks[b]->look(k, slot, t, copies.at, scratch.at, angles);
+            blocks[b]->recorder.after(
+                k, [&](bool saving) { return blocks[b]->finished(k, saving, t, copies.at, scratch.at, angles); });
             left += blocks[b]->left;
         }
-        if (k == saved) saved = next_saved(schedule, k);
         if (left == 0) break;
     }
 }

@@ -5,7 +5,8 @@
 
 #include "numbers/arithmetic.hpp"
 #include "flows/skew_planes.hpp"
-#include "recording/watching.hpp"
+#include "boundary/codes.hpp"
+#include "recording/saved_steps.hpp"
 
 namespace coadjoint {
 

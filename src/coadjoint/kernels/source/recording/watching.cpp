@@ -1,5 +1,6 @@
 // How a run begins and whether it went well, and functions along saved points.
 #include "boundary/crew.hpp"
+#include "recording/saved_steps.hpp"
 
 namespace coadjoint {
 
@@ -35,6 +36,7 @@ void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, c
     blank(arrays.group_errors, 1, arrays.square, 0.0);
     blank(arrays.memory, 1, arrays.remembered, NAN);
     std::vector<double> y(watch.longest + 1), room(2 * watch.longest + 2);
+    const int64_t slot = arrays.points > 0 && step_of(schedule, 0) == 0 ? 0 : -1;
     const int64_t work = work_of_terms(watch.terms, 0, watch.terms.size) + 64 + arrays.size + arrays.square;
     for (int64_t place = crew.first; place < crew.last; ++place) {
         Hearing::of_this_call().after(work);
@@ -47,9 +49,10 @@ void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, c
             const double value =
                 crew.stride ? value_of(watch, Own{crew.stride, place}, i, x, schedule.t0, y.data(), room.data())
                             : value_of(watch, Shared{}, i, x, schedule.t0, y.data(), room.data());
-            note_value(arrays, watch.size, i, 0.0, member, 0, 0, 0, value);
+            note_value(arrays, watch.size, i, 0.0, member, 0, slot, 0, value);
         }
-        save_state(arrays, member, 0, arrays.size, x, 0);
+        if (slot < 0) continue;
+        save_state(arrays, member, slot, arrays.size, x, 0);
         std::copy_n(arrays.groups + member * arrays.square, arrays.square, arrays.group + member * arrays.square);
     }
 }

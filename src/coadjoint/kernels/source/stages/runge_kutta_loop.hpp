@@ -8,13 +8,6 @@ namespace coadjoint {
 
 typedef Loop<RungeKuttaTables> RungeKuttaLoop;
 
-// Nothing is left to be finished when steps of one trajectory are watched side by side.
-struct Finished {
-    static constexpr bool with_errors = false;
-    template <class A>
-    void operator()(A*, A*, const A&) const {}
-};
-
 // Visit every row of a member: where it is kept in the state, and where the loop has it.
 template <class V, class Visit>
 INLINE void each_row(const Arrays& arrays, V* x, V* dx, V* g, V* dg, Visit visit) {
@@ -50,9 +43,9 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member) {
         one.newton = memory[0];
         one.read_slopes(memory + 1);
     }
-    Finished nothing;
-    Follower<Side, Finished> follower(loop.watch, loop.arrays, schedule, n, nothing);
-    int64_t saved = next_saved(schedule, loop.k0);
+    AlreadyFinished nothing;
+    MemberRecorder<Side, Shared, AlreadyFinished> recorder(loop.watch, arrays, schedule, Shared{}, nothing);
+    recorder.begin(member, Shared{}, loop.k0);
     const int64_t work = work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.hearing.after(work);
@@ -71,16 +64,9 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member) {
             loop.overflow(member, k);
             break;
         }
-        if (!schedule.watching && k != saved) continue;
-        follower.push(member, k, one.x, one.dx);
-        if (k == saved) {
-            saved = next_saved(schedule, k);
-            const int64_t place = slot_of(schedule, k) * loop.arrays.members + member;
-            std::copy_n(one.g, square, loop.arrays.group + place * square);
-        }
-        if (follower.full()) follower.flush();
+        recorder.after(k, one.x, one.dx, [&](int64_t, double* to) { return std::copy_n(one.g, square, to), true; });
     }
-    follower.flush();
+    recorder.flush();
     loop.arrays.iterations[member] += one.iterations;
     loop.arrays.evaluations[member] += one.evaluations;
     each_row(arrays, one.x, one.dx, one.g, one.dg, [&](double* to, const double* from, int64_t length) {
@@ -167,8 +153,8 @@ struct Together {
         one.read_slopes(slopes.data());
     }
 
-    void stop(CrowdWatcher<A, C>& watcher, int64_t lane, int64_t k, int64_t status, double residual) {
-        watcher.keep_worst();
+    void stop(CrowdRecorder<A, C>& recorder, int64_t lane, int64_t k, int64_t status, double residual) {
+        recorder.keep_worst();
         write(int(lane));
         going[lane] = 0;
         --left;
@@ -178,29 +164,23 @@ struct Together {
     void follow() {
         const RungeKuttaTables& tables = loop.tables;
         const Schedule& schedule = loop.schedule;
-        CrowdWatcher<A, C> watcher(loop.watch, loop.arrays, schedule, constants, members, going, count);
-        int64_t saved = next_saved(schedule, loop.k0);
+        CrowdRecorder<A, C> recorder(loop.watch, loop.arrays, schedule, loop.k0, constants, members, going, count);
         const int64_t work = lanes * work_of_step(loop);
         for (int64_t k = loop.k0 + 1; k <= loop.k1 && left > 0; ++k) {
             loop.hearing.after(work);
             const double start = schedule.t0 + double(k - 1) * schedule.h;
             for (int64_t part = 0; part < tables.substeps && left > 0; ++part)
-                substep(watcher, k, start + tables.moment[part] * schedule.h, tables.fraction[part] * schedule.h, part);
+                substep(recorder, k, start + tables.moment[part] * schedule.h, tables.fraction[part] * schedule.h, part);
             const auto sound = finite(crowd.n, crowd.x);
             if (__builtin_expect(!all(sound), 0))
                 for (int64_t lane = 0; lane < count; ++lane)
                     if (going[lane] && !at(sound, int(lane)))
-                        stop(watcher, lane, k, OVERFLOWED, std::numeric_limits<double>::quiet_NaN());
-            if (!schedule.watching && k != saved) continue;
-            const int64_t slot = k == saved ? slot_of(schedule, k) : -1;
-            watcher.note(k, slot, crowd.n, crowd.x);
-            if (slot < 0) continue;
-            saved = next_saved(schedule, k);
-            watcher.save_group(slot, crowd.square, crowd.g);
+                        stop(recorder, lane, k, OVERFLOWED, std::numeric_limits<double>::quiet_NaN());
+            recorder.after(k, [&](bool) { return FinishedRows<A>{crowd.x, crowd.g}; });
         }
     }
 
-    void substep(CrowdWatcher<A, C>& watcher, int64_t k, double t, double h, int64_t part) {
+    void substep(CrowdRecorder<A, C>& recorder, int64_t k, double t, double h, int64_t part) {
         A taking(0.0);
         bool someone = false;
         for (int64_t lane = 0; lane < count; ++lane)
@@ -221,7 +201,7 @@ struct Together {
                 loop.arrays.evaluations[members[lane]] += int64_t(evaluations[lane]);
             } else if (!alone(int(lane), t, h, part)) {
                 const double residual = single[lane]->residual;
-                stop(watcher, lane, k, failure_of(residual), residual);
+                stop(recorder, lane, k, failure_of(residual), residual);
             }
         }
         crowd.add();

@@ -48,13 +48,14 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
     const Schedule& schedule = loop.schedule;
     const Arrays& arrays = loop.arrays;
     const int64_t n = arrays.size, square = arrays.square;
-    std::vector<double> arguments(watch.longest + 1), room(2 * watch.longest + 2);
     const int64_t eights = (n + 7) / 8;
     Room<Lanes<8>> momentum(2 * eights);
     double *x = reinterpret_cast<double*>(momentum.at), *dx = x + 8 * eights;
     const int64_t watched = work_of_terms(watch.terms, 0, watch.terms.size);
     std::unique_ptr<StepScheme> own;
     StepScheme* scheme = crew.stride || n > SMALL ? nullptr : remembered_step(tables);
+    AlreadyFinished nothing;
+    MemberRecorder<double, Own, AlreadyFinished> recorder(watch, arrays, schedule, Own{1, 0}, nothing);
     for (int64_t place = crew.first; place < crew.last; ++place) {
         const int64_t member = crew.members[place];
         if (arrays.status[member] != DONE) continue;
@@ -68,6 +69,7 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
         std::fill_n(x, 16 * eights, 0.0);
         std::copy_n(arrays.momenta + member * n, n, x);
         std::copy_n(arrays.errors + member * n, n, dx);
+        recorder.begin(member, constants, loop.k0);
         double *g = arrays.groups + member * square, *dg = arrays.group_errors + member * square;
         for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
             const double start = schedule.t0 + double(k - 1) * schedule.h;
@@ -88,10 +90,7 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
                 loop.fail(member, k, status, scheme->residual);
                 break;
             }
-            const int64_t slot = slot_of(schedule, k);
-            if (!schedule.watching && slot < 0) continue;
-            note_steps(watch, constants, arrays, schedule, member, 1, &k, n, x, arguments.data(), room.data());
-            if (slot >= 0) std::copy_n(g, square, arrays.group + (slot * arrays.members + member) * square);
+            recorder.after(k, x, dx, [&](int64_t, double* to) { return std::copy_n(g, square, to), true; });
         }
         std::copy_n(x, n, arrays.momenta + member * n);
         std::copy_n(dx, n, arrays.errors + member * n);

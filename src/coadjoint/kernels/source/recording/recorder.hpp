@@ -1,0 +1,219 @@
+// What is saved and watched of a run, and after which step. A loop says `after` of each of its steps, and nothing else:
+// `MemberRecorder` where it follows one member, `CrowdRecorder` where it follows many side by side.
+#pragma once
+
+#include "recording/saved_steps.hpp"
+#include "recording/watching.hpp"
+
+namespace coadjoint {
+
+// Where nothing is left to be finished before a state is looked at.
+struct AlreadyFinished {
+    static constexpr bool nothing = true, with_errors = false;
+    template <class A>
+    void operator()(A*, A*, const A&) const {}
+};
+
+// Steps of one member, gathered side by side, so that they are finished and watched as lanes; `A` is a double where a
+// state is too large for that.
+template <class A, class C, class Finish>
+class MemberRecorder {
+  public:
+    MemberRecorder(const Watch& watch, const Arrays& arrays, const Schedule& schedule, const C& constants,
+                   Finish& finish)
+        : watch(watch), arrays(arrays), schedule(schedule), constants(constants), finish(finish), size(arrays.size),
+          saved(schedule, 0), states(gathers ? size : 0), errors(gathers ? size : 0), arguments(watch.longest + 1),
+          room(2 * watch.longest + 2) {}
+
+    // Record a member that has its own constants, from the step after k0 on.
+    void begin(int64_t who, const C& own, int64_t k0) {
+        member = who;
+        constants = own;
+        saved = SavedSteps(schedule, k0);
+        forget();
+    }
+
+    // Look at the state after step k, if it is to be looked at. `group(k, to)` fills in the finished group element, and
+    // returns whether it is finite. Returns the first step whose finished state is not, or 0.
+    template <class Group>
+    INLINE int64_t after(int64_t k, const double* x, const double* dx, const Group& group) {
+        if (k == saved.next) {
+            const int64_t place = saved.take();
+            if (!group(k, group_at(place))) return k;
+            slot[waiting] = place;
+            saving = true;
+        } else if (!schedule.watching) {
+            return 0;
+        }
+        if constexpr (!gathers) {
+            note(1, &k, x);
+            return 0;
+        } else {
+            double *to = reinterpret_cast<double*>(states.at), *owed = reinterpret_cast<double*>(errors.at);
+            for (int64_t i = 0; i < size; ++i) to[i * lanes + waiting] = x[i];
+            if (Finish::with_errors)
+                for (int64_t i = 0; i < size; ++i) owed[i * lanes + waiting] = dx[i];
+            step[waiting++] = k;
+            return __builtin_expect(waiting == lanes, 0) ? flush() : 0;
+        }
+    }
+
+    // Finish and note what waits; to be called after the last step. Returns as `after` does.
+    NOINLINE int64_t flush() {
+        if (waiting == 0) return 0;
+        double *to = reinterpret_cast<double*>(states.at), *owed = reinterpret_cast<double*>(errors.at);
+        for (int64_t i = 0; i < size; ++i)
+            for (int64_t lane = waiting; lane < lanes; ++lane) {
+                to[i * lanes + lane] = to[i * lanes + waiting - 1];
+                owed[i * lanes + lane] = owed[i * lanes + waiting - 1];
+            }
+        int64_t good = waiting;
+        if constexpr (!Finish::nothing) {
+            A t(schedule.t0);
+            for (int lane = 0; lane < lanes; ++lane)
+                set_lane(t, lane, schedule.t0 + double(step[std::min<int64_t>(lane, waiting - 1)] - 1) * schedule.h);
+            finish(states.at, errors.at, t);
+            const auto sound = finite(size, states.at);
+            for (good = 0; good < waiting && at(sound, int(good));) ++good;
+        }
+        const int64_t failed = good < waiting ? step[good] : 0;
+        // What was saved of the group since the step that failed is taken back.
+        for (int64_t lane = good; lane < waiting; ++lane)
+            if (slot[lane] >= 0) std::fill_n(group_at(slot[lane]), arrays.square, NAN);
+        if (good > 0) note(good, step, states.at);
+        waiting = 0;
+        return failed;
+    }
+
+  private:
+    static constexpr int lanes = Numbers<A>::lanes;
+    static constexpr bool gathers = lanes > 1 || !Finish::nothing;
+    const Watch& watch;
+    const Arrays& arrays;
+    const Schedule& schedule;
+    C constants;
+    Finish& finish;
+    const int64_t size;
+    SavedSteps saved;
+    Room<A> states, errors, arguments;
+    std::vector<double> room;
+    int64_t member = 0, step[lanes], slot[lanes], waiting = 0;
+    bool saving = false;
+
+    void forget() {
+        std::fill_n(slot, lanes, -1);
+        saving = false;
+    }
+
+    INLINE void note(int64_t count, const int64_t* steps, const A* x) {
+        note_steps(watch, constants, arrays, schedule, member, count, steps, saving ? slot : nullptr, x, arguments.at,
+                   room.data());
+        if (saving) forget();
+    }
+
+    double* group_at(int64_t place) const { return arrays.group + (place * arrays.members + member) * arrays.square; }
+};
+
+// Finished states of members side by side, and where they are saved their group elements.
+template <class A>
+struct FinishedRows {
+    const A *x, *group;
+};
+
+// Members side by side, watched at the same steps. What belongs to a lane stays with it until the tenth of the run
+// ends.
+template <class A, class C>
+class CrowdRecorder {
+  public:
+    CrowdRecorder(const Watch& watch, const Arrays& arrays, const Schedule& schedule, int64_t k0, const C& constants,
+                  const int64_t* members, const int64_t* going, int64_t count)
+        : watch(watch), arrays(arrays), schedule(schedule), constants(constants), members(members), going(going),
+          count(count), saved(schedule, k0), first(watch.size), last(watch.size), worst(watch.size),
+          arguments(watch.longest + 1), room(2 * watch.longest + 2) {
+        each([&](int64_t lane, int64_t i) {
+            set_lane(first.at[i], lane, arrays.first[members[lane] * watch.size + i]);
+            set_lane(last.at[i], lane, arrays.last[members[lane] * watch.size + i]);
+        });
+    }
+
+    ~CrowdRecorder() {
+        keep_worst();
+        each([&](int64_t lane, int64_t i) { arrays.last[members[lane] * watch.size + i] = lane_of(last.at[i], lane); });
+    }
+
+    // Look at the states after step k, if they are to be looked at: `finished(saving)` gives them.
+    template <class Finish>
+    INLINE void after(int64_t k, const Finish& finished) {
+        if (!schedule.watching && k != saved.next) return;
+        const int64_t slot = k == saved.next ? saved.take() : -1;
+        const FinishedRows<A> rows = finished(slot >= 0);
+        note(k, slot, rows.x);
+        if (slot >= 0) save(slot, rows);
+    }
+
+    // To be called before a lane stops going: it keeps the deviations that it had until then.
+    void keep_worst() {
+        if (tenth < 0) return;
+        each([&](int64_t lane, int64_t i) {
+            if (going[lane]) worst_of(lane, i) = lane_of(worst.at[i], lane);
+        });
+    }
+
+  private:
+    static constexpr int lanes = Numbers<A>::lanes;
+    const Watch& watch;
+    const Arrays& arrays;
+    const Schedule& schedule;
+    const C& constants;
+    const int64_t *members, *going;
+    const int64_t count;
+    SavedSteps saved;
+    Room<A> first, last, worst, arguments;
+    std::vector<double> room;
+    int64_t tenth = -1;
+
+    void note(int64_t k, int64_t slot, const A* x) {
+        if (int64_t now = tenth_of(schedule, k); now != tenth) {
+            keep_worst();
+            tenth = now;
+            each([&](int64_t lane, int64_t i) { set_lane(worst.at[i], lane, worst_of(lane, i)); });
+        }
+        const A t(schedule.t0 + double(k) * schedule.h);
+        for (int64_t i = 0; i < watch.size; ++i) {
+            A now = value_of(watch, constants, i, x, t, arguments.at, room.data());
+            const A period = constants.template number_at<A>(watch.period, i);
+            for (int64_t lane = 0; lane < count; ++lane)
+                if (double whole = lane_of(period, lane); whole > 0.0)
+                    set_lane(now, int(lane), unwrapped(lane_of(now, lane), lane_of(last.at[i], lane), whole));
+            last.at[i] = now;
+            const A deviation = absolute(now - first.at[i]);
+            worst.at[i] = select(deviation <= worst.at[i], worst.at[i], deviation);
+            if (slot < 0) continue;
+            for (int64_t lane = 0; lane < count; ++lane)
+                if (going[lane])
+                    arrays.values[(slot * arrays.members + members[lane]) * watch.size + i] = lane_of(now, lane);
+        }
+    }
+
+    void save(int64_t slot, const FinishedRows<A>& rows) {
+        const int64_t size = arrays.size, square = arrays.square;
+        for (int64_t lane = 0; lane < count; ++lane)
+            if (going[lane]) save_state(arrays, members[lane], slot, size, rows.x, int(lane));
+        for (int64_t lane = 0; square > 0 && lane < count; ++lane) {
+            double* place = arrays.group + (slot * arrays.members + members[lane]) * square;
+            for (int64_t i = 0; going[lane] && i < square; ++i) place[i] = lane_of(rows.group[i], int(lane));
+        }
+    }
+
+    double& worst_of(int64_t lane, int64_t i) {
+        return arrays.worst[(members[lane] * TENTHS + tenth) * watch.size + i];
+    }
+
+    template <class Visit>
+    void each(Visit visit) {
+        for (int64_t i = 0; i < watch.size; ++i)
+            for (int64_t lane = 0; lane < count; ++lane) visit(lane, i);
+    }
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,46 @@
+// After which steps of a run something is saved: every save_every-th and the last, or those that are marked.
+#pragma once
+
+#include <algorithm>
+#include <limits>
+
+#include "boundary/tables.hpp"
+
+namespace coadjoint {
+
+// The step of a saved point.
+inline int64_t step_of(const Schedule& schedule, int64_t slot) {
+    const int64_t place = slot + schedule.passed;
+    return schedule.marks ? schedule.marks[place] : std::min(place * schedule.save_every, schedule.steps);
+}
+
+// The saved steps after step k, one after the other: the next of them, and its place among the saved points.
+class SavedSteps {
+  public:
+    int64_t next, slot;
+
+    SavedSteps(const Schedule& schedule, int64_t k) : schedule(&schedule) {
+        const int64_t* marks = schedule.marks;
+        slot = (marks ? std::upper_bound(marks, marks + schedule.marked, k) - marks : k / schedule.save_every + 1) -
+               schedule.passed;
+        find();
+    }
+
+    // Return the place of the next one, and go on to the one after it.
+    int64_t take() {
+        const int64_t here = slot++;
+        find();
+        return here;
+    }
+
+  private:
+    const Schedule* schedule;
+
+    // Beyond the last there is none: no loop comes to such a step, nor again to the last one.
+    void find() {
+        const bool none = schedule->marks && slot + schedule->passed >= schedule->marked;
+        next = none ? std::numeric_limits<int64_t>::max() : step_of(*schedule, slot);
+    }
+};
+
+}  // namespace coadjoint
