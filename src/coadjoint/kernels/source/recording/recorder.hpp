@@ -106,8 +106,7 @@ class MemberRecorder {
     }
 
     INLINE void note(int64_t count, const int64_t* steps, const A* x) {
-        note_steps(watch, constants, arrays, schedule, member, count, steps, saving ? slot : nullptr, x, arguments.at,
-                   room.data());
+        note_steps(watch, constants, arrays, schedule, member, count, steps, saving, slot, x, arguments.at, room.data());
         if (saving) forget();
     }
 

@@ -57,16 +57,17 @@ INLINE void save_state(const Arrays& arrays, int64_t member, int64_t slot, int64
 }
 
 // Note the first `count` lanes, steps of one member that follow each other: deviations of the invariants, and what is
-// saved, each at its place among the saved points, or -1; null where nothing is.
+// saved, each at its place among the saved points, or -1; `saving` says whether anything is.
 template <class A, class C>
 void note_steps(const Watch& watch, const C& constants, const Arrays& arrays, const Schedule& schedule, int64_t member,
-                int64_t count, const int64_t* step, const int64_t* slots, const A* x, A* y, double* room) {
+                int64_t count, const int64_t* step, bool saving, const int64_t* slots, const A* x, A* y,
+                double* room) {
     A t(schedule.t0);
     for (int lane = 0; lane < Numbers<A>::lanes; ++lane)
         set_lane(t, lane, schedule.t0 + double(step[lane < count ? lane : count - 1]) * schedule.h);
     // Steps within a tenth share its largest deviation.
     const int64_t tenth = tenth_of(schedule, step[0]);
-    const bool together = !slots && step[0] > 0 && tenth == tenth_of(schedule, step[count - 1]);
+    const bool together = !saving && step[0] > 0 && tenth == tenth_of(schedule, step[count - 1]);
     for (int64_t i = 0; i < watch.size; ++i) {
         A now = value_of(watch, constants, i, x, t, y, room);
         A period = constants.template number_at<A>(watch.period, i);
@@ -81,10 +82,11 @@ void note_steps(const Watch& watch, const C& constants, const Arrays& arrays, co
             continue;
         }
         for (int64_t lane = 0; lane < count; ++lane)
-            note_value(arrays, watch.size, i, lane_of(period, lane), member, step[lane], slots ? slots[lane] : -1,
+            note_value(arrays, watch.size, i, lane_of(period, lane), member, step[lane], slots[lane],
                        tenth_of(schedule, step[lane]), lane_of(now, lane));
     }
-    for (int64_t lane = 0; slots && lane < count; ++lane)
+    if (!saving) return;
+    for (int64_t lane = 0; lane < count; ++lane)
         if (slots[lane] >= 0) save_state(arrays, member, slots[lane], arrays.size, x, lane);
 }
 
