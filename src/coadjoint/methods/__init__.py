@@ -10,16 +10,19 @@ import importlib
 TYPE_CHECKING = False
 
 _HOME = {
-    "CompiledStepMethod": "compiled_step",
-    "FlowMethod": "flow_method",
-    "Method": "base",
-    "Properties": "base",
-    "RungeKuttaMethod": "runge_kutta",
-    "StepMethod": "step_method",
-    "compile_step": "compiling",
-    "get": "registry",
-    "names": "registry",
-    "register": "registry",
+    "Coefficients": "coadjoint.methods.stages",
+    "CompiledStepMethod": "coadjoint.methods.compiled_step",
+    "FlowMethod": "coadjoint.methods.flow_method",
+    "Method": "coadjoint.methods.base",
+    "Operations": "coadjoint.methods.work",
+    "Properties": "coadjoint.methods.base",
+    "RungeKuttaMethod": "coadjoint.methods.runge_kutta",
+    "StepMethod": "coadjoint.methods.step_method",
+    "Sweep": "coadjoint.program.sweeps",
+    "compile_step": "coadjoint.methods.compiling",
+    "get": "coadjoint.methods.registry",
+    "names": "coadjoint.methods.registry",
+    "register": "coadjoint.methods.registry",
 }
 
 __all__ = sorted(_HOME)
@@ -36,13 +39,16 @@ if TYPE_CHECKING:
     from coadjoint.methods.registry import names as names
     from coadjoint.methods.registry import register as register
     from coadjoint.methods.runge_kutta import RungeKuttaMethod as RungeKuttaMethod
+    from coadjoint.methods.stages import Coefficients as Coefficients
     from coadjoint.methods.step_method import StepMethod as StepMethod
+    from coadjoint.methods.work import Operations as Operations
+    from coadjoint.program.sweeps import Sweep as Sweep
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'coadjoint.methods' has no attribute {name!r}")
-    found = getattr(importlib.import_module(f"coadjoint.methods.{_HOME[name]}"), name)
+    found = getattr(importlib.import_module(_HOME[name]), name)
     globals()[name] = found
     return found
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.representation import intertwiner, invariant_form
 from coadjoint.memory import check_room
-from coadjoint.methods.base import Method
+from coadjoint.methods.base import Method, declared_by
 from coadjoint.systems.kinds import System
 
 
@@ -40,7 +40,7 @@ def check_attitude(method: Method, system: System, representation: Any) -> None:
     >>> import coadjoint as co
     >>> check_attitude(co.GaussLegendre(2), co.systems.rigid_body((1, 2, 3)), "coadjoint")
     """
-    kind = method.properties(system).attitude
+    kind = declared_by(method, system).attitude
     scheme = type(method).__name__
     if system.algebra is None:
         raise ValueError(f"{system.name} has no Lie algebra and so no group element; integrate it with attitude=False")

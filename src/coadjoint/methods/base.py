@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.given import read_choice, read_flag
 from coadjoint.memory import check_room
 from coadjoint.program.numbers import Number
 from coadjoint.systems.kinds import System, tabulated
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 Representation = NDArray[np.float64] | str | None
 
 BYTES_PER_CONSTANT = 450  # while flows are read from both orders of a bracket
+KINDS_OF_CASIMIRS = ("all", "polynomial", "quadratic", "none")
+KINDS_OF_ATTITUDE = ("every representation", "coadjoint", "integrated", "none")
 LONGEST = 200  # characters of a parameter in a message
 
 
@@ -41,12 +44,23 @@ class Properties:
     attitude : str
         ``"every representation"``, ``"coadjoint"`` (and representations that are orthogonal for a fixed form and
         contain the coadjoint one), ``"integrated"`` (as a differential equation, nothing kept) or ``"none"``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        A value is none of these.
     """
 
     poisson: bool
     energy: bool
     casimirs: str
     attitude: str
+
+    def __post_init__(self) -> None:
+        for name in ("poisson", "energy"):
+            object.__setattr__(self, name, read_flag(getattr(self, name), name))
+        read_choice(self.casimirs, "kind of Casimirs", KINDS_OF_CASIMIRS)
+        read_choice(self.attitude, "kind of attitude", KINDS_OF_ATTITUDE)
 
 
 class Method(ABC):
@@ -159,7 +173,7 @@ class Method(ABC):
         ValueError, TypeError
             The scheme cannot serve the system.
         """
-        self.properties(system)
+        declared_by(self, system)
         if system.algebra is not None and tabulated(system):
             constants = system.algebra.triples.c.size
             check_room(BYTES_PER_CONSTANT * constants, f"the tables of {type(self).__name__} for {system.name}")
@@ -300,6 +314,16 @@ class Method(ABC):
     def examples(cls) -> Sequence[Method]:
         """Return schemes of this kind that between them do everything that it does: what tests try."""
         return [cls()]
+
+
+def declared_by(method: Method, system: System) -> Properties:
+    """Return what a scheme says of itself on a system, if it says anything."""
+    said = method.properties(system)
+    if not isinstance(said, Properties):
+        raise TypeError(
+            f"properties of {type(method).__name__} returned {short(said)}; it must return coadjoint.methods.Properties"
+        )
+    return said
 
 
 def has_quadratic_energy(system: System) -> bool:

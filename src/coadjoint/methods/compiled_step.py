@@ -27,14 +27,14 @@ class CompiledStepMethod(SteppedMethod):
     def compiled_step(self) -> Any:
         """The name that a C++ file of the library gives to its step by ``STEP_SCHEME``, or what `compile_step` gave."""
 
-    @abstractmethod
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
-        """Return the whole numbers and the coefficients that the compiled step reads.
+        """Return the whole numbers and the coefficients that the compiled step reads; none by default.
 
         Returns
         -------
         integers, numbers : sequences
         """
+        return [], []
 
     def operations(self, system: System) -> Operations | None:
         """Return what a step does; None for a scheme that iterates, whose work is counted by its evaluations.

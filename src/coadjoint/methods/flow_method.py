@@ -24,24 +24,26 @@ if TYPE_CHECKING:
     from coadjoint.program.reading import Reading
     from coadjoint.program.table import Program
 
+MOST_OFF = 2.0**-40  # of the sum of absolute coefficients of sweeps: rounding, and coefficients of twelve digits
+
 
 class FlowMethod(Method):
     """A scheme made of exact flows of parts: it says in which order they flow, and over which fractions of the step."""
 
     @property
-    @abstractmethod
     def parts(self) -> Any:
         """How the Hamiltonian is taken apart: "auto", "coordinates", or sets of coordinates."""
+        return "auto"
 
     @property
-    @abstractmethod
     def compensated(self) -> bool | None:
         """Whether the momentum is summed with compensation; None is no."""
+        return None
 
     @property
-    @abstractmethod
     def rotation(self) -> str:
         """Rotations by the angle itself ("exact"), or by tan(angle/2) := half the angle ("rational")."""
+        return "exact"
 
     @abstractmethod
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
@@ -66,7 +68,14 @@ class FlowMethod(Method):
         from coadjoint.program.table import build_program
 
         self.properties(system)
-        assert isinstance(system, LiePoissonSystem)
+        if not isinstance(system, LiePoissonSystem):
+            raise ValueError(
+                f"{type(self).__name__} is made of flows on a Lie algebra, which {system.name} does not have; "
+                "take GaussLegendre"
+            )
+        covered = [sweep.coefficient for sweep in self.sweeps()]
+        if not abs(sum(covered) - 1.0) <= MOST_OFF * sum(map(abs, covered)):
+            raise ValueError(f"the sweeps of {self} cover {sum(covered)!r} of the step; their coefficients add up to 1")
         return build_program(system, self, group=group, number=number)
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:

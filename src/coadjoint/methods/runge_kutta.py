@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.given import read_choice
 from coadjoint.methods.base import Representation
 from coadjoint.methods.solvers import SOLVERS, Evaluation
-from coadjoint.methods.stages import Coefficients, Step, begin
+from coadjoint.methods.stages import Coefficients, Step, begin, checked
 from coadjoint.methods.stepped import SteppedMethod
 from coadjoint.program.numbers import Number
 from coadjoint.systems.kinds import System
@@ -82,7 +83,7 @@ class RungeKuttaMethod(SteppedMethod):
         -------
         Evaluation
         """
-        return SOLVERS[self.solver](step, self.function_iterations, tangent)
+        return SOLVERS[read_choice(self.solver, "solver", SOLVERS)](step, self.function_iterations, tangent)
 
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
@@ -92,6 +93,11 @@ class RungeKuttaMethod(SteppedMethod):
         from coadjoint.kernels.loop import CompiledLoop, remembered
         from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 
+        read_choice(self.solver, "solver", SOLVERS)
+        scheme = type(self).__name__
+        forecast = np.shape(self.forecast(1.0)), checked(self.coefficients(), self.solver, scheme).mix.shape
+        if forecast[0] != forecast[1]:
+            raise ValueError(f"forecast of {scheme} returned the shape {forecast[0]}; it must be {forecast[1]}")
         found = runge_kutta_tables(system, self, representation, fractions)
         return CompiledLoop(
             runge_kutta.LOOP, found.tables, found.keep, memory=remembered(runge_kutta.LOOP, found.tables)

@@ -90,6 +90,54 @@ class Step(NamedTuple):
         return np.asarray(blocks @ self.resolve(blocks, self.spread(constant)) + constant)
 
 
+def checked(coefficients: Coefficients, solver: str, scheme: str) -> Coefficients:
+    """Return a tableau of the shapes that the loops read, or refuse it.
+
+    Parameters
+    ----------
+    coefficients : Coefficients
+        The tableau, of floats.
+    solver : str
+        How the slopes are found: an explicit step cannot read slopes that it has not found yet.
+    scheme : str
+        Whose it is, for messages.
+
+    Returns
+    -------
+    Coefficients
+
+    Raises
+    ------
+    ValueError, TypeError
+        It is no tableau.
+
+    Examples
+    --------
+    >>> one, zero = np.ones(1), np.zeros(1)
+    >>> checked(Coefficients(zero, one, np.zeros((1, 1)), one), "explicit", "Euler").node
+    array([0.])
+    """
+    if not isinstance(coefficients, tuple) or len(coefficients) != len(Coefficients._fields):
+        raise TypeError(f"coefficients of {scheme} must return coadjoint.methods.Coefficients(node, scale, mix, out)")
+    found = Coefficients(*(np.asarray(entry, dtype=np.float64) for entry in coefficients))
+    s = found.node.size
+    for name, entry in found._asdict().items():
+        shape = (s, s) if name == "mix" else (s,)
+        if entry.shape != shape or not s:
+            raise ValueError(
+                f"{name} of {scheme} has the shape {entry.shape}; node has {s} stages, so it must be {shape}"
+            )
+        if not np.all(np.isfinite(entry)):
+            raise ValueError(f"{name} of {scheme} contains NaN or infinity; every coefficient must be finite")
+    if solver == "explicit" and np.any(np.triu(found.mix)):
+        i, j = np.argwhere(np.triu(found.mix))[0]
+        raise ValueError(
+            f"mix[{i}, {j}] of {scheme} is {found.mix[i, j]:g}, and an explicit stage knows only slopes before it; "
+            'make it zero, or take solver = "implicit"'
+        )
+    return found
+
+
 def begin(tableau: Callable[[Number], Coefficients], system: System, x: Any, t: Any, h: Any) -> Step:
     """Return a step at its start, in the number type of x, with the coefficients that `tableau` gives for it."""
     point = np.asarray(x)

@@ -6,9 +6,6 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from coadjoint.methods.base import Representation
 from coadjoint.methods.stepped import SteppedMethod
 from coadjoint.systems.kinds import System
@@ -60,41 +57,15 @@ class StepMethod(SteppedMethod):
     @abstractmethod
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any: ...
 
-    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its derivative, by complex steps or differences.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-        x : (n,) array
-            The state.
-        t, h : float
-            Time at the start, and length of the step.
-
-        Returns
-        -------
-        x_new : (n,) array
-            The step.
-        P : (n, n) array
-            Its derivative with respect to x.
-        """
-        from coadjoint.methods.step_derivatives import derivative_of
-
-        found = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
-        return found.value, found.derivative
-
-    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
-        from coadjoint.methods.step_derivatives import derivative_of
-
-        if type(self).tangent is not StepMethod.tangent:
-            return "formula"
-        return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
-
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
-        """Return the loop over steps that are functions."""
+        """Return the loop over steps that are functions; they move the momentum alone."""
+        if representation is not None:
+            raise ValueError(
+                f"{type(self).__name__} is a StepMethod, whose steps carry no group element, though its properties say "
+                f'attitude="{self.properties(system).attitude}"; they must say "none"'
+            )
         from coadjoint.kernels import stepping
         from coadjoint.kernels.loop import CompiledLoop
         from coadjoint.kernels.step_functions import StepFunction

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.methods.base import Method, Representation
 from coadjoint.systems.kinds import System
@@ -65,6 +68,37 @@ class SteppedMethod(Method):
 
     def work(self, system: System, group: Representation = None) -> Work:
         return self.work_of_substeps(system, group, 1)
+
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return one step and its derivative, by complex steps or differences.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+        x : (n,) array
+            The state.
+        t, h : float
+            Time at the start, and length of the step.
+
+        Returns
+        -------
+        x_new : (n,) array
+            The step.
+        P : (n, n) array
+            Its derivative with respect to x.
+        """
+        from coadjoint.methods.step_derivatives import derivative_of
+
+        found = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
+        return found.value, found.derivative
+
+    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
+        from coadjoint.methods.step_derivatives import derivative_of
+
+        if type(self).tangent is not SteppedMethod.tangent:
+            return "formula"
+        return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
 
     def composed(self, coefficients: Sequence[float]) -> Method:
         """Return the scheme of these substeps."""

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.given import read_whole
 from coadjoint.memory import check_room
+from coadjoint.systems.own_hamiltonian import MEMBERS, check_own
 from coadjoint.systems.points import point
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, Term
@@ -219,8 +220,9 @@ def as_hamiltonian(H: Any, n: int) -> HamiltonianLike:
 
     Parameters
     ----------
-    H : Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian
-        A polynomial of degree two or less becomes a `Quadratic` (its constant kept in the value).
+    H : Quadratic, Polynomial, Separable, SplitHamiltonian, Hamiltonian, or of a kind of the user
+        A kind of the user is checked at sample points. A polynomial of degree two or less becomes a `Quadratic` (its
+        constant kept in the value).
     n : int
         Number of coordinates.
 
@@ -249,8 +251,14 @@ def as_hamiltonian(H: Any, n: int) -> HamiltonianLike:
             return Quadratic.from_polynomial(H)
         return _quadratic(H, tuple(map(type, monomials.values())))
     if isinstance(H, type) or not isinstance(H, HamiltonianLike):
+        lacking = [name for name in MEMBERS if not hasattr(H, name)]
+        almost = not isinstance(H, type) and 0 < len(lacking) < len(MEMBERS) - 1
+        own = f" (as a kind of your own it lacks {', '.join(lacking)})" if almost else ""
         raise TypeError(
             f"the Hamiltonian is a {type(H).__name__}; give a Quadratic, Polynomial, Separable, SplitHamiltonian or "
-            "Hamiltonian"
+            f"Hamiltonian{own}"
         )
-    return H.bind(n)
+    bound = H.bind(n)
+    if type(H).__module__.partition(".")[0] != __name__.partition(".")[0]:
+        check_own(bound, n)
+    return bound

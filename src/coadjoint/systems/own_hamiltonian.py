@@ -1,0 +1,79 @@
+"""A Hamiltonian of a kind that this library does not have: does its class say the same thing everywhere?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.systems.points import UNIT_ROUNDOFF
+from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+from coadjoint.systems.user_functions import SAMPLE_TIME, check_derivative, evaluate, sample_points
+from coadjoint.wording import short
+
+MEMBERS = ("dim", "timed", "bind", "value", "gradient", "hessian", "terms")
+
+
+def check_own(H: Any, n: int) -> None:
+    """Refuse a bound Hamiltonian whose value, gradient, second derivatives and terms contradict one another.
+
+    The compiled loops follow the terms, everything that is read in Python the functions.
+
+    Parameters
+    ----------
+    H : HamiltonianLike
+        Bound to dimension n.
+    n : int
+        Number of coordinates.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Something is no term, of another dimension or shape, or contradicts what it must agree with.
+    """
+    kind = type(H).__name__
+    if getattr(H, "dim", None) != n:
+        raise ValueError(f"bind({n}) of {kind} returned a Hamiltonian of dimension {short(getattr(H, 'dim', None))}")
+    terms = H.terms()
+    for term in terms:
+        if not isinstance(term, Term):
+            raise TypeError(
+                f"{kind}.terms() holds {short(term)}; a term is a QuadraticTerm, PolynomialTerm or FunctionTerm"
+            )
+    value, gradient = (f"{kind}.{name}" for name in ("value", "gradient"))
+    check_derivative(H.value, H.gradient, names=(value, gradient), shapes=((), (n,)), n=n, timed=H.timed)
+    if not isinstance(evaluate(H.hessian, sample_points(n)[0], H.timed), TypeError):
+        names = (gradient, f"{kind}.hessian")
+        check_derivative(H.gradient, H.hessian, names=names, shapes=((n,), (n, n)), n=n, timed=H.timed)
+    for x in sample_points(n):
+        stated = evaluate(H.gradient, x, H.timed)
+        if isinstance(stated, Exception):
+            continue
+        found, size = _gradient_of(terms, x)
+        if not np.all(np.abs(found - stated) <= 2.0**10 * UNIT_ROUNDOFF * (size + np.abs(stated))):
+            k = int(np.argmax(np.abs(found - stated)))
+            raise ValueError(
+                f"{kind}.terms() contradict {gradient}: component {k} is {found[k]:.6g} by the terms and "
+                f"{float(stated[k]):.6g} by the gradient at a sample point; correct the one that is wrong"
+            )
+
+
+def _gradient_of(terms: tuple[Term, ...], x: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], float]:
+    """Return the gradient of the sum of terms, and the size of what was added."""
+    total, size = np.zeros(len(x)), 0.0
+    for term in terms:
+        part = np.zeros(len(x))
+        if isinstance(term, QuadraticTerm):
+            np.add.at(part, term.rows, term.values * x[term.indices])
+            size += float(np.max(np.abs(term.values), initial=0.0) * np.abs(x).sum())
+            part += term.linear
+        elif isinstance(term, PolynomialTerm):
+            part += np.asarray(term.polynomial.gradient(x), dtype=np.float64)
+        elif isinstance(term, FunctionTerm):
+            y = x[term.coordinates]
+            given = term.gradient(y[0] if term.scalar else y, *((SAMPLE_TIME,) if term.timed else ()))
+            np.add.at(part, term.coordinates, np.asarray(given, dtype=np.float64).reshape(len(y)))
+        total += part
+        size += float(np.max(np.abs(part), initial=0.0))
+    return total, size
