@@ -169,7 +169,13 @@ def in_given_order(method):
     """The scheme with parts that do not depend on the Hamiltonian: the choice looks at it at time 0."""
     if isinstance(method, co.Composition):
         return dataclasses.replace(method, base=in_given_order(method.base))
-    return dataclasses.replace(method, parts="coordinates") if isinstance(method, co.Splitting) else method
+    if not isinstance(method, co.methods.FlowMethod):
+        return method
+    if "parts" in {field.name for field in dataclasses.fields(method)}:
+        return dataclasses.replace(method, parts="coordinates")
+    same = object.__new__(type(type(method).__name__, (type(method),), {"parts": "coordinates"}))
+    vars(same).update(vars(method))
+    return same
 
 
 CLOCKED = [name for name in SCHEMES if serves(schemes()[name], driven_system("so(3)", "plain"))]

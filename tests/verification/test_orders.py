@@ -2,6 +2,8 @@
 
 import pytest
 
+import coadjoint as co
+
 from .measures import measured_order
 from .schemes_under_test import concrete_schemes, pairs, schemes
 from .systems_under_test import all_cases
@@ -29,7 +31,7 @@ DECLARED = {
 
 
 def test_every_scheme_of_the_library_is_measured():
-    assert {type(method).__name__ for method in schemes().values()} == concrete_schemes()
+    assert {type(method).__name__ for method in schemes().values()} >= concrete_schemes() | set(co.methods.names())
 
 
 @pytest.mark.parametrize("name", DECLARED)
@@ -40,4 +42,5 @@ def test_declared_order_is_the_one_of_the_literature(name):
 @pytest.mark.parametrize(("scheme", "case"), pairs(all_cases()))
 def test_order(scheme, case):
     found = measured_order(schemes()[scheme], case)
-    assert found.agrees_with(DECLARED[scheme]), found
+    # A scheme that is new is held to what it declares itself.
+    assert found.agrees_with(DECLARED.get(scheme, schemes()[scheme].order)), found

@@ -1,0 +1,138 @@
+"""What `docs/extending.md` shows beside its doctests: the scheme in C++, and a package that brings schemes."""
+
+import importlib.util
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+PAGE = (Path(__file__).parents[1] / "docs" / "extending.md").read_text(encoding="utf-8")
+SOURCE = Path(co.__file__).parents[1]
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+X0 = (1.0, 0.2, 0.5)
+SCHEME = '''
+import dataclasses
+
+import coadjoint as co
+
+
+@dataclasses.dataclass(frozen=True)
+class {name}(co.methods.StepMethod):
+    """A scheme of another package."""
+
+    part: float = 1.0
+
+    order, explicit, symmetric = 1, True, False
+
+    def properties(self, system):
+        return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+    def step(self, system, x, t, h):
+        return x + self.part * h * system.vector_field(x, t)
+'''
+RUN = """
+[system]
+name = "rigid_body"
+
+[initial]
+x = [1.0, 0.2, 0.5]
+
+[method]
+name = "Kutta3"
+part = 0.5
+
+[run]
+t_span = [0, 1]
+step = 0.1
+
+[output]
+file = "out.nc"
+"""
+
+
+def blocks(language):
+    """Return the fenced blocks of the page in a language that are no doctests."""
+    found = re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    return [block for block in found if ">>>" not in block]
+
+
+@pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler is installed")
+def test_the_scheme_in_cpp_is_compiled_and_is_its_reading(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (step,), (scheme,) = blocks("cpp"), blocks("python")
+    (tmp_path / "heun.cpp").write_text(step)
+    (tmp_path / "heun.py").write_text(scheme)
+    specification = importlib.util.spec_from_file_location("heun", tmp_path / "heun.py")
+    module = importlib.util.module_from_spec(specification)
+    monkeypatch.setitem(sys.modules, "heun", module)
+    specification.loader.exec_module(module)
+    for share in (1.0, 0.5, 2 / 3):
+        method = module.Heun(share)
+        coarse, fine = (co.integrate(BODY, X0, (0, 2), h, method) for h in (0.05, 0.025))
+        x = np.array(X0)
+        for _ in range(40):
+            x = method.step(BODY, x, 0.0, 0.05)
+        assert np.max(np.abs(coarse.x[-1] - x)) < 40 * 40 * 2.0**-53
+        errors = [np.max(np.abs(sol.x[-1] - BODY.exact(X0, 2.0))) for sol in (coarse, fine)]
+        assert 1.7 < np.log2(errors[0] / errors[1]) < 2.3
+    stepper = co.stepper(BODY, module.Heun(0.75), 0.1)
+    assert stepper.tangent_by(X0) == "complex step" and stepper.tangent(X0).shape == (3, 3)
+    assert coarse.stats.evaluations == 80
+    driven = co.Hamiltonian(lambda x, t: x[0] * np.cos(t), lambda x, t: np.array([np.cos(t), 0.0, 0.0]))
+    turning = co.LiePoissonSystem(co.algebras.so(3), driven)
+    reference = co.integrate(turning, X0, (0, 1), 0.01, co.GaussLegendre(4)).x[-1]
+    assert np.max(np.abs(co.integrate(turning, X0, (0, 1), 0.01, module.Heun(0.5)).x[-1] - reference)) < 1e-4
+
+
+@pytest.fixture
+def installed(tmp_path):
+    """A folder in which the package of the page is installed, and one that is broken."""
+    project = tomllib.loads(blocks("toml")[0])["project"]
+    (point,) = project["entry-points"]["coadjoint.methods"].items()
+    broken = "Missing = no_such_module_anywhere:Missing\n"
+    for name, points in ((project["name"], f"{point[0]} = {point[1]}\n"), ("broken", broken)):
+        metadata = tmp_path / f"{name.replace('-', '_')}-0.1.dist-info"
+        metadata.mkdir()
+        (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 0.1\n")
+        (metadata / "entry_points.txt").write_text(f"[coadjoint.methods]\n{points}")
+    module, name = point[1].split(":")
+    (tmp_path / f"{module}.py").write_text(SCHEME.format(name=name))
+    (tmp_path / "run.toml").write_text(RUN)
+    return tmp_path
+
+
+def told(folder, *command):
+    paths = os.pathsep.join([str(folder), str(SOURCE)])
+    done = subprocess.run(
+        [sys.executable, *command],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": paths},
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout, done.stderr
+
+
+def test_a_package_brings_schemes_to_the_command_and_to_files(installed):
+    listed, warned = told(installed, "-m", "coadjoint", "methods")
+    assert "Kutta3(part=1.0)\n    A scheme of another package." in listed
+    assert "the scheme Missing (no_such_module_anywhere:Missing) is left out" in warned
+    told(installed, "-m", "coadjoint", "run", "run.toml")
+    again = (
+        "import json, xarray; from coadjoint.files.export import rebuild; "
+        "dataset = xarray.open_dataset('out.nc', engine='h5netcdf'); sol = rebuild(dataset); "
+        "print(json.dumps([repr(sol.method), bool((sol.x == dataset['x'].values).all())]))"
+    )
+    assert json.loads(told(installed, "-W", "ignore", "-c", again)[0]) == ["Kutta3(part=0.5)", True]
