@@ -1,0 +1,147 @@
+"""Write `docs/api.md`, every public name with the first sentence of its text: ``python docs/write_api.py``."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import coadjoint as co
+from coadjoint import commands
+from coadjoint.runs.solution import Drift
+from coadjoint.runs.stepper import Stepper
+
+PAGE = Path(__file__).with_name("api.md")
+PACKAGE = Path(co.__file__).parent
+MEMBERS_OF = (
+    ("A Lie algebra", co.LieAlgebra),
+    ("A polynomial", co.Polynomial),
+    ("A system", co.LiePoissonSystem),
+    ("A system without an algebra", co.PoissonSystem),
+    ("A scheme", co.methods.Method),
+    ("A splitting, beside that", co.Splitting),
+    ("A solution", co.Solution),
+    ("A drift", Drift),
+    ("A prepared run", co.PreparedRun),
+    ("A stepper", Stepper),
+    ("A choice", co.Choice),
+)
+USED = {
+    "analysis.order": ("fit_order", "OrderFit"),
+    "analysis.phase": ("phase_error",),
+    "analysis.poisson_defect": ("poisson_defect", "defect_of_tangent", "PoissonDefect"),
+    "analysis.rotations": ("attitude_angle", "precession_error"),
+    "analysis.round_off": ("round_off", "random_walk", "orthogonality", "spatial_momentum", "RandomWalk"),
+    "files.configuration": ("load", "Configuration"),
+    "files.export": ("dataset_of", "rebuild", "solution_inputs", "mark_failed"),
+    "files.output": ("write_dataset", "write_figure"),
+    "methods.registry": ("forget", "scheme", "parameters_of", "from_description", "description_of"),
+    "pictures.level_surface": ("level_surface",),
+    "pictures.solution": ("draw_solution",),
+    "program.table": ("Program",),
+    "systems.hamiltonian": ("HamiltonianLike",),
+    "systems.ready_made": ("ready_made",),
+    "systems.terms": ("QuadraticTerm", "PolynomialTerm", "FunctionTerm"),
+}
+"""What users call that no short name leads to."""
+HEAD = """# Every public name
+
+One line each: the first sentence of its text, and the file where the text stands. In Python `help(co.integrate)` shows
+all of it: parameters with their shapes, what is returned, what is refused, examples.
+
+`python docs/write_api.py` writes this page, and a test compares the two.
+"""
+
+
+def page() -> str:
+    """Return the text of the page."""
+    return "\n".join([HEAD, *_sections()]) + "\n"
+
+
+def _sections() -> Iterator[str]:
+    yield _table("The package", [(f"co.{name}", getattr(co, name)) for name in co.__all__])
+    algebras = co.algebras
+    yield _table("Algebras", [(f"co.algebras.{name}", getattr(algebras, name)) for name in algebras.__all__])
+    families = ", ".join(f"`{name}`" for name in algebras.names() if not name.startswith("A"))
+    real = ", ".join(f"`{name}`" for name in algebras.names() if name.startswith("A"))
+    yield f"`co.algebras.get` knows the families {families}, and the real algebras of dimension 2 to 5: {real}.\n"
+    systems = [*co.systems.names(), "get", "names"]
+    yield _table("Ready-made systems", [(f"co.systems.{name}", getattr(co.systems, name)) for name in systems])
+    yield _table(
+        "Schemes of your own ([extending.md](extending.md))",
+        [(f"co.methods.{name}", getattr(co.methods, name)) for name in co.methods.__all__],
+    )
+    for title, kind in MEMBERS_OF:
+        yield _table(title, list(_members(kind)))
+        if attributes := ", ".join(f"`{name}`" for name in sorted(_attributes(kind))):
+            yield f"Attributes of a `{kind.__name__}`: {attributes}.\n"
+    yield "## Further names\n\nThese come from their files: `from coadjoint.analysis.order import fit_order`.\n"
+    rows = [
+        (f"coadjoint.{module}.{name}", getattr(importlib.import_module(f"coadjoint.{module}"), name))
+        for module, names in USED.items()
+        for name in names
+    ]
+    yield _table("", rows)
+    lines = [
+        f"| `coadjoint {name}` | {_sentence(command.help or '')} |"
+        for name, command in sorted(commands.commands.commands.items())
+    ]
+    yield "\n".join(["## The command\n", "| command | |", "|---|---|", *lines])
+    yield "\n`coadjoint COMMAND --help` has the options; [files.md](files.md) says what a file may hold."
+
+
+def _members(kind: type) -> Iterator[tuple[str, Any]]:
+    """Yield what a class says itself, and what it has of the classes of its own file or folder."""
+    beyond = co.methods.Method if kind is co.Splitting else None
+    for name in sorted(dir(kind)):
+        value = inspect.getattr_static(kind, name)
+        told = inspect.isfunction(value) or isinstance(value, property | classmethod | staticmethod)
+        told = told or type(value).__name__ == "cached_property"
+        if name.startswith("_") or not told or (beyond is not None and hasattr(beyond, name)):
+            continue
+        yield f"{kind.__name__}.{name}", getattr(kind, name) if not isinstance(value, property) else value
+
+
+def _attributes(kind: type) -> set[str]:
+    """Return the names that a class and those it derives from annotate."""
+    named = {name for base in kind.__mro__ for name in inspect.get_annotations(base) if not name.startswith("_")}
+    return named - {name.rpartition(".")[2] for name, _ in _members(kind)}
+
+
+def _table(title: str, rows: Iterable[tuple[str, Any]]) -> str:
+    lines = [f"| `{name}` | {_summary(value)} | {_place(value)} |" for name, value in rows]
+    head = ["| name | | text |", "|---|---|---|"] if lines else []
+    return "\n".join([*([f"## {title}\n"] if title else []), *head, *lines, *([""] if lines else [])])
+
+
+def _summary(value: Any) -> str:
+    if isinstance(value, str):
+        return "The version."
+    return _sentence(inspect.getdoc(value) or "")
+
+
+def _sentence(text: str) -> str:
+    """Return the first sentence of a docstring in one line."""
+    paragraph = " ".join(text.partition("\n\n")[0].split()).replace("``", "`")
+    return re.split(r"(?<=[\w)`\]][.])\s+(?=[A-Z`])", paragraph)[0].replace("|", "\\|")
+
+
+def _place(value: Any) -> str:
+    if isinstance(value, str):
+        value = co
+    plain = getattr(value, "fget", None) or getattr(value, "func", None) or value
+    try:
+        file = inspect.getsourcefile(inspect.unwrap(plain)) or ""
+    except TypeError:
+        file = ""
+    if not file:
+        return ""
+    found = Path(file).resolve().relative_to(PACKAGE.resolve()).as_posix()
+    return f"[{found}](../src/coadjoint/{found})"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")

@@ -1,0 +1,65 @@
+"""The pages of `docs/` name what there is: every public name, and no file that has moved."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+import coadjoint as co
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md", *ROOT.glob("src/coadjoint/**/README.md")])
+
+
+@pytest.fixture(scope="module")
+def api():
+    specification = importlib.util.spec_from_file_location("write_api", ROOT / "docs" / "write_api.py")
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def test_every_public_name_is_on_the_page(api):
+    from coadjoint import commands
+
+    text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    names = {f"co.{name}" for name in co.__all__}
+    names |= {f"co.methods.{name}" for name in co.methods.__all__}
+    names |= {f"co.systems.{name}" for name in (*co.systems.names(), "get", "names")}
+    names |= {f"co.algebras.{name}" for name in co.algebras.__all__} | set(co.algebras.names())
+    names |= {f"coadjoint {name}" for name in commands.commands.commands}
+    assert sorted(name for name in names if f"`{name}`" not in text) == []
+    assert "|  |" not in text, "a name without a text"
+
+
+def test_the_page_is_what_the_texts_say(api):
+    written = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    assert api.page() == written, "run python docs/write_api.py"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(page):
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", text):
+        file, _, anchor = target.partition("#")
+        found = (page.parent / file).resolve() if file else page
+        assert found.exists(), target
+        if anchor:
+            headings = re.findall(r"^#+ (.+)$", found.read_text(encoding="utf-8"), re.MULTILINE)
+            known = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+            assert anchor in known, target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_files_that_are_named_are_there(page):
+    """What stands in backticks and looks like a file of the sources is one, from the root or from a folder of them."""
+    text = page.read_text(encoding="utf-8")
+    places = [ROOT, ROOT / "src", ROOT / "src/coadjoint", ROOT / "src/coadjoint/kernels/source", page.parent]
+    places += [folder for folder in (ROOT / "src/coadjoint").iterdir() if folder.is_dir()]
+    places += [ROOT / "tests", ROOT / "tests/verification", *(ROOT / "src/coadjoint/kernels/source").glob("*/")]
+    for name in re.findall(r"`([\w/]+\.(?:py|hpp|cpp|md|json|toml))`", text):
+        shown = name in ("heun.py", "heun.cpp", "conftest.py", "pyproject.toml") or "NAME" in name
+        assert shown or any((place / name).exists() for place in places), name
+    for folder in re.findall(r"`((?:src|tests|docs|kernels|methods|runs|program|systems|algebra)/[\w/]*/?)`", text):
+        assert any((place / folder).exists() for place in places), folder
