@@ -1,0 +1,91 @@
+"""Draw `docs/rooms.svg`, the rooms of the library and how numbers go through them: ``python docs/draw_rooms.py``."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+PICTURE = Path(__file__).with_name("rooms.svg")
+ROOMS = {
+    "algebra": ("where does\nthe state live?", 0.0, 0.0),
+    "systems": ("what moves?", 1.0, 0.0),
+    "program": ("as which\nexact flows?", 2.0, 0.0),
+    "kernels": ("how fast?", 3.0, 0.0),
+    "methods": ("by which\nscheme?", 4.0, 0.0),
+    "runs": ("for how long?", 5.0, 0.0),
+    "choosing": ("with which\nscheme and step?", 6.2, 1.95),
+    "files": ("saved where,\nread from what?", 6.2, 0.65),
+    "analysis": ("what is it worth?", 6.2, -0.65),
+    "pictures": ("what does\nit look like?", 6.2, -1.95),
+    "experiments": ("does it hold?", 7.4, -1.3),
+}
+"""Room: its question, and its place. A room uses rooms to its left, and those above it in this list."""
+DOORS = {"choosing": "accuracy=", "files": "to_xarray", "pictures": "plot"}
+"""What `runs` opens, only when it is asked to: `integrate(accuracy=)`, `Solution.to_xarray`, `Solution.plot`."""
+WIDE, HIGH = 0.84, 0.92
+INK, FILL, COMPILED = "#1f2d3d", "#eef3f8", "#f7e7cf"
+
+
+def draw() -> Any:
+    """Return the figure."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    matplotlib.rcParams["svg.hashsalt"] = "rooms"
+    figure = Figure(figsize=(12.2, 5.2), facecolor="white")
+    axes = figure.add_axes((0, 0, 1, 1), xlim=(-0.6, 8.0), ylim=(-2.95, 2.6))
+    axes.axis("off")
+    for name, (question, x, y) in ROOMS.items():
+        _box(axes, name, question, x, y, COMPILED if name == "kernels" else FILL)
+    chain = list(ROOMS)[:6]
+    for left, right in pairwise(chain):
+        _arrow(axes, (ROOMS[left][1] + WIDE / 2, 0), (ROOMS[right][1] - WIDE / 2, 0))
+    for name in ("choosing", "files", "analysis", "pictures"):
+        _, x, y = ROOMS[name]
+        _arrow(axes, (5 + WIDE / 2, 0.12 * y), (x - WIDE / 2, y))
+        if name in DOORS:
+            side = 1 if y > 0 else -1
+            end = (4.85 + 0.3 * (abs(y) < 1), side * HIGH / 2)
+            _arrow(axes, (x - WIDE / 2, y + 0.3 * side), end, dashed=True, bend=0.3 * side)
+            label = {"ha": "right", "va": "center", "color": INK, "size": 8.5}
+            paper = {"facecolor": "white", "edgecolor": "none", "pad": 1}
+            axes.text(x - WIDE / 2 - 0.08, y + 0.43 * side, DOORS[name], **label, bbox=paper)
+    for name in ("analysis", "pictures"):
+        _arrow(axes, (6.2 + WIDE / 2, ROOMS[name][2]), (7.4 - WIDE / 2, -1.3))
+    _box(axes, "source", "the loops,\nin C++", 3.0, -1.5, COMPILED)
+    _arrow(axes, (3.0 - 0.12, -HIGH / 2), (3.0 - 0.12, -1.5 + HIGH / 2))
+    _arrow(axes, (3.0 + 0.12, -1.5 + HIGH / 2), (3.0 + 0.12, -HIGH / 2))
+    _box(axes, "cli.py", "the command\ncoadjoint", 7.4, 0.65, "white")
+    _arrow(axes, (6.2 + WIDE / 2, 0.65), (7.4 - WIDE / 2, 0.65))
+    notes = ("algebra, energy, state go in at the left", "solid: what a room makes goes to the right")
+    for line, said in enumerate((*notes, "dashed: opened by runs only when asked")):
+        axes.text(-0.43, 2.2 - 0.3 * line, said, ha="left", va="center", color=INK, size=11, style="italic")
+    return figure
+
+
+def _box(axes: Any, name: str, question: str, x: float, y: float, fill: str) -> None:
+    from matplotlib.patches import FancyBboxPatch
+
+    style = "round,pad=0,rounding_size=0.08"
+    corner = (x - WIDE / 2, y - HIGH / 2)
+    axes.add_patch(FancyBboxPatch(corner, WIDE, HIGH, boxstyle=style, facecolor=fill, edgecolor=INK, linewidth=1.2))
+    axes.text(x, y + 0.2, name, ha="center", va="center", color=INK, size=11, weight="bold")
+    axes.text(x, y - 0.17, question, ha="center", va="center", color=INK, size=8.5, linespacing=1.15)
+
+
+def _arrow(
+    axes: Any, start: tuple[float, float], end: tuple[float, float], *, dashed: bool = False, bend: float = 0
+) -> None:
+    from matplotlib.patches import FancyArrowPatch
+
+    line = "dashed" if dashed else "solid"
+    how = {"arrowstyle": "-|>", "mutation_scale": 13, "shrinkA": 2, "shrinkB": 2, "color": INK}
+    width = 0.9 if dashed else 1.3
+    axes.add_patch(
+        FancyArrowPatch(start, end, connectionstyle=f"arc3,rad={bend}", linestyle=line, linewidth=width, **how)
+    )
+
+
+if __name__ == "__main__":
+    draw().savefig(PICTURE, format="svg", metadata={"Date": None, "Creator": None})

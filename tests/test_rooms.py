@@ -1,0 +1,72 @@
+"""Rooms of the library import only from rooms before them, as `docs/architecture.md` draws them."""
+
+import ast
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+import coadjoint
+
+PACKAGE = Path(coadjoint.__file__).parent
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    specification = importlib.util.spec_from_file_location("draw_rooms", DOCS / "draw_rooms.py")
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def imports(path):
+    """Yield the rooms and single files of the package that a file imports from, and whether a function does it."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    inside = {
+        id(node)
+        for function in ast.walk(tree)
+        if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef)
+        for node in ast.walk(function)
+    }
+    for node in ast.walk(tree):
+        names = []
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} has a relative import"
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        for name in names:
+            package, _, rest = name.partition(".")
+            if package == "coadjoint" and rest:
+                yield rest.partition(".")[0], id(node) in inside
+
+
+def test_every_folder_is_a_room_of_the_picture(drawn):
+    folders = {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()}
+    assert folders == set(drawn.ROOMS)
+    table = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    assert all(f"| `{room}/` | " in table for room in drawn.ROOMS)
+
+
+def test_no_room_reaches_back(drawn):
+    order = list(drawn.ROOMS)
+    # Rooms at one place along the picture do not know each other; the first six stand in a row.
+    along = {room: x for room, (_, x, _) in drawn.ROOMS.items()}
+    wrong, doors = [], set()
+    for room in order:
+        for path in sorted((PACKAGE / room).rglob("*.py")):
+            for other, deferred in imports(path):
+                if other not in along or other == room or along[other] < along[room]:
+                    continue
+                if room == "runs" and other in drawn.DOORS and deferred:
+                    doors.add(other)
+                else:
+                    wrong.append(f"{path.relative_to(PACKAGE)} imports from {other}")
+    assert wrong == []
+    assert doors == set(drawn.DOORS)
+
+
+def test_the_picture_can_be_drawn(drawn, tmp_path):
+    drawn.draw().savefig(tmp_path / "rooms.svg")
+    assert (DOCS / "rooms.svg").stat().st_size > 10_000 and (tmp_path / "rooms.svg").stat().st_size > 10_000
