@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.systems.points import UNIT_ROUNDOFF
-from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 from coadjoint.systems.user_functions import SAMPLE_TIME, check_derivative, evaluate, sample_points
 from coadjoint.wording import short
 
@@ -37,7 +37,7 @@ def check_own(H: Any, n: int) -> None:
         raise ValueError(f"bind({n}) of {kind} returned a Hamiltonian of dimension {short(getattr(H, 'dim', None))}")
     terms = H.terms()
     for term in terms:
-        if not isinstance(term, Term):
+        if not hasattr(term, "given_to"):
             raise TypeError(
                 f"{kind}.terms() holds {short(term)}; a term is a QuadraticTerm, PolynomialTerm or FunctionTerm"
             )
@@ -50,7 +50,10 @@ def check_own(H: Any, n: int) -> None:
         stated = evaluate(H.gradient, x, H.timed)
         if isinstance(stated, Exception):
             continue
-        found, size = _gradient_of(terms, x)
+        by_terms = _Gradient(x)
+        for term in terms:
+            term.given_to(by_terms)
+        found, size = by_terms.total, by_terms.size
         if not np.all(np.abs(found - stated) <= 2.0**10 * UNIT_ROUNDOFF * (size + np.abs(stated))):
             k = int(np.argmax(np.abs(found - stated)))
             raise ValueError(
@@ -59,21 +62,27 @@ def check_own(H: Any, n: int) -> None:
             )
 
 
-def _gradient_of(terms: tuple[Term, ...], x: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], float]:
-    """Return the gradient of the sum of terms, and the size of what was added."""
-    total, size = np.zeros(len(x)), 0.0
-    for term in terms:
-        part = np.zeros(len(x))
-        if isinstance(term, QuadraticTerm):
-            np.add.at(part, term.rows, term.values * x[term.indices])
-            size += float(np.max(np.abs(term.values), initial=0.0) * np.abs(x).sum())
-            part += term.linear
-        elif isinstance(term, PolynomialTerm):
-            part += np.asarray(term.polynomial.gradient(x), dtype=np.float64)
-        elif isinstance(term, FunctionTerm):
-            y = x[term.coordinates]
-            given = term.gradient(y[0] if term.scalar else y, *((SAMPLE_TIME,) if term.timed else ()))
-            np.add.at(part, term.coordinates, np.asarray(given, dtype=np.float64).reshape(len(y)))
-        total += part
-        size += float(np.max(np.abs(part), initial=0.0))
-    return total, size
+class _Gradient:
+    """The gradient of a sum of terms at a sample point, and the size of what was added."""
+
+    def __init__(self, x: npt.NDArray[np.float64]) -> None:
+        self.x, self.total, self.size = x, np.zeros(len(x)), 0.0
+
+    def _add(self, part: npt.NDArray[np.float64]) -> None:
+        self.total += part
+        self.size += float(np.max(np.abs(part), initial=0.0))
+
+    def quadratic(self, term: QuadraticTerm) -> None:
+        part = term.linear.astype(np.float64)
+        np.add.at(part, term.rows, term.values * self.x[term.indices])
+        self.size += float(np.max(np.abs(term.values), initial=0.0) * np.abs(self.x).sum())
+        self._add(part)
+
+    def polynomial(self, term: PolynomialTerm) -> None:
+        self._add(np.asarray(term.polynomial.gradient(self.x), dtype=np.float64))
+
+    def function(self, term: FunctionTerm) -> None:
+        y, part = self.x[term.coordinates], np.zeros(len(self.x))
+        given = term.gradient(y[0] if term.scalar else y, *((SAMPLE_TIME,) if term.timed else ()))
+        np.add.at(part, term.coordinates, np.asarray(given, dtype=np.float64).reshape(len(y)))
+        self._add(part)
