@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.systems.points import UNIT_ROUNDOFF
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 from coadjoint.systems.user_functions import SAMPLE_TIME, check_derivative, evaluate, sample_points
 from coadjoint.wording import short
