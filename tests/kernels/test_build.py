@@ -147,6 +147,7 @@ def test_libraries_export_what_python_calls():
     texts = [path.read_text(encoding="utf-8") for path in FOLDER.parent.rglob("*.cpp")]
     said = set(re.findall(r"^EXPORT [^;=]*?(\w+)\(", "\n".join(texts), flags=re.MULTILINE))
     loops = set(re.findall(r"^EXPORT_LOOP\((\w+),", "\n".join(texts), flags=re.MULTILINE))
+    remembering = {f"{name}_remembers" for name in loops}
     steps = {f"{name}_step" for name in re.findall(r"^\s*STEP_SCHEME\((\w+)", "\n".join(texts), flags=re.MULTILINE)}
     assert len(said) > 8 and len(loops) == 3 and steps
-    assert names == (said - {"processor_level"}) | loops | steps
+    assert names == (said - {"processor_level"}) | loops | remembering | steps
