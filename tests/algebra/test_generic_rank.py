@@ -10,7 +10,7 @@ from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.modular import random_prime, skew_rank, sparse_rank
 from coadjoint.algebra.numerical_rank import clear_rank
-from coadjoint.algebra.rational import as_fraction, jacobi_exact, rational_constants
+from coadjoint.algebra.rational_constants import as_fraction, jacobi_exact, rational_constants
 
 
 def test_many_and_large_blocks():

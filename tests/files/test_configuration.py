@@ -8,7 +8,7 @@ from configuration_files import OWN, READY_MADE
 
 import coadjoint as co
 from coadjoint.files.configuration import ConfigurationError, load
-from coadjoint.files.expressions import read_brackets, read_polynomial
+from coadjoint.files.formulas import read_brackets, read_polynomial
 from coadjoint.methods import registry
 
 

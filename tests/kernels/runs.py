@@ -25,7 +25,7 @@ def begin(systems, method, x0, h, steps, representation=None, fractions=(1.0,)):
     watches = [watch_tables(system, system.casimirs) for system in systems]
     members, n = x0.shape
     d = found[0].tables.group.size
-    memory = remembered(runge_kutta.LOOP, found[0].tables)
+    memory = remembered(runge_kutta.RUNGE_KUTTA_LOOP, found[0].tables)
     layout = Layout(Extent(members, 2, n, d * d, 1 + len(systems[0].casimirs), memory))
     saved, state = Block(layout.saved), Block(layout.state)
     state["momenta"][:], state["groups"][:] = x0, np.eye(d).ravel()
@@ -34,7 +34,7 @@ def begin(systems, method, x0, h, steps, representation=None, fractions=(1.0,)):
         stride = len(systems) + PADDING
         tables = spread([each.tables for each in found])
         watch = spread([each.tables for each in watches])
-    crew = Crew(runge_kutta.LOOP, tables, watch, 0, members, stride)
+    crew = Crew(runge_kutta.RUNGE_KUTTA_LOOP, tables, watch, 0, members, stride)
     return crew, (layout, schedule_of(0.0, h, steps, steps, True)), (saved, state), (found, watches)
 
 

@@ -10,9 +10,9 @@ from scipy.sparse import coo_array
 import coadjoint as co
 from coadjoint.program.reading import Reading
 from coadjoint.program.table import build_program
+from coadjoint.runs.shifted_attitude import Unshift
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
-from coadjoint.runs.unshift import Unshift
 
 U = 2.0**-53
 

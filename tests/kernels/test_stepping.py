@@ -28,7 +28,7 @@ def run(system, method, x0, h, steps, *, t0=0.0, cuts=(), fractions=(1.0,)):
     layout = Layout(Extent(members, 2, n, 0, 1 + len(system.casimirs), 0))
     saved, state = Block(layout.saved), Block(layout.state)
     state["momenta"][:] = momenta
-    crew = Crew(stepping.LOOP, prepared.tables, watch.tables, 0, members)
+    crew = Crew(stepping.STEP_LOOP, prepared.tables, watch.tables, 0, members)
     for k0, k1 in pairwise([0, *cuts, steps]):
         crew.advance(layout, schedule_of(t0, h, steps, steps, True), saved, state, k0, k1, Stop())
     return state["momenta"], state["worst"].max(axis=1), state

@@ -11,7 +11,7 @@ import pytest
 from own_schemes import NOTHING, Relaxed
 
 import coadjoint as co
-from coadjoint.methods import compiling
+from coadjoint.methods import step_compiler
 
 SOURCE = Path(__file__).with_name("own_step.cpp")
 
@@ -85,9 +85,9 @@ def test_it_is_compiled_once(step, monkeypatch):
     def refused(*given):
         raise AssertionError("compiled again")
 
-    compiling._library.cache_clear()
-    compiling._address.cache_clear()
-    monkeypatch.setattr(compiling, "_build", refused)
+    step_compiler._library.cache_clear()
+    step_compiler._address.cache_clear()
+    monkeypatch.setattr(step_compiler, "_build", refused)
     assert co.methods.compile_step(SOURCE) == step and step.address != 0
 
 
@@ -95,7 +95,7 @@ def test_a_file_that_has_changed_is_compiled_again(step, tmp_path, monkeypatch):
     other = tmp_path / "own_step.cpp"
     other.write_text(SOURCE.read_text() + "\n// changed\n")
     built = []
-    monkeypatch.setattr(compiling, "_build", lambda command, source, target: built.append(source) or 1 / 0)
+    monkeypatch.setattr(step_compiler, "_build", lambda command, source, target: built.append(source) or 1 / 0)
     with pytest.raises(ZeroDivisionError):
         co.methods.compile_step(other)
     assert built == [other]

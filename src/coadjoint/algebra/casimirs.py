@@ -18,7 +18,7 @@ from coadjoint.algebra.derivations import Equations, Vector, equations, monomial
 from coadjoint.algebra.generic_rank import generic_rank
 from coadjoint.algebra.joins import Integers
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.algebra.rational import rational_constants
+from coadjoint.algebra.rational_constants import rational_constants
 from coadjoint.given import read_whole
 
 MONOMIALS = 40_000  # of one degree in one summand: a minute at most

@@ -5,7 +5,7 @@ from __future__ import annotations
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.modular import structure_rank
 from coadjoint.algebra.numerical_rank import numerical_structure_rank
-from coadjoint.algebra.rational import dyadic_constants, rational_constants
+from coadjoint.algebra.rational_constants import dyadic_constants, rational_constants
 
 
 def generic_rank(triples: Triples, dim: int) -> int:

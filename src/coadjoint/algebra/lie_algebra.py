@@ -202,8 +202,8 @@ class LieAlgebra(Structure):
         There can be more than ``dim - generic_rank()`` of them, with relations between them (A5,2 has C1 ... C4 for
         three independent ones), or fewer, since Casimirs need not be polynomials (A3,7).
 
-        Constants that stand for simple fractions (`coadjoint.algebra.rational`) are solved exactly, and every solution
-        is proved in exact arithmetic. Otherwise singular values decide, where they leave a clear gap
+        Constants that stand for simple fractions (`coadjoint.algebra.rational_constants`) are solved exactly, and every
+        solution is proved in exact arithmetic. Otherwise singular values decide, where they leave a clear gap
         (`coadjoint.algebra.numerical_kernel`), and the coefficients are floats. Summands of a direct sum that the basis
         shows are solved one by one, equal ones once.
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.actions import actions, coadjoint_entries, neighbours, structure_operator
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact import exact_numbers
 from coadjoint.algebra.generic_rank import generic_rank
 from coadjoint.algebra.joins import Integers
+from coadjoint.algebra.sparse_actions import actions, coadjoint_entries, neighbours, structure_operator
 from coadjoint.given import array_given, read_whole
 from coadjoint.memory import check_room
 

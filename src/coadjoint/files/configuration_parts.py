@@ -13,7 +13,7 @@ from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.errors import in_one_line
-from coadjoint.files.expressions import read_brackets, read_polynomial
+from coadjoint.files.formulas import read_brackets, read_polynomial
 from coadjoint.memory import check_room
 from coadjoint.methods import registry
 from coadjoint.methods.base import Method

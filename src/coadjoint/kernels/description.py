@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from coadjoint.algebra.logarithmic import ANGLE, HOLD, LOGARITHM, QUOTIENT
 from coadjoint.kernels.library import kernels
 from coadjoint.program.blocks import CUBIC_HEADER, MOST_SUBSTEPS, Kind
-from coadjoint.program.terms import FUNCTION, LINEAR, POLYNOMIAL
+from coadjoint.program.term_table import FUNCTION, LINEAR, POLYNOMIAL
 from coadjoint.program.unshift import Turn
 
 Fields = tuple[tuple[str, str], ...]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.program.terms import Terms
+from coadjoint.program.term_table import Terms
 
 
 class Field(NamedTuple):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.field import Field, GroupField
 from coadjoint.kernels.functions import CompiledFunction, Kept
 from coadjoint.kernels.tables import addresses_of
-from coadjoint.program.terms import TermTable
+from coadjoint.program.term_table import TermTable
 from coadjoint.systems.kinds import System, tabulated
 
 

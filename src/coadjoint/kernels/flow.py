@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action
-from coadjoint.program.terms import Terms
+from coadjoint.program.term_table import Terms
 
 
 class FlowTables(NamedTuple):
@@ -35,7 +35,7 @@ class FlowTables(NamedTuple):
     compensated: bool
 
 
-LOOP = "flow_advance"
+FLOW_LOOP = "flow_advance"
 """The name of the loop. The state is unfinished between its calls: the outer flow of a step is merged with the next
 one, and *finish* acts on a copy.
 """

@@ -42,5 +42,5 @@ class RungeKuttaTables(NamedTuple):
     moment: NDArray[np.float64]
 
 
-LOOP = "runge_kutta_advance"
+RUNGE_KUTTA_LOOP = "runge_kutta_advance"
 """The name of the loop."""

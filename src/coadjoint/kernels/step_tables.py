@@ -12,7 +12,7 @@ from coadjoint.kernels.field_tables import field_of, group_of, substeps
 from coadjoint.kernels.stepping import Stepping, StepTables, step_address
 from coadjoint.kernels.tables import Compiled, addresses_of, invariants_table, watch_tables
 from coadjoint.kernels.watching import Watch
-from coadjoint.program.terms import TermTable
+from coadjoint.program.term_table import TermTable
 from coadjoint.systems.kinds import System, tabulated
 
 

@@ -66,5 +66,5 @@ def step_address(step: Any) -> int:
     return ctypes.cast(found, ctypes.c_void_p).value or 0
 
 
-LOOP = "stepping_advance"
+STEP_LOOP = "stepping_advance"
 """The name of the loop, which takes the steps of a scheme by the step that its tables bring."""

@@ -16,9 +16,9 @@ from coadjoint.kernels.functions import CompiledFunction, Kept, TabledFunction
 from coadjoint.kernels.watching import Watch
 from coadjoint.program.actions import Action, empty_action
 from coadjoint.program.blocks import Kind
-from coadjoint.program.rational import acts_rationally
+from coadjoint.program.rational_rotations import acts_rationally
 from coadjoint.program.table import Program
-from coadjoint.program.terms import LINEAR, ValueTable
+from coadjoint.program.term_table import LINEAR, ValueTable
 from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.terms import FunctionTerm
 from coadjoint.systems.user_functions import takes_time

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.structures import address, packer, pointed
-from coadjoint.program.terms import Terms
+from coadjoint.program.term_table import Terms
 
 
 class Watch(NamedTuple):

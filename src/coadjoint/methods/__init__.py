@@ -19,7 +19,7 @@ _HOME = {
     "RungeKuttaMethod": "coadjoint.methods.runge_kutta",
     "StepMethod": "coadjoint.methods.step_method",
     "Sweep": "coadjoint.program.sweeps",
-    "compile_step": "coadjoint.methods.compiling",
+    "compile_step": "coadjoint.methods.step_compiler",
     "get": "coadjoint.methods.registry",
     "names": "coadjoint.methods.registry",
     "register": "coadjoint.methods.registry",
@@ -33,13 +33,13 @@ if TYPE_CHECKING:
     from coadjoint.methods.base import Method as Method
     from coadjoint.methods.base import Properties as Properties
     from coadjoint.methods.compiled_step import CompiledStepMethod as CompiledStepMethod
-    from coadjoint.methods.compiling import compile_step as compile_step
     from coadjoint.methods.flow_method import FlowMethod as FlowMethod
     from coadjoint.methods.registry import get as get
     from coadjoint.methods.registry import names as names
     from coadjoint.methods.registry import register as register
     from coadjoint.methods.runge_kutta import RungeKuttaMethod as RungeKuttaMethod
     from coadjoint.methods.stages import Coefficients as Coefficients
+    from coadjoint.methods.step_compiler import compile_step as compile_step
     from coadjoint.methods.step_method import StepMethod as StepMethod
     from coadjoint.methods.work import Operations as Operations
     from coadjoint.program.sweeps import Sweep as Sweep

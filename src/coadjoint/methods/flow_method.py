@@ -80,13 +80,13 @@ class FlowMethod(Method):
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop over the rows of the table."""
-        from coadjoint.kernels.flow import LOOP
+        from coadjoint.kernels.flow import FLOW_LOOP
         from coadjoint.kernels.loop import CompiledLoop
         from coadjoint.kernels.tables import flow_tables
 
         program = self.program(system, group=representation)
         found = flow_tables(program, h, bool(self.compensated))
-        return CompiledLoop(LOOP, found.tables, found.keep, program.shift)
+        return CompiledLoop(FLOW_LOOP, found.tables, found.keep, program.shift)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         point = np.asarray(x)

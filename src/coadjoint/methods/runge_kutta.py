@@ -89,8 +89,8 @@ class RungeKuttaMethod(SteppedMethod):
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over stages, for this tableau and solver."""
-        from coadjoint.kernels import runge_kutta
         from coadjoint.kernels.loop import CompiledLoop, remembered
+        from coadjoint.kernels.runge_kutta import RUNGE_KUTTA_LOOP
         from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 
         read_choice(self.solver, "solver", SOLVERS)
@@ -100,7 +100,10 @@ class RungeKuttaMethod(SteppedMethod):
             raise ValueError(f"forecast of {scheme} returned the shape {forecast[0]}; it must be {forecast[1]}")
         found = runge_kutta_tables(system, self, representation, fractions)
         return CompiledLoop(
-            runge_kutta.LOOP, found.tables, found.keep, memory=remembered(runge_kutta.LOOP, found.tables)
+            RUNGE_KUTTA_LOOP,
+            found.tables,
+            found.keep,
+            memory=remembered(RUNGE_KUTTA_LOOP, found.tables),
         )
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:

@@ -66,14 +66,14 @@ class StepMethod(SteppedMethod):
                 f"{type(self).__name__} is a StepMethod, whose steps carry no group element, though its properties say "
                 f'attitude="{self.properties(system).attitude}"; they must say "none"'
             )
-        from coadjoint.kernels import stepping
         from coadjoint.kernels.loop import CompiledLoop
         from coadjoint.kernels.step_functions import StepFunction
         from coadjoint.kernels.step_tables import function_tables
+        from coadjoint.kernels.stepping import STEP_LOOP
 
         function = StepFunction(self, system)
         found = function_tables(system, function.address, fractions)
-        return CompiledLoop(stepping.LOOP, found.tables, (*found.keep, function))
+        return CompiledLoop(STEP_LOOP, found.tables, (*found.keep, function))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of a step that is estimated: as many evaluations of the field as its order."""

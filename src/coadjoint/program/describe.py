@@ -12,7 +12,7 @@ from coadjoint.program.decompose import decompose
 from coadjoint.program.parts import Part
 from coadjoint.program.sweeps import Swept
 from coadjoint.program.table import Program, build_program
-from coadjoint.program.terms import LINEAR
+from coadjoint.program.term_table import LINEAR
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 MOST_SHOWN = 6

@@ -11,9 +11,9 @@ from coadjoint.program.actions import Action
 from coadjoint.program.blocks import CUBIC_HEADER, MOST_SUBSTEPS, Kind
 from coadjoint.program.elementary import elementary
 from coadjoint.program.numbers import array_of, roundoff
-from coadjoint.program.rational import bent
+from coadjoint.program.rational_rotations import bent
 from coadjoint.program.table import Program
-from coadjoint.program.terms import FUNCTION, LINEAR, derivative_of
+from coadjoint.program.term_table import FUNCTION, LINEAR, derivative_of
 
 
 class Reading:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.joins import expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
-from coadjoint.program.terms import derivative_of
+from coadjoint.program.term_table import derivative_of
 
 Floats = NDArray[np.float64]
 

@@ -17,11 +17,11 @@ from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.parts import Parts, PolynomialShare
 from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
-from coadjoint.program.rational import rational_frequencies
+from coadjoint.program.rational_rotations import rational_frequencies
 from coadjoint.program.rows import Joining, Rows, rows_of
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.program.sweeps import Swept
-from coadjoint.program.terms import Terms, TermTable
+from coadjoint.program.term_table import Terms, TermTable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.terms import FunctionTerm
 

@@ -15,9 +15,9 @@ from coadjoint.kernels.description import limit
 from coadjoint.kernels.loop import CompiledLoop, Crew
 from coadjoint.methods.base import Method
 from coadjoint.runs.loops import Loops, as_rows, shared_out, unit_row
+from coadjoint.runs.shifted_attitude import Unshift, plainly
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
-from coadjoint.runs.unshift import Unshift, plainly
 from coadjoint.systems.batch import Batch
 
 # So many crews to a worker in a round: an interrupt waits for them, and each of them costs a call from Python.

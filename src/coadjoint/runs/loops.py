@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from coadjoint.kernels.arrays import Block, Extent, Layout
 from coadjoint.kernels.loop import Crew
 from coadjoint.methods.base import Method
+from coadjoint.runs.shifted_attitude import Unshift, plainly
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
-from coadjoint.runs.unshift import Unshift, plainly
 from coadjoint.systems.kinds import System
 
 Turned = Callable[[Start, Times, Block, int], NDArray[np.float64]]

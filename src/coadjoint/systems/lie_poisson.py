@@ -12,7 +12,7 @@ import numpy.typing as npt
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.representation import check_representation
 from coadjoint.memory import check_room
-from coadjoint.systems.casimirs import casimirs_of, checked_casimirs
+from coadjoint.systems.followed_casimirs import casimirs_of, checked_casimirs
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.points import QUIET, checked_name, checked_sign, matching, point, scatter
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from coadjoint.given import read_numbers, read_whole
 from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.casimirs import checked_casimirs
+from coadjoint.systems.followed_casimirs import checked_casimirs
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.points import QUIET, checked_name, checked_sign, point
 from coadjoint.systems.user_functions import check_derivative, sample_points, takes_time
