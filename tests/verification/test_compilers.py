@@ -17,6 +17,8 @@ from coadjoint.kernels.library import processor_level
 from .test_levels import digests, usable_levels
 
 ROOT = Path(__file__).parents[2]
+# Fewer orders of series are written out: that is quicker to build, and must not be seen either.
+FEW_WRITTEN_OUT = "-DCOADJOINT_UNROLLED=2"
 
 
 def clang() -> list[str]:
@@ -48,7 +50,7 @@ def digests_of_build(tree: Path, compiler: list[str], level: int, tuning: list[s
 def test_clang_gives_the_same_bits(tmp_path):
     """At the least optimisation that puts small functions into each other: that is the quickest to build."""
     zig = "ziglang" in clang()
-    tuning = ["-O1", "-mcpu=x86_64_v3" if zig else "-march=x86-64-v3", "-Wno-unknown-warning-option"]
+    tuning = ["-O1", "-mcpu=x86_64_v3" if zig else "-march=x86-64-v3", "-Wno-unknown-warning-option", FEW_WRITTEN_OUT]
     assert digests_of_build(tmp_path, clang(), 3, tuning) == digests(None)
 
 
@@ -56,6 +58,5 @@ def test_clang_gives_the_same_bits(tmp_path):
 @pytest.mark.skipif(processor_level() is None, reason="only x86-64 has levels")
 @pytest.mark.skipif("v1" in usable_levels(), reason="the lowest level is built with the package")
 def test_without_fused_products_in_hardware_the_same_bits(tmp_path):
-    """With fewer orders of series written out, which is quicker to build and must not be seen either."""
-    tuning = [*compiling.tuning(1), "-DCOADJOINT_UNROLLED=2"]
+    tuning = [*compiling.tuning(1), FEW_WRITTEN_OUT]
     assert digests_of_build(tmp_path, ["g++"], 1, tuning) == digests(None)
