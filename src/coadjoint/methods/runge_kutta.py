@@ -119,19 +119,6 @@ class RungeKuttaMethod(SteppedMethod):
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, as the formulas say it, without compensation.
 
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-        x : (n,) array
-            The state: floats, or objects such as ``mpmath.mpf``, in whose precision everything is then computed.
-        t, h : number
-            Time at the start, and length of the step.
-
-        Returns
-        -------
-        (n,) array
-
         Raises
         ------
         IntegrationError
@@ -143,22 +130,6 @@ class RungeKuttaMethod(SteppedMethod):
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return one step and its exact derivative.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system; its Hamiltonian must have second derivatives, and a `PoissonSystem` the derivative of J.
-        x : (n,) array
-            The state.
-        t, h : float
-            Time at the start, and length of the step.
-
-        Returns
-        -------
-        x_new : (n,) array
-            The step.
-        P : (n, n) array
-            Its derivative with respect to x.
 
         Raises
         ------

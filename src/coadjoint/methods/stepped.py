@@ -70,24 +70,7 @@ class SteppedMethod(Method):
         return self.work_of_substeps(system, group, 1)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its derivative, by complex steps or differences.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-        x : (n,) array
-            The state.
-        t, h : float
-            Time at the start, and length of the step.
-
-        Returns
-        -------
-        x_new : (n,) array
-            The step.
-        P : (n, n) array
-            Its derivative with respect to x.
-        """
+        """Return one step and its derivative, by complex steps or differences."""
         from coadjoint.methods.step_derivatives import derivative_of
 
         found = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
