@@ -205,6 +205,13 @@ def test_the_weights_mean_what_they_say():
     assert iteration_work(BODY, 9.0, None) > 1.5 * iteration_work(BODY, 8.0, None)
 
 
+def test_compensation_is_paid():
+    (plain,) = admitted(BODY, [co.Splitting(order=2)], X0, False, strict=False)
+    better = plain.compensated()
+    assert better.method.compensated and better.work.cost(0.0, 0.0) == flow_work(better.method.program(BODY), True)
+    assert better.work.cost(0.0, 0.0) > plain.work.cost(0.0, 0.0) == flow_work(plain.method.program(BODY), False)
+
+
 def test_functions_of_the_user_are_paid():
     """The same energy as numbers and as functions: a call for each flow, and for each evaluation of the field."""
     numbers = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]))

@@ -49,6 +49,7 @@ ALGEBRAS = {
     "A4,10": co.algebras.get("A4,10"),
     "su(3)": co.algebras.su(3),
     "heisenberg": co.algebras.heisenberg(2),
+    "copies": co.algebras.copies(co.algebras.so(3), 3),  # one run of blocks turns by several angles
 }
 METHODS = {
     "1": co.Splitting(order=1),
