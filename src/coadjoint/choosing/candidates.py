@@ -24,7 +24,6 @@ class Candidate:
     system: System
     method: Method
     work: Work
-    group: Any
     free: bool
     crowd: bool = False
 
@@ -66,7 +65,8 @@ class Candidate:
         better = self.method.with_compensation() if self.free else None
         if better is None:
             return None
-        return replace(self, method=better, work=better.work(self.system, self.group))
+        dearer = self.work.compensated
+        return replace(self, method=better, work=self.work if dearer is None else dearer())
 
 
 def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, strict: bool) -> list[Candidate]:
@@ -111,5 +111,4 @@ def _candidate(system: System, method: Method, x0: Any, attitude: Any, free: boo
     start = start_of(system, method, x0, attitude)
     method.properties(system)
     crowd = len(start.momenta) >= CROWD and system.dim <= limit("WIDEST")
-    group = start.representation
-    return Candidate(system, method, method.work(system, group), group, free, crowd)
+    return Candidate(system, method, method.work(system, start.representation), free, crowd)

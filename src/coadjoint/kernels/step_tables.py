@@ -79,7 +79,7 @@ def function_tables(system: System, function: int, fractions: Sequence[float] = 
     Compiled
         With a `Stepping`.
     """
-    constant = sum(term.constant for term in system.hamiltonian.terms() if not term.called)
+    constant = sum(term.constant for term in system.hamiltonian.terms())
     none = invariants_table([], system.dim)
     made = _tables(system, group_of(system, None), none.tables, [function], [constant], not tabulated(system))
     return _stepping(step_address("step_function"), fractions, *made, ())

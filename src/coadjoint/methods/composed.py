@@ -76,11 +76,6 @@ class ComposedFlows(Composed, FlowMethod):
     coefficients: tuple[float, ...]
 
     @property
-    def compensates(self) -> bool:  # type: ignore[override]
-        """As the base does."""
-        return self.base.compensates
-
-    @property
     def parts(self) -> Any:
         """Those of the base."""
         return self.base.parts

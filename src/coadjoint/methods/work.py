@@ -57,11 +57,14 @@ class Work:
         How many elementary flows round the momentum in a step; 0 for schemes that are not made of flows.
     in_a_crowd : float
         The part of that cost which each of many members has.
+    compensated : callable, optional
+        Returns the work of the same step with compensated sums, where that is another.
     """
 
     cost: Callable[[float, float], float]
     flows: int = 0
     in_a_crowd: float = 1.0
+    compensated: Callable[[], Work] | None = None
 
 
 def flow_work(program: Program, compensated: bool) -> float:
@@ -141,7 +144,8 @@ def flows_of(program: Program) -> int:
 def work_of_flows(program: Program, compensated: bool) -> Work:
     """Return the work of a step that is made of flows."""
     cost = flow_work(program, compensated)
-    return Work(lambda iterations, evaluations: cost, flows_of(program), FLOWS_OF_A_CROWD)
+    better = None if compensated else lambda: work_of_flows(program, True)
+    return Work(lambda iterations, evaluations: cost, flows_of(program), FLOWS_OF_A_CROWD, better)
 
 
 def work_of_iterations(system: System, group: Any) -> Work:
