@@ -1,0 +1,143 @@
+"""Polynomials over the rational numbers in the momenta of an algebra, and in symbols: sums, products, brackets; exact
+and fast."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from coadjoint.algebra.exact import exact_number
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.product_sums import Coefficient
+
+Exact = Any
+"""A polynomial of the ring: `flint.fmpq_mpoly`, which has +, -, *, / by numbers and == of its own."""
+
+
+class ExactPolynomials:
+    """The ring Q[x1, ..., xn, s1, ..., sm] on the dual of a Lie algebra; the symbols s commute with everything.
+
+    Floats are taken as the rational numbers that they are. Choose it for many brackets of polynomials;
+    `Polynomial` is what they are given and returned as.
+
+    Parameters
+    ----------
+    algebra : LieAlgebra
+        Whose bracket it is.
+    symbols : sequence of str
+        Names of further symbols, such as masses.
+
+    Examples
+    --------
+    >>> from coadjoint.algebra import catalogue
+    >>> ring = ExactPolynomials(catalogue.so(3))
+    >>> x1, x2, x3 = ring.coordinates
+    >>> ring.polynomial(ring.bracket(x1 * x1, x2) / 3)
+    (2/3)*x1*x3
+    """
+
+    def __init__(self, algebra: LieAlgebra, symbols: Sequence[str] = ()) -> None:
+        from flint import Ordering, fmpq_mpoly_ctx
+
+        self.algebra, self.dim, self.symbols = algebra, algebra.dim, tuple(symbols)
+        names = [f"x{i + 1}" for i in range(self.dim)]
+        self._context = fmpq_mpoly_ctx.get([*names, *self.symbols], Ordering.degrevlex)
+
+    @cached_property
+    def coordinates(self) -> tuple[Exact, ...]:
+        """The momenta x1, ..., xn."""
+        return self._context.gens()[: self.dim]
+
+    @cached_property
+    def symbol(self) -> dict[str, Exact]:
+        """The symbols by name."""
+        return dict(zip(self.symbols, self._context.gens()[self.dim :], strict=True))
+
+    @property
+    def zero(self) -> Exact:
+        """The polynomial 0."""
+        return self._context.from_dict({})
+
+    def of(self, given: Polynomial) -> Exact:
+        """Return a polynomial in n coordinates as one of the ring, its floats as the rational numbers that they are."""
+        rest = (0,) * len(self.symbols)
+        return self._context.from_dict({(*e, *rest): rational(c) for e, c in given.monomials.items()})
+
+    def polynomial(self, exact: Exact) -> Polynomial:
+        """Return one of the ring that has no symbols in it as a `Polynomial`, in whole numbers and fractions."""
+        monomials = {}
+        for exponents, value in exact.to_dict().items():
+            if any(exponents[self.dim :]):
+                raise ValueError(f"the polynomial has symbols in it, {', '.join(self.symbols)}; give them values first")
+            monomials[tuple(map(int, exponents[: self.dim]))] = fraction(value)
+        return Polynomial(monomials, dim=self.dim)
+
+    def gradient(self, F: Exact) -> list[Exact]:
+        """Return the derivatives with respect to x1, ..., xn."""
+        return [F.derivative(i) for i in range(self.dim)]
+
+    def field(self, H: Exact) -> list[Exact]:
+        """Return J(x) grad H, whose i-th entry is {x_i, H}."""
+        slope = self.gradient(H)
+        found = [self.zero] * self.dim
+        for (i, j), entry in self._entries.items():
+            found[i] += entry * slope[j]
+            found[j] -= entry * slope[i]
+        return found
+
+    def bracket(self, F: Exact, G: Exact) -> Exact:
+        """Return {F, G} = (grad F)^T J(x) grad G."""
+        left, right = self.gradient(F), self.gradient(G)
+        total = self.zero
+        for (i, j), entry in self._entries.items():
+            turn = left[i] * right[j] - left[j] * right[i]
+            if turn != 0:
+                total += entry * turn
+        return total
+
+    def along(self, field: Sequence[Exact], F: Exact) -> Exact:
+        """Return the derivative of F along a field."""
+        total = self.zero
+        for component, slope in zip(field, self.gradient(F), strict=True):
+            if slope != 0 and component != 0:
+                total += component * slope
+        return total
+
+    @cached_property
+    def _entries(self) -> dict[tuple[int, int], Exact]:
+        """J_ij(x) for i < j, where it is not zero."""
+        found: dict[tuple[int, int], Exact] = {}
+        for i, j, k, c in zip(*(np.asarray(column).tolist() for column in self.algebra.triples), strict=True):
+            found[i, j] = found.get((i, j), self.zero) + rational(c) * self.coordinates[k]
+        return found
+
+
+def rational(value: Coefficient) -> Any:
+    """Return a finite number as the rational number that it is, `flint.fmpq`.
+
+    Examples
+    --------
+    >>> rational(0.5), rational(Fraction(1, 3))
+    (1/2, 1/3)
+    """
+    from flint import fmpq
+
+    exact = Fraction(exact_number(value))
+    return fmpq(exact.numerator, exact.denominator)
+
+
+def fraction(value: Any) -> int | Fraction:
+    """Return a rational number of python-flint as one of Python.
+
+    Examples
+    --------
+    >>> fraction(rational(0.25)), fraction(rational(2))
+    (Fraction(1, 4), 2)
+    """
+    above, below = int(value.numer()), int(value.denom())
+    return above if below == 1 else Fraction(above, below)
