@@ -1,5 +1,4 @@
-"""Polynomials over the rational numbers in the momenta of an algebra, and in symbols: sums, products, brackets; exact
-and fast."""
+"""Polynomials over the rational numbers in the momenta of an algebra, and in symbols; their Lie-Poisson bracket."""
 
 from __future__ import annotations
 
