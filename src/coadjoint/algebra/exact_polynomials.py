@@ -85,6 +85,14 @@ class ExactPolynomials:
         monomials = {tuple(map(int, exponents)): fraction(value) for exponents, value in exact.to_dict().items()}
         return Polynomial(monomials, dim=self.dim + len(self.symbols))
 
+    def at_origin(self, exact: Exact) -> int | Fraction:
+        """Return the constant of a polynomial."""
+        return fraction(exact[(0,) * (self.dim + len(self.symbols))])
+
+    def reduced(self, F: Exact) -> Exact:
+        """Return what is kept of a polynomial: here all of it."""
+        return F
+
     def gradient(self, F: Exact) -> list[Exact]:
         """Return the derivatives with respect to x1, ..., xn."""
         return [F.derivative(i) for i in range(self.dim)]

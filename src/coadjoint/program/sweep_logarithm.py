@@ -85,7 +85,7 @@ class WithFirst:
         for slope, (_, component) in zip(slopes, self._moving, strict=True):
             if slope != 0:
                 total += component * slope
-        return total
+        return self._ring.reduced(total)
 
 
 def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: int) -> list[Exact]:
