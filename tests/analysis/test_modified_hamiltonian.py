@@ -9,12 +9,12 @@ from functools import partial
 import mpmath
 import numpy as np
 import pytest
+from modified_systems import moments, systems
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
 from coadjoint.methods.splitting_schemes import SCHEMES
 from coadjoint.program.second_order import second_order_term
-from modified_systems import moments, systems
 
 SYSTEMS = systems()
 C1 = 1 / (2 - 2 ** (1 / 3))
@@ -422,11 +422,16 @@ def test_refusals():
         kept.with_values()([1.0, 2.0, 3.0], "0.1")
 
 
-def test_what_is_too_large_is_refused_before_it_is_made():
-    n = 28
-    system = co.LiePoissonSystem(co.algebras.so(8), co.Quadratic(np.eye(n) + 0.01 * np.ones((n, n))))
-    with pytest.raises(ValueError, match="products of monomials"):
-        co.modified_hamiltonian(system, co.Splitting(order=1, parts="coordinates"), 8)
+def test_what_is_too_large_is_refused_before_it_is_made(monkeypatch):
+    system, _ = SYSTEMS["so(4), full"]
+    monkeypatch.setattr("coadjoint.program.sweep_logarithm.MOST_PRODUCTS", 10**5)
+    assert co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 4).terms[2].monomials
+    with pytest.raises(ValueError, match=r"products of monomials or more, and at most 1e\+05 are made"):
+        co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 8)
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 10**5)
+    monkeypatch.setattr("coadjoint.memory.SMALL", 10**4)
+    with pytest.raises(ValueError, match="a bracket in a modified Hamiltonian needs about"):
+        co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 4)
 
 
 def test_the_moments_are_a_lie_algebra_of_rank_six():

@@ -364,8 +364,8 @@ def modified_hamiltonian(
             raise ValueError(f"the Hamiltonian of {system.name} is no polynomial, so that symbols have no place in it")
         if np.any(program.frequency != 0):
             raise ValueError(
-                f"the Hamiltonian of {system.name} is no polynomial, and rational rotations are flows of integrals of it "
-                'that are not known; take rotation="exact"'
+                f"the Hamiltonian of {system.name} is no polynomial, and rational rotations are flows of integrals of "
+                'it that are not known; take rotation="exact"'
             )
         coordinates = coordinates_of(program, sweeps, after, order, method.order)
         return ModifiedEnergyAtPoints(system, program, coordinates, order)
