@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+TOO_LARGE = "is too large for float64, or has too many digits"
 
 
 def exact_number(value: int | float | Fraction) -> int | Fraction:
@@ -51,3 +54,17 @@ def exact_numbers(values: Iterable[int | float | Fraction]) -> NDArray[Any]:
     result = np.empty(len(exact), dtype=object)
     result[:] = exact
     return result
+
+
+def fits(value: int | float | Fraction) -> bool:
+    """Say whether a number is finite in float64 and, where it is exact, has so many digits as one can work with.
+
+    Examples
+    --------
+    >>> fits(10**308), fits(10**309), fits(float("inf")), fits(Fraction(1, 10**2000))
+    (True, False, False, False)
+    """
+    try:
+        return math.isfinite(value) and not (isinstance(value, Fraction) and value.denominator.bit_length() > 4096)
+    except OverflowError:
+        return False

@@ -13,7 +13,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.errors import in_one_line
 from coadjoint.extras import need
 from coadjoint.files.configuration_parts import ConfigurationError, method_of_file, section, system_of_file
-from coadjoint.files.formulas import read_polynomial
+from coadjoint.files.polynomials import read_polynomial
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import Method
 from coadjoint.runs.start import start_of

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.expressions import fits
+from coadjoint.algebra.exact import fits
 from coadjoint.errors import in_one_line
 from coadjoint.wording import short
 
