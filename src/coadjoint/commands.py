@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import inspect
 import sys
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coadjoint import __version__
-from coadjoint.errors import in_one_line
+from coadjoint.errors import in_one_line, nearest
 
 UNREAD = 141  # nobody reads what is printed
 
@@ -32,7 +31,9 @@ class _Commands(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
-            raise click.UsageError(f"unknown command {args[0]!r}; {_nearest(args[0], self.list_commands(ctx))}", ctx)
+            raise click.UsageError(
+                f"unknown command {args[0]!r}; {_did_you_mean(args[0], self.list_commands(ctx))}", ctx
+            )
         return super().resolve_command(ctx, args)
 
 
@@ -187,9 +188,9 @@ def reproduce(out: str) -> None:
         click.echo(f"written: {figure}")
 
 
-def _nearest(name: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+def _did_you_mean(name: str, known: Sequence[str]) -> str:
+    near = nearest(name, known)
+    return f"there are {', '.join(known)}" if near is None else f"did you mean {near!r}?"
 
 
 def _said(error: click.ClickException) -> str:
@@ -198,7 +199,7 @@ def _said(error: click.ClickException) -> str:
         known = [
             name for parameter in error.ctx.command.get_params(error.ctx) for name in parameter.opts if name[0] == "-"
         ]
-        return f"coadjoint: unknown option {error.option_name!r}; {_nearest(error.option_name, known)}"
+        return f"coadjoint: unknown option {error.option_name!r}; {_did_you_mean(error.option_name, known)}"
     message = in_one_line(error.format_message())
     if isinstance(error, click.UsageError):
         usage = f" (see '{error.ctx.command_path} --help')" if error.ctx is not None and "; " not in message else ""

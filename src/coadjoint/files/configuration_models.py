@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import types
 import typing
@@ -11,7 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from coadjoint.errors import in_one_line
+from coadjoint.errors import in_one_line, nearest
 from coadjoint.wording import short
 
 SHOWN = 60
@@ -173,10 +172,9 @@ def unknown_key(key: str, known: Iterable[str]) -> str:
     "unknown key; did you mean 'step'?"
     """
     names = sorted(known)
-    # Whatever is much longer than every name is near to none, and would take long to be compared.
-    near = difflib.get_close_matches(key[:SHOWN], names, n=1, cutoff=0.5)
-    if near:
-        return f"unknown key; did you mean {near[0]!r}?"
+    near = nearest(key, names)
+    if near is not None:
+        return f"unknown key; did you mean {near!r}?"
     return f"unknown key; known here: {', '.join(names)}" if names else "unknown key; there are none here"
 
 
