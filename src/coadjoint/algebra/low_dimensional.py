@@ -76,9 +76,7 @@ def read_parameters(name: str, given: Mapping[str, Any]) -> dict[str, Number]:
     for key in expected:
         value = given[key]
         number = read_number(value, f"{key} of {name}")
-        # Whole numbers of NumPy would wrap.
-        rational = isinstance(value, Rational)
-        values[key] = exact_number(Fraction(int(value.numerator), int(value.denominator)) if rational else number)
+        values[key] = exact_number(value if isinstance(value, Rational) else number)
     condition = entries()[name].get("range")
     if condition is not None and not satisfied(condition, values):
         shown = ", ".join(f"{key} = {_shown(value)}" for key, value in values.items())

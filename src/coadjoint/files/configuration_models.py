@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import types
 import typing
 from collections.abc import Iterable, Mapping
@@ -10,6 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
+from coadjoint.algebra.exact import fits
 from coadjoint.errors import in_one_line, nearest
 from coadjoint.wording import short
 
@@ -20,11 +20,7 @@ SHAPES = {0: "a number", 1: "a list of numbers", 2: "a list of equally long list
 def _number(value: Any) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    try:
-        finite = math.isfinite(float(value))
-    except OverflowError:
-        finite = False
-    if not finite:
+    if not fits(value):
         raise ValueError(
             f"every number must be finite, and {value} is not"
             if isinstance(value, float)
