@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.kernels.arrays import Block, Layout
+from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.kernels.description import codes
 from coadjoint.kernels.library import kernels, listening_kernels
 from coadjoint.kernels.structures import pointed
@@ -93,7 +93,9 @@ class Crew:
         places = members.ctypes.data, first - base, last - base, stride
         self._advance = partial(_loop(loop), *map(ctypes.byref, given), *places)
 
-    def advance(self, layout: Layout, schedule: Any, saved: Block, state: Block, k0: int, k1: int, stop: Stop) -> int:
+    def advance(
+        self, layout: Layout, schedule: Any, saved: NamedArrays, state: NamedArrays, k0: int, k1: int, stop: Stop
+    ) -> int:
         """Take the steps k0 + 1 to k1 of the `pointed` schedule; where k0 is 0 the start is saved first.
 
         Signals are heard meanwhile in the main thread, some times a second; what their handlers raise comes from here.

@@ -13,7 +13,6 @@ from coadjoint.methods.stages import Step
 from coadjoint.program.numbers import roundoff
 
 MOST_ITERATIONS = 200  # for 53 bits; in proportion for more
-GROWTH = 2**64  # of the first correction: a correction so much larger will not come back
 
 
 class Evaluation(NamedTuple):
@@ -134,6 +133,9 @@ def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDA
     IntegrationError
         The iteration does not converge.
     """
+    from coadjoint.kernels.description import limit
+
+    most_growth = 2 ** limit("GROWTH_BITS")  # of the first correction: one so much larger will not come back
     unit = roundoff(float if step.x.dtype != object else type(step.x[0]))
     if unit == 0:
         raise TypeError("the stages solve equations that exact fractions do not settle: take floats or mpmath.mpf")
@@ -148,7 +150,7 @@ def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDA
             if largest == 0:
                 return slopes
             first = largest if iteration == 1 else first
-            if not largest <= GROWTH * first:
+            if not largest <= most_growth * first:
                 break
             falling = least is None or bool(np.any(change < least))
             least = change if least is None else np.minimum(change, least)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import Block, Extent, Layout
+from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.loop import Crew
 from coadjoint.methods.base import Method
 from coadjoint.runs.shifted_attitude import Unshift, plainly
@@ -19,7 +19,7 @@ from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.kinds import System
 
-Turned = Callable[[Start, Times, Block, int], NDArray[np.float64]]
+Turned = Callable[[Start, Times, NamedArrays, int], NDArray[np.float64]]
 
 
 class Plan:
@@ -125,7 +125,7 @@ class SystemLoops(Loops):
         self.turned = Unshift(system, prepared.shift, representation) if self._shifted else plainly
         self._keep = watch.keep
         self._prepared = prepared
-        self._block = limit("BLOCK") if system.dim <= limit("WIDEST") else 1
+        self._block = limit("LARGEST_CROWD") if system.dim <= limit("WIDEST") else 1
         # As C structures once, not for each plan.
         self._given = prepared.name, pointed(prepared.tables), pointed(watch.tables)
 

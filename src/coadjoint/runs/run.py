@@ -13,7 +13,7 @@ import numpy as np
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
 from coadjoint.given import read_flag
-from coadjoint.kernels.arrays import Block
+from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.description import codes
 from coadjoint.kernels.loop import Crew, Stop
 from coadjoint.kernels.watching import schedule_of
@@ -76,9 +76,9 @@ class Run:
         members, square = len(start.momenta), start.groups.shape[1] ** 2
         self.plan = loops.plan(members, times.points, square, workers)
         check_room_of_run(self.plan.layout, times, members)
-        self.saved = Block(self.plan.layout.saved)
+        self.saved = NamedArrays(self.plan.layout.saved)
         if state is None:
-            self.state = RunState(Block(self.plan.layout.state))
+            self.state = RunState(NamedArrays(self.plan.layout.state))
             self.state["momenta"][:] = start.momenta
             if square:
                 self.state["groups"][:] = loops.started(start.groups)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.kernels.arrays import Block
+from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.watching import schedule_of
 from coadjoint.program.unshift import unshift_tables
 from coadjoint.runs.start import FEW, Representation, Start
@@ -26,7 +26,7 @@ Shift = tuple[tuple[Polynomial, float], ...]
 FINITE_GROWTH = 700.0
 
 
-def plainly(start: Start, times: Times, saved: Block, points: int) -> NDArray[np.float64]:
+def plainly(start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
     """Return group elements (points, members, d, d) as the loops left them; they hold them transposed."""
     return np.swapaxes(saved["group"][:points].reshape(points, *start.groups.shape), 2, 3)
 
@@ -73,7 +73,7 @@ class Unshift:
             return most * max(map(abs, momenta.ravel().tolist())) > FINITE_GROWTH
         return most * float(np.max(np.abs(momenta))) > FINITE_GROWTH
 
-    def __call__(self, start: Start, times: Times, saved: Block, points: int) -> NDArray[np.float64]:
+    def __call__(self, start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
         """Return group elements (points, members, d, d) from those that the loops left."""
         found = np.empty((points, *start.groups.shape))
         self.fill(found, start, times, saved.place_of("group"), 0, len(start.groups))

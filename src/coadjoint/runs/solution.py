@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from coadjoint.kernels.arrays import Block
+    from coadjoint.kernels.arrays import NamedArrays
     from coadjoint.runs.loops import Turned
     from coadjoint.runs.observed import Observed
     from coadjoint.runs.run import Run
@@ -127,8 +127,8 @@ class Solution:
     method: Method
     watched: bool
     observed: Mapping[str, NDArray[np.float64]]
-    _saved: Block
-    _state: Block
+    _saved: NamedArrays
+    _state: NamedArrays
     _kept: int
     _seconds: float
     _times: Times

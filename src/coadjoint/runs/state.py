@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import Block, Extent, Layout, Places
+from coadjoint.kernels.arrays import Extent, Layout, NamedArrays, Places
 from coadjoint.kernels.description import described, limit
 from coadjoint.wording import short
 
@@ -21,7 +21,7 @@ class RunState:
 
     Parameters
     ----------
-    arrays : Block
+    arrays : NamedArrays
         The arrays of `coadjoint.kernels.arrays.Layout`, of all members in the order in which they were given.
     number : int
         How many steps were taken.
@@ -35,7 +35,7 @@ class RunState:
     __slots__ = ("arrays", "number")
     __hash__ = None  # type: ignore[assignment]
 
-    def __init__(self, arrays: Block, number: int = 0) -> None:
+    def __init__(self, arrays: NamedArrays, number: int = 0) -> None:
         self.arrays, self.number = arrays, number
 
     @property
@@ -104,7 +104,7 @@ class RunState:
         if number < 0:
             raise ValueError(f"number of the state is {number}; it must be a whole number from 0 up")
         places = _places_of(mapping)
-        arrays = Block(places)
+        arrays = NamedArrays(places)
         for name in places.shapes:
             arrays[name][:] = mapping[name]
         return cls(arrays, number)
@@ -136,7 +136,7 @@ def _whole(mapping: Mapping[str, Any], name: str) -> int:
 
 
 def _places_of(mapping: Mapping[str, Any]) -> Places:
-    """Return where the arrays of a mapping stand in a block, their sizes read from their shapes."""
+    """Return where the arrays of a mapping stand in one piece of memory, their sizes read from their shapes."""
     described_arrays = described().arrays["state"]
     names = set(mapping) - {"version", "number"}
     if names != set(described_arrays):

@@ -46,12 +46,17 @@ CODES(Solver, SOLVERS)
 // MOST_SUBSTEPS: of norm one, in a step of a series; one that turns so far knows nothing of the motion any more.
 // LARGEST_DENSE: unknowns of Newton's method with a dense matrix; above, a band or no matrix is used. LARGEST_DIRECT:
 // unknowns of a linear scheme; above, iterating costs less than LU factors, and their square is not stored. WIDEST:
-// dimension up to which members go side by side, since lanes of states stay in the cache. BLOCK: the most members that
-// go side by side on any processor; crews begin at multiples of it. STATE_VERSION: of what a run is between two steps;
-// to be raised where the meaning of an array of the state changes.
+// dimension up to which members go side by side, since lanes of states stay in the cache. LARGEST_CROWD: the most members
+// that go side by side on any processor; crews begin at multiples of it. STATE_VERSION: of what a run is between two
+// steps; to be raised where the meaning of an array of the state changes. PROJECTION_EXACT: round-offs of the sum of the
+// terms of x . dC/dx, a defect that rounding alone leaves. PROJECTION_STAGNANT: times that, where corrections no longer
+// help. PROJECTION_CORRECTIONS: the most of them. DEPENDENT_BITS: a row is taken for a combination of those before it
+// where the square of what they leave of it is smaller by so many bits. GROWTH_BITS: an iteration is given up where a
+// correction is larger than the first by so many bits.
 #define LIMITS(_)                                                                                             \
     _(TENTHS, 10) _(RATIONAL, 8) _(CUBIC_HEADER, 6) _(MOST_SUBSTEPS, 4096) _(LARGEST_DENSE, 200)              \
-    _(LARGEST_DIRECT, 160) _(WIDEST, 1024) _(BLOCK, 32) _(STATE_VERSION, 1)
+    _(LARGEST_DIRECT, 160) _(WIDEST, 1024) _(LARGEST_CROWD, 32) _(STATE_VERSION, 1) _(PROJECTION_EXACT, 4)    \
+    _(PROJECTION_STAGNANT, 256) _(PROJECTION_CORRECTIONS, 64) _(DEPENDENT_BITS, 36) _(GROWTH_BITS, 64)
 CODES(Limit, LIMITS)
 
 }  // namespace coadjoint

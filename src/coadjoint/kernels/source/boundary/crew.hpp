@@ -22,7 +22,8 @@ void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, c
 // How many members of a crew have failed; where the run has ended, also by an energy that is not finite.
 int64_t wrong(const Watch& watch, const Arrays& arrays, const Crew& crew, bool ended);
 
-// What a call is given, for a family of schemes with tables of its own: the arrays are those of all members.
+// The loop over the steps of one call, for a family of schemes with tables of its own: the arrays are those of all
+// members.
 template <class Tables>
 struct Loop {
     const Tables& tables;
@@ -92,7 +93,7 @@ void write_lane(const A* from, double* to, int64_t length, int64_t member, int l
 }
 
 constexpr int CROWD = 4 * NATIVE;    // members side by side: four vectors hide each other's latency
-constexpr int64_t FEWEST = 3;        // members that are worth a block of lanes
-static_assert(BLOCK % CROWD == 0, "crews begin at multiples of BLOCK, and crowds within them at multiples of CROWD");
+constexpr int64_t FEWEST = 3;        // members that are worth lanes
+static_assert(LARGEST_CROWD % CROWD == 0, "crews begin at multiples of LARGEST_CROWD, and crowds within them of CROWD");
 
 }  // namespace coadjoint

@@ -99,7 +99,7 @@ TABLE(StepTables, STEP_FIELDS)
 TABLE(Stepping, STEPPING_FIELDS)
 
 #define UNSHIFT_FIELDS(_)                                                                                            \
-    _(integer, size) _(integer, dim) _(integer, blocks) _(bytes, kind) _(bytes, leaning) _(indices, order)           \
+    _(integer, size) _(integer, dim) _(integer, components) _(bytes, kind) _(bytes, leaning) _(indices, order)           \
     _(indices, begin) _(indices, coordinate) _(indices, form) _(indices, cell) _(indices, entry) _(indices, column)  \
     _(numbers, weight) _(integers, metric) _(numbers, metrics)
 TABLE(UnshiftTables, UNSHIFT_FIELDS)

@@ -4,6 +4,7 @@
 #include <limits>
 #include <type_traits>
 
+#include "boundary/codes.hpp"
 #include "numbers/arithmetic.hpp"
 #include "boundary/hearing.hpp"
 #include "stages/stages.hpp"
@@ -12,7 +13,7 @@ namespace coadjoint {
 
 constexpr int64_t FIRST_TEST = 3;     // early corrections may rise before they fall
 constexpr int64_t MOST = 192;
-constexpr double GROWTH = 0x1p64;     // of the first correction: a correction so much larger will not come back
+constexpr double GROWTH = power_of_two(GROWTH_BITS);  // a correction so much larger than the first will not come back
 constexpr double NOISE = 0x1p-32;     // of the size of the stages: only below it may a correction be round-off
 constexpr int64_t LOOK = 16;          // every so many iterations: is it slow?
 constexpr double SLOW = 0x1p-6;       // a fall by less since the last look would take more than MOST iterations
