@@ -66,6 +66,8 @@ def test_anything_else_is_refused(text):
 
 def test_conditions():
     assert satisfied("a != 0 and -1 < a <= 1/2", PARAMETERS) and not satisfied("a == 0 or a > 1/2", PARAMETERS)
+    assert satisfied("a == 0 and a > 1 or a*4 >= 2 and a != -1/2", PARAMETERS)
+    assert satisfied("a == 0 or a < 1", PARAMETERS) and not satisfied("0 < a < 1/4", PARAMETERS)
     for text in ("a", "not a", "a in (1, 2)", "a is 1"):
         with pytest.raises(ValueError, match="comparisons"):
             satisfied(text, PARAMETERS)

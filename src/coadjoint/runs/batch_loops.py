@@ -20,14 +20,14 @@ from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 
-# So many crews to a worker in a round: an interrupt waits for them, and each of them costs a call from Python.
+# Crews of a worker in one round. An interrupt waits until the round ends, and each crew costs a call from Python.
 CREWS_IN_A_ROUND = 8
 
 
 class Group(NamedTuple):
     """Members with tables of one structure: `members` are their places in the batch, ascending.
 
-    `tables` and `watch` are those of the first, with each array of constants (count,) become (count, stride).
+    `tables` and `watch` are those of the first member, but each array of constants (count,) is now (count, stride).
     """
 
     members: NDArray[np.int64]
@@ -38,7 +38,7 @@ class Group(NamedTuple):
 
 
 class BatchLoops(Loops):
-    """A batch: each member has the tables that it has alone.
+    """A batch: each member has the same tables as if it ran alone.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class BatchLoops(Loops):
         self.size, self.memory = batch.dim, max(found.memory for found in prepared)
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
-        """Return rounds of crews, each within a group and of whole blocks of lanes."""
+        """Return rounds of crews, each crew within one group, beginning where lanes begin."""
         crews: list[Crew] = []
         for group, (first, last) in zip(self.groups, pairwise(self._first.tolist()), strict=True):
             for places in shared_out(first, last, workers, limit("LARGEST_CROWD")):
@@ -92,7 +92,7 @@ class BatchLoops(Loops):
         return next((error for found in self._prepared if (error := found.raised())), None)
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
-        """Return whether those of any member might be no numbers."""
+        """Return whether the elements of any member might not be finite."""
         return any(unshift is not None and unshift.may_overflow(start, times) for unshift in self._unshifts)
 
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -16,8 +16,8 @@ from coadjoint.wording import short
 class RunState:
     """The state of a run after some of its steps; what it has saved until then is not part of it.
 
-    With the system, the scheme, the times and the start of the run it is all that the next steps depend on: they have
-    the same bits whether the run went on, or began again from a copy. Two states are equal where all bits are.
+    The next steps depend on it, and on the system, the scheme, the times and the start of the run. They have the same
+    bits whether the run goes on or begins again from a copy. Two states are equal where all their bits are.
 
     Parameters
     ----------
