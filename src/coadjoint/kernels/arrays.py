@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from coadjoint.kernels.description import described
 from coadjoint.kernels.structures import pointed
 
-# The first number of a contiguous array that can be written to; twenty times quicker than its `ctypes`.
+# The first number of an array, as ctypes has it; the array is contiguous and writable. Twenty times quicker than
+# the attribute `ctypes` of the array.
 number_at: Any = ctypes.c_double.from_buffer
 
 
 class Extent(NamedTuple):
-    """How much there is: K saved points of M members, of dimension n, with d*d entries of a group element, I invariants
-    and so many numbers that a member remembers from step to step.
+    """The sizes of a run: K saved points, M members, dimension n, d*d entries of a group element, I invariants, and how
+    many numbers a member remembers from step to step.
     """
 
     members: int
@@ -57,7 +58,7 @@ class NamedArrays:
 
     def __init__(self, places: Places) -> None:
         self.places = places
-        # One at least: an address needs something to stand at.
+        # At least one number, so that there is an address.
         self.numbers = np.zeros(places.size or 1)
         self.address = ctypes.byref(number_at(self.numbers))
 

@@ -1,8 +1,8 @@
-"""What the kernels and Python share, as the library itself describes it, and whether this package is of the same mind.
+"""What the kernels and Python share, as the library itself describes it, and whether this package agrees.
 
 Tables, arrays of a run, codes and limits are written in the headers of `source/boundary`. The plain reading of a
-program works without compiled code, so that the room `program` writes what it needs of them as well: that is compared,
-name by name, when the description is first read.
+program works without compiled code, so that `program` writes what it needs of them again. That is compared, name by
+name, when the description is first read.
 """
 
 from __future__ import annotations

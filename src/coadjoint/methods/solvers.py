@@ -141,7 +141,7 @@ def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDA
         raise TypeError("the stages solve equations that exact fractions do not settle: take floats or mpmath.mpf")
     most = MOST_ITERATIONS * max(1, int(-np.log2(float(unit)) / 53))
     points, least, quiet, largest, first = step.start(), None, 0, None, 0
-    with np.errstate(over="ignore", invalid="ignore"):  # a divergent iteration is told from its last correction
+    with np.errstate(over="ignore", invalid="ignore"):  # an iteration that diverges is known by its last correction
         for iteration in range(1, most + 1):
             slopes = slopes_at(points)
             new = step.points(slopes)
@@ -155,7 +155,7 @@ def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDA
             falling = least is None or bool(np.any(change < least))
             least = change if least is None else np.minimum(change, least)
             quiet = quiet + 1 if iteration > 3 and not falling and largest <= 2**21 * unit * size else 0
-            if quiet >= max(2, iteration // 4):  # the more slowly corrections shrink, the longer they may turn
+            if quiet >= max(2, iteration // 4):  # slow corrections may turn for longer before they shrink
                 return slopes
     residual = float(largest) if largest is not None else float("nan")
     raise IntegrationError(

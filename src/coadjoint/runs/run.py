@@ -179,7 +179,7 @@ class Run:
         )
 
     def _energy_error(self, whole: Solution) -> IntegrationError:
-        """Return the error for an energy that is not finite at a finite state: a function of the user is undefined there."""
+        """Return the error for an energy that is not finite at a finite state, where a function is undefined."""
         wrong = np.flatnonzero(~np.isfinite(whole.energy).reshape(len(whole.t), -1).all(axis=1))
         step, when = int(self.times.saved[wrong[0]]), float(whole.t[wrong[0]])
         return IntegrationError(

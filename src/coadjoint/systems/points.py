@@ -31,8 +31,8 @@ def point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
 def matching(coefficients: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return `coefficients` in numbers that multiply those of `x` without loss.
 
-    Fractions times floats are floats in Python; at a point of objects the coefficients therefore become the whole
-    or rational numbers that they are.
+    Fractions times floats are floats in Python. At a point of objects the coefficients therefore become the whole or
+    rational numbers that they are.
     """
     if x.dtype != object:
         return coefficients

@@ -16,10 +16,10 @@ struct Crew {
     int64_t first, last, stride;
 };
 
-// Blank what a run leaves of the members of a crew, and save their start: momenta and groups stand in the state.
+// Clear what a run leaves of the members of a crew, and save their start from the momenta and groups of the state.
 void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, const Crew& crew);
 
-// How many members of a crew have failed; where the run has ended, also by an energy that is not finite.
+// How many members of a crew have failed. Where the run has ended, an energy that is not finite is a failure too.
 int64_t wrong(const Watch& watch, const Arrays& arrays, const Crew& crew, bool ended);
 
 // The loop over the steps of one call, for a family of schemes with tables of its own: the arrays are those of all
@@ -44,8 +44,8 @@ struct Loop {
     }
 };
 
-// Take the steps k0 + 1 to k1 of a crew by `follow(loop, crew)`, from the start where k0 is 0; return `wrong`, or why
-// they were not all taken: then nothing that the crew was to leave is of use.
+// Take the steps k0 + 1 to k1 of a crew by `follow(loop, crew)`, from the start where k0 is 0; return `wrong`. Where
+// not all steps were taken, return why; then what the crew has left is of no use.
 template <class Tables, class Follow>
 int64_t take_steps(const Tables& tables, const Watch& watch, const Crew& crew, const Arrays& arrays,
                    const Schedule& schedule, int64_t k0, int64_t k1, const int64_t* stop, Follow follow) {
