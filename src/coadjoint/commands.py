@@ -239,7 +239,7 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
     from coadjoint.files.output import OutputError
 
     try:
-        # The parts of click's own main that are wanted: that one prints an empty line at an interrupt.
+        # What is wanted of click's own `main`, which prints an empty line at an interrupt.
         with commands.make_context("coadjoint", arguments) as context:
             commands.invoke(context)
     except click.exceptions.Exit as done:
@@ -249,10 +249,10 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
     except (ConfigurationError, OutputError) as error:
         return 2, in_one_line(str(error))
     except ImportError as error:
-        # A package that is missing, or that does not fit the others: its own sentence says which.
+        # A package is missing, or does not fit the others. The sentence of the error says which.
         return 2, in_one_line(f"coadjoint: {error}")
     except (ValueError, TypeError, ArithmeticError, RecursionError, MemoryError) as error:
-        # What no reader foresaw: bad input all the same.
+        # No reader foresaw it, but it is bad input all the same.
         return 2, in_one_line(f"coadjoint: {type(error).__name__}: {error}")
     except BrokenPipeError:
         return UNREAD, ""

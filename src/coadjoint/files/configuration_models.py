@@ -127,7 +127,7 @@ class InitialTable(Table):
 
 
 class RunTable(Table):
-    """Times and how they are gone through."""
+    """The times of the run, and what is saved and watched."""
 
     t_span: Annotated[Any, _numbers(1)]
     step: Annotated[float, Field(gt=0)]

@@ -168,7 +168,7 @@ def method_of_file(name: str, table: Mapping[str, Any]) -> Method:
 
 
 def _check_dimension(name: str, table: AlgebraTable, states: list[Any]) -> None:
-    """Refuse a dimension before anything of that length is made: so long is the state, which the file writes out."""
+    """Refuse a dimension other than the length of the state, before anything of that length is made."""
     if table.dim is None:
         return
     with section(name, "algebra.dim"):
