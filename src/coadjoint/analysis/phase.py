@@ -33,20 +33,19 @@ def phase_error(
         Computed states.
     reference : callable or Solution, optional
         The right motion, where it is not the closed form: a function of times (k,) that returns states (k, n), or a run
-        by a better scheme or with a smaller step, that goes further than t by the lead, and whose saved points are dense
-        enough to be read in between.
+        by a better scheme or with a smaller step, whose saved points are dense enough to be read in between.
 
     Returns
     -------
     ndarray, shape (k,)
         The lead d that makes right(t + d) the nearest point to x, in units of time; positive is early, negative
-        late. NaN where no nearest point is found. Times in order are followed from the first on, so that a lead may
+        late. NaN where no nearest point is found, or the reference does not go so far. Times in order are followed from the first on, so that a lead may
         exceed a period; what is not in order has leads of less than half a period.
 
     Raises
     ------
     ValueError
-        The states do not fit the times, or the reference does not reach far enough or is too coarse.
+        The states do not fit the times, or the saved points of the reference are too far apart.
     TypeError
         No closed form is known.
 
@@ -114,6 +113,6 @@ def _found(
         # Gauss-Newton converges linearly off the orbit and its last digits are round-off of the exact motion.
         change = np.einsum("ki,ki->k", f, states - y) / np.einsum("ki,ki->k", f, f)
         lead = lead + change
-        if np.max(np.abs(change)) <= 2.0**-40 * max(1.0, float(np.max(np.abs(times)))):
+        if np.all(np.isnan(change)) or np.nanmax(np.abs(change)) <= 2.0**-40 * max(1.0, float(np.max(np.abs(times)))):
             break
     return np.where(np.abs(change) <= 2.0**-20 * np.maximum(1.0, np.abs(times)), lead, np.nan)

@@ -39,6 +39,7 @@ def motion_of(system: System, reference: Any, x0: ArrayLike, member: int | None 
     Returns
     -------
     callable
+        States are NaN where a run does not reach.
 
     Raises
     ------
@@ -88,9 +89,12 @@ def _between(system: System, run: Solution, member: int | None) -> Motion:
     def at(times: Floats) -> Floats:
         where = times if t[-1] > t[0] else -times
         reach = (rising[-1] - rising[0]) * 2.0**-20
-        if np.any(where < rising[0] - reach) or np.any(where > rising[-1] + reach):
-            outside = float(times[np.argmax(np.maximum(rising[0] - where, where - rising[-1]))])
-            raise ValueError(f"the reference ends at {t[-1]:g}, and its state at {outside:g} is asked for; run it further")
+        inside = (where >= rising[0] - reach) & (where <= rising[-1] + reach)
+        found = np.full((len(times), system.dim), np.nan)
+        found[inside] = _read(times[inside], where[inside])
+        return found
+
+    def _read(times: Floats, where: Floats) -> Floats:
         place = np.searchsorted(rising, where)
         fine, coarse = (_hermite(t, states, slopes, times, place, count) for count in (NODES, FEWER))
         # The polynomial of more points is better by orders of magnitude than what it differs by from the other.
