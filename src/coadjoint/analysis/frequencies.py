@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.analysis.line_fit import Lines, correct_lines, find_lines, hann, spread_by_noise
 from coadjoint.analysis.sampled import sampled
-from coadjoint.given import read_finite, read_positive, read_whole
+from coadjoint.given import read_finite, read_whole
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.wording import short
 
@@ -121,7 +121,10 @@ class Frequencies:
             raise ValueError("these are the frequencies of an ensemble; take those of one member")
         largest = read_whole(largest, "largest", 1)
         there = np.isfinite(self.frequency)
-        w, known = self.frequency[there], 4.0 * self.uncertainty[there] + 4.0 * UNIT_ROUNDOFF * np.abs(self.frequency[there])
+        w, known = (
+            self.frequency[there],
+            4.0 * self.uncertainty[there] + 4.0 * UNIT_ROUNDOFF * np.abs(self.frequency[there]),
+        )
         if basis is not None:
             axes = np.atleast_1d(read_finite(basis, "basis"))
             return _combined(axes, np.zeros(len(axes)), w, known, largest)
@@ -178,9 +181,9 @@ def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WI
 
     Notes
     -----
-    Laskar's frequency analysis (the highest peak of the windowed transform, refined, taken off, and so on), in which all
-    lines found so far are then corrected together by windowed least squares in frequencies and amplitudes: a finite sum
-    of lines is found to round-off, and of an infinite one the window keeps the rest away.
+    Laskar's frequency analysis (the highest peak of the windowed transform, refined, taken off, and so on), in which
+    all lines found so far are then corrected together by windowed least squares in frequencies and amplitudes: a
+    finite sum of lines is found to round-off, and of an infinite one the window keeps the rest away.
 
     References
     ----------

@@ -217,7 +217,7 @@ def _amplitudes(s: Floats, values: NDArray[Any], w: Floats, weight: Floats) -> _
 
 
 def _slopes(amplitude: NDArray[np.complex128], real: bool) -> NDArray[Any]:
-    """Return how the model changes with each frequency, as coefficients of s B, shape (members, lines, of B, channels)."""
+    """Return the model's derivative by each frequency, in terms of s B, shape (members, lines, of B, channels)."""
     lines = np.eye(amplitude.shape[1])[None, :, :, None]
     if not real:
         return 1j * lines * amplitude[:, :, None]

@@ -14,11 +14,14 @@ from coadjoint.wording import short
 
 Floats = NDArray[np.float64]
 
-RELATIVE, ABSOLUTE = 2.5e-14, 1e-16  # of the steps of the integration; scipy takes no smaller relative one
+RELATIVE, ABSOLUTE = 2.5e-14, 1e-16  # tolerances of the integration; SciPy takes no smaller relative one
 RETURNED = 1e-8  # of the size of the orbit
-MOST_CROSSINGS = 64
+NEARLY = 1e-5  # the same, of a crossing that is interpolated
+AT_REST = 2.0**-40  # of the speed that its own derivative would make of the size of the state
+SHORTEST = 1e-6  # over the rate: no period is so short
+STRETCH = 20.0  # over the rate
 MOST_STRETCHES = 400
-STRETCH = 20.0  # times the size of the state over its speed
+MOST_CROSSINGS = 64
 
 
 class Period(NamedTuple):
@@ -74,52 +77,80 @@ def period(field: Callable[[Floats], Any], x0: ArrayLike, carried: ArrayLike = (
     >>> round(circle.time / np.pi, 11)
     1.0
     """
-    from scipy.integrate import solve_ivp
-
-    start = read_finite(x0, "x0")
-    y = np.concatenate([start, read_finite(carried, "carried")])
-    if start.ndim != 1 or y.ndim != 1:
+    start, beside = read_finite(x0, "x0"), read_finite(carried, "carried")
+    if start.ndim != 1 or not start.size or beside.ndim != 1:
         raise ValueError(f"x0 has the shape {start.shape}; it must be one state, (n,)")
-    n, size = len(start), float(np.linalg.norm(start))
-    first = np.asarray(field(y.copy()), dtype=np.float64)[:n]
-    speed = float(np.linalg.norm(first))
-    if not np.isfinite(speed) or speed <= 2.0**-40 * float(np.linalg.norm(y)) * 2.0**-40:
-        raise ValueError(f"x0 = {short(start.tolist())} is at rest: the field there is {short(first.tolist())}")
-    across = first / speed
-    scale = np.full(len(y), ABSOLUTE * size)
-    scale[n:] = ABSOLUTE
-
-    def plane(_: float, z: Floats) -> float:
-        return float(across @ (z[:n] - start))
-
-    plane.direction = 1.0  # type: ignore[attr-defined]
-
-    def run(z: Floats, duration: float, events: Any = None) -> Any:
-        found = solve_ivp(lambda _, w: field(w), (0.0, duration), z, "DOP853", rtol=RELATIVE, atol=scale, events=events)
-        if not found.success or not np.all(np.isfinite(found.y[:, -1])):
-            raise ValueError(f"the motion from x0 = {short(start.tolist())} could not be followed to t = {time + duration:g}")
-        return found
-
-    time, reach, nearest, crossings = 0.0, 0.0, np.inf, 0
+    motion = _Motion(field, start, beside)
+    y, time, reach, crossings = np.concatenate([start, beside]), 0.0, 0.0, 0
     for _ in range(MOST_STRETCHES):
-        stretch = run(y, STRETCH * size / speed, plane)
-        reach = max(reach, float(np.max(np.linalg.norm(stretch.y[:n] - start[:, None], axis=0))))
+        stretch = motion.run(y, STRETCH / motion.rate, stop=True)
+        reach = max(reach, motion.away(stretch.y))
         for when, there in zip(stretch.t_events[0], stretch.y_events[0], strict=True):
-            away = float(np.linalg.norm(there[:n] - start))
-            if time + when == 0.0 or reach == 0.0 or away > 1e3 * RETURNED * reach:
-                nearest, crossings = min(nearest, away) if time + when > 0.0 else nearest, crossings + 1
-                continue
-            # The interpolated crossing has fewer digits than the steps; take steps to it, and a last one along the field.
-            end = run(y, when).y[:, -1]
-            late = float(plane(0.0, end)) / float(across @ np.asarray(field(end.copy()))[:n])
-            end = end - late * np.asarray(field(end.copy()))
-            misfit = float(np.linalg.norm(end[:n] - start)) / reach
-            if misfit <= RETURNED:
-                return Period(time + float(when) - late, misfit, end[n:])
+            if time + when <= SHORTEST / motion.rate:
+                continue  # the start itself
+            crossings += 1
+            if motion.away(there[:, None]) <= NEARLY * reach:
+                end, late = motion.at_plane(y, float(when))
+                misfit = motion.away(end[:, None]) / reach
+                if misfit <= RETURNED:
+                    return Period(time + float(when) - late, misfit, end[motion.n :])
+        y, time = stretch.y[:, -1], time + float(stretch.t[-1])
         if crossings > MOST_CROSSINGS:
             break
-        y, time = stretch.y[:, -1], time + float(stretch.t[-1])
-    raise ValueError(
-        f"the motion from x0 = {short(start.tolist())} does not return until t = {time:g}: it is not periodic "
-        f"(it came back to {nearest:.1e})"
-    )
+    raise ValueError(f"the motion from x0 = {short(start.tolist())} does not return until t = {time:g}: not periodic")
+
+
+class _Motion:
+    """The motion from a start, and the plane through it across the field."""
+
+    def __init__(self, field: Callable[[Floats], Any], start: Floats, beside: Floats) -> None:
+        self.n, self.start = len(start), start
+        self.field: Callable[[Floats], Floats] = lambda y: np.asarray(field(y), dtype=np.float64)
+        y = np.concatenate([start, beside])
+        first = self.field(y.copy())[: self.n]
+        speed, size = float(np.linalg.norm(first)), float(np.linalg.norm(start)) or 1.0
+        nudge = size * 2.0**-20
+        moved = [self.field(y + nudge * row)[: self.n] - first for row in np.eye(len(y))[: self.n]]
+        rate = float(np.linalg.norm(moved)) / nudge
+        if not np.isfinite(speed + rate):
+            raise ValueError(f"the field at x0 = {short(start.tolist())} is {short(first.tolist())}; it must be finite")
+        if speed <= AT_REST * rate * size:
+            raise ValueError(f"x0 = {short(start.tolist())} is at rest: the field there is {short(first.tolist())}")
+        self.rate, self.across = max(rate, speed / size), first / speed
+        self.tolerance = ABSOLUTE * np.where(np.arange(len(y)) < self.n, size, 1.0)
+
+    def away(self, states: Floats) -> float:
+        """Return the largest distance from the start."""
+        return float(np.max(np.linalg.norm(states[: self.n] - self.start[:, None], axis=0)))
+
+    def plane(self, _: float, y: Floats) -> float:
+        """Return the signed distance from the plane."""
+        return float(self.across @ (y[: self.n] - self.start))
+
+    def run(self, y: Floats, duration: float, stop: bool = False) -> Any:
+        """Integrate, and note the upward crossings of the plane where asked to."""
+        from scipy.integrate import solve_ivp
+
+        def upward(t: float, z: Floats) -> float:
+            return self.plane(t, z)
+
+        upward.direction = 1.0  # type: ignore[attr-defined]
+        found = solve_ivp(
+            lambda _, z: self.field(z),
+            (0.0, duration),
+            y,
+            "DOP853",
+            rtol=RELATIVE,
+            atol=self.tolerance,
+            events=upward if stop else None,
+        )
+        if not found.success or not np.all(np.isfinite(found.y[:, -1])):
+            raise ValueError(f"the motion from x0 = {short(self.start.tolist())} could not be followed: it diverges")
+        return found
+
+    def at_plane(self, y: Floats, when: float) -> tuple[Floats, float]:
+        """Return the state on the plane near a time, and how much earlier it is than the interpolated crossing."""
+        end = self.run(y, when).y[:, -1]
+        slope = self.field(end.copy())
+        late = self.plane(0.0, end) / float(self.across @ slope[: self.n])
+        return end - late * slope, late

@@ -39,8 +39,8 @@ def phase_error(
     -------
     ndarray, shape (k,)
         The lead d that makes right(t + d) the nearest point to x, in units of time; positive is early, negative
-        late. NaN where no nearest point is found, or the reference does not go so far. Times in order are followed from the first on, so that a lead may
-        exceed a period; what is not in order has leads of less than half a period.
+        late. NaN where no nearest point is found, or the reference does not go so far. Times in order are followed
+        from the first on, so that a lead may exceed a period; what is not in order has leads of less than half a one.
 
     Raises
     ------
@@ -82,7 +82,9 @@ def leads(
     lead = np.full(len(times), np.nan)
     first, last = 0, FIRST
     while first < len(times):
-        lead[first:last] = _found(system, right, times[first:last], states[first:last], _expected(times, lead, first, last))
+        lead[first:last] = _found(
+            system, right, times[first:last], states[first:last], _expected(times, lead, first, last)
+        )
         first, last = last, min(2 * last, len(times))
     return lead
 

@@ -133,9 +133,9 @@ def phase_drift(solution: Any, reference: Any = None, of: str = "momentum") -> A
     --------
     >>> import coadjoint as co
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-    >>> drift = phase_drift(co.integrate(body, (1.0, 0.2, 0.5), (0, 500), 0.1, co.Splitting(order=2), save_every=7))
-    >>> drift.growth, bool(1e-4 < abs(drift.slope) < 1e-2), bool(drift.uncertainty < 1e-6)
-    ('linear', True, True)
+    >>> method = co.Splitting(order=2, parts="coordinates")
+    >>> print(phase_drift(co.integrate(body, (1.0, 0.2, 0.5), (0, 500), 0.1, method, save_every=7)))
+    linear: 2.987...e-05 +- 6e-09 per unit of time, exponent -0.09
     """
     check_solution(solution)
     of = read_choice(of, "of", ("momentum", "attitude"))
@@ -201,7 +201,9 @@ def _precession(run: Solution, system: Any, x: Floats, reference: Any, member: i
         if not np.array_equal(reference.t, run.t):
             raise ValueError("the reference has other saved times than the run; save both at the same times")
     else:
-        raise TypeError(f"reference is {short(reference)}; of the attitude give a Solution, or None for the closed form")
+        raise TypeError(
+            f"reference is {short(reference)}; of the attitude give a Solution, or None for the closed form"
+        )
     return np.asarray(np.unwrap(twist(attitude, right, attitude[0] @ x[0])))
 
 

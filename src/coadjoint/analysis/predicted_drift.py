@@ -78,15 +78,16 @@ def predicted_drift(
 
     Notes
     -----
-    The numbers move along x' = f~(x) on the orbit of x0, on the energy curve H~(x) = H~(x0), and go round in the time P~, the exact
-    motion in P. After n rounds they are where the exact motion was n (P~ - P) earlier, so the lead grows by P - P~ in the
-    time P~. To lowest order, with the integral I(E) of H2 over one period and the frequency w(E) = 2 pi / P,
-    P/P~ - 1 = h^2 (H2(x0) d(log w)/dE + I'(E) / P): the first term is there since the run starts on another energy
-    curve of H~ than of H.
+    The numbers move along x' = f~(x) on the orbit of x0, on the energy curve H~(x) = H~(x0), and go round in the time
+    P~, the exact motion in P. After n rounds they are where the exact motion was n (P~ - P) earlier, so the lead grows
+    by P - P~ in the time P~. To lowest order, with the integral I(E) of H2 over one period and the frequency
+    w(E) = 2 pi / P, P/P~ - 1 = h^2 (H2(x0) d(log w)/dE + I'(E) / P): the first term is there since the energy that
+    sets the period is that of H at which H~ is H~(x0), on average.
 
-    In one period the attitude turns about the momentum by psi (a dynamic and a geometric phase: Montgomery, How much does the rigid body
-    rotate?, 1991). At equal times the computed attitude is ahead by n (psi~ - psi) for n rounds, and by the lead times the
-    speed about the momentum, which is 2T/|x| for a free body: (psi~ - psi) / P~ + 2T/|x| (P/P~ - 1) per unit of time.
+    In one period the attitude turns about the momentum by psi (a dynamic and a geometric phase: Montgomery, How much
+    does the rigid body rotate?, 1991). At equal times the computed attitude is ahead by n (psi~ - psi) for n rounds,
+    and by the lead times the speed about the momentum, which is 2T/|x| for a free body:
+    (psi~ - psi) / P~ + 2T/|x| (P/P~ - 1) per unit of time.
 
     Examples
     --------
@@ -114,8 +115,10 @@ def predicted_drift(
         wrong = period(moved, start).time
         return PredictedDrift(right / wrong - 1.0, None, right, wrong)
     if gradient is None:
-        raise TypeError("an attitude follows the gradient of the Hamiltonian, and a field does not give it; give gradient")
-    if not isinstance(system, LiePoissonSystem) or np.shape(system.representation) != (3, 3, 3):
+        raise TypeError(
+            "an attitude follows the gradient of the Hamiltonian, and a field does not give it; give gradient"
+        )
+    if not isinstance(system, LiePoissonSystem) or getattr(system.representation, "shape", ()) != (3, 3, 3):
         raise TypeError(f"{system.name} has no attitude of a body, 3 x 3")
     exact, computed = (_with_attitude(system, of, start) for of in (system.hamiltonian.gradient, gradient))
     slope = exact.time / computed.time - 1.0

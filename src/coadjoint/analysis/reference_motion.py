@@ -50,12 +50,16 @@ def motion_of(system: System, reference: Any, x0: ArrayLike, member: int | None 
     """
     if reference is None:
         if system.algebra is None or getattr(system, "closed_form", None) is None:
-            raise TypeError(f"no closed form is known for {system.name}; give a reference: a better run, or a function of t")
+            raise TypeError(
+                f"no closed form is known for {system.name}; give a reference: a better run, or a function of t"
+            )
         return lambda t: np.asarray(system.exact(x0, t))  # type: ignore[union-attr]
     if isinstance(reference, Solution):
         return _between(system, reference, member)
     if not callable(reference):
-        raise TypeError(f"reference is {short(reference)}; give a Solution, a function of t, or None for the closed form")
+        raise TypeError(
+            f"reference is {short(reference)}; give a Solution, a function of t, or None for the closed form"
+        )
 
     def given(t: Floats) -> Floats:
         states = array_given(reference(t), "what reference(t) returned").astype(np.float64)
@@ -76,7 +80,9 @@ def _between(system: System, run: Solution, member: int | None) -> Motion:
     """Return a run as a function of time, by Hermite polynomials through its points and their slopes."""
     states = run.x if member is None or run.x.ndim == 2 else run.x[:, member]
     if states.ndim != 2:
-        raise ValueError(f"the reference has states of the shape {run.x.shape}; it must be one run, or members as the run has")
+        raise ValueError(
+            f"the reference has states of the shape {run.x.shape}; it must be one run, or members as the run has"
+        )
     if states.shape[1] != system.dim:
         raise ValueError(f"the reference has {states.shape[1]} coordinates; the system has {system.dim}")
     t = run.t
@@ -101,8 +107,8 @@ def _between(system: System, run: Solution, member: int | None) -> Motion:
         off = float(np.max(np.abs(fine - coarse), initial=0.0))
         if off > TOLERANCE * largest:
             raise ValueError(
-                f"the saved points of the reference are too far apart to be read in between (an error of about {off:.1e}); "
-                "save it more often"
+                f"the saved points of the reference are too far apart to be read in between, with an error of about "
+                f"{off:.1e}; save it more often"
             )
         return fine
 

@@ -75,7 +75,11 @@ def sampled(given: Any, signal: Any = None, least: int = 2) -> Sampled:
     values = np.asarray(values, dtype=np.complex128 if values.dtype.kind == "c" else np.float64)
     shapes = ((2, 3) if several else (1, 2)) if isinstance(given, Solution) else (1, 2, 3)
     if values.ndim not in shapes or len(values) != len(t):
-        wanted = f"({len(t)}, members) or ({len(t)}, members, channels)" if several else f"({len(t)},) or ({len(t)}, channels)"
+        wanted = (
+            f"({len(t)}, members) or ({len(t)}, members, channels)"
+            if several
+            else f"({len(t)},) or ({len(t)}, channels)"
+        )
         raise ValueError(f"signal has the shape {values.shape}; it must be {wanted}")
     channels = values.ndim == (3 if several else 2)
     if not channels:
@@ -90,7 +94,7 @@ def sampled(given: Any, signal: Any = None, least: int = 2) -> Sampled:
 
 def _of_run(run: Solution, signal: Any) -> NDArray[Any]:
     several = run.failed is not None
-    if several and np.any(run.failed):
+    if run.failed is not None and np.any(run.failed):
         raise ValueError(f"member {int(np.argmax(run.failed))} of the run failed; run again without it")
     if signal is None:
         return _flat(run.x, several)
