@@ -103,7 +103,7 @@ def test_what_is_not_there_is_no_line() -> None:
 
 
 def test_uncertainty_covers_white_noise() -> None:
-    members, samples = 300, 1024
+    members, samples = 150, 512
     rng = np.random.default_rng(5)
     t = np.arange(samples) * 0.5
     signal = np.cos(0.8 * t)[:, None] + 0.3 * np.cos(1.9 * t + 0.5)[:, None] + rng.normal(0.0, 0.05, (samples, members))
@@ -136,8 +136,6 @@ def test_bodies_against_elliptic_integrals(seed: int) -> None:
     w = 2 * np.pi / body_period(1.0 / inertia, turn.T @ x0)
     t = np.linspace(0.0, 60.3 * 2 * np.pi / w, 4000)
     known = co.systems.rigid_body(inertia=tuple(inertia)).exact(turn.T @ x0, -body.sign * t) @ turn.T
-    if seed % 2 == 0:
-        known = known.copy()
     found = co.frequencies(t, known, count=3)
     multiple = np.round(found.frequency / w)
     # Ten digits are asked for; the closed form itself is right to some u w t.
@@ -149,7 +147,7 @@ def test_bodies_against_elliptic_integrals(seed: int) -> None:
 
 
 def test_attitude_has_two_frequencies() -> None:
-    body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), np.array([0.2, 1.0, 0.3])
+    body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), np.array([1.0, 0.2, 0.5])
     run = co.integrate(body, x0, (0.0, 800.0), 0.1, co.GaussLegendre(6), attitude=True)
     nutation = 2 * np.pi / body_period(1 / np.array([1.0, 2.0, 3.0]), x0)
     found = co.frequencies(run, "attitude", count=8)
@@ -168,7 +166,7 @@ def test_two_spans_of_a_quasi_periodic_run_agree(name: str) -> None:
         a = np.array([1.0, 1.7, 2.3, 3.1])
         pairs = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
         system = co.LiePoissonSystem(algebra, co.Quadratic([1 / (a[i] + a[j]) for i, j in pairs]), sign=-1)
-        x0 = rng.normal(size=6)
+        x0 = 8.0 * rng.normal(size=6)
     else:
         terms = {(2, 0, 0, 0, 0, 0): 0.5, (0, 2, 0, 0, 0, 0): 0.5, (0, 0, 2, 0, 0, 0): 0.3, (0, 0, 0, 0, 0, 1): 1.0}
         system = co.LiePoissonSystem(algebra, co.Polynomial(terms), sign=-1)
@@ -202,7 +200,7 @@ def test_signals_of_a_run() -> None:
     w = co.frequencies(run, count=1).frequency[0]
     assert len(sampled(run).t) == len(run.t) - 1, "the last saved point is off the even grid"
     assert co.frequencies(run, 2, count=1).amplitude.shape == (1,)
-    assert co.frequencies(run, lambda x: x[:, 1] + 1j * x[:, 2], count=1).frequency[0] == pytest.approx(w, rel=1e-9)
+    assert co.frequencies(run, lambda x: x[:, 1] + 1j * x[:, 2], count=1).frequency[0] == pytest.approx(-w, rel=1e-9)
     assert co.frequencies(run, run.x[:, 1], count=1).frequency[0] == pytest.approx(w, rel=1e-9)
     assert co.frequencies(run, "attitude", count=1).amplitude.shape == (1, 9)
     assert co.frequencies(run, "energy", count=1).frequency.shape == (1,)

@@ -81,6 +81,7 @@ def sampled(given: Any, signal: Any = None, least: int = 2) -> Sampled:
             else f"({len(t)},) or ({len(t)}, channels)"
         )
         raise ValueError(f"signal has the shape {values.shape}; it must be {wanted}")
+    check_finite(values, "signal")
     channels = values.ndim == (3 if several else 2)
     if not channels:
         values = values[..., None]
@@ -88,7 +89,6 @@ def sampled(given: Any, signal: Any = None, least: int = 2) -> Sampled:
         values = values[:, None]
     if 0 in values.shape:
         raise ValueError(f"signal has the shape {values.shape}; it must have a member and a channel at least")
-    check_finite(values, "signal")
     return Sampled(t[:kept], np.swapaxes(values[:kept], 0, 1), several, channels)
 
 
