@@ -91,7 +91,7 @@ def line_drift(
     middles = run.t[places] + 0.5 * (run.t[samples - 1] - run.t[0])
     found = []
     for own, exact in zip(run.values, right, strict=True):
-        ahead, true = (_demodulated(run.t, values, w, weight, places) for values in (own, exact))
+        ahead, true = (demodulated(run.t, values, w, weight, places) for values in (own, exact))
         products = np.sum(ahead * true.conj(), axis=1)
         size = float(np.sqrt(np.mean(np.abs(exact) ** 2)))
         if float(np.min(np.abs(products))) <= (2.0**-40 * size) ** 2:
@@ -100,10 +100,29 @@ def line_drift(
     return found if run.members else found[0]
 
 
-def _demodulated(
+def demodulated(
     t: NDArray[np.float64], values: NDArray[Any], w: float, weight: NDArray[np.float64], places: NDArray[np.int64]
 ) -> NDArray[np.complex128]:
-    """Return the amplitude of a line in each window, shape (places, channels)."""
+    """Return the amplitude of a line in each window.
+
+    Parameters
+    ----------
+    t : ndarray, shape (k,)
+        Times.
+    values : ndarray, shape (k, channels)
+        The signal.
+    w : float
+        Frequency of the line.
+    weight : ndarray, shape (samples,)
+        The window, with the sum one.
+    places : ndarray of int
+        Where windows begin.
+
+    Returns
+    -------
+    ndarray, shape (places, channels)
+        Of a real signal half the amplitude.
+    """
     slow = values * np.exp(-1j * w * t)[:, None]
     return np.array([weight @ slow[first : first + len(weight)] for first in places])
 

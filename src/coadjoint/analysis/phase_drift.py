@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.analysis.phase import leads
 from coadjoint.analysis.reference_motion import motion_of
-from coadjoint.analysis.rotations import twist
+from coadjoint.analysis.rotations import turns_space, twist
 from coadjoint.analysis.straight_line import FEWEST_SAMPLES, straight_line
 from coadjoint.given import read_choice, read_finite, read_numbers
 from coadjoint.runs.solution import Solution, check_solution
@@ -208,6 +208,6 @@ def _precession(run: Solution, system: Any, x: Floats, reference: Any, member: i
 
 
 def _attitude(run: Solution, member: int | None, what: str) -> Floats:
-    if run.attitude is None or run.attitude.shape[-2:] != (3, 3) or run.x.shape[-1] != 3:
+    if run.attitude is None or not turns_space(run.system[0] if isinstance(run.system, Batch) else run.system):
         raise ValueError(f"{what} has no attitude of a body, 3 x 3; integrate with attitude=True")
     return run.attitude if member is None or run.attitude.ndim == 3 else run.attitude[:, member]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.analysis.periods import period
-from coadjoint.analysis.rotations import twist
+from coadjoint.analysis.rotations import turns_space, twist
 from coadjoint.given import read_finite, read_flag
 from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -118,7 +118,7 @@ def predicted_drift(
         raise TypeError(
             "an attitude follows the gradient of the Hamiltonian, and a field does not give it; give gradient"
         )
-    if not isinstance(system, LiePoissonSystem) or getattr(system.representation, "shape", ()) != (3, 3, 3):
+    if not isinstance(system, LiePoissonSystem) or not turns_space(system):
         raise TypeError(f"{system.name} has no attitude of a body, 3 x 3")
     exact, computed = (_with_attitude(system, of, start) for of in (system.hamiltonian.gradient, gradient))
     slope = exact.time / computed.time - 1.0

@@ -109,6 +109,21 @@ def twist(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) -> Any:
     return float(half) if half.ndim == 0 else half
 
 
+def turns_space(system: Any) -> bool:
+    """Say whether the group elements of a system are rotations of space that carry its momentum.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> turns_space(co.systems.rigid_body()), turns_space(co.systems.paper_a37())
+    (True, False)
+    """
+    matrices = getattr(system, "representation", None)
+    if matrices is None or np.shape(matrices) != (3, 3, 3):
+        return False
+    return bool(np.all(matrices == -np.swapaxes(matrices, 1, 2)))
+
+
 def _turn_about(
     A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
