@@ -19,7 +19,7 @@ def test_lines_are_the_series_and_its_line(drift) -> None:
     assert np.array_equal(measured.get_ydata(), drift.lead)
     assert np.ptp(np.diff(line.get_ydata())) < 1e-12 and line.get_ydata()[0] == pytest.approx(drift.intercept)
     assert rest.get_lines()[0].get_ydata() == pytest.approx(drift.lead - line.get_ydata())
-    assert "linear" in lead.get_title() and "10^{-2}" in line.get_label()
+    assert "linear" in lead.get_title() and "0.036) \\times 10^{-3}" in line.get_label()
     assert lead.get_ylabel() == "lead [unit of time]"
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.analysis.line_fit import Lines, correct_lines, find_lines, hann, spread_by_noise
+from coadjoint.analysis.line_fit import IN_THE_END, Lines, correct_lines, find_lines, hann, spread_by_noise
 from coadjoint.analysis.sampled import sampled
 from coadjoint.given import read_finite, read_whole
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -216,7 +216,7 @@ def _analysed(t: Floats, values: NDArray[Any], count: int, power: int) -> tuple[
     middle, half = 0.5 * (t[0] + t[-1]), 0.5 * (t[-1] - t[0])
     s = np.linspace(-1.0, 1.0, len(t))
     lines = find_lines(s, values, min(count + 1, len(t) // (8 * (power + 1))), power)
-    other = correct_lines(s, values, lines.frequency, lines.present, hann(s, max(1, power - NARROWER)), 30)
+    other = correct_lines(s, values, lines.frequency, lines.present, hann(s, max(1, power - NARROWER)), IN_THE_END)
     rounding = UNIT_ROUNDOFF * np.abs(lines.frequency)
     uncertainty = np.sqrt(
         (other.frequency - lines.frequency) ** 2 + spread_by_noise(lines, s, power) ** 2 + rounding**2
@@ -248,7 +248,7 @@ def _halves(s: Floats, values: NDArray[Any], lines: Lines, power: int) -> Floats
     own = np.linspace(-1.0, 1.0, size)
     scale = (size - 1) / (len(s) - 1)
     early, late = (
-        correct_lines(own, part, lines.frequency * scale, lines.present, hann(own, power), 30).frequency
+        correct_lines(own, part, lines.frequency * scale, lines.present, hann(own, power), IN_THE_END).frequency
         for part in (values[:, :size], values[:, len(s) - size :])
     )
     return np.asarray((late - early) / scale)

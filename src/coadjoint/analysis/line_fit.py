@@ -13,7 +13,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 Floats = NDArray[np.float64]
 
 WHILE_SEARCHING = 4  # corrections of all lines after each new one
-IN_THE_END = 30
+IN_THE_END = 12
 NEAREST = 2.0  # bins, 2 pi over the span: nearer lines are not told apart
 NEIGHBOURS = 32  # bins on either side of a line whose median power is its noise
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra import catalogue
 from coadjoint.given import read_finite
 from coadjoint.wording import short
 
@@ -118,10 +119,8 @@ def turns_space(system: Any) -> bool:
     >>> turns_space(co.systems.rigid_body()), turns_space(co.systems.paper_a37())
     (True, False)
     """
-    matrices = getattr(system, "representation", None)
-    if matrices is None or np.shape(matrices) != (3, 3, 3):
-        return False
-    return bool(np.all(matrices == -np.swapaxes(matrices, 1, 2)))
+    turning: Any = catalogue.so(3).representation
+    return np.array_equal(getattr(system, "representation", None), turning)
 
 
 def _turn_about(

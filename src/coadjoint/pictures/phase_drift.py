@@ -42,7 +42,7 @@ def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
     lead, rest = figure.subplots(2, 1, sharex=True)
     line = drift.intercept + drift.slope * drift.t
     lead.plot(drift.t, drift.lead, color=colour(0), linewidth=0.9, label="measured")
-    label = f"slope {_with_error(drift.slope, drift.uncertainty)}"
+    label = f"slope {with_error(drift.slope, drift.uncertainty)}"
     lead.plot(drift.t, line, color=colour(1), linewidth=1.1, linestyle="--", label=label)
     if predicted is not None:
         own = line.mean() + predicted * (drift.t - drift.t.mean())
@@ -61,12 +61,21 @@ def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
     return figure
 
 
-def _with_error(value: float, error: float) -> str:
+def with_error(value: float, error: float) -> str:
     r"""Return a value with its error in mathematical text, with two digits of the error.
+
+    Parameters
+    ----------
+    value, error : float
+        The error is not negative.
+
+    Returns
+    -------
+    str
 
     Examples
     --------
-    >>> _with_error(-0.00123456, 1.2e-6)
+    >>> with_error(-0.00123456, 1.2e-6)
     '$(-1.2346 \\pm 0.0012) \\times 10^{-3}$'
     """
     scale = max(abs(value), error)
