@@ -119,8 +119,9 @@ def turns_space(system: Any) -> bool:
     >>> turns_space(co.systems.rigid_body()), turns_space(co.systems.paper_a37())
     (True, False)
     """
+    own: Any = getattr(system, "representation", None)
     turning: Any = catalogue.so(3).representation
-    return np.array_equal(getattr(system, "representation", None), turning)
+    return np.array_equal(own, turning)
 
 
 def _turn_about(
