@@ -52,7 +52,7 @@ def test_a_reference_that_ends_early_leaves_points_out(body, run) -> None:
 
 
 def test_a_coarse_reference_is_refused(body, run) -> None:
-    coarse = co.integrate(body, X0, (0.0, 510.0), 0.1, co.GaussLegendre(4), save_every=100)
+    coarse = co.integrate(body, X0, (0.0, 510.0), 0.1, co.GaussLegendre(4), save_every=25)
     with pytest.raises(ValueError, match="too far apart"):
         co.phase_drift(run, coarse)
 
@@ -76,6 +76,7 @@ def test_a_scheme_that_loses_energy_drifts_faster(body) -> None:
 
 def test_backward_runs_and_other_start_times(body, run) -> None:
     late = co.integrate(body, X0, (30.0, 530.0), 0.1, COORDINATES, save_every=7)
+    assert abs(co.phase_drift(late).lead[0]) < 1e-12
     assert co.phase_drift(late).slope == pytest.approx(co.phase_drift(run).slope, rel=1e-9)
     # A symmetric scheme goes back as it goes: ahead in the direction it goes is behind in time.
     back = co.phase_drift(co.integrate(body, X0, (0.0, -500.0), 0.1, COORDINATES, save_every=7))

@@ -73,3 +73,15 @@ def test_backward_times() -> None:
     forward, backward = straight_line(T, values), straight_line(-T, values)
     assert backward.slope == pytest.approx(-forward.slope, rel=1e-12)
     assert backward.uncertainty == pytest.approx(forward.uncertainty, rel=1e-12)
+
+
+def test_few_blocks_have_a_wider_spread() -> None:
+    """Of 16 samples there are four blocks and no more: two degrees of freedom are lost to the line."""
+    t = np.arange(16.0)
+    values = np.random.default_rng(4).normal(size=16)
+    line = straight_line(t, values)
+    d = t - t.mean()
+    rest = values - np.polyval(np.polyfit(t, values, 1), t)
+    sums = (d * rest).reshape(4, 4).sum(axis=1)
+    assert line.uncertainty >= np.sqrt(2.0 * sums @ sums) / (d @ d) * (1 - 1e-12)
+    assert line.exponent > 0.2 or line.uncertainty == pytest.approx(np.sqrt(2.0 * sums @ sums) / (d @ d))
