@@ -61,6 +61,8 @@ def test_no_room_reaches_back(drawn):
                     continue
                 if room == "runs" and other in drawn.DOORS and deferred:
                     doors.add(other)
+                elif (room, other) == ("analysis", "pictures") and deferred:
+                    continue
                 else:
                     wrong.append(f"{path.relative_to(PACKAGE)} imports from {other}")
     assert wrong == []
