@@ -43,6 +43,8 @@ _HOME = {
     "PreparedRun": "coadjoint.runs.prepared_run",
     "Solution": "coadjoint.runs.solution",
     "batch": "coadjoint.systems.batch",
+    "Certificate": "coadjoint.analysis.certificate",
+    "certify": "coadjoint.analysis.certify",
     "Choice": "coadjoint.choosing.accuracy",
     "choose": "coadjoint.choosing.accuracy",
     "integrate": "coadjoint.runs.integrate",
@@ -66,6 +68,8 @@ if TYPE_CHECKING:
     from coadjoint.algebra.invariant import Invariant as Invariant
     from coadjoint.algebra.lie_algebra import LieAlgebra as LieAlgebra
     from coadjoint.algebra.polynomial import Polynomial as Polynomial
+    from coadjoint.analysis.certificate import Certificate as Certificate
+    from coadjoint.analysis.certify import certify as certify
     from coadjoint.choosing.accuracy import Choice as Choice
     from coadjoint.choosing.accuracy import choose as choose
     from coadjoint.errors import IntegrationError as IntegrationError

@@ -115,7 +115,7 @@ def _rows(subject: Subject) -> tuple[Row, ...]:
         reversibility_row(subject, telling),
         poisson_row(subject, telling),
         *invariant_rows(subject, run, telling),
-        *attitude_rows(subject, found),
+        *attitude_rows(subject, found, 0 if run.solution is None else run.solution.stats.steps),
         run_row(subject, run),
     )
 

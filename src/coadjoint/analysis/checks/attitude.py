@@ -33,7 +33,7 @@ Seen = tuple[float, float, str]
 """A defect, its bound, and what was seen."""
 
 
-def attitude_rows(subject: Subject, study: Study | None) -> list[Row]:
+def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row]:
     """Return the rows on the group element; one that says why, where there is none.
 
     Parameters
@@ -42,6 +42,8 @@ def attitude_rows(subject: Subject, study: Study | None) -> list[Row]:
         What is looked at.
     study : Study or None
         Of the convergence of the momentum, over whose span the element is followed.
+    steps : int
+        That are taken with it.
 
     Returns
     -------
@@ -54,6 +56,8 @@ def attitude_rows(subject: Subject, study: Study | None) -> list[Row]:
         why = "the system has no Lie algebra"
     elif kind == "none":
         why = "the scheme carries none"
+    elif steps == 0:
+        why = "no step could be taken"
     elif system.dim > LARGEST:
         why = f"the coadjoint matrix of dimension {system.dim} is not carried for this"
     if why:
@@ -61,14 +65,14 @@ def attitude_rows(subject: Subject, study: Study | None) -> list[Row]:
         found = verdict(claimed, None) if claimed else INAPPLICABLE
         return [Row("attitude", "group element", kind, "-", found, claimed=claimed, reason=why)]
     claimed = kind in KEEPING
-    rows = [_row(subject, "spatial momentum", "spatial momentum", kind, claimed, lambda: _momentum(subject))]
+    rows = [_row(subject, "spatial momentum", "spatial momentum", kind, claimed, lambda: _momentum(subject, steps))]
     representation = system.representation
     if representation is not None and _carried(subject):
         form = invariant_form(representation)
         if form is not None:
-            rows.append(_row(subject, "group", "group of a form", kind, claimed, lambda: _form(subject, form)))
+            rows.append(_row(subject, "group", "group of a form", kind, claimed, lambda: _form(subject, form, steps)))
         if kind == "every representation":
-            rows.append(_row(subject, "element", "one group element", kind, claimed, lambda: _one_element(subject)))
+            rows.append(_row(subject, "element", "one group element", kind, claimed, lambda: _one_element(subject, steps)))
     if study is not None and system.dim <= LARGEST_FOLLOWED:
         rows.append(_row(subject, "attitude", "limit of the element", kind, True, lambda: _limit(subject, study)))
     return rows
@@ -97,8 +101,8 @@ def _carried(subject: Subject) -> bool:
     return True
 
 
-def _run(subject: Subject, attitude: Any) -> Solution:
-    return subject.run(subject.states, subject.h, subject.steps, max(1, subject.steps // SAVED), attitude)
+def _run(subject: Subject, attitude: Any, steps: int) -> Solution:
+    return subject.run(subject.states, subject.h, steps, max(1, steps // SAVED), attitude)
 
 
 def _rounding(subject: Subject, run: Solution) -> float:
@@ -111,9 +115,9 @@ def _size(matrices: Floats) -> Floats:
     return np.asarray(np.linalg.norm(matrices, axis=(-2, -1)))
 
 
-def _momentum(subject: Subject) -> Seen:
+def _momentum(subject: Subject, steps: int) -> Seen:
     """K x is constant, K the coadjoint matrix."""
-    run = _run(subject, "coadjoint")
+    run = _run(subject, "coadjoint", steps)
     assert run.attitude is not None
     moved = np.einsum("kmij,kmj->kmi", run.attitude, run.x) - run.x[0]
     size = float(np.max(_size(run.attitude) * np.linalg.norm(run.x, axis=-1)))
@@ -121,9 +125,9 @@ def _momentum(subject: Subject) -> Seen:
     return defect, _rounding(subject, run) * size, f"moves by {defect:.2g} in {run.stats.steps} steps"
 
 
-def _form(subject: Subject, form: Floats) -> Seen:
+def _form(subject: Subject, form: Floats, steps: int) -> Seen:
     """g^T P g = P, P the form that the group of the representation keeps; the unit matrix for rotations."""
-    run = _run(subject, True)
+    run = _run(subject, True, steps)
     assert run.attitude is not None
     g = run.attitude
     defect = float(np.max(_size(np.swapaxes(g, -1, -2) @ form @ g - form)))
@@ -132,9 +136,9 @@ def _form(subject: Subject, form: Floats) -> Seen:
     return defect, 2 * _rounding(subject, run) * size, f"{name} is {defect:.2g} after {run.stats.steps} steps"
 
 
-def _one_element(subject: Subject) -> Seen:
+def _one_element(subject: Subject, steps: int) -> Seen:
     """The element of the representation is that of the coadjoint matrix: rho_i g = g sum_j K_ij rho_j."""
-    rho, (in_rho, in_K) = subject.system.representation, (_run(subject, True), _run(subject, "coadjoint"))
+    rho, (in_rho, in_K) = subject.system.representation, (_run(subject, True, steps), _run(subject, "coadjoint", steps))
     assert rho is not None and in_rho.attitude is not None and in_K.attitude is not None
     g, K = in_rho.attitude, in_K.attitude
     left = np.einsum("iab,kmbc->kmiac", rho, g)

@@ -31,8 +31,9 @@ MOST_TRIALS = 16
 MOST_SINGLE = 12
 # Between two steps of the study errors of high order fall by so much, those of low order by a half of the step.
 FALL = 16.0
-# A slope that is less sure cannot tell an order from its neighbour; of high orders the neighbours are told by a part.
-UNSURE, UNSURE_PART = 0.4, 1.0 / 16.0
+# A slope that is less sure cannot tell an order from its neighbour; high orders are told to a part of them.
+UNSURE, UNSURE_PART = 0.4, 1.0 / 10.0
+NEAR, NEAR_PART = 0.5, 1.0 / 16.0
 # Orders are whole numbers. Half of the way to the next is left for what the uncertainty does not see: terms of the error
 # after the next, and their accidents.
 MARGIN = 0.25
@@ -105,7 +106,7 @@ def study(subject: Subject) -> Study | None:
     """
     p = subject.claims.order
     for halving in range(SHORTER):
-        wanted = NATURAL_TIMES / 2.0**halving * subject.time
+        wanted = NATURAL_TIMES / 2.0**halving * subject.span_time
         # Where the given step is tiny, the order is looked at with larger ones.
         given = max(1, round(wanted / abs(subject.h)))
         given = 0 if given > MOST_GIVEN else given
@@ -195,7 +196,7 @@ def _unsure(fitted: Slope) -> bool:
 def _single_steps(subject: Subject, found: Study) -> Slope | None:
     """Return the order by the errors of single steps, less one: for high orders, few steps of which fit into the span."""
     p, size = subject.claims.order or 4, float(np.linalg.norm(subject.states)) or 1.0
-    largest = found.telling(math.copysign(subject.time, subject.h))
+    largest = found.telling(math.copysign(subject.span_time, subject.h))
     steps, errors, floors = [], [], []
     for k in range(MOST_SINGLE):
         h = largest / FALL ** (k / (p + 1))
@@ -234,13 +235,18 @@ def _order_row(subject: Subject, found: Study, declared: str, evidence: dict[str
         measured = f"{fitted}, by errors {of}, steps from {fitted.steps[0]:.3g} to {fitted.steps[-1]:.3g}"
         if fitted.value + (2.0 if unsure else 1.0) * fitted.uncertainty < least - MARGIN:
             kept = False
-        elif unsure:
+        elif unsure or fitted.value < least - max(NEAR, NEAR_PART * least):
             reason = "the slope has not settled; take a smaller step"
         else:
             kept = True
             if p is not None and fitted.value - fitted.uncertainty > p + 0.5:
                 reason = "higher than declared on this motion"
-        evidence = {**evidence, "fitted steps": fitted.steps, "fitted errors": fitted.errors}
+        evidence = {
+            **evidence,
+            "fitted steps": fitted.steps,
+            "fitted errors": fitted.errors,
+            "fitted of": of,
+        }
     return Row(
         "order",
         "order",

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.analysis.certificate import HOLDS, INAPPLICABLE, UNDECIDED, Row, verdict
 from coadjoint.analysis.checks.growth import growth
+from coadjoint.analysis.checks.reference import motion
 from coadjoint.analysis.checks.sizes import size_of
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.errors import IntegrationError
@@ -64,32 +65,38 @@ class LongRun:
         None where not even one step was taken.
     failed : str
         What was said where it failed.
+    until : float
+        When it failed.
     """
 
     solution: Solution | None
     failed: str = ""
+    until: float = 0.0
 
 
 def long_run(subject: Subject) -> LongRun:
-    """Take the steps of the long run from every state; where it fails, what was done is kept."""
-    every = max(1, subject.steps // SAVED)
-    try:
-        return LongRun(subject.run(subject.states, subject.h, subject.steps, every, watch=True))
-    except IntegrationError as error:
-        return LongRun(error.partial, str(error))
+    """Take the steps of the long run from every state; where it fails, half as many, until it does not."""
+    count, failed, until = subject.steps, "", 0.0
+    while count:
+        try:
+            run = subject.run(subject.states, subject.h, count, max(1, count // SAVED), watch=True)
+            return LongRun(run, failed, until)
+        except IntegrationError as error:
+            failed, until = failed or str(error), until or error.time
+            count //= 2
+    return LongRun(None, failed, until)
 
 
 def run_row(subject: Subject, run: LongRun) -> Row:
-    """Return the row on the run itself: that it comes to its end."""
-    steps = f"{subject.steps} steps from {len(subject.states)} states"
-    return Row(
-        "run",
-        "long run",
-        "ends",
-        f"{steps} of {subject.h:g}" if not run.failed else run.failed,
-        verdict(True, not run.failed),
-        claimed=True,
-    )
+    """Return the row on the run itself: that it comes to its end, where the motion can be followed so far."""
+    key, what, ends = "run", "long run", "ends"
+    steps = f"{subject.steps} steps of {subject.h:g} from {len(subject.states)} states"
+    if not run.failed:
+        return Row(key, what, ends, steps, verdict(True, True), claimed=True)
+    if motion(subject.system, subject.states, run.until + subject.h) is None:
+        why = "an independent code cannot follow the motion so far either"
+        return Row(key, what, ends, run.failed, UNDECIDED, reason=why)
+    return Row(key, what, ends, run.failed, verdict(True, False), claimed=True)
 
 
 def invariant_rows(subject: Subject, run: LongRun, telling: float) -> list[Row]:
@@ -183,7 +190,7 @@ def _row(
         value=value,
         bound=bound,
         source=source,
-        reason="of the run before it failed" if run.failed else "",
+        reason="of the steps that did not fail" if run.failed else "",
         evidence=evidence,
     )
 

@@ -18,7 +18,7 @@ FINE, COARSE = 2.3e-14, 1e-12
 # Of order 8, so that the error for each unit of time falls like the tolerance: the finer run has 1/43 of the error that
 # is seen, of which 1/8 is claimed.
 CLAIMED = 0.125
-MOST_STEPS = 4000
+MOST_STEPS = 1500
 # Between a closed form and the vector field; more is a fault of one of them.
 AGREEMENT = 1e-8
 

@@ -80,9 +80,20 @@ class Subject:
         return all(natural_time(self.system, x) == 0.0 for x in self.given)
 
     @cached_property
+    def span_time(self) -> float:
+        """The same, at the fastest of all states."""
+        return min([self.time, *(time for time in map(self._time_at, self.states) if time > 0.0)])
+
+    def _time_at(self, x: Floats) -> float:
+        return natural_time(self.system, x)
+
+    @cached_property
     def evaluations(self) -> float:
-        """Elementary flows or evaluations of the field in a step of one member; 1 at least."""
-        run = self.run(self.states, self.h, 1)
+        """Elementary flows or evaluations of the field in a step of one member; 1 at least, and where it fails."""
+        try:
+            run = self.run(self.states, self.h, 1)
+        except IntegrationError:
+            return 1.0
         return max(1.0, run.stats.evaluations / len(self.states))
 
     @cached_property
@@ -96,7 +107,10 @@ class Subject:
             size = float(np.linalg.norm(x))
             direction = np.cos(1.0 + np.arange(len(x))) * size / np.sqrt(len(x))
             line = np.array([x + 2.0**-40 * k * direction for k in range(10)])
-            after = self.step(line, self.h)
+            try:
+                after = self.step(line, self.h)
+            except IntegrationError:
+                continue
             worst = max(worst, float(np.max(np.linalg.norm(np.diff(after, 2, axis=0), axis=1))) / np.sqrt(6.0))
         return worst
 
@@ -104,6 +118,14 @@ class Subject:
         """Return what a step of the given states rounds at most, relative to the state: 4 n u for each evaluation."""
         count = self.evaluations if evaluations is None else evaluations
         return 4 * self.system.dim * UNIT_ROUNDOFF * (count + 1)
+
+    def condition(self, x: Floats, h: float) -> float:
+        """Return how much a step of length h and one back amplify, by differences: |P| |P^-1|."""
+        small = 2.0**-17 * (float(np.max(np.abs(x))) or 1.0)
+        units = small * np.eye(len(x))
+        ahead, behind = self.step(x + units, h), self.step(x - units, h)
+        P = (ahead - behind) / (2 * small)
+        return float(np.linalg.norm(P) * np.linalg.norm(np.linalg.inv(P)))
 
     def step(self, x: Floats, h: float, t: float = 0.0) -> Floats:
         """Return the states (k, n) after a step of length h from the time t."""
@@ -127,8 +149,3 @@ class Subject:
                 self.system, self.method, abs(h), attitude=attitude, watch=watch, threads=1
             )
         return self._prepared[key].run(x, (t, t + count * h), count if save_every is None else save_every)
-
-
-def failure(error: IntegrationError) -> str:
-    """Return what is said of a run that failed."""
-    return f"the run failed: {error}"

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from coadjoint.analysis.certificate import INAPPLICABLE, Row, verdict
 from coadjoint.analysis.checks.slope import Slope, slope
 from coadjoint.analysis.checks.subject import LARGEST_DENSE, Subject
-from coadjoint.analysis.checks.tangents import tangent
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 
@@ -134,12 +133,10 @@ def _row(subject: Subject, telling: float, key: str, what: str, claim: bool | No
 
 def _bound(subject: Subject, x: Floats, h: float) -> float:
     """Return what the rounding of two steps makes, amplified by at most the condition of the step back."""
-    P = tangent(subject, x, h).P
-    condition = float(np.linalg.norm(P) * np.linalg.norm(np.linalg.inv(P)))
     size = float(np.linalg.norm(x))
     run = subject.run(x, h, 1)
     noise = min(8 * subject.noise, MOST_NOISE * size)
-    return 2 * condition * (subject.rounding(h, run.stats.evaluations) * size + noise)
+    return 2 * subject.condition(x, h) * (subject.rounding(h, run.stats.evaluations) * size + noise)
 
 
 def _defect_slope(subject: Subject, there: There, largest: float) -> Slope | None:
