@@ -101,7 +101,7 @@ def certify(
     scheme, claims = scheme_and_claims(system, method, order, properties, symmetric)
     states, _ = momenta_of(system, x0)
     with np.errstate(all="ignore"):
-        subject = Subject(system, scheme, claims, h, states, count)
+        subject = Subject(system, scheme, claims, h, states, count, compiled=isinstance(method, Method))
         return Certificate(_rows(subject), _described(subject))
 
 

@@ -113,17 +113,20 @@ def _draw_invariants(axes: Any, rows: Any) -> None:
 
 def _draw_verdicts(axes: Any, rows: Any) -> None:
     axes.axis("off")
-    axes.set_title("verdicts", fontsize=9.5)
+    axes.set_title("asked, declared, and found", fontsize=9.5)
     below = 1.0 / max(1, len(rows))
     for number, row in enumerate(rows):
         height = 1.0 - (number + 0.6) * below
-        paint = {"holds": GOOD, "fails": BAD}.get(row.verdict, BAD if row.claimed and "not dec" in row.verdict else OPEN)
+        paint = {"holds": GOOD, "fails": BAD}.get(
+            row.verdict, BAD if row.claimed and "not dec" in row.verdict else OPEN
+        )
         name = row.what if len(row.what) <= 30 else f"{row.what[:27]}..."
         axes.text(0.0, height, name.replace("$", r"\$"), fontsize=8.5, color=INK, transform=axes.transAxes)
-        axes.text(0.46, height, row.verdict, fontsize=8.5, color=paint, weight="bold", transform=axes.transAxes)
-        if row.declared not in ("nothing", "none"):
-            axes.text(0.78, height, f"declared: {row.declared[:14]}", fontsize=8, color=OPEN, transform=axes.transAxes)
+        declared = row.declared if len(row.declared) <= 22 else f"{row.declared[:19]}..."
+        axes.text(0.38, height, declared, fontsize=8, color=OPEN, transform=axes.transAxes)
+        axes.text(0.68, height, row.verdict, fontsize=8.5, color=paint, weight="bold", transform=axes.transAxes)
 
 
 def _say(axes: Any, text: str) -> None:
+    axes.set(xticks=[], yticks=[])
     axes.text(0.5, 0.5, "\n".join(textwrap.wrap(text, 50)), transform=axes.transAxes, ha="center", fontsize=9)

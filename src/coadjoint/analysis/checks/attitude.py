@@ -1,4 +1,4 @@
-"""What does the group element keep? The spatial momentum, the group of its representation; and does it follow the motion?"""
+"""What does the group element keep: the spatial momentum, its group? And does it follow the motion?"""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ LARGEST = 64
 LARGEST_FOLLOWED = 16
 """Dimension up to which it is also followed by the independent code."""
 SAVED = 16
+LARGE_CONDITION = 1e3
 KEEPING = ("every representation", "coadjoint")
 
 Seen = tuple[float, float, str]
@@ -72,7 +73,9 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
         if form is not None:
             rows.append(_row(subject, "group", "group of a form", kind, claimed, lambda: _form(subject, form, steps)))
         if kind == "every representation":
-            rows.append(_row(subject, "element", "one group element", kind, claimed, lambda: _one_element(subject, steps)))
+            rows.append(
+                _row(subject, "element", "one group element", kind, claimed, lambda: _one_element(subject, steps))
+            )
     if study is not None and system.dim <= LARGEST_FOLLOWED:
         rows.append(_row(subject, "attitude", "limit of the element", kind, True, lambda: _limit(subject, study)))
     return rows
@@ -102,13 +105,33 @@ def _carried(subject: Subject) -> bool:
 
 
 def _run(subject: Subject, attitude: Any, steps: int) -> Solution:
-    return subject.run(subject.states, subject.h, steps, max(1, steps // SAVED), attitude)
+    """Take the steps, or half as many where they fail: an element may leave float64 before the momentum does."""
+    while True:
+        try:
+            return subject.run(subject.states, subject.h, steps, max(1, steps // SAVED), attitude)
+        except IntegrationError:
+            steps //= 2
+            if steps == 0:
+                raise
 
 
 def _rounding(subject: Subject, run: Solution) -> float:
     assert run.attitude is not None
     evaluations = run.stats.evaluations / len(subject.states) + run.stats.steps + 1
     return 4 * run.attitude.shape[-1] * UNIT_ROUNDOFF * evaluations
+
+
+def _near(elements: Floats, run: Solution) -> tuple[Floats, float, int]:
+    """Return the elements while their condition is not large, the largest condition, and how many steps that is.
+
+    What was rounded at g_s is multiplied by g_s^-1 g_t until t: elements that grow, and shrink again, have lost digits.
+    """
+    values = np.linalg.svd(elements, compute_uv=False)
+    condition = np.max(values[..., 0] / np.maximum(values[..., -1], np.finfo(float).tiny), axis=1)
+    large = np.flatnonzero(~(condition <= LARGE_CONDITION))
+    last = max(1, int(large[0]) - 1) if large.size else len(elements) - 1
+    steps = round(abs((run.t[last] - run.t[0]) / run.step))
+    return elements[: last + 1], float(np.max(condition[: last + 1])), steps
 
 
 def _size(matrices: Floats) -> Floats:
@@ -119,32 +142,35 @@ def _momentum(subject: Subject, steps: int) -> Seen:
     """K x is constant, K the coadjoint matrix."""
     run = _run(subject, "coadjoint", steps)
     assert run.attitude is not None
-    moved = np.einsum("kmij,kmj->kmi", run.attitude, run.x) - run.x[0]
-    size = float(np.max(_size(run.attitude) * np.linalg.norm(run.x, axis=-1)))
+    K, condition, count = _near(run.attitude, run)
+    x = run.x[: len(K)]
+    moved = np.einsum("kmij,kmj->kmi", K, x) - x[0]
+    size = float(np.max(_size(K) * np.linalg.norm(x, axis=-1))) * condition
     defect = float(np.max(np.linalg.norm(moved, axis=-1)))
-    return defect, _rounding(subject, run) * size, f"moves by {defect:.2g} in {run.stats.steps} steps"
+    return defect, _rounding(subject, run) * size, f"moves by {defect:.2g} in {count} steps"
 
 
 def _form(subject: Subject, form: Floats, steps: int) -> Seen:
     """g^T P g = P, P the form that the group of the representation keeps; the unit matrix for rotations."""
     run = _run(subject, True, steps)
     assert run.attitude is not None
-    g = run.attitude
+    g, condition, count = _near(run.attitude, run)
     defect = float(np.max(_size(np.swapaxes(g, -1, -2) @ form @ g - form)))
-    size = float(np.max(_size(g)) ** 2 * np.linalg.norm(form))
+    size = float(np.max(_size(g)) ** 2 * np.linalg.norm(form)) * condition
     name = "g^T g - 1" if np.array_equal(form, np.eye(len(form))) else "g^T P g - P"
-    return defect, 2 * _rounding(subject, run) * size, f"{name} is {defect:.2g} after {run.stats.steps} steps"
+    return defect, 2 * _rounding(subject, run) * size, f"{name} is {defect:.2g} after {count} steps"
 
 
 def _one_element(subject: Subject, steps: int) -> Seen:
     """The element of the representation is that of the coadjoint matrix: rho_i g = g sum_j K_ij rho_j."""
     rho, (in_rho, in_K) = subject.system.representation, (_run(subject, True, steps), _run(subject, "coadjoint", steps))
     assert rho is not None and in_rho.attitude is not None and in_K.attitude is not None
-    g, K = in_rho.attitude, in_K.attitude
+    (g, of_g, _), (K, of_K, _) = _near(in_rho.attitude, in_rho), _near(in_K.attitude, in_K)
+    g, K = g[: len(K)], K[: len(g)]
     left = np.einsum("iab,kmbc->kmiac", rho, g)
     right = np.einsum("kmab,kmij,jbc->kmiac", g, K, rho, optimize=True)
     defect = float(np.max(np.sqrt(np.sum((left - right) ** 2, axis=(-3, -2, -1)))))
-    size = float(np.max(_size(g) * _size(K)) * np.linalg.norm(rho))
+    size = float(np.max(_size(g) * _size(K)) * np.linalg.norm(rho)) * max(of_g, of_K)
     bound = 2 * (_rounding(subject, in_rho) + _rounding(subject, in_K)) * size
     return defect, bound, f"representation and coadjoint matrix differ by {defect:.2g}"
 

@@ -23,8 +23,8 @@ SHORTER = 4
 """How often the span is halved where the motion cannot be followed over it."""
 # Beyond this relative error the order says nothing.
 LARGE = 0.05
-FINEST = 512
-"""Steps over the span that are not exceeded, unless the given step takes more."""
+FINEST, FINEST_OF_PYTHON = 512, 128
+"""Steps over the span that are not exceeded, of compiled steps and others, unless the given step takes more."""
 MOST_GIVEN = 4096
 FEW = 64
 MOST_TRIALS = 16
@@ -34,8 +34,8 @@ FALL = 16.0
 # A slope that is less sure cannot tell an order from its neighbour; high orders are told to a part of them.
 UNSURE, UNSURE_PART = 0.4, 1.0 / 10.0
 NEAR, NEAR_PART = 0.5, 1.0 / 16.0
-# Orders are whole numbers. Half of the way to the next is left for what the uncertainty does not see: terms of the error
-# after the next, and their accidents.
+# Orders are whole numbers. A quarter of the way to the next is left for what the uncertainty does not see: later terms
+# of the error, and their accidents.
 MARGIN = 0.25
 # How many times the error may exceed what the last change of the step makes of it: errors of half the declared order
 # exceed it by 1 + 2^(p/2) at most where steps are halved, and the first steps by their next term.
@@ -107,8 +107,8 @@ def study(subject: Subject) -> Study | None:
     p = subject.claims.order
     for halving in range(SHORTER):
         wanted = NATURAL_TIMES / 2.0**halving * subject.span_time
-        # Where the given step is tiny, the order is looked at with larger ones.
-        given = max(1, round(wanted / abs(subject.h)))
+        # Where the given step is tiny, the order is looked at with larger ones; where it is huge, with smaller ones.
+        given = round(wanted / abs(subject.h)) if halving else max(1, round(wanted / abs(subject.h)))
         given = 0 if given > MOST_GIVEN else given
         span, first = (given * subject.h, given) if given else (math.copysign(wanted, subject.h), FEW)
         reference = motion(subject.system, subject.states, span)
@@ -116,11 +116,14 @@ def study(subject: Subject) -> Study | None:
             break
     else:
         return None
+    finest = FINEST if subject.compiled else FINEST_OF_PYTHON
     ratio = min(2.0, FALL ** (1.0 / p)) if p else math.sqrt(2.0)
     found = Study(span, [], [], [], [], reference, given, [])
     size = float(np.linalg.norm(reference.states)) or 1.0
 
     def tried(count: int) -> bool:
+        if count in found.counts:
+            return True
         try:
             end = subject.run(subject.states, span / count, count).x[-1]
         except IntegrationError as error:
@@ -134,16 +137,22 @@ def study(subject: Subject) -> Study | None:
         found.floors.insert(place, 2 * reference.error + rounding)
         return True
 
-    def clear(k: int) -> bool:
+    def clear(count: int) -> bool:
+        k = found.counts.index(count)
         return found.errors[k] > CLEAR * found.floors[k]
 
-    tried(first)
+    # From steps that only round-off tells apart to those whose errors tell, fast; then finer ones down to round-off
+    # again, and coarser ones up to large errors.
+    known = tried(first)
+    while known and first > 1 and not clear(first):
+        first = max(1, first // 2)
+        known = tried(first)
     count = first
     for _ in range(MOST_TRIALS):
-        if found.counts and not clear(-1):
+        if count in found.counts and not clear(count):
             break
         count = max(count + 1, math.ceil(count * ratio))
-        if count > max(FINEST, 4 * first):
+        if count > max(finest, 4 * first):
             break
         tried(count)
     count = first
@@ -194,7 +203,7 @@ def _unsure(fitted: Slope) -> bool:
 
 
 def _single_steps(subject: Subject, found: Study) -> Slope | None:
-    """Return the order by the errors of single steps, less one: for high orders, few steps of which fit into the span."""
+    """Return the order by the errors of single steps, less one: few steps of a high order fit into the span."""
     p, size = subject.claims.order or 4, float(np.linalg.norm(subject.states)) or 1.0
     largest = found.telling(math.copysign(subject.span_time, subject.h))
     steps, errors, floors = [], [], []
@@ -221,20 +230,24 @@ def _order_row(subject: Subject, found: Study, declared: str, evidence: dict[str
     p = subject.claims.order
     kept: bool | None = None
     fitted, reason, of = found.slope, "", "over a span"
-    if fitted is None or _unsure(fitted):
+    if fitted is None or fitted.uncertainty > UNSURE:
         alone = _single_steps(subject, found)
-        fitted, of = (fitted, of) if alone is None else (alone, "of single steps")
+        if alone is not None and (fitted is None or alone.uncertainty < fitted.uncertainty):
+            fitted, of = alone, "of single steps"
     if fitted is None:
         measured = "-"
         reason = "fewer than three errors between 5 % and round-off; take another step"
-        if min(found.errors) > LARGE:
+        if not any(error > CLEAR * floor for error, floor in zip(found.errors, found.floors, strict=True)):
+            kept, measured, reason = True, f"no error above round-off at any step up to {found.steps[0]:.3g}", ""
+        elif min(found.errors) > LARGE:
             kept, measured = False, f"errors of {min(found.errors):.1g} and more at every step"
             reason = found.failed[-1] if found.failed else ""
     else:
         unsure, least = _unsure(fitted), 0.5 if p is None else p
         measured = f"{fitted}, by errors {of}, steps from {fitted.steps[0]:.3g} to {fitted.steps[-1]:.3g}"
         if fitted.value + (2.0 if unsure else 1.0) * fitted.uncertainty < least - MARGIN:
-            kept = False
+            kept = None if fitted.steepening > UNSURE else False
+            reason = "" if kept is False else "errors fall ever faster; take a smaller step"
         elif unsure or fitted.value < least - max(NEAR, NEAR_PART * least):
             reason = "the slope has not settled; take a smaller step"
         else:

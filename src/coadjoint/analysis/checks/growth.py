@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -63,7 +64,7 @@ def growth(t: Floats, deviations: Floats) -> Growth:
     since = np.abs(t - t[0])
     edges = since[-1] / 2.0 ** np.arange(WINDOWS, -1, -1)
     times, sizes = [], []
-    for k, (begin, end) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for k, (begin, end) in enumerate(pairwise(edges)):
         inside = (since > begin * (1 + 1e-9)) & (since <= end * (1 + 1e-9)) if k else (since > 0) & (since <= end)
         if np.any(inside):
             times.append(float(np.sqrt(begin * end)))

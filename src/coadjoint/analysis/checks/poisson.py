@@ -14,7 +14,7 @@ from coadjoint.analysis.checks.tangents import FLOOR_OF_DIFFERENCES, tangent
 from coadjoint.analysis.poisson_defect import defect_of_tangent
 from coadjoint.errors import IntegrationError
 
-SLOPES = 5
+SLOPES = 4
 # Of a step that is a function nobody counts the roundings: as many as this many evaluations of the field have.
 UNCOUNTED = 64
 
@@ -44,9 +44,9 @@ def poisson_row(subject: Subject, telling: float) -> Row:
         return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=why)
     worst: tuple[float, float, float, str] | None = None
     reason = ""
-    # Where nothing is declared, one state tells.
+    # Where nothing is declared, one state and step tell.
     states = subject.states if claimed else subject.states[:1]
-    for h in dict.fromkeys((subject.h, telling)):
+    for h in dict.fromkeys((subject.h, telling) if claimed else (telling,)):
         for x in states:
             try:
                 defect, bound, by = _defect(subject, x, h)

@@ -1,4 +1,4 @@
-"""Where does the motion lead? By a closed form, or an independent code on the vector field; no scheme of the library."""
+"""Where does the motion lead? By a closed form, or an independent code on the vector field; by no scheme."""
 
 from __future__ import annotations
 

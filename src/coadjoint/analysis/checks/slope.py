@@ -23,12 +23,16 @@ class Slope(NamedTuple):
         The slope at the smallest steps.
     uncertainty : float
         How far it may be from the one that vanishing steps have.
+    steepening : float
+        By how much it is larger there than at the largest steps: where errors fall ever faster, the order is not yet
+        seen.
     steps, errors : ndarray, shape (k,)
         The points that it comes from, largest step first.
     """
 
     value: float
     uncertainty: float
+    steepening: float
     steps: NDArray[np.float64]
     errors: NDArray[np.float64]
 
@@ -74,7 +78,7 @@ def slope(steps: list[float], errors: list[float], floors: list[float]) -> Slope
     large, small = _slope(h[:width], e[:width]), _slope(h[-width:], e[-width:])
     ratio = math.exp(float(np.mean(np.log(h[:width])) - np.mean(np.log(h[-width:]))))
     rounded = float(floor[-1] / e[-1]) / math.log(h[-width] / h[-1])
-    return Slope(small, abs(small - large) / (ratio - 1.0) + rounded, h, e)
+    return Slope(small, abs(small - large) / (ratio - 1.0) + rounded, small - large, h, e)
 
 
 def _slope(h: NDArray[np.float64], e: NDArray[np.float64]) -> float:

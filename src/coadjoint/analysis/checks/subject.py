@@ -43,6 +43,8 @@ class Subject:
         The states that were given.
     steps : int
         Of the long run.
+    compiled : bool
+        Whether steps are cheap; those of a function of the user are not.
     """
 
     system: System
@@ -51,6 +53,7 @@ class Subject:
     h: float
     given: Floats
     steps: int
+    compiled: bool = True
     _prepared: dict[Any, PreparedRun] = field(default_factory=dict)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""The derivative of a step, as exactly as the scheme allows: by its formula, complex steps, more digits, or differences."""
+"""The derivative of a step, as exactly as the scheme allows: by formula, complex steps, more digits, differences."""
 
 from __future__ import annotations
 
