@@ -104,15 +104,25 @@ def _carried(subject: Subject) -> bool:
     return True
 
 
-def _run(subject: Subject, attitude: Any, steps: int) -> Solution:
-    """Take the steps, or half as many where they fail: an element may leave float64 before the momentum does."""
+def _run(subject: Subject, attitude: Any, steps: int) -> tuple[Solution, Floats, float]:
+    """Take the steps, or half as many until they do not fail and the element is not much larger than its inverse.
+
+    What was rounded at g_s is multiplied by g_s^-1 g_t until t: elements that grow and shrink again have lost digits.
+    Returned are the run, its elements, and their largest condition.
+    """
     while True:
         try:
-            return subject.run(subject.states, subject.h, steps, max(1, steps // SAVED), attitude)
+            run = subject.run(subject.states, subject.h, steps, max(1, steps // SAVED), attitude)
         except IntegrationError:
-            steps //= 2
-            if steps == 0:
+            if steps == 1:
                 raise
+        else:
+            assert run.attitude is not None
+            values = np.linalg.svd(run.attitude, compute_uv=False)
+            condition = float(np.max(values[..., 0] / np.maximum(values[..., -1], np.finfo(float).tiny)))
+            if condition <= LARGE_CONDITION or steps == 1:
+                return run, run.attitude, condition
+        steps //= 2
 
 
 def _rounding(subject: Subject, run: Solution) -> float:
@@ -121,58 +131,42 @@ def _rounding(subject: Subject, run: Solution) -> float:
     return 4 * run.attitude.shape[-1] * UNIT_ROUNDOFF * evaluations
 
 
-def _near(elements: Floats, run: Solution) -> tuple[Floats, float, int]:
-    """Return the elements while their condition is not large, the largest condition, and how many steps that is.
-
-    What was rounded at g_s is multiplied by g_s^-1 g_t until t: elements that grow, and shrink again, have lost digits.
-    """
-    values = np.linalg.svd(elements, compute_uv=False)
-    condition = np.max(values[..., 0] / np.maximum(values[..., -1], np.finfo(float).tiny), axis=1)
-    large = np.flatnonzero(~(condition <= LARGE_CONDITION))
-    last = max(1, int(large[0]) - 1) if large.size else len(elements) - 1
-    steps = round(abs((run.t[last] - run.t[0]) / run.step))
-    return elements[: last + 1], float(np.max(condition[: last + 1])), steps
-
-
 def _size(matrices: Floats) -> Floats:
     return np.asarray(np.linalg.norm(matrices, axis=(-2, -1)))
 
 
 def _momentum(subject: Subject, steps: int) -> Seen:
     """K x is constant, K the coadjoint matrix."""
-    run = _run(subject, "coadjoint", steps)
-    assert run.attitude is not None
-    K, condition, count = _near(run.attitude, run)
-    x = run.x[: len(K)]
-    moved = np.einsum("kmij,kmj->kmi", K, x) - x[0]
-    size = float(np.max(_size(K) * np.linalg.norm(x, axis=-1))) * condition
+    run, K, condition = _run(subject, "coadjoint", steps)
+    moved = np.einsum("kmij,kmj->kmi", K, run.x) - run.x[0]
+    size = float(np.max(_size(K) * np.linalg.norm(run.x, axis=-1))) * condition
     defect = float(np.max(np.linalg.norm(moved, axis=-1)))
-    return defect, _rounding(subject, run) * size, f"moves by {defect:.2g} in {count} steps"
+    return defect, _rounding(subject, run) * size, f"moves by {defect:.2g} in {run.stats.steps} steps"
 
 
 def _form(subject: Subject, form: Floats, steps: int) -> Seen:
     """g^T P g = P, P the form that the group of the representation keeps; the unit matrix for rotations."""
-    run = _run(subject, True, steps)
-    assert run.attitude is not None
-    g, condition, count = _near(run.attitude, run)
+    run, g, condition = _run(subject, True, steps)
     defect = float(np.max(_size(np.swapaxes(g, -1, -2) @ form @ g - form)))
     size = float(np.max(_size(g)) ** 2 * np.linalg.norm(form)) * condition
     name = "g^T g - 1" if np.array_equal(form, np.eye(len(form))) else "g^T P g - P"
-    return defect, 2 * _rounding(subject, run) * size, f"{name} is {defect:.2g} after {count} steps"
+    return defect, 2 * _rounding(subject, run) * size, f"{name} is {defect:.2g} after {run.stats.steps} steps"
 
 
 def _one_element(subject: Subject, steps: int) -> Seen:
     """The element of the representation is that of the coadjoint matrix: rho_i g = g sum_j K_ij rho_j."""
-    rho, (in_rho, in_K) = subject.system.representation, (_run(subject, True, steps), _run(subject, "coadjoint", steps))
-    assert rho is not None and in_rho.attitude is not None and in_K.attitude is not None
-    (g, of_g, _), (K, of_K, _) = _near(in_rho.attitude, in_rho), _near(in_K.attitude, in_K)
-    g, K = g[: len(K)], K[: len(g)]
+    rho = np.asarray(subject.system.representation)
+    in_K, K, of_K = _run(subject, "coadjoint", steps)
+    in_rho, g, of_g = _run(subject, True, in_K.stats.steps)
+    if in_rho.stats.steps < in_K.stats.steps:
+        in_K, K, of_K = _run(subject, "coadjoint", in_rho.stats.steps)
     left = np.einsum("iab,kmbc->kmiac", rho, g)
     right = np.einsum("kmab,kmij,jbc->kmiac", g, K, rho, optimize=True)
     defect = float(np.max(np.sqrt(np.sum((left - right) ** 2, axis=(-3, -2, -1)))))
     size = float(np.max(_size(g) * _size(K)) * np.linalg.norm(rho)) * max(of_g, of_K)
     bound = 2 * (_rounding(subject, in_rho) + _rounding(subject, in_K)) * size
-    return defect, bound, f"representation and coadjoint matrix differ by {defect:.2g}"
+    said = f"representation and coadjoint matrix differ by {defect:.2g} after {in_rho.stats.steps} steps"
+    return defect, bound, said
 
 
 class _WithElement:

@@ -66,7 +66,7 @@ def poisson_row(subject: Subject, telling: float) -> Row:
             measured += f", of order {found}"
             evidence |= {"steps": found.steps, "defects": found.errors, "slope": found.value}
     elif by == "differences":
-        reason = reason or "differences see no smaller defect"
+        reason = reason or "differences see no smaller defect; complex numbers, or mpmath's, would"
     source = "64 u |P|^2 |J| times the operations" if by != "differences" else "floor of differences, 1e-9 |P|^2 |J|"
     return Row(
         key,

@@ -29,7 +29,7 @@ def size_of(invariant: Any, x: Floats) -> float:
 
     Examples
     --------
-    >>> size_of(Polynomial({(2, 0): 1.0, (0, 2): -1.0}), np.array([1.0, 1.0]))
+    >>> round(size_of(Polynomial({(2, 0): 1.0, (0, 2): -1.0}), np.array([1.0, 1.0])), 12)
     6.0
     """
     value = invariant(x) if callable(invariant) else invariant.value(x)
