@@ -45,6 +45,8 @@ _HOME = {
     "PreparedRun": "coadjoint.runs.prepared_run",
     "Solution": "coadjoint.runs.solution",
     "batch": "coadjoint.systems.batch",
+    "Certificate": "coadjoint.analysis.certificate",
+    "certify": "coadjoint.analysis.certify",
     "Choice": "coadjoint.choosing.accuracy",
     "choose": "coadjoint.choosing.accuracy",
     "frequencies": "coadjoint.analysis.frequencies",
@@ -71,6 +73,8 @@ if TYPE_CHECKING:
     from coadjoint.algebra.invariant import Invariant as Invariant
     from coadjoint.algebra.lie_algebra import LieAlgebra as LieAlgebra
     from coadjoint.algebra.polynomial import Polynomial as Polynomial
+    from coadjoint.analysis.certificate import Certificate as Certificate
+    from coadjoint.analysis.certify import certify as certify
     from coadjoint.analysis.frequencies import Frequencies as Frequencies
     from coadjoint.analysis.frequencies import frequencies as frequencies
     from coadjoint.analysis.phase_drift import PhaseDrift as PhaseDrift

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import math
 import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -143,6 +144,44 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
         click.echo(f"  {name:{width}}  {drift:.3g}")
     for place in written:
         click.echo(f"written: {place}")
+
+
+@commands.command("certify")
+@click.argument("file", type=click.Path())
+@click.option("--json", "mapping", metavar="PATH", help="Where to write all that was measured: .json.")
+@click.option("--plot", "figure", metavar="PATH", help="Where to draw the evidence: .png, .pdf or .svg.")
+@click.option("--steps", type=int, metavar="N", help="Steps of the long run, 2000 by default.")
+def certify_file(file: str, mapping: str | None, figure: str | None, steps: int | None) -> None:
+    """Measure what the scheme of the configuration FILE (TOML) keeps, and hold it against what it declares.
+
+    Exit status 0 only where every declared property holds; 1 where one fails or cannot be decided.
+    """
+    from coadjoint.analysis.certify import STEPS, certify
+    from coadjoint.files.configuration import load
+    from coadjoint.files.output import FIGURES, TEXTS, check_target, write_figure, write_text
+
+    configuration = load(file)
+    target = None if mapping is None else check_target(mapping, TEXTS)
+    drawing = None if figure is None else check_target(figure, FIGURES)
+    found = certify(
+        configuration.system,
+        configuration.method,
+        configuration.x0,
+        math.copysign(configuration.step, configuration.t_span[1] - configuration.t_span[0]),
+        steps=STEPS if steps is None else steps,
+    )
+    click.echo(str(found))
+    if target is not None:
+        with _writing(configuration, target):
+            write_text(found.to_json(), target)
+    if drawing is not None:
+        with _writing(configuration, drawing):
+            write_figure(found.plot(), drawing)
+    for place in (target, drawing):
+        if place is not None:
+            click.echo(f"written: {place}")
+    if not found.passed:
+        raise click.exceptions.Exit(1)
 
 
 @commands.command("systems")

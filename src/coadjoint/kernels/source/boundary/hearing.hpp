@@ -36,6 +36,7 @@ class Hearing {
     int64_t left = 0;
     const int64_t* stop;
     void* thread;
+    Hearing* const outer;  // of the call inside which this one is: a step written in Python may run another loop
     Clock::time_point next;
 
     void look();
