@@ -50,9 +50,11 @@ _HOME = {
     "Choice": "coadjoint.choosing.accuracy",
     "choose": "coadjoint.choosing.accuracy",
     "frequencies": "coadjoint.analysis.frequencies",
-    "integrate": "coadjoint.runs.integrate",
     "phase_drift": "coadjoint.analysis.phase_drift",
     "predicted_drift": "coadjoint.analysis.predicted_drift",
+    "ModifiedHamiltonian": "coadjoint.analysis.modified_hamiltonian",
+    "integrate": "coadjoint.runs.integrate",
+    "modified_hamiltonian": "coadjoint.analysis.modified_hamiltonian",
     "prepare": "coadjoint.runs.prepared_run",
     "stepper": "coadjoint.runs.stepper",
 }
@@ -77,6 +79,8 @@ if TYPE_CHECKING:
     from coadjoint.analysis.certify import certify as certify
     from coadjoint.analysis.frequencies import Frequencies as Frequencies
     from coadjoint.analysis.frequencies import frequencies as frequencies
+    from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian as ModifiedHamiltonian
+    from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian as modified_hamiltonian
     from coadjoint.analysis.phase_drift import PhaseDrift as PhaseDrift
     from coadjoint.analysis.phase_drift import phase_drift as phase_drift
     from coadjoint.analysis.predicted_drift import predicted_drift as predicted_drift
