@@ -54,6 +54,9 @@ class StepMethod(SteppedMethod):
     failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "the step gave numbers that are not finite, or failed"}
     compensates: ClassVar[bool] = False
 
+    compiles: ClassVar[bool] = True
+    """Whether Numba is asked to compile the step; where not, each step is a call of Python, and nothing is said."""
+
     @abstractmethod
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any: ...
 
