@@ -35,6 +35,8 @@ USED = {
     "analysis.poisson_defect": ("poisson_defect", "defect_of_tangent", "PoissonDefect"),
     "analysis.rotations": ("attitude_angle", "precession_error"),
     "analysis.round_off": ("round_off", "random_walk", "orthogonality", "spatial_momentum", "RandomWalk"),
+    "analysis.field_of_step": ("field_of_series", "field_at"),
+    "analysis.modified_fields": ("ExactField", "FieldAtPoints"),
     "files.configuration": ("load", "Configuration"),
     "files.export": ("dataset_of", "rebuild", "solution_inputs", "mark_failed"),
     "files.output": ("write_dataset", "write_figure"),

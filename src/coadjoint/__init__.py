@@ -46,6 +46,8 @@ _HOME = {
     "Choice": "coadjoint.choosing.accuracy",
     "choose": "coadjoint.choosing.accuracy",
     "integrate": "coadjoint.runs.integrate",
+    "ModifiedField": "coadjoint.analysis.modified_fields",
+    "modified_field": "coadjoint.analysis.modified_field",
     "prepare": "coadjoint.runs.prepared_run",
     "stepper": "coadjoint.runs.stepper",
 }
@@ -66,6 +68,8 @@ if TYPE_CHECKING:
     from coadjoint.algebra.invariant import Invariant as Invariant
     from coadjoint.algebra.lie_algebra import LieAlgebra as LieAlgebra
     from coadjoint.algebra.polynomial import Polynomial as Polynomial
+    from coadjoint.analysis.modified_field import modified_field as modified_field
+    from coadjoint.analysis.modified_fields import ModifiedField as ModifiedField
     from coadjoint.choosing.accuracy import Choice as Choice
     from coadjoint.choosing.accuracy import choose as choose
     from coadjoint.errors import IntegrationError as IntegrationError
