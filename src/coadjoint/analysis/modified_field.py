@@ -18,7 +18,7 @@ from coadjoint.systems.kinds import System, check_one_system
 from coadjoint.wording import short
 
 MOST = 64
-MARGIN = 1000  # a term that is not so many roundings of the coefficients of its scheme is taken for zero
+MARGIN = 1000  # a term below the order of a scheme that is fewer roundings of its coefficients than that is zero
 WAYS = ("auto", "exact", "numerical")
 
 
@@ -103,8 +103,9 @@ def _exact(system: System, method: Any, step: Callable[..., Any], order: int) ->
     exact.check_room(order)
     formal, known_to = step, UNIT_ROUNDOFF
     fractions: tuple[float, ...] = (1.0,)
+    declared = order
     if isinstance(method, Method):
-        known_to, fractions = method.known_to, method.fractions
+        known_to, fractions, declared = method.known_to, method.fractions, method.order
 
         def formal(x: npt.NDArray[Any], h: Any) -> npt.NDArray[Any]:
             return method.formal_step(system, x, h)
@@ -115,7 +116,7 @@ def _exact(system: System, method: Any, step: Callable[..., Any], order: int) ->
     if known_to:
         # Substeps that go back and forth move further than their sum.
         reach = 2.0 * float(np.sum(np.abs(fractions)))
-        for k, scale in enumerate(scale_of_motion(exact, order)):
+        for k, scale in enumerate(scale_of_motion(exact, min(order, declared))[1:], 1):
             if max(map(size_of, fields[k])) <= MARGIN * known_to * reach**k * scale:
                 fields[k] = [exact.ring.zero] * system.dim
     return ExactField(system, method, order, exact, fields, known_to)

@@ -180,7 +180,7 @@ class ExactField(ModifiedField):
     ----------
     known_to : float
         Relative error of the scheme's own coefficients. Where they are rounded, what the scheme keeps is still kept
-        exactly by each term; terms that are no more than that rounding are zero.
+        exactly by each term; terms below its order that are no more than that rounding are zero.
     """
 
     def __init__(

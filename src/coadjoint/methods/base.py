@@ -148,6 +148,20 @@ class Method(ABC):
         """
         raise TypeError(f"{self} cannot be composed")
 
+    def symmetrized(self) -> Method:
+        """Return a step of this scheme and one of its adjoint, each over half the step: symmetric, of even order.
+
+        Returns
+        -------
+        Method
+
+        Raises
+        ------
+        TypeError
+            The adjoint is not known as a scheme.
+        """
+        raise TypeError(f"the adjoint of {self} is not known as a scheme; take a splitting, or a Runge-Kutta tableau")
+
     @property
     def fractions(self) -> tuple[float, ...]:
         """Substeps of one step as fractions of it; one unless the scheme is a composition."""

@@ -68,6 +68,12 @@ class FlowMethod(Method):
 
         return ComposedFlows(self, tuple(coefficients))
 
+    def symmetrized(self) -> Method:
+        """Return the sweeps of this scheme, then in reverse."""
+        from coadjoint.methods.symmetrized import PairOfFlows
+
+        return PairOfFlows(self)
+
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
         from coadjoint.program.table import build_program
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_choice
-from coadjoint.methods.base import Representation
+from coadjoint.methods.base import Method, Representation
 from coadjoint.methods.solvers import SOLVERS, Evaluation
 from coadjoint.methods.stages import Coefficients, Step, begin, checked
 from coadjoint.methods.stepped import SteppedMethod
@@ -84,9 +84,8 @@ class RungeKuttaMethod(SteppedMethod):
         from coadjoint.methods.formal_stages import FormalStages, StagesOfCollocation, StagesOfTableau, formal_end
 
         self.properties(system)
-        for name in ("step", "evaluate"):
-            if getattr(type(self), name) is not getattr(RungeKuttaMethod, name):
-                return super().formal_step(system, x, h)
+        if not self._as_written:
+            return super().formal_step(system, x, h)
         stages: FormalStages
         if self.collocation is None:
             stages = StagesOfTableau(self._rational[0], x, h)
@@ -105,6 +104,19 @@ class RungeKuttaMethod(SteppedMethod):
         from coadjoint.methods.formal_stages import rational_tableau
 
         return rational_tableau(self.coefficients)
+
+    def symmetrized(self) -> Method:
+        """Return the tableau of this scheme and its adjoint; where the solver stops early there is none."""
+        from coadjoint.methods.symmetrized import PairOfTableaux
+
+        if self.solver not in ("explicit", "implicit") or not self._as_written:
+            return super().symmetrized()
+        return PairOfTableaux(self)
+
+    @property
+    def _as_written(self) -> bool:
+        """Whether a step is what tableau and solver say."""
+        return all(getattr(type(self), name) is getattr(RungeKuttaMethod, name) for name in ("step", "evaluate"))
 
     def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
         """Return the slopes of a step as `solver` says, with their derivatives if `tangent`.
