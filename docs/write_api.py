@@ -28,6 +28,7 @@ MEMBERS_OF = (
     ("A prepared run", co.PreparedRun),
     ("A stepper", Stepper),
     ("A choice", co.Choice),
+    ("A modified field", co.ModifiedField),
 )
 USED = {
     "analysis.order": ("fit_order", "OrderFit"),

@@ -8,12 +8,26 @@ import numpy as np
 
 import coadjoint as co
 
+
+def moments() -> co.LieAlgebra:
+    """Return the moments x_ij of q^i p^j with i + j in {2, 4}: [x_ij, x_kl] = (i l - j k) x_(i+k-1)(j+l-1)."""
+    names = [(d - j, j) for d in (2, 4) for j in range(d + 1)]
+    place = {name: a for a, name in enumerate(names)}
+    rows = []
+    for a, (i, j) in enumerate(names):
+        for b, (k, m) in enumerate(names[:a]):
+            target = place.get((i + k - 1, j + m - 1))
+            if target is not None and i * m - j * k:
+                rows.append((a, b, target, float(i * m - j * k)))
+    return co.LieAlgebra(rows, dim=len(names), name="moments {2, 4}")
+
+
 ALGEBRAS = {
     "so(3)": lambda: co.algebras.so(3),
     "e(3)": lambda: co.algebras.e(3),
     "so(4)": lambda: co.algebras.so(4),
     "A3,7": lambda: co.algebras.A3_7(0.5),
-    "moments": lambda: co.algebras.moments([2, 4]),
+    "moments": moments,
     "A4,7": lambda: co.algebras.get("A4,7"),
 }
 

@@ -113,6 +113,10 @@ def _exact(system: System, method: Any, step: Callable[..., Any], order: int) ->
     series = exact.series_of(formal, order)
     check_at_a_point(step, exact, series, known_to)
     fields = field_of_series(exact.ring, series)
+    off = max(size_of(a - b) for a, b in zip(fields[0], exact.field, strict=True))
+    if 0.0 < off <= MARGIN * max(known_to, UNIT_ROUNDOFF) * max(map(size_of, exact.field)):
+        # The squares that a full M is split into are rounded as well.
+        known_to, fields[0] = max(known_to, UNIT_ROUNDOFF), exact.field
     if known_to:
         # Substeps that go back and forth move further than their sum.
         reach = 2.0 * float(np.sum(np.abs(fractions)))

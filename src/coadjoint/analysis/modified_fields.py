@@ -78,7 +78,10 @@ class ModifiedField(ABC):
     @property
     @abstractmethod
     def first_error(self) -> int | None:
-        """The first power k >= 1 whose term is not zero, the order of the scheme; None where it is beyond `order`."""
+        """The first power of h whose term is not that of the motion, the order of the scheme; None where all are.
+
+        It is 0 where f_0 is another field, that of a scheme with a wrong coefficient or at a wrong speed.
+        """
 
     def __call__(self, x: npt.ArrayLike, h: float) -> Floats:
         """Return f_0(x) + h f_1(x) + ... at one state or many.
@@ -210,7 +213,8 @@ class ExactField(ModifiedField):
 
     @property
     def first_error(self) -> int | None:
-        return next((k for k in range(1, self.order) if any(f != 0 for f in self._fields[k])), None)
+        motion = [self._given.field, *[[self._given.ring.zero] * self.system.dim] * (self.order - 1)]
+        return next((k for k, (f, due) in enumerate(zip(self._fields, motion, strict=True)) if f != due), None)
 
     def rate(self, invariant: Any) -> dict[int, Polynomial]:
         """Return what is not zero of grad F . f_k: how fast a function changes, by power of h.
@@ -433,11 +437,12 @@ class FieldAtPoints(ModifiedField):
 
     @property
     def first_error(self) -> int | None:
-        for k in range(1, self.order):
+        for k in range(self.order):
             for state, values, errors in map(self._sampled, SAMPLES):
-                rate = np.abs(values[0]).max() / np.abs(state).max()
-                least = SEEN * np.abs(values[0]).max() * rate**k
-                if np.any(np.abs(values[k]) > least + 2 * errors[k]):
+                motion = np.asarray(self.system.vector_field(state))
+                rate = np.abs(motion).max() / np.abs(state).max()
+                least = SEEN * np.abs(motion).max() * rate**k
+                if np.any(np.abs(values[k] - motion * (k == 0)) > least + 2 * errors[k]):
                     return k
         return None
 
