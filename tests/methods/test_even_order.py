@@ -112,7 +112,7 @@ def test_the_pair_of_euler_methods_is_the_trapezoidal_rule() -> None:
 
 def test_what_has_no_adjoint_is_refused_by_name() -> None:
     for base in (co.RadauEnergy(1), co.ModifiedGaussLegendre(1), co.IteratedGaussLegendre(1), co.Taylor(1)):
-        with pytest.raises(TypeError, match="the adjoint of .* is not known as a scheme"):
+        with pytest.raises(TypeError, match=r"the adjoint of .* is not known as a scheme"):
             even_order(base, 2)
     with pytest.raises(TypeError, match="has a processor"):
         even_order(co.Splitting(scheme="blanes_casas_murua6"), 8)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from coadjoint.analysis.field_of_step import field_of_series, size_of
 from coadjoint.analysis.modified_fields import ExactField, FieldAtPoints, ModifiedField
 from coadjoint.analysis.step_series import ExactSystem, check_at_a_point, scale_of_motion
+from coadjoint.extras import need
 from coadjoint.given import read_choice, read_whole
 from coadjoint.methods.base import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -67,6 +68,7 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     >>> field.keeps("energy"), field.keeps("|x|^2"), field.first_error
     (None, None, 2)
     """
+    need("a modified field", "mpmath")
     check_one_system(system)
     order = read_whole(order, "order of a modified field", 1, MOST)
     read_choice(way, "way to a modified field", WAYS)
