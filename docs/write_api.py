@@ -33,6 +33,7 @@ MEMBERS_OF = (
     ("A phase drift", co.PhaseDrift),
     ("A certificate", co.Certificate),
     ("A row of a certificate", Row),
+    ("A modified field", co.ModifiedField),
 )
 USED = {
     "analysis.checks.growth": ("growth", "Growth"),
@@ -47,6 +48,8 @@ USED = {
     "analysis.predicted_drift": ("PredictedDrift",),
     "analysis.rotations": ("attitude_angle", "precession_error", "twist"),
     "analysis.round_off": ("round_off", "random_walk", "orthogonality", "spatial_momentum", "RandomWalk"),
+    "analysis.field_of_step": ("field_of_series", "field_at"),
+    "analysis.modified_fields": ("ExactField", "FieldAtPoints"),
     "files.configuration": ("load", "Configuration"),
     "files.export": ("dataset_of", "rebuild", "solution_inputs", "mark_failed"),
     "files.output": ("write_dataset", "write_figure", "write_text"),

@@ -55,6 +55,8 @@ _HOME = {
     "ModifiedHamiltonian": "coadjoint.analysis.modified_hamiltonian",
     "integrate": "coadjoint.runs.integrate",
     "modified_hamiltonian": "coadjoint.analysis.modified_hamiltonian",
+    "ModifiedField": "coadjoint.analysis.modified_fields",
+    "modified_field": "coadjoint.analysis.modified_field",
     "prepare": "coadjoint.runs.prepared_run",
     "stepper": "coadjoint.runs.stepper",
 }
@@ -79,6 +81,8 @@ if TYPE_CHECKING:
     from coadjoint.analysis.certify import certify as certify
     from coadjoint.analysis.frequencies import Frequencies as Frequencies
     from coadjoint.analysis.frequencies import frequencies as frequencies
+    from coadjoint.analysis.modified_field import modified_field as modified_field
+    from coadjoint.analysis.modified_fields import ModifiedField as ModifiedField
     from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian as ModifiedHamiltonian
     from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian as modified_hamiltonian
     from coadjoint.analysis.phase_drift import PhaseDrift as PhaseDrift

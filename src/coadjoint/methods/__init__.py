@@ -20,6 +20,7 @@ _HOME = {
     "StepMethod": "coadjoint.methods.step_method",
     "Sweep": "coadjoint.program.sweeps",
     "compile_step": "coadjoint.methods.step_compiler",
+    "even_order": "coadjoint.methods.symmetrized",
     "get": "coadjoint.methods.registry",
     "names": "coadjoint.methods.registry",
     "register": "coadjoint.methods.registry",
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.stages import Coefficients as Coefficients
     from coadjoint.methods.step_compiler import compile_step as compile_step
     from coadjoint.methods.step_method import StepMethod as StepMethod
+    from coadjoint.methods.symmetrized import even_order as even_order
     from coadjoint.methods.work import Operations as Operations
     from coadjoint.program.sweeps import Sweep as Sweep
 

@@ -18,6 +18,7 @@ from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
     from coadjoint.program.sweeps import Swept
     from coadjoint.program.table import Program
@@ -111,6 +112,20 @@ class Method(ABC):
             `Composition` is the scheme that checks them, and has a name.
         """
         raise TypeError(f"{self} cannot be composed")
+
+    def symmetrized(self) -> Method:
+        """Return a step of this scheme and one of its adjoint, each over half the step: symmetric, of even order.
+
+        Returns
+        -------
+        Method
+
+        Raises
+        ------
+        TypeError
+            The adjoint is not known as a scheme.
+        """
+        raise TypeError(f"the adjoint of {self} is not known as a scheme; take a splitting, or a Runge-Kutta tableau")
 
     @property
     def fractions(self) -> tuple[float, ...]:
@@ -208,6 +223,34 @@ class Method(ABC):
             The first two are exact to round-off; differences have some nine digits.
         """
         return "formula"
+
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        """Return one step as a power series in h whose coefficients are exact polynomials in the state.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system; its field is a polynomial.
+        x : (n,) array of FormalNumber
+            The state.
+        h : FormalNumber
+            The step, or a multiple of it.
+
+        Returns
+        -------
+        (n,) array of FormalNumber
+
+        Raises
+        ------
+        TypeError
+            The step is no such series, or it is not known how it is found.
+        """
+        raise TypeError(f"a step of {self} is not known as a power series in exact numbers")
+
+    @property
+    def known_to(self) -> float:
+        """Relative error of the coefficients that `formal_step` has; 0 where they are exact."""
+        return 0.0
 
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
         """Return the table of elementary flows that a step is made of.

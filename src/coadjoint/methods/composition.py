@@ -20,6 +20,7 @@ from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
     from coadjoint.program.sweeps import Swept
     from coadjoint.program.table import Program
@@ -104,6 +105,9 @@ class Composition(Composed):
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         return self.whole.step(system, x, t, h)
+
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        return self.whole.formal_step(system, x, h)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         return self.whole.tangent(system, x, t, h)

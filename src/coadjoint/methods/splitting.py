@@ -212,6 +212,10 @@ class Splitting(FlowMethod):
             return "; of a processed scheme P K P^-1 only the kernel K is; take a scheme without a processor"
         return "; of a first-order splitting take Splitting(order=2), its composition with its adjoint"
 
+    def symmetrized(self) -> Method:
+        """Return the splitting of order 2 for a single sweep."""
+        return super().symmetrized() if self.order != 1 or self.adjoint else replace(self, order=2)
+
     def with_compensation(self) -> Method | None:
         """Return the same splitting, compensated; None where that was not left open."""
         return replace(self, compensated=True) if self.compensated is None else None
