@@ -42,7 +42,6 @@ class JetPolynomials(ExactPolynomials):
         return self.reduced(F.compose(*(x + value for x, value in zip(self.coordinates, self._point, strict=True))))
 
     def reduced(self, F: Exact) -> Exact:
-        """Return what is kept of a polynomial."""
         if F.total_degree() <= self._degree:
             return F
         return self._context.from_dict({e: c for e, c in F.to_dict().items() if sum(e) <= self._degree})
