@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_whole
-from coadjoint.methods.base import Properties, has_quadratic_energy
+from coadjoint.methods.base import has_quadratic_energy
 from coadjoint.methods.gauss_coefficients import extrapolation, gauss_legendre, gauss_nodes
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number
@@ -117,7 +118,6 @@ class GaussLegendre(RungeKuttaMethod):
         return gauss_nodes(self.stages)
 
     def coefficients(self, number: Number = float) -> Coefficients:
-        """Return the tableau."""
         return gauss_tableau(self.stages, number)
 
     def forecast(self, ratio: float) -> NDArray[np.float64]:

@@ -56,6 +56,9 @@ class StepMethod(SteppedMethod):
     compensates: ClassVar[bool] = False
     known_to = UNIT_ROUNDOFF
 
+    compiles: ClassVar[bool] = True
+    """Whether Numba is asked to compile the step; where not, each step is a call of Python, and nothing is said."""
+
     @abstractmethod
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any: ...
 

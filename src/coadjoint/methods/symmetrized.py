@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from coadjoint.given import read_choice, read_whole
-from coadjoint.methods.base import Method, Properties
+from coadjoint.methods.base import Method
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.flow_method import FlowMethod
 from coadjoint.methods.order_conditions import HIGHEST_ORDER
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number
