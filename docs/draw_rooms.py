@@ -21,8 +21,8 @@ ROOMS = {
     "experiments": ("does it hold?", 7.4, -1.3),
 }
 """Room: its question, and its place. A room uses rooms to its left, and those above it in this list."""
-DOORS = {"choosing": "accuracy=", "files": "to_xarray", "pictures": "plot"}
-"""What `runs` opens, only when it is asked to: `integrate(accuracy=)`, `Solution.to_xarray`, `Solution.plot`."""
+DOORS = {"choosing": "accuracy=", "files": "to_xarray", "analysis": "modified_energy", "pictures": "plot"}
+"""What `runs` opens, only when it is asked to: `integrate(accuracy=)`, and methods of `Solution`."""
 NEIGHBOURS = {("analysis", "pictures"): "plot"}
 """Doors between rooms at one place, opened only when asked: `Certificate.plot`."""
 WIDE, HIGH = 0.84, 0.92

@@ -29,11 +29,11 @@ MEMBERS_OF = (
     ("A prepared run", co.PreparedRun),
     ("A stepper", Stepper),
     ("A choice", co.Choice),
-    ("A modified field", co.ModifiedField),
     ("Frequencies", co.Frequencies),
     ("A phase drift", co.PhaseDrift),
     ("A certificate", co.Certificate),
     ("A row of a certificate", Row),
+    ("A modified field", co.ModifiedField),
 )
 USED = {
     "analysis.checks.growth": ("growth", "Growth"),

@@ -50,11 +50,13 @@ _HOME = {
     "Choice": "coadjoint.choosing.accuracy",
     "choose": "coadjoint.choosing.accuracy",
     "frequencies": "coadjoint.analysis.frequencies",
-    "integrate": "coadjoint.runs.integrate",
-    "ModifiedField": "coadjoint.analysis.modified_fields",
-    "modified_field": "coadjoint.analysis.modified_field",
     "phase_drift": "coadjoint.analysis.phase_drift",
     "predicted_drift": "coadjoint.analysis.predicted_drift",
+    "ModifiedHamiltonian": "coadjoint.analysis.modified_hamiltonian",
+    "integrate": "coadjoint.runs.integrate",
+    "modified_hamiltonian": "coadjoint.analysis.modified_hamiltonian",
+    "ModifiedField": "coadjoint.analysis.modified_fields",
+    "modified_field": "coadjoint.analysis.modified_field",
     "prepare": "coadjoint.runs.prepared_run",
     "stepper": "coadjoint.runs.stepper",
 }
@@ -81,6 +83,8 @@ if TYPE_CHECKING:
     from coadjoint.analysis.frequencies import frequencies as frequencies
     from coadjoint.analysis.modified_field import modified_field as modified_field
     from coadjoint.analysis.modified_fields import ModifiedField as ModifiedField
+    from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian as ModifiedHamiltonian
+    from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian as modified_hamiltonian
     from coadjoint.analysis.phase_drift import PhaseDrift as PhaseDrift
     from coadjoint.analysis.phase_drift import phase_drift as phase_drift
     from coadjoint.analysis.predicted_drift import predicted_drift as predicted_drift

@@ -15,6 +15,7 @@ EXTRAS = {
     "click": "cli",
     "tqdm": "cli",
     "mpmath": "precision",
+    "sympy": "algebra",
 }
 """Package -> the extra that brings it, as pyproject.toml declares it; all others that are imported are requirements."""
 
