@@ -40,6 +40,8 @@ _HOME = {
     "RadauEnergy": "coadjoint.methods.radau_energy",
     "Splitting": "coadjoint.methods.splitting",
     "Taylor": "coadjoint.methods.taylor",
+    "Frequencies": "coadjoint.analysis.frequencies",
+    "PhaseDrift": "coadjoint.analysis.phase_drift",
     "PreparedRun": "coadjoint.runs.prepared_run",
     "Solution": "coadjoint.runs.solution",
     "batch": "coadjoint.systems.batch",
@@ -47,7 +49,10 @@ _HOME = {
     "certify": "coadjoint.analysis.certify",
     "Choice": "coadjoint.choosing.accuracy",
     "choose": "coadjoint.choosing.accuracy",
+    "frequencies": "coadjoint.analysis.frequencies",
     "integrate": "coadjoint.runs.integrate",
+    "phase_drift": "coadjoint.analysis.phase_drift",
+    "predicted_drift": "coadjoint.analysis.predicted_drift",
     "prepare": "coadjoint.runs.prepared_run",
     "stepper": "coadjoint.runs.stepper",
 }
@@ -70,6 +75,11 @@ if TYPE_CHECKING:
     from coadjoint.algebra.polynomial import Polynomial as Polynomial
     from coadjoint.analysis.certificate import Certificate as Certificate
     from coadjoint.analysis.certify import certify as certify
+    from coadjoint.analysis.frequencies import Frequencies as Frequencies
+    from coadjoint.analysis.frequencies import frequencies as frequencies
+    from coadjoint.analysis.phase_drift import PhaseDrift as PhaseDrift
+    from coadjoint.analysis.phase_drift import phase_drift as phase_drift
+    from coadjoint.analysis.predicted_drift import predicted_drift as predicted_drift
     from coadjoint.choosing.accuracy import Choice as Choice
     from coadjoint.choosing.accuracy import choose as choose
     from coadjoint.errors import IntegrationError as IntegrationError

@@ -75,5 +75,5 @@ def run() -> None:
 
 
 def _forget_output() -> None:
-    """Lose what is still to be printed: the interpreter would try again when it ends, and complain."""
+    """Drop what is still to be printed. The interpreter would try again when it ends, and complain."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

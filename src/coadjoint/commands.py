@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import inspect
 import math
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coadjoint import __version__
-from coadjoint.errors import in_one_line
+from coadjoint.errors import in_one_line, nearest
 
 UNREAD = 141  # nobody reads what is printed
 
@@ -33,7 +32,9 @@ class _Commands(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
-            raise click.UsageError(f"unknown command {args[0]!r}; {_nearest(args[0], self.list_commands(ctx))}", ctx)
+            raise click.UsageError(
+                f"unknown command {args[0]!r}; {_did_you_mean(args[0], self.list_commands(ctx))}", ctx
+            )
         return super().resolve_command(ctx, args)
 
 
@@ -226,9 +227,9 @@ def reproduce(out: str) -> None:
         click.echo(f"written: {figure}")
 
 
-def _nearest(name: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+def _did_you_mean(name: str, known: Sequence[str]) -> str:
+    near = nearest(name, known)
+    return f"there are {', '.join(known)}" if near is None else f"did you mean {near!r}?"
 
 
 def _said(error: click.ClickException) -> str:
@@ -237,7 +238,7 @@ def _said(error: click.ClickException) -> str:
         known = [
             name for parameter in error.ctx.command.get_params(error.ctx) for name in parameter.opts if name[0] == "-"
         ]
-        return f"coadjoint: unknown option {error.option_name!r}; {_nearest(error.option_name, known)}"
+        return f"coadjoint: unknown option {error.option_name!r}; {_did_you_mean(error.option_name, known)}"
     message = in_one_line(error.format_message())
     if isinstance(error, click.UsageError):
         usage = f" (see '{error.ctx.command_path} --help')" if error.ctx is not None and "; " not in message else ""
@@ -277,7 +278,7 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
     from coadjoint.files.output import OutputError
 
     try:
-        # The parts of click's own main that are wanted: that one prints an empty line at an interrupt.
+        # What is wanted of click's own `main`, which prints an empty line at an interrupt.
         with commands.make_context("coadjoint", arguments) as context:
             commands.invoke(context)
     except click.exceptions.Exit as done:
@@ -287,10 +288,10 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
     except (ConfigurationError, OutputError) as error:
         return 2, in_one_line(str(error))
     except ImportError as error:
-        # A package that is missing, or that does not fit the others: its own sentence says which.
+        # A package is missing, or does not fit the others. The sentence of the error says which.
         return 2, in_one_line(f"coadjoint: {error}")
     except (ValueError, TypeError, ArithmeticError, RecursionError, MemoryError) as error:
-        # What no reader foresaw: bad input all the same.
+        # No reader foresaw it, but it is bad input all the same.
         return 2, in_one_line(f"coadjoint: {type(error).__name__}: {error}")
     except BrokenPipeError:
         return UNREAD, ""

@@ -60,5 +60,5 @@ def need(what: str, *packages: str) -> None:
 def _installed(name: str) -> bool:
     try:
         return importlib.util.find_spec(name) is not None
-    except ValueError:  # a module that was put into sys.modules without a specification
+    except ValueError:  # the module was put into sys.modules without a specification
         return True

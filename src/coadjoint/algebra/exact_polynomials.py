@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.exact import exact_number
+from coadjoint.algebra.exact import fraction as fraction
+from coadjoint.algebra.exact import rational as rational
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.algebra.product_sums import Coefficient
 
 Exact = Any
 """A polynomial of the ring: `flint.fmpq_mpoly`, which has +, -, *, / by numbers and == of its own."""
@@ -114,29 +113,3 @@ class ExactPolynomials:
         for i, j, k, c in zip(*(np.asarray(column).tolist() for column in self.algebra.triples), strict=True):
             found[i, j] = found.get((i, j), self.zero) + rational(c) * self.coordinates[k]
         return found
-
-
-def rational(value: Coefficient) -> Any:
-    """Return a finite number as the rational number that it is, `flint.fmpq`.
-
-    Examples
-    --------
-    >>> rational(0.5), rational(Fraction(1, 3))
-    (1/2, 1/3)
-    """
-    from flint import fmpq
-
-    exact = Fraction(exact_number(value))
-    return fmpq(exact.numerator, exact.denominator)
-
-
-def fraction(value: Any) -> int | Fraction:
-    """Return a rational number of python-flint as one of Python.
-
-    Examples
-    --------
-    >>> fraction(rational(0.25)), fraction(rational(2))
-    (Fraction(1, 4), 2)
-    """
-    above, below = int(value.numer()), int(value.denom())
-    return above if below == 1 else Fraction(above, below)

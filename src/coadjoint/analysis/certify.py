@@ -18,7 +18,8 @@ from coadjoint.analysis.checks.subject import Subject
 from coadjoint.analysis.checks.symmetry import reversibility_row, symmetry_row
 from coadjoint.analysis.given_step import scheme_and_claims
 from coadjoint.given import read_number, read_whole
-from coadjoint.methods.base import Method, Properties
+from coadjoint.methods.base import Method
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.registry import description_of
 from coadjoint.runs.start import momenta_of
 from coadjoint.systems.kinds import System, check_one_system

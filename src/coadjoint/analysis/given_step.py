@@ -10,7 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from coadjoint.given import read_flag, read_whole
-from coadjoint.methods.base import Method, Properties, declared_by
+from coadjoint.methods.base import Method, declared_by
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.step_method import StepMethod
 from coadjoint.systems.kinds import System
 from coadjoint.wording import short

@@ -146,7 +146,7 @@ def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
 
 
 def _in_a_thread(work: Callable[[], None], give_up: Callable[[], None]) -> None:
-    """Do a work that no interrupt may cut: HDF5 does not survive it. Only the main thread hears interrupts."""
+    """Do something that no interrupt may cut, as HDF5 does not survive it. Only the main thread hears interrupts."""
     with ThreadPoolExecutor(1) as pool:
         done = pool.submit(work)
         try:

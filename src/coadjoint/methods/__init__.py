@@ -15,7 +15,7 @@ _HOME = {
     "FlowMethod": "coadjoint.methods.flow_method",
     "Method": "coadjoint.methods.base",
     "Operations": "coadjoint.methods.work",
-    "Properties": "coadjoint.methods.base",
+    "Properties": "coadjoint.methods.properties",
     "RungeKuttaMethod": "coadjoint.methods.runge_kutta",
     "StepMethod": "coadjoint.methods.step_method",
     "Sweep": "coadjoint.program.sweeps",
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from typing import Any
 
     from coadjoint.methods.base import Method as Method
-    from coadjoint.methods.base import Properties as Properties
     from coadjoint.methods.compiled_step import CompiledStepMethod as CompiledStepMethod
     from coadjoint.methods.flow_method import FlowMethod as FlowMethod
+    from coadjoint.methods.properties import Properties as Properties
     from coadjoint.methods.registry import get as get
     from coadjoint.methods.registry import names as names
     from coadjoint.methods.registry import register as register

@@ -1,17 +1,17 @@
-"""What every scheme is: an order, declared properties, and its family's coefficients."""
+"""What every scheme is: the protocol that all of them follow."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_choice, read_flag
 from coadjoint.memory import check_room
+from coadjoint.methods.properties import Properties
 from coadjoint.program.numbers import Number
 from coadjoint.systems.kinds import System, tabulated
 from coadjoint.wording import short
@@ -24,43 +24,7 @@ if TYPE_CHECKING:
 Representation = NDArray[np.float64] | str | None
 
 BYTES_PER_CONSTANT = 450  # while flows are read from both orders of a bracket
-KINDS_OF_CASIMIRS = ("all", "polynomial", "quadratic", "none")
-KINDS_OF_ATTITUDE = ("every representation", "coadjoint", "integrated", "none")
 LONGEST = 200  # characters of a parameter in a message
-
-
-@dataclass(frozen=True)
-class Properties:
-    """What a scheme keeps to round-off on a given system.
-
-    Parameters
-    ----------
-    poisson : bool
-        Whether each step is a Poisson map.
-    energy : bool
-        Whether the energy is kept.
-    casimirs : str
-        ``"all"``, ``"polynomial"`` (those that are polynomials), ``"quadratic"`` (of degree at most two) or ``"none"``.
-    attitude : str
-        ``"every representation"``, ``"coadjoint"`` (and representations that are orthogonal for a fixed form and
-        contain the coadjoint one), ``"integrated"`` (as a differential equation, nothing kept) or ``"none"``.
-
-    Raises
-    ------
-    TypeError, ValueError
-        A value is none of these.
-    """
-
-    poisson: bool
-    energy: bool
-    casimirs: str
-    attitude: str
-
-    def __post_init__(self) -> None:
-        for name in ("poisson", "energy"):
-            object.__setattr__(self, name, read_flag(getattr(self, name), name))
-        read_choice(self.casimirs, "kind of Casimirs", KINDS_OF_CASIMIRS)
-        read_choice(self.attitude, "kind of attitude", KINDS_OF_ATTITUDE)
 
 
 class Method(ABC):

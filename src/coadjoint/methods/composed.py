@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import Method, Properties, Representation
+from coadjoint.methods.base import Method, Representation
 from coadjoint.methods.flow_method import FlowMethod
 from coadjoint.methods.order_conditions import composition_order
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.stepped import SteppedMethod
 from coadjoint.program.sweeps import Sweep
 from coadjoint.systems.kinds import System

@@ -116,7 +116,7 @@ class Composition(Composed):
         return self.whole.took_newton(memory)
 
     def look_ahead(self, systems: Sequence[System]) -> None:
-        """Let the base look at them."""
+        """Let the base look ahead."""
         self.base.look_ahead(systems)
 
     @classmethod

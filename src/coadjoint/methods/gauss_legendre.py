@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_whole
-from coadjoint.methods.base import Properties, has_quadratic_energy
+from coadjoint.methods.base import has_quadratic_energy
 from coadjoint.methods.gauss_coefficients import extrapolation, gauss_legendre
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number
@@ -111,7 +112,6 @@ class GaussLegendre(RungeKuttaMethod):
         return Properties(poisson=False, energy=has_quadratic_energy(system), casimirs="quadratic", attitude=attitude)
 
     def coefficients(self, number: Number = float) -> Coefficients:
-        """Return the tableau."""
         return gauss_tableau(self.stages, number)
 
     def forecast(self, ratio: float) -> NDArray[np.float64]:

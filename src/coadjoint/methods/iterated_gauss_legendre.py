@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from coadjoint.methods.base import Properties
 from coadjoint.methods.gauss_legendre import gauss_tableau, stages_given
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from coadjoint.given import read_choice
-from coadjoint.methods.base import Properties, has_quadratic_energy
+from coadjoint.methods.base import has_quadratic_energy
 from coadjoint.methods.gauss_legendre import gauss_tableau, stages_given
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number

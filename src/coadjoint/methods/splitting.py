@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.given import read_choice, read_finite, read_flag, read_list, read_number, read_whole
-from coadjoint.methods.base import Method, Properties
+from coadjoint.methods.base import Method
 from coadjoint.methods.flow_method import FlowMethod
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES, SplittingScheme
 from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.program.sweeps import Sweep

@@ -15,7 +15,7 @@ from coadjoint.analysis.checks.reference import motion
 from coadjoint.analysis.checks.sizes import size_of
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.base import Properties
+from coadjoint.methods.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.quadratic import Quadratic
