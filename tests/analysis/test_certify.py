@@ -272,7 +272,8 @@ def test_slopes_know_how_sure_they_are():
     for p in (1, 2, 4, 8):
         found = slope(h, [x**p * (1 + 0.8 * x) for x in h], [1e-16] * 6)
         # The square of the next term, (0.8 h)^2 at the first three steps of those taken, is left.
-        assert abs(found.value - p) <= found.uncertainty + 0.8**2 * found.steps[0] ** 2 < 0.1
+        assert abs(found.value - p) <= found.uncertainty + 0.8**2 * found.steps[0] ** 2
+        assert found.uncertainty < 0.1
     # A constant that is small at first: the slope at small steps falls, and its uncertainty tells.
     bent = slope(h, [x**4 + 1e-5 for x in h], [0.0] * 6)
     assert bent.value < 3 and bent.steepening < 0
