@@ -10,9 +10,10 @@ import numpy as np
 import coadjoint
 from coadjoint.analysis.certificate import Certificate, Row
 from coadjoint.analysis.checks.attitude import attitude_rows
-from coadjoint.analysis.checks.convergence import convergence_rows, study
+from coadjoint.analysis.checks.convergence import convergence_rows
 from coadjoint.analysis.checks.invariants import invariant_rows, long_run, run_row
 from coadjoint.analysis.checks.poisson import poisson_row
+from coadjoint.analysis.checks.study import study
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.analysis.checks.symmetry import reversibility_row, symmetry_row
 from coadjoint.analysis.given_step import scheme_and_claims

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.representation import invariant_form
 from coadjoint.analysis.certificate import INAPPLICABLE, Row, verdict
-from coadjoint.analysis.checks.convergence import Study, allowed
+from coadjoint.analysis.checks.convergence import allowed
 from coadjoint.analysis.checks.reference import motion
 from coadjoint.analysis.checks.slope import CLEAR
+from coadjoint.analysis.checks.study import Study
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.attitude import check_attitude
