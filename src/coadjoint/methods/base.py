@@ -18,6 +18,7 @@ from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.kernels.tangents import Frame
     from coadjoint.methods.work import Work
     from coadjoint.program.table import Program
 
@@ -243,6 +244,30 @@ class Method(ABC):
             The first two are exact to round-off; differences have some nine digits.
         """
         return "formula"
+
+    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
+        """Return the loop that carries tangent vectors beside the state, which has the bits that it has without them.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system; its Hamiltonian must have second derivatives, and a `PoissonSystem` the derivative of J.
+        h : float
+            The step, negative for backward.
+        frame : Frame
+            The vectors, and when they are made orthonormal.
+
+        Returns
+        -------
+        CompiledLoop or None
+            None where there is no such loop: `tangent` is then called for every step.
+
+        Raises
+        ------
+        ValueError, TypeError
+            The scheme cannot serve the system, or a derivative is not known.
+        """
+        return None
 
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
         """Return the table of elementary flows that a step is made of.
