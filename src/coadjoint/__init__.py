@@ -25,6 +25,7 @@ _HOME = {
     "Hamiltonian": "coadjoint.systems.hamiltonian",
     "IntegrationError": "coadjoint.errors",
     "Invariant": "coadjoint.algebra.invariant",
+    "LyapunovExponents": "coadjoint.analysis.lyapunov",
     "LieAlgebra": "coadjoint.algebra.lie_algebra",
     "LiePoissonSystem": "coadjoint.systems.lie_poisson",
     "PoissonSystem": "coadjoint.systems.poisson",
@@ -46,6 +47,7 @@ _HOME = {
     "Choice": "coadjoint.choosing.accuracy",
     "choose": "coadjoint.choosing.accuracy",
     "integrate": "coadjoint.runs.integrate",
+    "lyapunov": "coadjoint.analysis.lyapunov",
     "prepare": "coadjoint.runs.prepared_run",
     "stepper": "coadjoint.runs.stepper",
 }
@@ -66,6 +68,8 @@ if TYPE_CHECKING:
     from coadjoint.algebra.invariant import Invariant as Invariant
     from coadjoint.algebra.lie_algebra import LieAlgebra as LieAlgebra
     from coadjoint.algebra.polynomial import Polynomial as Polynomial
+    from coadjoint.analysis.lyapunov import LyapunovExponents as LyapunovExponents
+    from coadjoint.analysis.lyapunov import lyapunov as lyapunov
     from coadjoint.choosing.accuracy import Choice as Choice
     from coadjoint.choosing.accuracy import choose as choose
     from coadjoint.errors import IntegrationError as IntegrationError
