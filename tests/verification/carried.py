@@ -22,7 +22,14 @@ NEVER = 2**40
 def run_with(system: Any, method: Any, x0: Any, times: Times, vectors: np.ndarray, every: int = NEVER) -> Run:
     """Return the run that carries these vectors (k, n), with the steps of the times taken."""
     loop = method.tangent_loop(system, times.h, Frame(vectors, every))
-    run = Run(system, method, each_its_own([system], method, times.h, [loop]), times, start_of(system, method, x0, False), False)
+    run = Run(
+        system,
+        method,
+        each_its_own([system], method, times.h, [loop]),
+        times,
+        start_of(system, method, x0, False),
+        False,
+    )
     run.advance()
     return run
 
@@ -55,7 +62,7 @@ def product_of_tangents(system: Any, method: Any, x0: Any, times: Times) -> tupl
 
 
 def tolerance(system: Any, method: Any, times: Times, size: float) -> float:
-    """Return what round-off alone can do: a few units for each multiplication, n of them for each flow or evaluation."""
+    """Return what round-off alone can do: a unit for each multiplication, n of them for each flow or evaluation."""
     end = times.t0 + times.h
     each = co.integrate(system, np.full(system.dim, 0.1), (times.t0, end), abs(times.h), method).stats.evaluations
-    return 64 * UNIT_ROUNDOFF * times.steps * (each + 4) * system.dim * size
+    return UNIT_ROUNDOFF * times.steps * (each + 4) * system.dim * size
