@@ -69,7 +69,7 @@ class LyapunovExponents:
             return np.full_like(self.exponents, np.nan)
         own = np.diff(self.stretches[edges], axis=0) / np.diff(self._elapsed[edges], axis=0)
         scatter = np.std(own, axis=0, ddof=1) / np.sqrt(len(own))
-        late = self.history[(len(self.t) - 1) // 2 :]
+        late = self.history[(len(self.t) - 1) // 2 - 1 :]
         return np.asarray(np.maximum(scatter, np.max(np.abs(late - self.exponents), axis=0)))
 
     @property
