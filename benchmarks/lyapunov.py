@@ -2,7 +2,8 @@
 
     python benchmarks/lyapunov.py [--steps N]
 
-The two are run in alternation and the best of some rounds is taken; on a busy machine the ratios still wander by some ten percent.
+The two are run in alternation and the best of some rounds is taken; on a busy machine the ratios still wander by some
+ten percent.
 """
 
 from __future__ import annotations

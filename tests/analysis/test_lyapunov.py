@@ -8,11 +8,10 @@ import warnings
 
 import numpy as np
 import pytest
+from heavy_top import ONE, Top, fixed
 
 import coadjoint as co
 from coadjoint.analysis.lyapunov import frame_of
-
-from heavy_top import ONE, Top, fixed
 
 INERTIA, CENTRE = (1.0, 1.75, 2.5), (0.5, 0.25, 1.0)
 UPRIGHT = np.array([1.0, 0.5, -0.75, 0.6, 0.0, 0.8])  # of the chaotic region: its exponent is some 0.12
@@ -53,7 +52,7 @@ def test_the_unstable_axis_of_a_body(method):
 )
 @pytest.mark.parametrize("sign", [1, -1])
 def test_linear_hamiltonians(name, parameters, sign):
-    """H = l . x moves by exp(t D), whose exponents are the real parts of the eigenvalues: hyperbolic or not, of any sum."""
+    """H = l . x moves by exp(t D), whose exponents are the real parts of the eigenvalues: of any sum."""
     algebra = co.algebras.so(2, 2) if name == "so(2,2)" else co.algebras.get(name, **parameters)
     linear = np.random.default_rng(len(name)).uniform(0.25, 0.75, algebra.dim)
     system = co.LiePoissonSystem(algebra, co.Quadratic(np.zeros(algebra.dim), linear=linear), sign=sign, casimirs={})
@@ -207,10 +206,10 @@ def test_functions_need_their_second_derivatives():
     assert co.lyapunov(known, (1.0, 0.5, 0.2), (0, 5), 0.1).exponents.shape == (3,)
     unknown = co.LiePoissonSystem(so3, co.Separable(dict.fromkeys(range(3), (driven, driven_slope))))
     for method in (co.Splitting(order=2), co.GaussLegendre(1)):
-        with pytest.raises(TypeError, match="second derivatives.*hessian"):
+        with pytest.raises(TypeError, match=r"second derivatives.*hessian"):
             co.lyapunov(unknown, (1.0, 0.5, 0.2), (0, 5), 0.1, method)
     spun = co.PoissonSystem(lambda x: np.array([[0.0, x[0]], [-x[0], 0.0]]), co.Quadratic([1.0, 1.0]))
-    with pytest.raises(TypeError, match="derivative of J.*derivative="):
+    with pytest.raises(TypeError, match=r"derivative of J.*derivative="):
         co.lyapunov(spun, (1.0, 0.5), (0, 5), 0.1, co.GaussLegendre(1))
 
 
@@ -311,3 +310,7 @@ def test_memory_is_estimated_first(monkeypatch):
     spins = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 60), co.Quadratic(np.tile([1.0, 0.5, 0.25], 60)))
     with pytest.raises(ValueError, match="180 tangent vectors of dimension 180 needs about"):
         co.lyapunov(spins, np.ones(180), (0, 1), 0.1)
+    with pytest.raises(ValueError, match=r"history of 1000001 times needs about .* larger save_every"):
+        co.lyapunov(BODY, np.ones(3), (0, 10**6), 1.0, save_every=1)
+    with pytest.raises(ValueError, match=r"states of 100000 steps.* needs about"):
+        co.lyapunov(BODY, np.ones(3), (0, 1000), 0.01, co.Taylor(4))

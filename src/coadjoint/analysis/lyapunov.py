@@ -81,8 +81,8 @@ class LyapunovExponents:
     def pairing(self) -> NDArray[np.float64]:
         """How far the exponents are from pairs of +L and -L, and zeros: the largest |L_i + L_(n+1-i)| in their order.
 
-        Zero in the limit for bounded motion on coadjoint orbits: a step is symplectic there, and each Casimir has a zero
-        of its own. NaN where not all exponents were computed.
+        Zero in the limit for bounded motion on coadjoint orbits: a step is symplectic there, and each Casimir has a
+        zero of its own. NaN where not all exponents were computed.
         """
         ordered = np.sort(self.exponents, axis=-1)
         found = np.max(np.abs(ordered + ordered[..., ::-1]), axis=-1)
@@ -171,9 +171,9 @@ def lyapunov(
     count = system.dim if exponents is None else read_whole(exponents, "exponents (None is all)", 1, system.dim)
     every = read_whole(renormalize_every, "renormalize_every", floats=True)
     workers = None if threads is None else read_whole(threads, "threads (None is all cores)", floats=True)
-    times = _marked(times_of(t_span, step, 1), transient, save_every)
     start = start_of(system, scheme, x0, False)
     check_room(8 * 4 * system.dim * count, f"{short(count)} tangent vectors of dimension {short(system.dim)}")
+    times = _marked(times_of(t_span, step, 1), transient, save_every, len(start.momenta) * count)
     frame = Frame(frame_of(count, system.dim), every)
     workers = min(len(start.momenta), workers or os.cpu_count() or 1)
     found = stretching(system, scheme, times, start, frame, workers)
@@ -191,8 +191,8 @@ def lyapunov(
     return result
 
 
-def _marked(times: Times, transient: Any, save_every: Any) -> Times:
-    """Return the times with the end of the transient and the saved steps after it as marks."""
+def _marked(times: Times, transient: Any, save_every: Any, numbers_each: int) -> Times:
+    """Return the times with the end of the transient and the saved steps after it, of so many numbers each, as marks."""
     passed = read_number(transient, "transient")
     if passed < 0.0:
         raise ValueError(f"transient is {passed!r}; it must be a time from 0 up")
@@ -205,6 +205,8 @@ def _marked(times: Times, transient: Any, save_every: Any) -> Times:
         every = max(1, counted // POINTS)
     else:
         every = read_whole(save_every, "save_every", floats=True)
+    points = -(-counted // every) + 1
+    check_room(8 * 2 * points * (numbers_each + 2), f"the history of {short(points)} times", "give a larger save_every")
     numbers = np.arange(first, times.steps, min(every, counted))
     return times.marking(np.append(numbers, times.steps))
 

@@ -23,7 +23,6 @@ from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.terms import FunctionTerm
 from coadjoint.systems.user_functions import takes_time
 
-
 ORDERS = {"value": 0, "gradient": 1, "hessian": 2}
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.tangents import Frame, stretches_in
+from coadjoint.memory import check_room
 from coadjoint.methods.base import Method
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import Start
@@ -17,6 +18,7 @@ from coadjoint.runs.tangent_loops import each_its_own
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System
+from coadjoint.wording import short
 
 NEARLY_DEPENDENT = 2.0**-26  # as in the compiled loop: half of the digits
 _said: set[type] = set()
@@ -96,6 +98,8 @@ def _step_by_step(
     system: System | Batch, systems: Sequence[System], method: Method, times: Times, start: Start, frame: Frame
 ) -> Stretching:
     """Take the steps in the loop of the scheme, and then their tangents one after the other."""
+    numbers = (times.steps + 1) * (systems[0].dim + 2) * len(start.momenta)
+    check_room(8 * numbers, f"the states of {short(times.steps)} steps, whose tangents are found in Python,")
     _say_once(type(method))
     every_step = times.marking(np.arange(times.steps + 1))
     loops = each_its_own(systems, method, times.h, [None] * len(systems))
