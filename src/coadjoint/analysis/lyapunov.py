@@ -169,7 +169,7 @@ def lyapunov(
         raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
     check_system(system)
     count = system.dim if exponents is None else read_whole(exponents, "exponents (None is all)", 1, system.dim)
-    every = read_whole(renormalize_every, "renormalize_every", floats=True)
+    every = read_whole(renormalize_every, "renormalize_every", 1, 2**53, floats=True)
     workers = None if threads is None else read_whole(threads, "threads (None is all cores)", floats=True)
     start = start_of(system, scheme, x0, False)
     check_room(8 * 4 * system.dim * count, f"{short(count)} tangent vectors of dimension {short(system.dim)}")
@@ -192,7 +192,7 @@ def lyapunov(
 
 
 def _marked(times: Times, transient: Any, save_every: Any, numbers_each: int) -> Times:
-    """Return the times with the end of the transient and the saved steps after it, of so many numbers each, as marks."""
+    """Return the times, with the end of the transient and the saved steps after it, of so many numbers, as marks."""
     passed = read_number(transient, "transient")
     if passed < 0.0:
         raise ValueError(f"transient is {passed!r}; it must be a time from 0 up")
