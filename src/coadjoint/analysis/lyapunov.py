@@ -23,6 +23,7 @@ from coadjoint.wording import short
 
 POINTS = 200  # saved times, where nobody says how many
 BLOCKS = 10  # of the time, whose exponents scatter
+MOST_STEPS = 2**53  # of a run
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +170,7 @@ def lyapunov(
         raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
     check_system(system)
     count = system.dim if exponents is None else read_whole(exponents, "exponents (None is all)", 1, system.dim)
-    every = read_whole(renormalize_every, "renormalize_every", 1, 2**53, floats=True)
+    every = min(read_whole(renormalize_every, "renormalize_every", floats=True), MOST_STEPS)
     workers = None if threads is None else read_whole(threads, "threads (None is all cores)", floats=True)
     start = start_of(system, scheme, x0, False)
     check_room(8 * 4 * system.dim * count, f"{short(count)} tangent vectors of dimension {short(system.dim)}")

@@ -6,35 +6,38 @@
 namespace coadjoint {
 
 // Room for the arguments of a function of the user, its matrix, and the call.
+template <class A>
 struct BendRoom {
-    std::vector<double> arguments, matrix, calls;
+    Room<A> arguments, matrix;
+    std::vector<double> calls;
     explicit BendRoom(int64_t longest)
         : arguments(longest + 1), matrix(longest * longest), calls((longest + 1) * (longest + 1)) {}
 };
 
 // Fills out[(row - first) * rows] with the change of every row of term k along the vectors: those rows are what
 // `gradient_rows` fills in.
-template <class V>
-NOINLINE void gradient_changes(const Terms& terms, const int64_t* hessians, int64_t k, const double* x, double t,
-                               const V* vectors, int64_t rows, V* out, int64_t first, BendRoom& room) {
+template <class A, class V>
+NOINLINE void gradient_changes(const Terms& terms, const int64_t* hessians, int64_t k, const A* x, const A& t,
+                               const V* vectors, int64_t rows, V* out, int64_t first, BendRoom<A>& room) {
     const int64_t start = terms.row[k], stop = terms.row[k + 1], count = stop - start;
     V* own = out + (start - first) * rows;
     std::fill_n(own, count * rows, V(0.0));
-    const auto add = [&](int64_t place, double factor, int64_t coordinate) {
+    const auto add = [&](int64_t place, const A& factor, int64_t coordinate) {
+        const V by(factor);
         for (int64_t b = 0; b < rows; ++b)
-            own[place * rows + b] = fma(V(factor), vectors[coordinate * rows + b], own[place * rows + b]);
+            own[place * rows + b] = fma(by, vectors[coordinate * rows + b], own[place * rows + b]);
     };
     if (terms.kind[k] == LINEAR) {
         for (int64_t row = start; row < stop; ++row)
             for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
-                add(row - start, terms.weight[entry], terms.column[entry]);
+                add(row - start, A(terms.weight[entry]), terms.column[entry]);
     } else if (terms.kind[k] == POLYNOMIAL) {
         for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
             const uint32_t low = terms.factor[monomial], high = terms.factor[monomial + 1];
             for (uint32_t one = low; one < high; ++one)
                 for (uint32_t other = low; other < high; ++other) {
                     if (one == other && terms.exponent[one] < 2) continue;
-                    double product = terms.coefficient[monomial];
+                    A product(terms.coefficient[monomial]);
                     for (uint32_t factor = low; factor < high; ++factor)
                         product *= factor_derivative(x[terms.target[terms.factor_row[factor]]], terms.exponent[factor],
                                                      (factor == one) + (factor == other));
@@ -42,11 +45,11 @@ NOINLINE void gradient_changes(const Terms& terms, const int64_t* hessians, int6
                 }
         }
     } else {
-        for (int64_t i = 0; i < count; ++i) room.arguments[i] = x[terms.target[start + i]];
-        call_function(Shared{}, hessians, k, room.arguments.data(), count, t, room.matrix.data(), count * count,
+        for (int64_t i = 0; i < count; ++i) room.arguments.at[i] = x[terms.target[start + i]];
+        call_function(Shared{}, hessians, k, room.arguments.at, count, t, room.matrix.at, count * count,
                       room.calls.data());
         for (int64_t i = 0; i < count; ++i)
-            for (int64_t j = 0; j < count; ++j) add(i, room.matrix[i * count + j], terms.target[start + j]);
+            for (int64_t j = 0; j < count; ++j) add(i, room.matrix.at[i * count + j], terms.target[start + j]);
     }
 }
 
@@ -105,7 +108,7 @@ class FieldChanges {
     const Field& field;
     const Tangents& tangents;
     const int64_t rows;
-    BendRoom room;
+    BendRoom<double> room;
     Room<V> part, bend;
     std::vector<double> derivative, calls;
 

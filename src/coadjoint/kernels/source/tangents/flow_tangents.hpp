@@ -8,8 +8,8 @@
 namespace coadjoint {
 
 // Add D_a x times the change of its angle to the vectors, for all angles of a part (the verb `apply`).
-template <class V>
-NOINLINE void add_turned(const Action& action, uint32_t part, const double* x, const V* changes, V* vectors,
+template <class A, class V>
+NOINLINE void add_turned(const Action& action, uint32_t part, const A* x, const V* changes, V* vectors,
                          int64_t rows) {
     for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
         const int kind = action.kind[run] % RATIONAL;
@@ -17,16 +17,17 @@ NOINLINE void add_turned(const Action& action, uint32_t part, const double* x, c
         const uint32_t* index = action.indices + action.place[run];
         const double* constants = action.constants + action.constant[run];
         const V* change = changes + action.angle[run] * rows;
-        const auto gain = [&](uint32_t i, double moved) {
-            for (int64_t b = 0; b < rows; ++b) vectors[i * rows + b] = fma(V(moved), change[b], vectors[i * rows + b]);
+        const auto gain = [&](uint32_t i, const A& moved) {
+            const V by(moved);
+            for (int64_t b = 0; b < rows; ++b) vectors[i * rows + b] = fma(by, change[b], vectors[i * rows + b]);
         };
         if (kind == CUBIC || kind == SERIES) {
             const BlockRows block(action, run);
             const double* values = constants + (kind == CUBIC ? CUBIC_HEADER : 1);
             for (uint32_t k = 0; k < block.width; ++k) {
-                double moved = 0.0;
+                A moved(0.0);
                 for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry)
-                    moved = fma(values[entry], x[block.coordinates[block.columns[entry]]], moved);
+                    moved = fma(A(values[entry]), x[block.coordinates[block.columns[entry]]], moved);
                 gain(block.coordinates[k], moved);
             }
             continue;
@@ -41,42 +42,44 @@ NOINLINE void add_turned(const Action& action, uint32_t part, const double* x, c
                 } else if (kind == SHEAR) {
                     gain(index[0], constants[q * repeat + b] * x[index[1]]);
                 } else {
-                    const double *own = constants + 4 * q, one = x[index[0]], other = x[index[1]];
-                    gain(index[0], fma(own[0] + own[1], one, own[2] * other));
-                    gain(index[1], fma(own[3], one, (own[0] - own[1]) * other));
+                    const double* own = constants + 4 * q;
+                    const A one = x[index[0]], other = x[index[1]];
+                    gain(index[0], fma(A(own[0] + own[1]), one, own[2] * other));
+                    gain(index[1], fma(A(own[3]), one, (own[0] - own[1]) * other));
                 }
                 index += kind == SCALE ? 1 : 2;
             }
     }
 }
 
-// One member of a flow method: its momentum has the bits that it has without tangent vectors.
-template <Care care>
+// One member of a flow method, or many as lanes: momenta have the bits that they have without tangent vectors.
+template <Care care, class A, class V>
 struct FlowTraveller {
     const FlowTables& tables;
     const Tangents& tangents;
     const int64_t size, rows;
-    Room<double> scratch;
-    Room<Abreast> wide, changes;
-    AngleRoom<double> angles;
-    BendRoom bends;
+    Room<A> scratch;
+    Room<V> wide, changes;
+    AngleRoom<A> angles;
+    BendRoom<A> bends;
 
     FlowTraveller(const FlowTangents& given, int64_t size, int64_t rows)
         : tables(given.base), tangents(given.tangents), size(size), rows(rows), scratch(3 * size),
           wide(3 * size * rows), changes(tables.longest * rows), angles(tables.longest), bends(tables.longest) {}
 
-    void sweep(uint32_t first, uint32_t last, double* x, double* dx, Abreast* vectors, double t, double h) {
+    void sweep(uint32_t first, uint32_t last, A* x, A* dx, V* vectors, const A& t, double h) {
         for (uint32_t r = first; r < last; ++r) row(r, x, dx, vectors, t, h);
     }
 
   private:
-    void row(uint32_t r, double* x, double* dx, Abreast* vectors, double t, double h) {
+    void row(uint32_t r, A* x, A* dx, V* vectors, const A& t, double h) {
         const Terms& terms = tables.terms;
         const uint32_t part = tables.part[r], low = tables.share[part], high = tables.share[part + 1];
         const int64_t base = terms.row[low], count = terms.row[high] - base;
         const bool single = tables.only[part] >= 0;
-        const double tau = tables.tau[r], moment = t + tables.moment[r] * h;
-        double* theta = angles.theta.at;
+        const double tau = tables.tau[r];
+        const A moment = t + A(tables.moment[r] * h);
+        A* theta = angles.theta.at;
         for (uint32_t k = low; k < high; ++k) {
             gradient_rows(terms, Shared{}, tables.addresses, k, x, moment, theta, base, angles.arguments.at,
                           angles.calls.data());
@@ -84,16 +87,16 @@ struct FlowTraveller {
         }
         for (int64_t a = 0; a < count; ++a) {
             // A rational rotation by phi turns by 2 atan(phi/2).
-            const double half = 0.5 * tables.frequency[base + a] * (tau * theta[a]);
-            const Abreast by(tau / fma(half, half, 1.0));
+            const A half = 0.5 * tables.frequency[base + a] * (tau * theta[a]);
+            const V by(A(tau) / fma(half, half, A(1.0)));
             for (int64_t b = 0; b < rows; ++b) changes.at[a * rows + b] *= by;
         }
-        const double lone = single ? theta[0] : 0.0;
-        Turned<double> turned;
+        const A lone = single ? theta[0] : A(0.0);
+        Turned<A> turned;
         act<care, false>(tables.state, Shared{}, part, tau, single, lone, theta, turned,
-                         Vectors<double>{x, dx, 1, scratch.at});
+                         Vectors<A>{x, dx, 1, scratch.at});
         act<PLAIN, true>(tables.state, Shared{}, part, tau, single, lone, theta, turned,
-                         Vectors<Abreast>{vectors, nullptr, rows, wide.at});
+                         Vectors<V>{vectors, nullptr, rows, wide.at});
         add_turned(tables.state, part, x, changes.at, vectors, rows);
     }
 };

@@ -190,7 +190,8 @@ class StageChanges {
 };
 
 template <class Side>
-static void follow_member(const RungeKuttaTangentLoop& loop, Single& one, StageChanges& stages, Bundle& bundle,
+static void follow_member(const RungeKuttaTangentLoop& loop, Single& one, StageChanges& stages,
+                          Bundle<double, Abreast>& bundle,
                           int64_t member) {
     const RungeKuttaTables& tables = loop.tables.base;
     const Schedule& schedule = loop.schedule;
@@ -217,7 +218,7 @@ static void follow_member(const RungeKuttaTangentLoop& loop, Single& one, StageC
             converged = one.solve(t, h, part);
             if (!converged) break;
             one.write_slopes(found.data());
-            moved = stages.move(one.x, t, h, found.data() + tables.substeps, bundle.at());
+            moved = stages.move(one.x, t, h, found.data() + tables.substeps, bundle.held());
             one.add();
         }
         if (!converged) {
@@ -235,7 +236,7 @@ static void follow_member(const RungeKuttaTangentLoop& loop, Single& one, StageC
         }
     }
     recorder.flush();
-    bundle.end([](Abreast*) {});
+    bundle.end(1, [&](int) { return memory + own; }, [](Abreast*) {});
     arrays.iterations[member] += one.iterations;
     arrays.evaluations[member] += one.evaluations;
     std::copy_n(one.x, n, arrays.momenta + member * n);
@@ -246,7 +247,7 @@ static void follow_member(const RungeKuttaTangentLoop& loop, Single& one, StageC
 static void follow(const RungeKuttaTangentLoop& loop, const Crew& crew) {
     typedef Lanes<CROWD> Crowd;
     const RungeKuttaTables& tables = loop.tables.base;
-    Bundle bundle(loop.tables.tangents);
+    Bundle<double, Abreast> bundle(loop.tables.tangents);
     StageChanges stages(loop.tables, bundle.rows);
     const auto one = single_of(tables, Shared{});
     for (int64_t place = crew.first; place < crew.last; ++place) {
