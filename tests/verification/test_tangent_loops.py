@@ -151,6 +151,41 @@ def test_a_large_state_is_watched_alone():
     assert np.max(np.abs(first[:3, :2] - product[:, :2])) <= bound and not first[3:, :2].any()
 
 
+TOGETHER = (
+    "Splitting 1",
+    "Splitting 2",
+    "Splitting 2 compensated",
+    "Composition of Splitting",
+    "GaussLegendre 1",
+    "rk4",
+)
+
+
+@pytest.mark.parametrize("case", all_cases())
+def test_members_side_by_side_have_the_bits_of_each(case):
+    """With more vectors than go side by side as well, and a member at rest beside those that move."""
+    system, x0, _ = all_cases()[case]
+    crowd = x0 * np.array([1.0, 0.9, 0.0, -0.8, 0.7])[:, None]
+    for scheme in TOGETHER:
+        method = schemes()[scheme]
+        if not serves(method, system):
+            continue
+        given = {"t_span": (0.5, -0.5), "step": 0.0625, "method": method, "renormalize_every": 3, "save_every": 4}
+        whole = co.lyapunov(system, crowd, **given)
+        for m, start in enumerate(crowd):
+            assert (
+                np.ascontiguousarray(whole.stretches[:, m]).tobytes()
+                == co.lyapunov(system, start, **given).stretches.tobytes()
+            ), (scheme, m)
+
+
+def test_many_vectors_of_many_members_go_one_after_the_other():
+    system = co.LiePoissonSystem(co.algebras.so(8), co.Quadratic(np.linspace(0.5, 1.5, 28)), casimirs={})
+    crowd = np.random.default_rng(9).uniform(-0.3, 0.3, (4, 28))
+    every, few = (co.lyapunov(system, crowd, (0, 2), 0.125, exponents=k) for k in (28, 2))
+    assert np.ascontiguousarray(every.stretches[:, :, :2]).tobytes() == few.stretches.tobytes()
+
+
 STRETCHED = (
     "Splitting 2",
     "Splitting 4",
