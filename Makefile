@@ -11,7 +11,7 @@ FIGURES ?= figures
 FIRST ?= 0
 COUNT ?= 3000
 
-.PHONY: demo test core mutants soak sanitize aarch64 bench kernels release-checks clean
+.PHONY: demo test core mutants soak sanitize compilers aarch64 bench kernels package packages release-checks clean
 
 demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -42,6 +42,10 @@ sanitize: kernels
 	cd tests && ../$(BIN)/python sanitize.py address
 	cd tests && ../$(BIN)/python sanitize.py threads
 
+# The same bits by GCC and by Clang, with and without fused products; `make test` builds one of the four.
+compilers: kernels
+	COADJOINT_COMPILERS=all $(BIN)/pytest tests/verification/test_compilers.py
+
 # The same bits on aarch64, under emulation; what is missing for that is named.
 aarch64: kernels
 	cd tests && ../$(BIN)/python aarch64.py ../build/aarch64
@@ -49,13 +53,26 @@ aarch64: kernels
 bench: kernels $(VENV)/peers
 	$(BIN)/python benchmarks/run_all.py
 
-# With the tools of the build beside the package, so that it can be built again without looking for them.
+# With the tools of the build beside the package, so that it can be built again without looking for them. What it needs
+# is loaded while the kernels are compiled.
+NEEDED := import tomllib; project = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
+	extras = project["optional-dependencies"]; \
+	print(*project["dependencies"], *(one for name in extras if not name.startswith("bench") for one in extras[name] \
+	if not one.startswith("coadjoint[")), sep="\n")
+
 $(VENV)/installed: pyproject.toml
 	@test -n "$(PYTHON)" || { echo "coadjoint needs Python 3.11 or newer: set PYTHON=/path/to/python" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) cmake ninja scikit-build-core
-	$(PIP) --no-build-isolation --editable '.[dev]'
+	@$(MAKE) --no-print-directory --jobs=2 package packages
 	@touch $@
+
+package:
+	$(PIP) --no-build-isolation --no-deps --editable .
+
+packages:
+	@$(BIN)/python -c '$(NEEDED)' > $(VENV)/needed.txt
+	$(PIP) --requirement $(VENV)/needed.txt
 
 # Compiles what has changed. COADJOINT_LEVELS=all builds for every level of x86-64.
 kernels: $(VENV)/installed

@@ -14,6 +14,7 @@ from .hamiltonians import matrix, some_hamiltonian
 
 MEMBERS = (1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 31, 32, 33, 34, 40)
 STEPS = (0, 1, 2, 3, 5, 7, 8, 11, 16, 17, 23, 29, 40)
+LARGEST_BATCH = 300  # numbers in the states of a batch: each member is taken apart by itself
 TRIPLE_JUMP = (1 / (2 - 2 ** (1 / 3)), 1 - 2 / (2 - 2 ** (1 / 3)), 1 / (2 - 2 ** (1 / 3)))
 
 
@@ -95,7 +96,7 @@ def crowd(rng: np.random.Generator, members: int, n: int) -> np.ndarray:
 def some_systems(rng: np.random.Generator, members: int) -> tuple[Any, ...]:
     """Return one system, or as many as members that differ in their constants."""
     algebra, sign = some_algebra(rng), int(rng.choice([-1, 1]))
-    if members > 1 and rng.random() < 0.15:
+    if 1 < members <= LARGEST_BATCH / algebra.dim and rng.random() < 0.15:
         M = matrix(rng, algebra.dim)
         factors = 1.0 + 0.1 * rng.random(members)
         return tuple(co.LiePoissonSystem(algebra, co.Quadratic(f * np.asarray(M)), sign=sign) for f in factors)

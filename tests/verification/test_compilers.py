@@ -14,7 +14,7 @@ from building import Kernels
 from coadjoint.kernels import compiling
 from coadjoint.kernels.library import processor_level
 
-from .test_levels import digests, usable_levels
+from .test_levels import digests
 
 ROOT = Path(__file__).parents[2]
 # Fewer orders of series are written out: that is quicker to build, and must not be seen either.
@@ -45,18 +45,27 @@ def digests_of_build(tree: Path, compiler: list[str], level: int, tuning: list[s
     return found
 
 
-@pytest.mark.skipif(not clang(), reason="there is no Clang on this machine")
-@pytest.mark.skipif((processor_level() or 0) < 3, reason="the processor has no AVX2")
-def test_clang_gives_the_same_bits(tmp_path):
+def builds() -> list[tuple[str, int]]:
+    """Return the builds to try, by compiler and level: the one farthest from the package's own, or every one."""
+    highest = processor_level()
+    if highest is None:
+        return []
+    names = [name for name, there in (("clang", clang()), ("gcc", shutil.which("g++"))) if there]
+    every = [(name, level) for level in (1, 3) if level <= highest for name in names]
+    return every if os.environ.get("COADJOINT_COMPILERS") == "all" else every[:1]
+
+
+@pytest.mark.skipif(not builds(), reason="there is no compiler here, or the processor has no levels")
+@pytest.mark.parametrize(("name", "level"), builds())
+def test_another_compiler_gives_the_same_bits(name, level, tmp_path):
     """At the least optimisation that puts small functions into each other: that is the quickest to build."""
-    zig = "ziglang" in clang()
-    tuning = ["-O1", "-mcpu=x86_64_v3" if zig else "-march=x86-64-v3", "-Wno-unknown-warning-option", FEW_WRITTEN_OUT]
-    assert digests_of_build(tmp_path, clang(), 3, tuning) == digests(None)
+    compiler = clang() if name == "clang" else ["g++"]
+    tuning = ["-O1", *processor(level, "ziglang" in compiler), FEW_WRITTEN_OUT]
+    tuning += ["-Wno-unknown-warning-option"] if name == "clang" else []
+    assert digests_of_build(tmp_path, compiler, level, tuning) == digests(None)
 
 
-@pytest.mark.skipif(shutil.which("g++") is None, reason="there is no GCC on this machine")
-@pytest.mark.skipif(processor_level() is None, reason="only x86-64 has levels")
-@pytest.mark.skipif("v1" in usable_levels(), reason="the lowest level is built with the package")
-def test_without_fused_products_in_hardware_the_same_bits(tmp_path):
-    tuning = [*compiling.tuning(1), FEW_WRITTEN_OUT]
-    assert digests_of_build(tmp_path, ["g++"], 1, tuning) == digests(None)
+def processor(level: int, zig: bool) -> list[str]:
+    """Return the option for a level, as zig's Clang calls it or as all others do."""
+    name = "x86_64" if level == 1 else f"x86_64_v{level}"
+    return [f"-mcpu={name}"] if zig else [option for option in compiling.tuning(level) if option.startswith("-march")]
