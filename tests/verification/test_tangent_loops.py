@@ -10,6 +10,10 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.tangents import Frame
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.run import Run
+from coadjoint.runs.start import start_of
+from coadjoint.runs.state import RunState
+from coadjoint.runs.tangent_loops import each_its_own
 from coadjoint.runs.times import Times
 
 from .carried import NEVER, finished_vectors, product_of_tangents, run_with, stretches, tolerance
@@ -184,6 +188,23 @@ def test_many_vectors_of_many_members_go_one_after_the_other():
     crowd = np.random.default_rng(9).uniform(-0.3, 0.3, (4, 28))
     every, few = (co.lyapunov(system, crowd, (0, 2), 0.125, exponents=k) for k in (28, 2))
     assert np.ascontiguousarray(every.stretches[:, :, :2]).tobytes() == few.stretches.tobytes()
+
+
+@pytest.mark.parametrize("scheme", ["Splitting 2", "Splitting 2 compensated", "GaussLegendre 2", "rk4"])
+def test_a_run_with_vectors_goes_on_from_its_state(scheme):
+    """The state holds the vectors and their stretches, as plain arrays: cut anywhere, also between renewals."""
+    method, (system, x0, _) = schemes()[scheme], all_cases()["e(3), heavy top"]
+    times, crowd = Times(0.25, 0.1, 12, 12).marking([12]), x0 * np.linspace(0.9, 1.1, 4)[:, None]
+    loop = method.tangent_loop(system, 0.1, Frame(np.eye(6)[::-1].copy(), 5))
+    loops, start = each_its_own([system], method, 0.1, [loop]), start_of(system, method, crowd, False)
+    whole = Run(system, method, loops, times, start, False)
+    whole.advance()
+    first = Run(system, method, loops, times, start, False)
+    first.advance(until=7)
+    kept = RunState.from_mapping(first.state.to_mapping())
+    second = Run(system, method, loops, times, start, False, state=kept)
+    second.advance()
+    assert second.state == whole.state and np.array_equal(second.saved["x"], whole.saved["x"])
 
 
 STRETCHED = (
