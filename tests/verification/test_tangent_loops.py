@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import mpmath
 import numpy as np
 import pytest
 
@@ -235,12 +236,21 @@ def test_stretches_are_those_of_the_product(scheme):
 
 
 def test_stretches_lose_nothing_over_many_steps():
-    """x' = x on one coordinate: each step stretches alike, and a million of them add up to a million times as much."""
+    """x' = x on one coordinate: each step stretches by one float, whose power has the digits of two."""
     line = co.LiePoissonSystem(co.LieAlgebra([(0, 1, 1, 1.0)], dim=2), co.Quadratic([0, 0], linear=[1.0, 0.0]))
-    steps, h = 10**6, 2.0**-10
-    run = run_with(line, co.Splitting(order=2), [1e-300, 1e-300], Times(0.0, h, steps, steps).marking([]), np.eye(2), 1)
-    grown = steps * h
-    # One rounding of each exponential and each length, of either sign; their sum itself loses a unit.
-    found = np.sort(np.abs(stretches(run, 2)[0]))
-    assert found[0] <= 8 * UNIT_ROUNDOFF * steps
-    assert abs(found[1] - grown) <= 8 * UNIT_ROUNDOFF * steps
+    method, h = co.Splitting(order=1), 2.0**-10
+
+    def products(steps):
+        run = run_with(line, method, [1e-300, 1e-300], Times(0.0, h, steps, steps).marking([]), np.eye(2), 1)
+        return run.state["memory"][0, 4:10].reshape(2, 3), np.sort(np.abs(stretches(run, 2)[0]))
+
+    (step, exponent), steps = products(1)[0][1][[0, 2]], 10**6
+    (still, grown), logarithms = products(steps)
+    assert still.tolist() == [0.5, 0.0, 1.0] and abs(math.log(step) + exponent * math.log(2.0)) >= 0.9 * h
+    with mpmath.workdps(60):
+        wanted = (mpmath.mpf(step) * mpmath.mpf(2) ** exponent) ** steps
+        found = (mpmath.mpf(grown[0]) + mpmath.mpf(grown[1])) * mpmath.mpf(2) ** grown[2]
+        # Of each product what is left of the rest is rounded to a float.
+        assert abs(found / wanted - 1) <= 4 * steps * UNIT_ROUNDOFF**2
+        assert logarithms[0] == 0.0
+        assert abs(logarithms[1] - abs(mpmath.log(wanted))) <= 4 * UNIT_ROUNDOFF * logarithms[1]
