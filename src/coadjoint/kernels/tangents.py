@@ -119,7 +119,7 @@ def check_differentiable(system: System) -> None:
             f"tangent vectors need second derivatives, which the Hamiltonian of {system.name} was given without; "
             "give hessian="
         )
-    if system.algebra is None and system.derivative_function is None:
+    if system.algebra is None and getattr(system, "derivative_function", None) is None:
         raise TypeError(
             f"tangent vectors need the derivative of J, which is unknown for {system.name}; give derivative="
         )
