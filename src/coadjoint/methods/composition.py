@@ -21,7 +21,9 @@ from coadjoint.wording import short
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.kernels.tangents import Frame
+    from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
+    from coadjoint.program.sweeps import Swept
     from coadjoint.program.table import Program
 
 LARGEST_SUM = 1000.0
@@ -95,6 +97,9 @@ class Composition(Composed):
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
         return self.whole.program(system, group=group, number=number)
 
+    def swept(self) -> Swept:
+        return self.whole.swept()
+
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop of the base, composed."""
         return self.whole.compiled(system, h, representation)
@@ -104,6 +109,9 @@ class Composition(Composed):
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         return self.whole.step(system, x, t, h)
+
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        return self.whole.formal_step(system, x, h)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         return self.whole.tangent(system, x, t, h)
@@ -120,7 +128,7 @@ class Composition(Composed):
         return self.whole.took_newton(memory)
 
     def look_ahead(self, systems: Sequence[System]) -> None:
-        """Let the base look at them."""
+        """Let the base look ahead."""
         self.base.look_ahead(systems)
 
     @classmethod
