@@ -208,6 +208,8 @@ def test_functions_need_their_second_derivatives():
     for method in (co.Splitting(order=2), co.GaussLegendre(1)):
         with pytest.raises(TypeError, match=r"second derivatives.*hessian"):
             co.lyapunov(unknown, (1.0, 0.5, 0.2), (0, 5), 0.1, method)
+    with pytest.raises(TypeError, match=r"member 1 of the batch: .* second derivatives"):
+        co.lyapunov(co.batch([known, unknown]), (1.0, 0.5, 0.2), (0, 5), 0.1)
     spun = co.PoissonSystem(lambda x: np.array([[0.0, x[0]], [-x[0], 0.0]]), co.Quadratic([1.0, 1.0]))
     with pytest.raises(TypeError, match=r"derivative of J.*derivative="):
         co.lyapunov(spun, (1.0, 0.5), (0, 5), 0.1, co.GaussLegendre(1))

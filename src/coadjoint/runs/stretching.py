@@ -78,7 +78,9 @@ def stretching(
             method.properties(one)
             prepared.append(method.tangent_loop(one, times.h, frame))
         except (TypeError, ValueError) as error:
-            raise (type(error)(f"member {m} of the batch: {error}") if isinstance(system, Batch) else error) from error
+            if not isinstance(system, Batch):
+                raise
+            raise type(error)(f"member {m} of the batch: {error}") from error
     if None in prepared:
         return _step_by_step(system, systems, method, times, start, frame)
     loops = each_its_own(systems, method, times.h, prepared)
