@@ -74,22 +74,22 @@ static void follow_crowd(const FlowTangentLoop& loop, const int64_t* members, in
     const auto memory_of = [&](int lane) { return loop.memory_of(members[std::min<int64_t>(lane, count - 1)]); };
     for (int lane = 0; lane < CROWD; ++lane) bundle.begin(memory_of(lane), loop.k0 == 0, lane);
     FlowTraveller<care, A, A> traveller(loop.tables, size, bundle.rows);
-    Block<care, false, A, Shared> block(plain, Shared{}, members, count, scratch);
+    FlowCrowd<care, false, A, Shared> crowd(plain, Shared{}, members, count, scratch);
     const int64_t work = (1 + bundle.rows) * CROWD * work_of_step(plain);
     A t(schedule.t0);
-    for (int64_t k = loop.k0 + 1; k <= loop.k1 && block.left > 0; ++k) {
+    for (int64_t k = loop.k0 + 1; k <= loop.k1 && crowd.left > 0; ++k) {
         loop.hearing.after(work);
         t = A(schedule.t0 + double(k - 1) * schedule.h);
         const uint32_t from = tables.section[k == 1 ? 0 : 1], to = tables.section[k == 1 ? 1 : 2];
-        traveller.sweep(from, to, block.momentum.at, block.momentum.errors, bundle.held(), t, schedule.h);
-        block.evaluations += to - from;
-        block.stop_where_not(finite(size, block.momentum.at), k);
-        block.recorder.after(
-            k, [&](bool saving) { return block.finished(k, saving, t, copies.at, scratch.at, angles); });
-        block.stop_where_not(bundle.after(k), k, PARALLEL);
+        traveller.sweep(from, to, crowd.momentum.at, crowd.momentum.errors, bundle.held(), t, schedule.h);
+        crowd.evaluations += to - from;
+        crowd.stop_where_not(finite(size, crowd.momentum.at), k);
+        crowd.recorder.after(
+            k, [&](bool saving) { return crowd.finished(k, saving, t, copies.at, scratch.at, angles); });
+        crowd.stop_where_not(bundle.after(k), k, PARALLEL);
     }
     bundle.end(int(count), memory_of, [&](A* vectors) {
-        std::copy_n(block.momentum.at, 2 * size, copies.at);
+        std::copy_n(crowd.momentum.at, 2 * size, copies.at);
         traveller.sweep(tables.section[2], tables.section[3], copies.at, copies.at + size, vectors, t, schedule.h);
     });
 }
