@@ -21,6 +21,7 @@ SECTIONS = {
     "ensembles": "Ensembles",
     "gauss_legendre": "Gauss-Legendre",
     "round_off": "Round-off",
+    "lyapunov": "Tangent vectors",
     "work_against_precision": "Work against precision",
     "automatic_parts": "Automatic parts",
     "first_result": "The first result",

@@ -146,6 +146,8 @@ CALLS = {
     "choose": (lambda system, x0, t_span, accuracy, **more: co.choose(system, x0, t_span, accuracy, **more),
                {"system": BODY, "x0": X, "t_span": (0, 1), "accuracy": 1e-3, "attitude": False,
                 "methods": co.GaussLegendre(2), "processed": False}),
+    "lyapunov": (co.lyapunov, {"system": BODY, "x0": X, "t_span": (0, 1), "step": 0.1, "method": None,
+                 "exponents": None, "renormalize_every": 10, "transient": 0.0, "save_every": None, "threads": None}),
     "stepper": (co.stepper, {"system": BODY, "method": co.Splitting(), "h": 0.1}),
     "a step": (STEP, {"x": X, "t": 0.0}),
     "group": (STEP.group, {"x": X, "t": 0.0, "attitude": None}),
@@ -164,7 +166,7 @@ CALLS = {
 }  # fmt: skip
 
 # Made by the library, or called with nothing.
-NOT_CALLED = {"IntegrationError", "Choice", "PreparedRun", "Solution"}
+NOT_CALLED = {"IntegrationError", "Choice", "LyapunovExponents", "PreparedRun", "Solution"}
 BY_OTHER_NAMES = {"LieAlgebra", "Polynomial"}
 
 

@@ -25,6 +25,7 @@ _HOME = {
     "Hamiltonian": "coadjoint.systems.hamiltonian",
     "IntegrationError": "coadjoint.errors",
     "Invariant": "coadjoint.algebra.invariant",
+    "LyapunovExponents": "coadjoint.analysis.lyapunov",
     "LieAlgebra": "coadjoint.algebra.lie_algebra",
     "LiePoissonSystem": "coadjoint.systems.lie_poisson",
     "PoissonSystem": "coadjoint.systems.poisson",
@@ -54,6 +55,7 @@ _HOME = {
     "predicted_drift": "coadjoint.analysis.predicted_drift",
     "ModifiedHamiltonian": "coadjoint.analysis.modified_hamiltonian",
     "integrate": "coadjoint.runs.integrate",
+    "lyapunov": "coadjoint.analysis.lyapunov",
     "modified_hamiltonian": "coadjoint.analysis.modified_hamiltonian",
     "ModifiedField": "coadjoint.analysis.modified_fields",
     "modified_field": "coadjoint.analysis.modified_field",
@@ -81,6 +83,8 @@ if TYPE_CHECKING:
     from coadjoint.analysis.certify import certify as certify
     from coadjoint.analysis.frequencies import Frequencies as Frequencies
     from coadjoint.analysis.frequencies import frequencies as frequencies
+    from coadjoint.analysis.lyapunov import LyapunovExponents as LyapunovExponents
+    from coadjoint.analysis.lyapunov import lyapunov as lyapunov
     from coadjoint.analysis.modified_field import modified_field as modified_field
     from coadjoint.analysis.modified_fields import ModifiedField as ModifiedField
     from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian as ModifiedHamiltonian

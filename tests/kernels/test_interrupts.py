@@ -71,6 +71,18 @@ RUNS = {
         " co.GaussLegendre(2), save_every=10**9)",
         "co.GaussLegendre(2)",
     ),
+    "tangent vectors": (
+        "co.lyapunov(body, y, (0, 1e8), 0.001, co.Splitting(order=2), save_every=10**10)",
+        "co.Splitting(order=2)",
+    ),
+    "tangent vectors of stages": (
+        "co.lyapunov(body, y, (0, 1e8), 0.001, co.GaussLegendre(2), save_every=10**10)",
+        "co.GaussLegendre(2)",
+    ),
+    "tangent vectors of a crowd": (
+        "co.lyapunov(body, wide, (0, 1e6), 0.01, co.Splitting(order=2), save_every=10**10, threads=2)",
+        "co.Splitting(order=2)",
+    ),
     "a progress bar": (
         "co.integrate(body, y, (0, 1e8), 0.001, co.Splitting(order=2), save_every=10**9, progress=True)",
         "co.Splitting(order=2)",

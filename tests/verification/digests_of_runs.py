@@ -9,7 +9,10 @@ from collections.abc import Iterator
 import numpy as np
 
 import coadjoint as co
+from coadjoint.analysis.lyapunov import frame_of
+from coadjoint.runs.times import Times
 
+from .carried import run_with
 from .schemes_under_test import schemes, serves
 from .systems_under_test import all_cases, full_matrix
 
@@ -29,6 +32,14 @@ SCHEMES = (
     "RadauEnergy 2",
     "Taylor 5",
     "Taylor 5 alone",
+)
+WITH_TANGENTS = (
+    "Splitting 2 compensated",
+    "Splitting 4",
+    "GaussLegendre 3",
+    "Modified 2 gradient",
+    "Iterated 2",
+    "rk4",
 )
 SPAN, STEP, MEMBERS = (0.0, 1.5), 0.0625, 35
 
@@ -73,11 +84,26 @@ def runs() -> Iterator[tuple[str, co.Solution]]:
             yield f"attitude {kind} of {algebra.name}", co.integrate(system, x0, (0.0, 4.0), 0.05, attitude=kind)
 
 
+def states_with_tangents() -> Iterator[tuple[str, list[np.ndarray]]]:
+    """Carry vectors by schemes of each kind of loop, alone and in a crowd: all that members remember."""
+    systems, methods, times = all_cases(), schemes(), Times(0.0, STEP, 24, 24).marking([24])
+    for scheme in WITH_TANGENTS:
+        for case in CASES:
+            system, x0, _ = systems[case]
+            if not serves(methods[scheme], system):
+                continue
+            crowd = x0 * (1.0 - 0.02 * np.arange(MEMBERS)[:, None])
+            for start, how in ((x0, "alone"), (crowd, "a crowd")):
+                run = run_with(system, methods[scheme], start, times, frame_of(system.dim, system.dim), 7)
+                yield f"tangents of {scheme} on {case}, {how}", [run.saved["x"], run.state["memory"]]
+
+
 def digests() -> dict[str, str]:
     """Return the digest of every run."""
+    found = [(name, arrays_of(solution)) for name, solution in runs()]
     return {
-        name: hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays_of(solution))).hexdigest()
-        for name, solution in runs()
+        name: hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()
+        for name, arrays in (*found, *states_with_tangents())
     }
 
 

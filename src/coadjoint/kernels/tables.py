@@ -23,6 +23,8 @@ from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.terms import FunctionTerm
 from coadjoint.systems.user_functions import takes_time
 
+ORDERS = {"value": 0, "gradient": 1, "hessian": 2}
+
 
 class Compiled(NamedTuple):
     """Tables for a compiled loop, and the compiled user functions that must live as long as they do."""
@@ -34,7 +36,7 @@ class Compiled(NamedTuple):
 def addresses_of(
     functions: Mapping[int, FunctionTerm], count: int, which: str, owner: str
 ) -> tuple[NDArray[np.int64], Kept]:
-    """Compile the values or gradients of FUNCTION terms.
+    """Compile the values, gradients or second derivatives of FUNCTION terms.
 
     Parameters
     ----------
@@ -42,7 +44,7 @@ def addresses_of(
         Number of the term -> term.
     count : int
         Number of all terms.
-    which : {"value", "gradient"}
+    which : {"value", "gradient", "hessian"}
         What is compiled.
     owner : str
         What the functions belong to, for messages.
@@ -65,13 +67,13 @@ def addresses_of(
             continue
         size = len(term.coordinates)
         function = getattr(term, which)
-        results = size if which == "gradient" else 1
+        results = size ** ORDERS[which]
         compiled = CompiledFunction(
             function,
             size,
             results,
             scalar=term.scalar,
-            flat=which == "gradient",
+            flat=which != "value",
             timed=term.timed,
             what=f"the {which} of {owner}",
         )

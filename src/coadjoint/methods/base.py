@@ -18,6 +18,7 @@ from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.kernels.tangents import Frame
     from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
     from coadjoint.program.sweeps import Swept
@@ -223,6 +224,30 @@ class Method(ABC):
             The first two are exact to round-off; differences have some nine digits.
         """
         return "formula"
+
+    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
+        """Return the loop that carries tangent vectors beside the state, which has the bits that it has without them.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system; its Hamiltonian must have second derivatives, and a `PoissonSystem` the derivative of J.
+        h : float
+            The step, negative for backward.
+        frame : Frame
+            The vectors, and when they are made orthonormal.
+
+        Returns
+        -------
+        CompiledLoop or None
+            None where there is no such loop: `tangent` is then called for every step.
+
+        Raises
+        ------
+        ValueError, TypeError
+            The scheme cannot serve the system, or a derivative is not known.
+        """
+        return None
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
         """Return one step as a power series in h whose coefficients are exact polynomials in the state.

@@ -21,6 +21,7 @@ from coadjoint.systems.kinds import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.kernels.tangents import Frame
     from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
 
@@ -129,6 +130,10 @@ class Substeps(Composed):
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop of the base, with its substeps."""
         return self.base.loop_of_substeps(system, h, representation, self.coefficients)
+
+    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
+        """Return that of the base, with its substeps."""
+        return self.base.tangent_loop_of_substeps(system, h, frame, self.coefficients)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         number = type(h)

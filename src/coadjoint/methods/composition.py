@@ -20,6 +20,7 @@ from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.kernels.tangents import Frame
     from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
     from coadjoint.program.sweeps import Swept
@@ -102,6 +103,9 @@ class Composition(Composed):
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop of the base, composed."""
         return self.whole.compiled(system, h, representation)
+
+    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
+        return self.whole.tangent_loop(system, h, frame)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         return self.whole.step(system, x, t, h)

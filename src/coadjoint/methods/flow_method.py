@@ -22,6 +22,7 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.kernels.tangents import Frame
     from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
     from coadjoint.program.reading import Reading
@@ -94,13 +95,23 @@ class FlowMethod(Method):
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop over the rows of the table."""
+        return self._loop_over(self.program(system, group=representation), h)
+
+    def _loop_over(self, program: Program, h: float) -> CompiledLoop:
         from coadjoint.kernels.flow import FLOW_LOOP
         from coadjoint.kernels.loop import CompiledLoop
         from coadjoint.kernels.tables import flow_tables
 
-        program = self.program(system, group=representation)
         found = flow_tables(program, h, bool(self.compensated))
         return CompiledLoop(FLOW_LOOP, found.tables, found.keep, program.shift)
+
+    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
+        """Return the loop over the rows of the table, with tangent vectors."""
+        from coadjoint.kernels.tangents import check_differentiable, with_tangents
+
+        check_differentiable(system)
+        program = self.program(system)
+        return with_tangents(self._loop_over(program, h), system, program.functions, frame)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         point = np.asarray(x)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_choice
+from coadjoint.memory import check_room
 from coadjoint.methods.base import Method, Representation
 from coadjoint.methods.solvers import SOLVERS, Evaluation
 from coadjoint.methods.stages import Coefficients, Step, begin, checked
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.kernels.tangents import Frame
     from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
 
@@ -154,6 +156,23 @@ class RungeKuttaMethod(SteppedMethod):
             found.keep,
             memory=remembered(RUNGE_KUTTA_LOOP, found.tables),
         )
+
+    def tangent_loop_of_substeps(
+        self, system: System, h: float, frame: Frame, fractions: Sequence[float]
+    ) -> CompiledLoop | None:
+        """Return the loop over stages and their derivatives."""
+        from coadjoint.kernels.tangents import check_differentiable, with_tangents
+        from coadjoint.program.term_table import TermTable
+
+        check_differentiable(system)
+        if self.solver not in ("explicit", "iterated"):
+            edge = len(self.coefficients().node) * system.dim
+            check_room(8 * 2 * edge**2, f"the derivative of the stages of {type(self).__name__}")
+        table = TermTable()
+        for term in system.hamiltonian.terms():
+            table.add(term)
+        loop = self.loop_of_substeps(system, h, None, fractions)
+        return with_tangents(loop, system, table.functions, frame)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the iterations that a step takes."""

@@ -14,6 +14,7 @@ from coadjoint.systems.kinds import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.kernels.tangents import Frame
     from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
 
@@ -66,6 +67,16 @@ class SteppedMethod(Method):
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop whose steps are not divided."""
         return self.loop_of_substeps(system, h, representation, WHOLE)
+
+    def tangent_loop_of_substeps(
+        self, system: System, h: float, frame: Frame, fractions: Sequence[float]
+    ) -> CompiledLoop | None:
+        """Return the loop that carries tangent vectors as well, or None: see `tangent_loop` and `loop_of_substeps`."""
+        return None
+
+    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
+        """Return the loop whose steps are not divided, with tangent vectors."""
+        return self.tangent_loop_of_substeps(system, h, frame, WHOLE)
 
     def work(self, system: System, group: Representation = None) -> Work:
         return self.work_of_substeps(system, group, 1)

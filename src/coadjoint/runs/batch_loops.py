@@ -24,6 +24,12 @@ from coadjoint.systems.batch import Batch
 CREWS_IN_A_ROUND = 8
 
 
+def in_rounds(crews: list[Crew], workers: int) -> list[list[Crew]]:
+    """Return crews as rounds of some for each worker."""
+    size = CREWS_IN_A_ROUND * workers
+    return [crews[a : a + size] for a in range(0, len(crews), size)]
+
+
 class Group(NamedTuple):
     """Members with tables of one structure: `members` are their places in the batch, ascending.
 
@@ -84,8 +90,7 @@ class BatchLoops(Loops):
         for group, (first, last) in zip(self.groups, pairwise(self._first.tolist()), strict=True):
             for places in shared_out(first, last, workers, limit("LARGEST_CROWD")):
                 crews.append(Crew(group.loop, group.tables, group.watch, *places, group.stride, first))
-        size = CREWS_IN_A_ROUND * workers
-        return [crews[a : a + size] for a in range(0, len(crews), size)]
+        return in_rounds(crews, workers)
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop of any member."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
-from coadjoint.kernels.loop import Crew
+from coadjoint.kernels.loop import CompiledLoop, Crew
 from coadjoint.methods.base import Method
 from coadjoint.runs.shifted_attitude import Unshift, plainly
 from coadjoint.runs.start import Representation, Start
@@ -103,6 +103,8 @@ class SystemLoops(Loops):
         What the group element is carried in.
     casimirs : mapping, optional
         The invariants that are followed beside the energy; None is all Casimirs of the system.
+    prepared : CompiledLoop, optional
+        The loop, where it is not that of `method` alone.
     """
 
     def __init__(
@@ -112,13 +114,15 @@ class SystemLoops(Loops):
         h: float,
         representation: Representation,
         casimirs: Mapping[str, Any] | None = None,
+        prepared: CompiledLoop | None = None,
     ) -> None:
         from coadjoint.kernels.description import limit
         from coadjoint.kernels.structures import pointed
         from coadjoint.kernels.tables import watch_tables
 
         followed = system.casimirs if casimirs is None else casimirs
-        prepared, watch = method.loop(system, h, representation), watch_tables(system, followed)
+        prepared = prepared or method.loop(system, h, representation)
+        watch = watch_tables(system, followed)
         self.names = ["energy", *followed]
         self.size, self.memory = system.dim, prepared.memory
         self._shifted = representation is not None and bool(prepared.shift)
@@ -131,7 +135,11 @@ class SystemLoops(Loops):
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return one round with a crew for each worker. Members that the kernels advance side by side share a crew."""
-        return [[Crew(*self._given, *places) for places in shared_out(0, members, workers, self._block)]]
+        return [[self.crew(*places) for places in shared_out(0, members, workers, self._block)]]
+
+    def crew(self, first: int, last: int, base: int = 0) -> Crew:
+        """Return the members first to last - 1 as a crew; `base` as for `Crew`."""
+        return Crew(*self._given, first, last, base=base)
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop."""

@@ -155,13 +155,21 @@ class Run:
             if self.start.representation is not None and self.loops.attitude_may_overflow(self.start, self.times):
                 self._check_attitude(whole)
             return whole
-        report = self.state
-        failed = report["status"].nonzero()[0]
+        if self.start.single and self.state["status"][0]:
+            kept = int(np.searchsorted(self.times.saved, self.state["step"][0]))
+        raise self.failure(self._solution(kept, observed))
+
+    def failure(self, partial: Any) -> IntegrationError:
+        """Return what went wrong, with what there is of the run."""
+        failed = self.state["status"].nonzero()[0]
         if not len(failed):
-            raise self._energy_error(self._solution(kept, observed))
-        if self.start.single:
-            kept = int(np.searchsorted(self.times.saved, report["step"][0]))
-        raise self._error(int(failed[0]), len(failed), self._solution(kept, observed))
+            return self._energy_error(self._solution(self.times.points, None), partial)
+        return self._error(int(failed[0]), len(failed), partial)
+
+    def fail(self, member: int, step: int, status: str) -> None:
+        """Note that a member has failed in a step, for a reason that the loops do not know; its status by name."""
+        self.state["status"][member], self.state["step"][member] = codes("Status")[status], step
+        self.wrong += 1
 
     def _check_attitude(self, whole: Solution) -> None:
         """Refuse a group element that overflowed where the momentum did not: the factor of a shift may grow."""
@@ -178,7 +186,7 @@ class Run:
             partial=whole,
         )
 
-    def _energy_error(self, whole: Solution) -> IntegrationError:
+    def _energy_error(self, whole: Solution, partial: Any) -> IntegrationError:
         """Return the error for an energy that is not finite at a finite state, where a function is undefined."""
         wrong = np.flatnonzero(~np.isfinite(whole.energy).reshape(len(whole.t), -1).all(axis=1))
         step, when = int(self.times.saved[wrong[0]]), float(whole.t[wrong[0]])
@@ -188,10 +196,10 @@ class Run:
             step=step,
             time=when,
             residual=float("nan"),
-            partial=whole,
+            partial=partial,
         )
 
-    def _error(self, member: int, count: int, partial: Solution) -> IntegrationError:
+    def _error(self, member: int, count: int, partial: Any) -> IntegrationError:
         step = int(self.state["step"][member])
         when = float(self.times.t0 + (step - 1) * self.times.h)
         residual = float(self.state["residual"][member])
@@ -202,9 +210,13 @@ class Run:
             what = self.method.failures[status]
         elif status == "NOT_CONVERGED":
             what = f"the iteration of {self.method} did not converge (last correction {residual:.3g})"
+        elif status == "PARALLEL":
+            what = "a tangent vector became what the others are, to half of its digits"
         else:
             what = "a number overflowed"
         message = f"in step {step}, at t = {when:g}, {what}{who}; take a smaller step than {abs(self.times.h):g}"
+        if status == "PARALLEL":
+            message += ", or make the vectors orthonormal more often: give a smaller renormalize_every"
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
 
     def _solution(self, kept: int, observed: Observed | None) -> Solution:

@@ -11,8 +11,8 @@ namespace coadjoint {
     LIST(DECLARE_CODE)    \
     constexpr char Name##_codes[] = "codes " #Name ":" LIST(DESCRIBE_CODE) "\n";
 
-// How a step ended. UNDEFINED: its scheme does not define it.
-#define STATUSES(_) _(DONE, 0) _(NOT_CONVERGED, 1) _(OVERFLOWED, 2) _(UNDEFINED, 3)
+// How a step ended. UNDEFINED: its scheme does not define it. PARALLEL: one tangent vector is what others are.
+#define STATUSES(_) _(DONE, 0) _(NOT_CONVERGED, 1) _(OVERFLOWED, 2) _(UNDEFINED, 3) _(PARALLEL, 4)
 CODES(Status, STATUSES)
 
 // What a loop returns in place of a count, where it did not take all steps.

@@ -98,6 +98,19 @@ TABLE(StepTables, STEP_FIELDS)
     _(integer, serial)
 TABLE(Stepping, STEPPING_FIELDS)
 
+// What is carried beside a state of `size` components: `carried` tangent vectors, made orthonormal after every `every`-th step. They start as
+// `frame`, vector after vector. Second derivatives of functions of the user stand at `hessians`, a term each, and the
+// derivative of a structure matrix that is a function at `derivative`.
+#define TANGENTS_FIELDS(_)                                                                                           \
+    _(integer, size) _(integer, carried) _(integer, every) _(numbers, frame) _(addresses, hessians) _(addresses, derivative)
+TABLE(Tangents, TANGENTS_FIELDS)
+
+#define FLOW_TANGENTS_FIELDS(_) _(FlowTables, base) _(Tangents, tangents)
+TABLE(FlowTangents, FLOW_TANGENTS_FIELDS)
+
+#define RUNGE_KUTTA_TANGENTS_FIELDS(_) _(RungeKuttaTables, base) _(Tangents, tangents)
+TABLE(RungeKuttaTangents, RUNGE_KUTTA_TANGENTS_FIELDS)
+
 #define UNSHIFT_FIELDS(_)                                                                                            \
     _(integer, size) _(integer, dim) _(integer, components) _(bytes, kind) _(bytes, leaning) _(indices, order)           \
     _(indices, begin) _(indices, coordinate) _(indices, form) _(indices, cell) _(indices, entry) _(indices, column)  \

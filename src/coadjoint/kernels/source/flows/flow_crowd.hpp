@@ -44,14 +44,14 @@ struct FlowCrowd {
     }
 
     template <class Mask>
-    void stop_where_not(const Mask& sound, int64_t k) {
+    void stop_where_not(const Mask& sound, int64_t k, int64_t status = OVERFLOWED) {
         if (__builtin_expect(all(sound), 1)) return;
         for (int64_t lane = 0; lane < count; ++lane) {
             if (at(sound, int(lane)) || !going[lane]) continue;
             recorder.keep_worst();
             going[lane] = 0;
             --left;
-            loop.overflow(members[lane], k);
+            loop.fail(members[lane], k, status, std::numeric_limits<double>::quiet_NaN());
             loop.arrays.evaluations[members[lane]] += evaluations;
         }
     }

@@ -1,0 +1,233 @@
+"""Lyapunov exponents: how fast do neighbouring motions part?"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.given import read_number, read_whole
+from coadjoint.kernels.tangents import Frame
+from coadjoint.memory import check_room
+from coadjoint.methods.base import Method
+from coadjoint.methods.splitting import Splitting
+from coadjoint.runs.start import start_of
+from coadjoint.runs.stretching import make_orthonormal, stretching
+from coadjoint.runs.times import Times, times_between, times_of
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.kinds import System, check_system
+from coadjoint.wording import short
+
+POINTS = 200  # saved times, where nobody says how many
+BLOCKS = 10  # of the time, whose exponents scatter
+MOST_STEPS = 2**53  # of a run
+
+
+@dataclass(frozen=True, eq=False)
+class LyapunovExponents:
+    """Exponents of a run, or of each of its members, per unit of time; from `lyapunov`.
+
+    Parameters
+    ----------
+    t : ndarray, shape (points + 1,)
+        The end of the transient, and the saved times after it.
+    stretches : ndarray, shape (points + 1, k) or (points + 1, members, k)
+        Logarithms of by how much each vector was stretched since the transient.
+    dim : int
+        The dimension of the system.
+    by : str
+        How the tangent was found: "compiled", or in Python by its "formula", by "complex step" or by "differences".
+    """
+
+    t: NDArray[np.float64]
+    stretches: NDArray[np.float64]
+    dim: int
+    by: str
+
+    @property
+    def exponents(self) -> NDArray[np.float64]:
+        """The estimates over all of the time, shape (k,) or (members, k): the largest comes first in the limit."""
+        return np.asarray(self.history[-1])
+
+    @property
+    def history(self) -> NDArray[np.float64]:
+        """The estimates until each of t[1:], shape (points, k) or (points, members, k)."""
+        return np.asarray(self.stretches[1:] / self._elapsed[1:])
+
+    @property
+    def uncertainty(self) -> NDArray[np.float64]:
+        """What the estimates may be wrong by, of the shape of `exponents`.
+
+        The larger of two: the standard error of the mean of ten blocks of the time (fewer where fewer times are saved),
+        and how far the estimate moved within the last half. The first holds for chaotic motion; the second is what
+        remains of an exponent that falls like log(t)/t. NaN where no two times are saved.
+        """
+        edges = np.unique(np.linspace(0, len(self.t) - 1, BLOCKS + 1).round().astype(int))
+        if len(edges) < 3:
+            return np.full_like(self.exponents, np.nan)
+        own = np.diff(self.stretches[edges], axis=0) / np.diff(self._elapsed[edges], axis=0)
+        scatter = np.std(own, axis=0, ddof=1) / np.sqrt(len(own))
+        late = self.history[(len(self.t) - 1) // 2 - 1 :]
+        return np.asarray(np.maximum(scatter, np.max(np.abs(late - self.exponents), axis=0)))
+
+    @property
+    def sum(self) -> NDArray[np.float64]:
+        """The sum of the exponents: of all of them, how fast volumes grow, zero on a unimodular algebra."""
+        return np.asarray(np.sum(self.exponents, axis=-1))
+
+    @property
+    def pairing(self) -> NDArray[np.float64]:
+        """How far the exponents are from pairs of +L and -L, and zeros: the largest |L_i + L_(n+1-i)| in their order.
+
+        Zero in the limit for bounded motion on coadjoint orbits: a step is symplectic there, and each Casimir has a
+        zero of its own. NaN where not all exponents were computed.
+        """
+        ordered = np.sort(self.exponents, axis=-1)
+        found = np.max(np.abs(ordered + ordered[..., ::-1]), axis=-1)
+        return np.asarray(found if ordered.shape[-1] == self.dim else np.full_like(found, np.nan))
+
+    @property
+    def _elapsed(self) -> NDArray[np.float64]:
+        return np.asarray(np.abs(self.t - self.t[0]).reshape(-1, *(1,) * (self.stretches.ndim - 1)))
+
+
+def lyapunov(
+    system: System | Batch,
+    x0: Any,
+    t_span: tuple[float, float],
+    step: float,
+    method: Method | None = None,
+    *,
+    exponents: int | None = None,
+    renormalize_every: int = 10,
+    transient: float = 0.0,
+    save_every: int | None = None,
+    threads: int | None = None,
+) -> LyapunovExponents:
+    """Return the Lyapunov exponents of a motion, or of each member of an ensemble, from the exact tangent map.
+
+    Tangent vectors go along with the state in the compiled loop of flow and Runge-Kutta methods and their compositions,
+    and are made orthonormal from time to time; the state has the bits that `integrate` gives. For other schemes
+    `stepper(...).tangent` is called for every step, in Python, and a warning says so once.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem, PoissonSystem or Batch
+        What moves. Its Hamiltonian must have second derivatives, and a `PoissonSystem` the derivative of J.
+    x0 : array_like, shape (n,) or (members, n)
+        Initial momentum, as in `integrate`.
+    t_span : (float, float)
+        Start and end, a whole number of steps. Backward in time the exponents are those of the motion backward.
+    step : float
+        Size of a step, positive.
+    method : Method, optional
+        The scheme; None is `Splitting()` of order 2.
+    exponents : int, optional
+        How many, the largest first; None is all n.
+    renormalize_every : int
+        After how many steps the vectors are made orthonormal.
+    transient : float
+        Time at the start that is not counted, a whole number of steps: the vectors find their directions meanwhile.
+    save_every : int, optional
+        The running estimates are kept after every so many steps that count, and at the end; None is some 200 times.
+    threads : int, optional
+        Threads for the members of an ensemble; None is one for each core.
+
+    Returns
+    -------
+    LyapunovExponents
+        Per unit of time, with their history, uncertainty, sum and pairing.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For wrong input, before the first step; a derivative that is not known.
+    IntegrationError
+        A member failed as in `integrate`, or a vector grew so fast that it could not be told from the others; `partial`
+        has the exponents of the members that did not.
+
+    Notes
+    -----
+    Benettin, Galgani, Giorgilli and Strelcyn, Meccanica 15 (1980), 9 and 21. The vectors start in directions that are
+    no special ones, the same in every run, and k of them are the first k of all.
+
+    Examples
+    --------
+    The unstable axis of a free rigid body, whose exponents are known:
+
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> found = co.lyapunov(body, (0.0, 1.0, 0.0), t_span=(0, 200), step=0.05, transient=50)
+    >>> rate = ((1 / 1 - 1 / 2) * (1 / 2 - 1 / 3)) ** 0.5
+    >>> bool(abs(found.exponents - [rate, 0.0, -rate]).max() < 1e-3)
+    True
+    """
+    scheme = Splitting() if method is None else method
+    if not isinstance(scheme, Method):
+        raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
+    check_system(system)
+    count = system.dim if exponents is None else read_whole(exponents, "exponents (None is all)", 1, system.dim)
+    every = min(read_whole(renormalize_every, "renormalize_every", floats=True), MOST_STEPS)
+    workers = None if threads is None else read_whole(threads, "threads (None is all cores)", floats=True)
+    start = start_of(system, scheme, x0, False)
+    check_room(8 * 4 * system.dim * count, f"{short(count)} tangent vectors of dimension {short(system.dim)}")
+    times = _marked(times_of(t_span, step, 1), transient, save_every, len(start.momenta) * count)
+    frame = Frame(frame_of(count, system.dim), every)
+    workers = min(len(start.momenta), workers or os.cpu_count() or 1)
+    found = stretching(system, scheme, times, start, frame, workers)
+    stretches = found.logarithms - found.logarithms[0]
+    if start.single:
+        stretches = stretches[:, 0]
+    result = LyapunovExponents(times.at(times.saved), stretches, system.dim, found.by)
+    if found.run.wrong:
+        raise found.run.failure(result)
+    if not np.all(np.isfinite(result.exponents)):
+        raise ValueError(
+            "the tangent vectors at the end of the run could no longer be told from each other; give a smaller "
+            f"renormalize_every than {every}, or a smaller step"
+        )
+    return result
+
+
+def _marked(times: Times, transient: Any, save_every: Any, numbers_each: int) -> Times:
+    """Return the times, with the end of the transient and the saved steps after it, of so many numbers, as marks."""
+    passed = read_number(transient, "transient")
+    if passed < 0.0:
+        raise ValueError(f"transient is {passed!r}; it must be a time from 0 up")
+    first = times_between((0.0, passed), abs(times.h), 1).steps if passed else 0
+    counted = times.steps - first
+    if counted < 1:
+        span = times.steps * abs(times.h)
+        raise ValueError(f"transient is {passed!r} of a time of {span!r}; some time must be left to be counted")
+    if save_every is None:
+        every = max(1, counted // POINTS)
+    else:
+        every = read_whole(save_every, "save_every", floats=True)
+    points = -(-counted // every) + 1
+    check_room(8 * 2 * points * (numbers_each + 2), f"the history of {short(points)} times", "give a larger save_every")
+    numbers = np.arange(first, times.steps, min(every, counted))
+    return times.marking(np.append(numbers, times.steps))
+
+
+def frame_of(count: int, size: int) -> NDArray[np.float64]:
+    """Return orthonormal vectors (count, size) in no special directions, the same ones on every machine.
+
+    Examples
+    --------
+    >>> vectors = frame_of(3, 3)
+    >>> bool(abs(vectors @ vectors.T - np.eye(3)).max() < 1e-15), bool((frame_of(2, 3) == vectors[:2]).all())
+    (True, True)
+    """
+    # The finalizer of splitmix64: bits of a counter, mixed.
+    with np.errstate(over="ignore"):
+        mixed = np.arange(1, count * size + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+        for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB), (31, 1)):
+            mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
+    vectors = ((mixed >> np.uint64(11)).astype(np.float64) * 2.0**-53 - 0.5).reshape(count, size).T.copy()
+    for _ in range(2):  # the second time for the digits that the first one lost
+        if make_orthonormal(vectors) is None:
+            raise AssertionError("the mixed bits are not independent")
+    return np.ascontiguousarray(vectors.T)

@@ -1,0 +1,120 @@
+// How gradients and fields change along tangent vectors side by side: exact second derivatives.
+#pragma once
+
+#include "field/derivatives.hpp"
+
+namespace coadjoint {
+
+// Room for the arguments of a function of the user, its matrix, and the call.
+template <class A>
+struct BendRoom {
+    Room<A> arguments, matrix;
+    std::vector<double> calls;
+    explicit BendRoom(int64_t longest)
+        : arguments(longest + 1), matrix(longest * longest), calls((longest + 1) * (longest + 1)) {}
+};
+
+// Fills out[(row - first) * rows] with the change of every row of term k along the vectors: those rows are what
+// `gradient_rows` fills in.
+template <class A, class V>
+NOINLINE void gradient_changes(const Terms& terms, const int64_t* hessians, int64_t k, const A* x, const A& t,
+                               const V* vectors, int64_t rows, V* out, int64_t first, BendRoom<A>& room) {
+    const int64_t start = terms.row[k], stop = terms.row[k + 1], count = stop - start;
+    V* own = out + (start - first) * rows;
+    std::fill_n(own, count * rows, V(0.0));
+    const auto add = [&](int64_t place, const A& factor, int64_t coordinate) {
+        const V by(factor);
+        for (int64_t b = 0; b < rows; ++b)
+            own[place * rows + b] = fma(by, vectors[coordinate * rows + b], own[place * rows + b]);
+    };
+    if (terms.kind[k] == LINEAR) {
+        for (int64_t row = start; row < stop; ++row)
+            for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
+                add(row - start, A(terms.weight[entry]), terms.column[entry]);
+    } else if (terms.kind[k] == POLYNOMIAL) {
+        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
+            const uint32_t low = terms.factor[monomial], high = terms.factor[monomial + 1];
+            for (uint32_t one = low; one < high; ++one)
+                for (uint32_t other = low; other < high; ++other) {
+                    if (one == other && terms.exponent[one] < 2) continue;
+                    A product(terms.coefficient[monomial]);
+                    for (uint32_t factor = low; factor < high; ++factor)
+                        product *= factor_derivative(x[terms.target[terms.factor_row[factor]]], terms.exponent[factor],
+                                                     (factor == one) + (factor == other));
+                    add(terms.factor_row[one] - start, product, terms.target[terms.factor_row[other]]);
+                }
+        }
+    } else {
+        for (int64_t i = 0; i < count; ++i) room.arguments.at[i] = x[terms.target[start + i]];
+        call_function(Shared{}, hessians, k, room.arguments.at, count, t, room.matrix.at, count * count,
+                      room.calls.data());
+        for (int64_t i = 0; i < count; ++i)
+            for (int64_t j = 0; j < count; ++j) add(i, room.matrix.at[i * count + j], terms.target[start + j]);
+    }
+}
+
+// Changes of the field of one system: of the gradient of H, and of sign J(x) u.
+template <class V>
+class FieldChanges {
+  public:
+    FieldChanges(const Field& field, const Tangents& tangents, int64_t rows)
+        : field(field), tangents(tangents), rows(rows), room(field.longest), part(field.longest * rows),
+          bend(field.size * rows), derivative(field.nonlinear ? field.size * field.size * field.size : 0),
+          calls(field.nonlinear ? field.size * (1 + field.size * field.size) : 0) {}
+
+    // Set out = factor * sign * J(z) H''(x, t) v.
+    void of_gradient(const double* z, const double* x, double t, const V* vectors, double factor, V* out,
+                     FieldRoom<double>& own) {
+        const Terms& terms = field.terms;
+        std::fill_n(bend.at, field.size * rows, V(0.0));
+        for (int64_t k = 0; k < terms.size; ++k) {
+            const int64_t first = terms.row[k];
+            gradient_changes(terms, tangents.hessians, k, x, t, vectors, rows, part.at, first, room);
+            for (int64_t row = first; row < int64_t(terms.row[k + 1]); ++row)
+                for (int64_t b = 0; b < rows; ++b)
+                    bend.at[terms.target[row] * rows + b] += part.at[(row - first) * rows + b];
+        }
+        std::fill_n(out, field.size * rows, V(0.0));
+        if (field.nonlinear) structure(field, Shared{}, z, own);
+        for (int64_t i = 0; i < field.size; ++i) {
+            if (field.nonlinear)
+                for (int64_t j = 0; j < field.size; ++j)
+                    add(i, factor * field.sign * own.matrix.at[i * field.size + j], bend.at + j * rows, out);
+            else
+                for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
+                    add(i, factor * (field.constant[q] * z[field.state[q]]), bend.at + field.column[q] * rows, out);
+        }
+    }
+
+    // Add to out the factor times sign * (derivative of J at z along v) u.
+    void of_structure(const double* z, const double* u, const V* vectors, double factor, V* out) {
+        const int64_t n = field.size;
+        if (!field.nonlinear) {
+            for (int64_t i = 0; i < n; ++i)
+                for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
+                    add(i, factor * (field.constant[q] * u[field.column[q]]), vectors + field.state[q] * rows, out);
+            return;
+        }
+        call_function(Shared{}, tangents.derivative, 0, z, n, 0.0, derivative.data(), n * n * n, calls.data());
+        for (int64_t i = 0; i < n; ++i)
+            for (int64_t k = 0; k < n; ++k) {
+                double entry = 0.0;
+                for (int64_t j = 0; j < n; ++j) entry = fma(derivative[(i * n + j) * n + k], u[j], entry);
+                add(i, factor * (field.sign * entry), vectors + k * rows, out);
+            }
+    }
+
+  private:
+    const Field& field;
+    const Tangents& tangents;
+    const int64_t rows;
+    BendRoom<double> room;
+    Room<V> part, bend;
+    std::vector<double> derivative, calls;
+
+    void add(int64_t i, double factor, const V* from, V* out) const {
+        for (int64_t b = 0; b < rows; ++b) out[i * rows + b] = fma(V(factor), from[b], out[i * rows + b]);
+    }
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,138 @@
+// Tangent vectors, those of one member side by side or those of many members, and by how much each was stretched.
+#pragma once
+
+#include "boundary/crew.hpp"
+#include "numbers/room.hpp"
+
+namespace coadjoint {
+
+typedef Lanes<4> Abreast;  // tangent vectors of one member side by side
+
+// Of what a vector was, what must be left of it beside the others: less, and half of its digits are round-off.
+constexpr double NEARLY_DEPENDENT = 0x1p-26;
+
+// Lengths multiplied with each other: (high + low) 2^exponent, high from 1/2 to 1, as accurate as one of them.
+struct Stretch {
+    double high, low, exponent;
+
+    void grow(double length) {
+        const double product = high * length, rest = fma(high, length, -product) + low * length;
+        int binary;
+        high = std::frexp(product, &binary);
+        low = std::ldexp(rest, -binary);
+        exponent += binary;
+    }
+};
+
+// Make vectors orthonormal, one after the other, by the modified process of Gram and Schmidt: component i of vector r
+// stands at i * width + r. `lengths` become those that were left of them. False where one depends on those before it,
+// or is no number.
+template <class N>
+typename Numbers<N>::Mask orthonormalize(N* at, int64_t size, int64_t count, int64_t width, N* lengths, N* shares) {
+    const auto length_of = [&](int64_t r) {
+        N square(0.0);
+        for (int64_t i = 0; i < size; ++i) square = fma(at[i * width + r], at[i * width + r], square);
+        return map(square, [](double own) { return std::sqrt(own); });
+    };
+    typename Numbers<N>::Mask sound = N(0.0) == N(0.0);
+    for (int64_t r = 0; r < count; ++r) lengths[r] = length_of(r);
+    for (int64_t r = 0; r < count; ++r) {
+        Hearing::of_this_call().after(2 * size * (count - r) * Numbers<N>::lanes);
+        const N length = length_of(r);
+        sound = sound & (length > N(NEARLY_DEPENDENT) * lengths[r]) & (length - length == N(0.0));
+        if (!any(sound)) return sound;
+        lengths[r] = length;
+        std::fill_n(shares, count, N(0.0));
+        for (int64_t i = 0; i < size; ++i) {
+            const N own = at[i * width + r] = at[i * width + r] / length;
+            for (int64_t s = r + 1; s < count; ++s) shares[s] = fma(own, at[i * width + s], shares[s]);
+        }
+        for (int64_t i = 0; i < size; ++i) {
+            const N own = -at[i * width + r];
+            for (int64_t s = r + 1; s < count; ++s) at[i * width + s] = fma(own, shares[s], at[i * width + s]);
+        }
+    }
+    return sound;
+}
+
+// How many numbers a member remembers of its vectors: themselves, and how each was stretched until the last time that
+// they were made orthonormal, and until the last step.
+inline int64_t remembered_by(const Tangents& tangents) { return tangents.carried * (tangents.size + 6); }
+
+// An N is a number of one member, or of many as lanes; a V is an N, or vectors of one member side by side.
+template <class N, class V>
+class Bundle {
+  public:
+    typedef typename Numbers<N>::Mask Mask;
+    const int64_t size, count, rows;  // components, vectors, and blocks of them side by side
+
+    explicit Bundle(const Tangents& given)
+        : size(given.size), count(given.carried), rows((count + abreast - 1) / abreast), given(given),
+          vectors(size * rows), copies(size * rows), lengths(count), shares(count), stretches(members * count) {}
+
+    // Take up what the member of a lane remembers from `memory` on; before the first step the vectors are those that
+    // were given.
+    void begin(const double* memory, bool starting, int lane = 0) {
+        const double *from = starting ? given.frame : memory, *stretched = memory + count * size;
+        each([&](int64_t r, int64_t i) { set_lane(entries(vectors)[i * width() + r], lane, from[r * size + i]); });
+        for (int64_t r = 0; r < count; ++r, stretched += 3)
+            stretches[lane * count + r] =
+                starting ? Stretch{0.5, 0.0, 1.0} : Stretch{stretched[0], stretched[1], stretched[2]};
+    }
+
+    // Component i of the vectors of a block stands at i * rows + block; beyond the last vector there are zeros.
+    V* held() { return vectors.at; }
+
+    // To be called after each step; false where the vectors are no longer independent.
+    Mask after(int64_t k) { return k % given.every != 0 ? N(0.0) == N(0.0) : grow(vectors, stretches); }
+
+    // Leave the state of the first `used` lanes in the memory of each. `finish(vectors)` does for copies what is left of
+    // the last step; where they are not independent, by how much they were stretched until then is no number.
+    template <class MemoryOf, class Finish>
+    void end(int used, MemoryOf memory_of, Finish finish) {
+        std::copy_n(vectors.at, size * rows, copies.at);
+        finish(copies.at);
+        std::vector<Stretch> finished = stretches;
+        const Mask sound = grow(copies, finished);
+        for (int lane = 0; lane < used; ++lane) {
+            double* to = memory_of(lane);
+            each([&](int64_t r, int64_t i) { to[r * size + i] = lane_of(entries(vectors)[i * width() + r], lane); });
+            to += count * size;
+            for (int64_t r = 0; r < count; ++r) to = write(stretches[lane * count + r], to);
+            for (int64_t r = 0; r < count; ++r)
+                to = write(at(sound, lane) ? finished[lane * count + r] : Stretch{NAN, NAN, NAN}, to);
+        }
+    }
+
+  private:
+    static constexpr int members = Numbers<N>::lanes;
+    static constexpr int64_t abreast = Numbers<V>::lanes / members;
+    const Tangents& given;
+    Room<V> vectors, copies;
+    Room<N> lengths, shares;
+    std::vector<Stretch> stretches;
+
+    int64_t width() const { return rows * abreast; }
+    static N* entries(Room<V>& room) { return reinterpret_cast<N*>(room.at); }
+
+    Mask grow(Room<V>& room, std::vector<Stretch>& by) {
+        const Mask sound = orthonormalize(entries(room), size, count, width(), lengths.at, shares.at);
+        for (int lane = 0; lane < members; ++lane)
+            for (int64_t r = 0; at(sound, lane) && r < count; ++r)
+                by[lane * count + r].grow(lane_of(lengths.at[r], lane));
+        return sound;
+    }
+
+    static double* write(const Stretch& from, double* to) {
+        *to++ = from.high, *to++ = from.low, *to++ = from.exponent;
+        return to;
+    }
+
+    template <class Visit>
+    void each(Visit visit) const {
+        for (int64_t r = 0; r < count; ++r)
+            for (int64_t i = 0; i < size; ++i) visit(r, i);
+    }
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,104 @@
+// The rows of a program with tangent vectors beside the momentum: dx <- act(theta, dx) + (D x) dtheta.
+#pragma once
+
+#include "flows/flow_alone.hpp"
+#include "tangents/bends.hpp"
+#include "tangents/bundle.hpp"
+
+namespace coadjoint {
+
+// Add D_a x times the change of its angle to the vectors, for all angles of a part (the verb `apply`).
+template <class A, class V>
+NOINLINE void add_turned(const Action& action, uint32_t part, const A* x, const V* changes, V* vectors,
+                         int64_t rows) {
+    for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
+        const int kind = action.kind[run] % RATIONAL;
+        const uint32_t repeat = action.repeat[run], count = action.angles[run];
+        const uint32_t* index = action.indices + action.place[run];
+        const double* constants = action.constants + action.constant[run];
+        const V* change = changes + action.angle[run] * rows;
+        const auto gain = [&](uint32_t i, const A& moved) {
+            const V by(moved);
+            for (int64_t b = 0; b < rows; ++b) vectors[i * rows + b] = fma(by, change[b], vectors[i * rows + b]);
+        };
+        if (kind == CUBIC || kind == SERIES) {
+            const BlockRows block(action, run);
+            const double* values = constants + (kind == CUBIC ? CUBIC_HEADER : 1);
+            for (uint32_t k = 0; k < block.width; ++k) {
+                A moved(0.0);
+                for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry)
+                    moved = fma(A(values[entry]), x[block.coordinates[block.columns[entry]]], moved);
+                gain(block.coordinates[k], moved);
+            }
+            continue;
+        }
+        for (uint32_t q = 0; q < count; ++q, change += rows)
+            for (uint32_t b = 0; b < repeat; ++b) {
+                if (kind == SCALE) {
+                    gain(index[0], constants[q] * x[index[0]]);
+                } else if (kind == ROTATE) {
+                    gain(index[0], -(constants[q] * x[index[1]]));
+                    gain(index[1], constants[q] * x[index[0]]);
+                } else if (kind == SHEAR) {
+                    gain(index[0], constants[q * repeat + b] * x[index[1]]);
+                } else {
+                    const double* own = constants + 4 * q;
+                    const A one = x[index[0]], other = x[index[1]];
+                    gain(index[0], fma(A(own[0] + own[1]), one, own[2] * other));
+                    gain(index[1], fma(A(own[3]), one, (own[0] - own[1]) * other));
+                }
+                index += kind == SCALE ? 1 : 2;
+            }
+    }
+}
+
+// One member of a flow method, or many as lanes: momenta have the bits that they have without tangent vectors.
+template <Care care, class A, class V>
+struct FlowTraveller {
+    const FlowTables& tables;
+    const Tangents& tangents;
+    const int64_t size, rows;
+    Room<A> scratch;
+    Room<V> wide, changes;
+    AngleRoom<A> angles;
+    BendRoom<A> bends;
+
+    FlowTraveller(const FlowTangents& given, int64_t size, int64_t rows)
+        : tables(given.base), tangents(given.tangents), size(size), rows(rows), scratch(3 * size),
+          wide(3 * size * rows), changes(tables.longest * rows), angles(tables.longest), bends(tables.longest) {}
+
+    void sweep(uint32_t first, uint32_t last, A* x, A* dx, V* vectors, const A& t, double h) {
+        for (uint32_t r = first; r < last; ++r) row(r, x, dx, vectors, t, h);
+    }
+
+  private:
+    void row(uint32_t r, A* x, A* dx, V* vectors, const A& t, double h) {
+        const Terms& terms = tables.terms;
+        const uint32_t part = tables.part[r], low = tables.share[part], high = tables.share[part + 1];
+        const int64_t base = terms.row[low], count = terms.row[high] - base;
+        const bool single = tables.only[part] >= 0;
+        const double tau = tables.tau[r];
+        const A moment = t + A(tables.moment[r] * h);
+        A* theta = angles.theta.at;
+        for (uint32_t k = low; k < high; ++k) {
+            gradient_rows(terms, Shared{}, tables.addresses, k, x, moment, theta, base, angles.arguments.at,
+                          angles.calls.data());
+            gradient_changes(terms, tangents.hessians, k, x, moment, vectors, rows, changes.at, base, bends);
+        }
+        for (int64_t a = 0; a < count; ++a) {
+            // A rational rotation by phi turns by 2 atan(phi/2).
+            const A half = 0.5 * tables.frequency[base + a] * (tau * theta[a]);
+            const V by(A(tau) / fma(half, half, A(1.0)));
+            for (int64_t b = 0; b < rows; ++b) changes.at[a * rows + b] *= by;
+        }
+        const A lone = single ? theta[0] : A(0.0);
+        Turned<A> turned;
+        act<care, false>(tables.state, Shared{}, part, tau, single, lone, theta, turned,
+                         Vectors<A>{x, dx, 1, scratch.at});
+        act<PLAIN, true>(tables.state, Shared{}, part, tau, single, lone, theta, turned,
+                         Vectors<V>{vectors, nullptr, rows, wide.at});
+        add_turned(tables.state, part, x, changes.at, vectors, rows);
+    }
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,154 @@
+"""Tangent vectors beside the states of a compiled loop: what the loop is told of them, and what it leaves of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.flow import FlowTables
+from coadjoint.kernels.functions import CompiledFunction, Kept
+from coadjoint.kernels.loop import CompiledLoop, remembered
+from coadjoint.kernels.runge_kutta import RungeKuttaTables
+from coadjoint.kernels.tables import addresses_of
+from coadjoint.systems.kinds import System
+from coadjoint.systems.terms import FunctionTerm
+
+NUMBERS_OF_A_STRETCH = 3
+"""Lengths multiplied with each other are (high + low) 2^exponent."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Tangent vectors at the start of a run, and after how many steps they are made orthonormal.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (k, n)
+        One row for each.
+    every : int
+        The number of steps.
+    """
+
+    vectors: NDArray[np.float64]
+    every: int
+
+
+class Tangents(NamedTuple):
+    """What the loops read of `carried` tangent vectors in `size` dimensions; see `source/boundary/tables.hpp`."""
+
+    size: int
+    carried: int
+    every: int
+    frame: NDArray[np.float64]
+    hessians: NDArray[np.int64]
+    derivative: NDArray[np.int64]
+
+
+class FlowTangents(NamedTuple):
+    """A program with tangent vectors."""
+
+    base: FlowTables
+    tangents: Tangents
+
+
+class RungeKuttaTangents(NamedTuple):
+    """A Runge-Kutta method with tangent vectors."""
+
+    base: RungeKuttaTables
+    tangents: Tangents
+
+
+LOOPS: Mapping[type, tuple[str, Any]] = {
+    FlowTables: ("flow_tangents_advance", FlowTangents),
+    RungeKuttaTables: ("runge_kutta_tangents_advance", RungeKuttaTangents),
+}
+"""By the tables of a loop: the loop that carries tangent vectors as well, and its tables."""
+
+
+def with_tangents(
+    loop: CompiledLoop, system: System, functions: Mapping[int, FunctionTerm], frame: Frame
+) -> CompiledLoop:
+    """Return the loop that takes the same steps, to the bit, and carries tangent vectors beside the state.
+
+    Parameters
+    ----------
+    loop : CompiledLoop
+        Of a program, or of a Runge-Kutta method; it carries no group element.
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    functions : mapping
+        Number of a term of the loop's tables -> the functions of the user that it calls.
+    frame : Frame
+        The vectors.
+
+    Returns
+    -------
+    CompiledLoop
+        Its memory ends with what `stretches` reads.
+
+    Raises
+    ------
+    TypeError
+        A second derivative is not known, or cannot be compiled.
+    """
+    name, kind = LOOPS[type(loop.tables)]
+    check_differentiable(system)
+    terms = loop.tables.terms if isinstance(loop.tables, FlowTables) else loop.tables.field.terms
+    hessians, keep = addresses_of(functions, terms.size, "hessian", "the Hamiltonian")
+    derivative, kept = _derivative_of_structure(system)
+    carried, size = frame.vectors.shape
+    vectors = np.ascontiguousarray(frame.vectors, dtype=np.float64)
+    tables = kind(loop.tables, Tangents(size, carried, frame.every, vectors, hessians, derivative))
+    return CompiledLoop(name, tables, (*loop.keep, *keep, *kept), memory=remembered(name, tables))
+
+
+def check_differentiable(system: System) -> None:
+    """Refuse a system whose field has no derivative that is known.
+
+    Raises
+    ------
+    TypeError
+        The Hamiltonian has no second derivatives, or J(x) no derivative.
+    """
+    if not all(term.differentiable for term in system.hamiltonian.terms()):
+        raise TypeError(
+            f"tangent vectors need second derivatives, which the Hamiltonian of {system.name} was given without; "
+            "give hessian="
+        )
+    if system.algebra is None and getattr(system, "derivative_function", None) is None:
+        raise TypeError(
+            f"tangent vectors need the derivative of J, which is unknown for {system.name}; give derivative="
+        )
+
+
+def _derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Kept]:
+    if system.algebra is not None:
+        return np.zeros(0, dtype=np.int64), ()
+    assert system.derivative_function is not None
+    compiled = CompiledFunction(
+        system.derivative_function,
+        system.dim,
+        system.dim**3,
+        scalar=False,
+        flat=True,
+        timed=False,
+        what="the derivative of the structure matrix",
+    )
+    return np.array([compiled.address], dtype=np.int64), (compiled,)
+
+
+def vectors_in(memory: NDArray[np.float64], count: int, size: int) -> NDArray[np.float64]:
+    """Return the tangent vectors (members, count, size) that members remember, as they are before they are finished."""
+    own = memory[:, memory.shape[1] - count * (size + 2 * NUMBERS_OF_A_STRETCH) :]
+    return own[:, : count * size].reshape(-1, count, size)
+
+
+def stretches_in(memory: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Return the logarithms (members, count) of by how much each vector was stretched until the last step."""
+    own = memory[:, memory.shape[1] - count * NUMBERS_OF_A_STRETCH :].reshape(-1, count, NUMBERS_OF_A_STRETCH)
+    high, low, exponent = np.moveaxis(own, 2, 0)
+    return np.asarray(exponent * np.log(2.0) + (np.log(high) + np.log1p(low / high)))

@@ -1,0 +1,183 @@
+"""By how much tangent vectors are stretched along a run: in the compiled loop, or by `Method.tangent`, step by step."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.tangents import Frame, stretches_in
+from coadjoint.memory import check_room
+from coadjoint.methods.base import Method
+from coadjoint.runs.run import Run
+from coadjoint.runs.start import Start
+from coadjoint.runs.tangent_loops import each_its_own
+from coadjoint.runs.times import Times
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.kinds import System
+from coadjoint.wording import short
+
+NEARLY_DEPENDENT = 2.0**-26  # as in the compiled loop: half of the digits
+_said: set[type] = set()
+
+
+class Stretching(NamedTuple):
+    """What a run has found.
+
+    Parameters
+    ----------
+    logarithms : ndarray, shape (points, members, k)
+        Of by how much each vector was stretched from the start to each saved time; NaN after a failure.
+    by : str
+        How the tangent was found: "compiled", or in Python by its "formula", by "complex step" or by "differences".
+    run : Run
+        The run, for its failures.
+    """
+
+    logarithms: NDArray[np.float64]
+    by: str
+    run: Run
+
+
+def stretching(
+    system: System | Batch, method: Method, times: Times, start: Start, frame: Frame, workers: int
+) -> Stretching:
+    """Carry tangent vectors along a run.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem, PoissonSystem or Batch
+        What moves.
+    method : Method
+        The scheme.
+    times : Times
+        With the saved steps as marks.
+    start : Start
+        Without a group element.
+    frame : Frame
+        The vectors of every member, orthonormal.
+    workers : int
+        How many threads.
+
+    Returns
+    -------
+    Stretching
+
+    Raises
+    ------
+    ValueError, TypeError
+        The scheme cannot serve the system, or a derivative is not known.
+    """
+    systems = list(system) if isinstance(system, Batch) else [system]
+    prepared = []
+    for m, one in enumerate(systems):
+        try:
+            method.properties(one)
+            prepared.append(method.tangent_loop(one, times.h, frame))
+        except (TypeError, ValueError) as error:
+            if not isinstance(system, Batch):
+                raise
+            raise type(error)(f"member {m} of the batch: {error}") from error
+    if None in prepared:
+        return _step_by_step(system, systems, method, times, start, frame)
+    loops = each_its_own(systems, method, times.h, prepared)
+    run = Run(system, method, loops, times, start, False, workers)
+    logarithms = np.full((times.points, len(start.momenta), len(frame.vectors)), np.nan)
+    for point, number in enumerate(times.saved.tolist()):
+        if number == 0:
+            logarithms[point] = 0.0
+            continue
+        run.advance(until=number)
+        going = run.state["status"] == 0
+        logarithms[point, going] = stretches_in(run.state["memory"][going], len(frame.vectors))
+    return Stretching(logarithms, "compiled", run)
+
+
+def _step_by_step(
+    system: System | Batch, systems: Sequence[System], method: Method, times: Times, start: Start, frame: Frame
+) -> Stretching:
+    """Take the steps in the loop of the scheme, and then their tangents one after the other."""
+    numbers = (times.steps + 1) * (systems[0].dim + 2) * len(start.momenta)
+    check_room(8 * numbers, f"the states of {short(times.steps)} steps, whose tangents are found in Python,")
+    _say_once(type(method))
+    every_step = times.marking(np.arange(times.steps + 1))
+    loops = each_its_own(systems, method, times.h, [None] * len(systems))
+    run = Run(system, method, loops, every_step, start, False)
+    run.advance()
+    ends = np.where(run.state["status"] == 0, times.steps, run.state["step"] - 1)
+    logarithms = np.full((times.points, len(start.momenta), len(frame.vectors)), np.nan)
+    for m in range(len(start.momenta)):
+        own = systems[m if len(systems) > 1 else 0]
+        states = run.saved["x"][: int(ends[m]) + 1, m]
+        failed = _follow(own, method, times, states, frame, logarithms[:, m])
+        if failed:
+            run.fail(m, failed, "PARALLEL")
+    by = method.tangent_by(systems[0], start.momenta[0], times.t0, times.h)
+    return Stretching(logarithms, by, run)
+
+
+def _follow(
+    system: System, method: Method, times: Times, states: NDArray[Any], frame: Frame, found: NDArray[np.float64]
+) -> int:
+    """Fill in the logarithms of one member, and return the step whose vectors are not independent, or 0."""
+    total, owed = np.zeros(len(frame.vectors)), np.zeros(len(frame.vectors))
+    vectors = frame.vectors.T.copy()
+    saved = {number: point for point, number in enumerate(times.saved.tolist())}
+    for k in range(len(states)):
+        if k:
+            before = float(times.t0 + (k - 1) * times.h)
+            vectors = method.tangent(system, states[k - 1], before, times.h)[1] @ vectors
+        if k and k % frame.every == 0:
+            lengths = make_orthonormal(vectors)
+            if lengths is None:
+                return k
+            more = np.log(lengths) + owed
+            owed = more - ((total + more) - total)
+            total = total + more
+        if k in saved:
+            lengths = make_orthonormal(vectors.copy())
+            found[saved[k]] = np.nan if lengths is None else total + (owed + np.log(lengths))
+    return 0
+
+
+def make_orthonormal(vectors: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Make the columns of (n, k) orthonormal in place, in their order, by the modified process of Gram and Schmidt.
+
+    Returns
+    -------
+    ndarray of shape (k,), or None
+        What was left of the length of each; None where one depends on those before it, or is no number.
+
+    Examples
+    --------
+    >>> vectors = np.array([[3.0, 5.0], [0.0, 2.0]])
+    >>> make_orthonormal(vectors).tolist(), vectors.tolist()
+    ([3.0, 2.0], [[1.0, 0.0], [0.0, 1.0]])
+    """
+    # Sums by cumsum go in the order of the indices, on every machine.
+    lengths = np.sqrt(np.cumsum(vectors**2, axis=0)[-1])
+    for r in range(vectors.shape[1]):
+        own = vectors[:, r]
+        length = np.sqrt(np.cumsum(own**2)[-1])
+        if not (length > NEARLY_DEPENDENT * lengths[r] and np.isfinite(length)):
+            return None
+        lengths[r] = length
+        own /= length
+        others = vectors[:, r + 1 :]
+        others -= own[:, None] * np.cumsum(own[:, None] * others, axis=0)[-1]
+    return np.asarray(lengths)
+
+
+def _say_once(scheme: type) -> None:
+    if scheme in _said:
+        return
+    _said.add(scheme)
+    warnings.warn(
+        f"the tangents of {scheme.__name__} are calls of Python, some hundred times slower than those of flow and "
+        "Runge-Kutta methods, which are compiled",
+        RuntimeWarning,
+        stacklevel=2,
+    )

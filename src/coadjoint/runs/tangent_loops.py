@@ -1,0 +1,59 @@
+"""The compiled loops of runs with tangent vectors: those of one system, or of each member of a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.loop import CompiledLoop, Crew
+from coadjoint.methods.base import Method
+from coadjoint.runs.batch_loops import in_rounds
+from coadjoint.runs.loops import Loops, SystemLoops, as_rows
+from coadjoint.runs.shifted_attitude import plainly
+from coadjoint.systems.kinds import System
+
+
+def each_its_own(systems: Sequence[System], method: Method, h: float, prepared: Sequence[CompiledLoop | None]) -> Loops:
+    """Return the loops of a run that follows the energy alone.
+
+    Parameters
+    ----------
+    systems : sequence of LiePoissonSystem or PoissonSystem
+        One for all members, or one for each.
+    method : Method
+        The scheme.
+    h : float
+        Step, negative for backward.
+    prepared : sequence of (CompiledLoop or None)
+        Of each, what `Method.tangent_loop` has returned; None is the loop without tangent vectors.
+
+    Returns
+    -------
+    Loops
+    """
+    found = [SystemLoops(one, method, h, None, {}, own) for one, own in zip(systems, prepared, strict=True)]
+    return found[0] if len(found) == 1 else EachItsOwn(found)
+
+
+class EachItsOwn(Loops):
+    """Members that have each its own tables, and go one after the other."""
+
+    turned = staticmethod(plainly)
+
+    def __init__(self, members: Sequence[SystemLoops]) -> None:
+        self._members = members
+        self.names, self.size, self.memory = members[0].names, members[0].size, members[0].memory
+
+    def rounds(self, members: int, workers: int) -> list[list[Crew]]:
+        """Return rounds of crews of one member each."""
+        return in_rounds([own.crew(m, m + 1, m) for m, own in enumerate(self._members)], workers)
+
+    def raised(self) -> BaseException | None:
+        """Return what a function of the user raised in the loop of any member."""
+        return next((error for own in self._members if (error := own.raised())), None)
+
+    def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the group elements as they are: none is carried."""
+        return as_rows(groups)

@@ -1,0 +1,318 @@
+"""Lyapunov exponents: where they are known, computed twice where they are not, and the same bits in any company."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import warnings
+
+import numpy as np
+import pytest
+from heavy_top import ONE, Top, fixed
+
+import coadjoint as co
+from coadjoint.analysis.lyapunov import frame_of
+
+INERTIA, CENTRE = (1.0, 1.75, 2.5), (0.5, 0.25, 1.0)
+UPRIGHT = np.array([1.0, 0.5, -0.75, 0.6, 0.0, 0.8])  # of the chaotic region: its exponent is some 0.12
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+
+
+def heavy_top(inertia=INERTIA, centre=CENTRE):
+    H = co.Quadratic([*(1.0 / np.array(inertia)), 0.0, 0.0, 0.0], linear=[0.0, 0.0, 0.0, *centre])
+    return co.LiePoissonSystem(co.algebras.e(3), H, sign=-1)
+
+
+SCHEMES = (
+    co.Splitting(order=4),
+    co.Splitting(order=2, parts="coordinates"),
+    co.Composition(co.Splitting(order=2), (0.75, -0.5, 0.75)),
+    co.GaussLegendre(2),
+    co.ExplicitRungeKutta("rk4"),
+    co.ModifiedGaussLegendre(2),
+    co.IteratedGaussLegendre(2),
+)
+
+
+@pytest.mark.parametrize("method", SCHEMES, ids=str)
+def test_the_unstable_axis_of_a_body(method):
+    """At rest the exponents are the eigenvalues of the linear equation; those of a step of order p differ by O(h^p)."""
+    rate = math.sqrt((1 / 1 - 1 / 2) * (1 / 2 - 1 / 3))
+    found = [
+        co.lyapunov(BODY, (0.0, 1.0, 0.0), (0, 320), h, method, transient=64).exponents - [rate, 0.0, -rate]
+        for h in (0.2, 0.1)
+    ]
+    coarse, fine = (abs(each).max() for each in found)
+    assert fine <= 0.1**method.order
+    assert fine <= 1.2 * coarse / 2**method.order + 1e-14
+
+
+@pytest.mark.parametrize(
+    "name, parameters", [("sl(2)", {}), ("A3,7", {"a": 0.75}), ("A4,7", {}), ("so(2,2)", {}), ("A5,40", {})]
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_linear_hamiltonians(name, parameters, sign):
+    """H = l . x moves by exp(t D), whose exponents are the real parts of the eigenvalues: of any sum."""
+    algebra = co.algebras.so(2, 2) if name == "so(2,2)" else co.algebras.get(name, **parameters)
+    linear = np.random.default_rng(len(name)).uniform(0.25, 0.75, algebra.dim)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(np.zeros(algebra.dim), linear=linear), sign=sign, casimirs={})
+    wanted = np.sort(np.linalg.eigvals(system.jacobian(np.zeros(algebra.dim))).real)[::-1]
+    x0 = np.random.default_rng(1).uniform(0.1, 0.2, algebra.dim) * 1e-30  # so that what grows does not overflow
+    for method in (co.Splitting(order=2), co.GaussLegendre(4)):
+        found = co.lyapunov(system, x0, (0, 80), 0.05, method, transient=40)
+        # Vectors of equal exponents turn into each other: the time is 40, and what they gain on the way is some units.
+        assert np.max(np.abs(np.sort(found.exponents)[::-1] - wanted)) <= 0.05, method
+        assert abs(found.sum - wanted.sum()) <= 1e-8
+        backward = co.lyapunov(system, x0, (80, 0), 0.05, method, transient=40)
+        assert np.max(np.abs(np.sort(backward.exponents) + wanted)) <= 0.05
+        assert abs(backward.sum + wanted.sum()) <= 1e-8
+
+
+def test_regular_motion_has_no_exponents():
+    """Neighbours of an integrable motion part linearly: four times the time, and log(4) more."""
+    found = co.lyapunov(BODY, (0.4, 1.0, 0.3), (0, 16384), 0.1, co.Splitting(order=4), save_every=128)
+    first, third = found.stretches[:, 0], found.stretches[:, 2]
+    late, early = (slice(len(first) // (4 * k) * 3, None if k == 1 else len(first) // k) for k in (1, 4))
+    assert abs(first[late].mean() - first[early].mean() - math.log(4)) < 0.1
+    assert abs(third[late].mean() - third[early].mean() + math.log(4)) < 0.1
+    assert np.max(np.abs(found.exponents)) < 2 * math.log(16384) / 16384
+    assert np.all(np.abs(found.exponents) <= 1e-12 + 3 * found.uncertainty)
+
+
+def test_the_heavy_top_twice():
+    """By the tangent map, and by trajectories that differ in the twelfth digit, with 200 bits: the same two numbers.
+
+    Pairs of them make the area that two vectors span, so that the second exponent is compared as well. Central
+    differences of 2^-40 are wrong by their square.
+    """
+    top, time, step, delta = Top(INERTIA, CENTRE), 48, 0.25, 2.0**-40
+    start, vectors = fixed(UPRIGHT), frame_of(2, 6)
+    columns = []
+    for vector in vectors:
+        moved = [fixed(side * delta * vector) for side in (1.0, -1.0)]
+        ends = [top.flow([a + b for a, b in zip(start, by, strict=True)], step, int(time / step)) for by in moved]
+        columns.append([(a - b) / (2 * delta * ONE) for a, b in zip(*ends, strict=True)])
+    wanted = np.log(np.abs(np.diag(np.linalg.qr(np.array(columns).T)[1]))) / time
+    system = heavy_top()
+    m, g = top.field([[v] for v in start[:3]], [[v] for v in start[3:]])
+    assert np.max(np.abs(np.array(m + g) / ONE - system.vector_field(UPRIGHT))) < 1e-15
+    assert wanted[0] > 0.05  # chaos, and not the linear parting of regular motion, log(48)/48 = 0.08 with both signs
+
+    def errors(method, h):
+        return np.abs(co.lyapunov(system, UPRIGHT, (0, time), h, method, exponents=2).exponents - wanted)
+
+    # Round-off of the states has grown by the stretch of some hundreds, and of the vectors with the steps.
+    assert np.max(errors(co.GaussLegendre(6), 0.0625)) < 1e-11
+    coarse, fine = errors(co.Splitting(order=4), 1 / 64), errors(co.Splitting(order=4), 1 / 128)
+    assert np.max(fine) < 1e-5 and np.max(fine) < np.max(coarse) / 12
+
+
+@pytest.fixture(scope="module")
+def chaos():
+    return co.lyapunov(heavy_top(), UPRIGHT, (0, 4000), 0.05, co.Splitting(order=4), transient=100)
+
+
+def test_pairs_and_zeros_of_a_chaotic_top(chaos):
+    """On e(3): +L, -L, and zeros for two Casimirs, the energy and the flow, as far as log(t)/t lets them be."""
+    assert chaos.exponents[0] > 0.08 and chaos.by == "compiled"
+    assert np.all(np.abs(chaos.exponents[1:5]) < 2 * math.log(3900) / 3900)
+    assert chaos.pairing < 2 * math.log(3900) / 3900
+    assert abs(chaos.sum) < 1e-12
+    other = co.lyapunov(heavy_top(), UPRIGHT, (0, 8000), 0.05, co.Splitting(order=4), transient=4000, exponents=1)
+    assert abs(other.exponents[0] - chaos.exponents[0]) < 4 * (other.uncertainty[0] + chaos.uncertainty[0])
+    assert 0.0 < chaos.uncertainty[0] < 0.05 and np.isnan(other.pairing)
+
+
+def test_the_sum_is_the_mean_divergence():
+    """A3,7 is not unimodular: volumes grow by the trace of the derivative of the field, averaged along the way."""
+    system = co.systems.paper_a37(2.0, (1.0, 1.5, 0.3))
+    x0, h, steps = np.array([0.7, 0.5, 0.6]), 1 / 256, 1024
+    found = co.lyapunov(system, x0, (0, steps * h), h, co.Splitting(order=4))
+    states = co.integrate(system, x0, (0, steps * h), h, co.Splitting(order=4)).x
+    trace = np.array([np.trace(system.jacobian(x)) for x in states])
+    # Simpson's rule, of the fourth order as the scheme is.
+    mean = (trace[0] + trace[-1] + 4 * trace[1::2].sum() + 2 * trace[2:-1:2].sum()) / (3 * steps)
+    assert abs(mean) > 0.1 and abs(found.sum - mean) < 1e-8
+
+
+def bits(result, members=slice(None)):
+    return result.stretches[:, members].tobytes()
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")], ids=str)
+def test_same_bits_alone_in_a_crowd_on_threads_and_in_pieces(method):
+    system, rng = heavy_top(), np.random.default_rng(2)
+    crowd = UPRIGHT + 0.1 * rng.standard_normal((37, 6))
+    given = {"t_span": (0.0, 20.0), "step": 0.1, "method": method, "renormalize_every": 7}
+    whole = co.lyapunov(system, crowd, **given, save_every=20, threads=1)
+    assert whole.exponents.shape == (37, 6) and whole.history.shape == (10, 37, 6) and whole.sum.shape == (37,)
+    threads = co.lyapunov(system, crowd, **given, save_every=20, threads=3)
+    assert bits(threads) == bits(whole)
+    pieces = co.lyapunov(system, crowd, **given, save_every=1, threads=1)
+    assert pieces.stretches[::20].tobytes() == bits(whole)
+    for member in (0, 20, 36):
+        alone = co.lyapunov(system, crowd[member], **given, save_every=20)
+        assert alone.stretches.tobytes() == bits(whole, member)
+    some = co.lyapunov(system, crowd[:3], **given, save_every=20, exponents=2)
+    assert some.stretches.tobytes() == np.ascontiguousarray(whole.stretches[:, :3, :2]).tobytes()
+
+
+def test_a_batch_has_the_bits_of_its_members():
+    bodies = co.batch([heavy_top(centre=(0.5, 0.25, c)) for c in np.linspace(0.5, 1.0, 5)])
+    for method in (co.Splitting(order=2), co.GaussLegendre(1)):
+        whole = co.lyapunov(bodies, UPRIGHT, (0, 10), 0.1, method, threads=2, transient=2.0)
+        for m, system in enumerate(bodies):
+            alone = co.lyapunov(system, UPRIGHT, (0, 10), 0.1, method, transient=2.0)
+            assert alone.stretches.tobytes() == bits(whole, m)
+
+
+def test_the_transient_is_taken_off():
+    whole = co.lyapunov(BODY, (0.4, 1.0, 0.3), (0, 30), 0.1, save_every=50)
+    later = co.lyapunov(BODY, (0.4, 1.0, 0.3), (0, 30), 0.1, save_every=50, transient=10.0)
+    assert np.array_equal(later.t, [10.0, 15.0, 20.0, 25.0, 30.0])
+    assert np.array_equal(later.stretches, whole.stretches[2:] - whole.stretches[2])
+    assert np.array_equal(later.exponents, later.stretches[-1] / 20.0)
+    backward = co.lyapunov(BODY, (0.4, 1.0, 0.3), (30, 0), 0.1, save_every=50, transient=10.0)
+    assert np.array_equal(backward.t, [20.0, 15.0, 10.0, 5.0, 0.0]) and np.all(backward._elapsed[-1] == 20.0)
+
+
+def test_uncertainty_is_the_scatter_or_the_trend():
+    from coadjoint.analysis.lyapunov import LyapunovExponents
+
+    t, rng = np.arange(0.0, 1001.0), np.random.default_rng(6)
+    noise = np.concatenate([[0.0], np.cumsum(0.5 + rng.standard_normal(1000))])
+    found = LyapunovExponents(t, noise[:, None], 1, "compiled")
+    assert abs(found.exponents[0] - 0.5) < 3 * found.uncertainty[0] < 0.3
+    parting = LyapunovExponents(t, np.log1p(t)[:, None], 1, "compiled")
+    assert parting.uncertainty[0] >= parting.history[499, 0] - parting.exponents[0] > 0.004
+    assert np.isnan(LyapunovExponents(t[[0, 1]], noise[[0, 1], None], 1, "compiled").uncertainty).all()
+
+
+def driven(y, t):
+    return 0.5 * y * y + math.sin(3.0 * t) * y
+
+
+def driven_slope(y, t):
+    return y + math.sin(3.0 * t)
+
+
+def driven_curvature(y, t):
+    return 1.0 + 0.0 * y * t
+
+
+def test_functions_need_their_second_derivatives():
+    so3 = co.algebras.so(3)
+    known = co.LiePoissonSystem(so3, co.Separable(dict.fromkeys(range(3), (driven, driven_slope, driven_curvature))))
+    assert co.lyapunov(known, (1.0, 0.5, 0.2), (0, 5), 0.1).exponents.shape == (3,)
+    unknown = co.LiePoissonSystem(so3, co.Separable(dict.fromkeys(range(3), (driven, driven_slope))))
+    for method in (co.Splitting(order=2), co.GaussLegendre(1)):
+        with pytest.raises(TypeError, match=r"second derivatives.*hessian"):
+            co.lyapunov(unknown, (1.0, 0.5, 0.2), (0, 5), 0.1, method)
+    with pytest.raises(TypeError, match=r"member 1 of the batch: .* second derivatives"):
+        co.lyapunov(co.batch([known, unknown]), (1.0, 0.5, 0.2), (0, 5), 0.1)
+    spun = co.PoissonSystem(lambda x: np.array([[0.0, x[0]], [-x[0], 0.0]]), co.Quadratic([1.0, 1.0]))
+    with pytest.raises(TypeError, match=r"derivative of J.*derivative="):
+        co.lyapunov(spun, (1.0, 0.5), (0, 5), 0.1, co.GaussLegendre(1))
+
+
+@dataclasses.dataclass(frozen=True)
+class Euler(co.methods.StepMethod):
+    order, explicit, symmetric = 1, True, False
+
+    def properties(self, system):
+        return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+    def step(self, system, x, t, h):
+        return x + h * system.vector_field(x, t)
+
+
+def test_schemes_without_a_loop_go_step_by_step_and_say_so(monkeypatch):
+    """They give what products of their tangents give; complex steps and differences have some nine digits at least."""
+    from coadjoint.runs import stretching
+
+    monkeypatch.setattr(stretching, "_said", set())
+    given = {"t_span": (0.0, 2.0), "step": 0.125, "renormalize_every": 3, "save_every": 8}
+    for method, name, by in (
+        (co.Taylor(4), "Taylor", ("formula",)),
+        (co.RadauEnergy(1), "RadauEnergy", ("formula",)),
+        (Euler(), "Euler", ("complex step", "differences")),
+    ):
+        with pytest.warns(RuntimeWarning, match=f"tangents of {name} are calls of Python"):
+            found = co.lyapunov(heavy_top(), UPRIGHT, **given, method=method)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            crowd = co.lyapunov(heavy_top(), [0.5 * UPRIGHT, UPRIGHT], **given, method=method, exponents=2)
+        assert crowd.stretches[:, 1].tobytes() == np.ascontiguousarray(found.stretches[:, :2]).tobytes()
+        step, product, wanted = co.stepper(heavy_top(), method, 0.125), np.eye(6), []
+        for k, x in enumerate(co.integrate(heavy_top(), UPRIGHT, (0, 2), 0.125, method).x[:-1]):
+            product = step.tangent(x) @ product
+            if k in (7, 15):
+                wanted.append(np.log(np.abs(np.diag(np.linalg.qr(product @ frame_of(6, 6).T)[1]))))
+        assert found.by in by and np.max(np.abs(found.stretches[1:] - wanted)) < 1e-12
+
+
+def test_a_member_that_fails_leaves_the_others_theirs():
+    cubic = co.LiePoissonSystem(co.algebras.sl(2), co.Polynomial({(3, 0, 0): 1.0, (0, 3, 0): 1.0, (0, 0, 3): 1.0}))
+    starts = np.array([[0.1, 0.05, 0.02], [40.0, 30.0, 20.0], [0.05, 0.1, 0.05]])
+    for method in (co.Splitting(order=2), co.ExplicitRungeKutta("rk4")):
+        with pytest.raises(co.IntegrationError, match=r"1 of 3 members \(first: member 1\)") as failure:
+            co.lyapunov(cubic, starts, (0, 10), 0.1, method)
+        partial = failure.value.partial
+        assert np.isfinite(partial.exponents[[0, 2]]).all() and np.isnan(partial.exponents[1]).all()
+        alone = co.lyapunov(cubic, starts[2], (0, 10), 0.1, method)
+        assert alone.stretches.tobytes() == partial.stretches[:, 2].tobytes()
+
+
+def test_vectors_that_become_parallel_are_refused():
+    """Between two times that they are made orthonormal they part by e^(2 * 0.29 t): beyond 2^26 nothing is left."""
+    given = {"x0": (0.0, 1.0, 0.0), "t_span": (0.0, 200.0), "step": 0.1}
+    assert np.isfinite(co.lyapunov(BODY, **given, renormalize_every=100).exponents).all()
+    with pytest.raises(co.IntegrationError, match="smaller renormalize_every") as failure:
+        co.lyapunov(BODY, **given, renormalize_every=1000)
+    assert failure.value.step == 1000
+    with pytest.raises(ValueError, match="renormalize_every than 10000"):
+        co.lyapunov(BODY, **given, renormalize_every=10000)
+    quick = {"x0": (0.0, 10.0, 0.0), "t_span": (0.0, 10.0), "step": 0.1, "renormalize_every": 50}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for method in (co.GaussLegendre(2), co.RadauEnergy(1)):
+            with pytest.raises(co.IntegrationError, match="smaller renormalize_every") as failure:
+                co.lyapunov(BODY, **quick, method=method)
+            assert failure.value.step == 50
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"exponents": 4}, "exponents"),
+        ({"exponents": 0}, "exponents"),
+        ({"renormalize_every": 0}, "renormalize_every"),
+        ({"transient": -1.0}, "transient is -1.0"),
+        ({"transient": 10.0}, "some time must be left"),
+        ({"transient": 0.05}, "step 0.1 does not divide"),
+        ({"t_span": (0.0, 0.0)}, "some time must be left"),
+        ({"save_every": 0}, "save_every"),
+        ({"threads": 0}, "threads"),
+        ({"x0": (1.0, 2.0)}, "x0 has the shape"),
+        ({"method": "splitting"}, "method is"),
+        ({"system": "body"}, "system is"),
+    ],
+)
+def test_wrong_input_is_refused_by_name(changes, message):
+    given = {"system": BODY, "x0": (0.4, 1.0, 0.3), "t_span": (0.0, 10.0), "step": 0.1} | changes
+    with pytest.raises((ValueError, TypeError), match=message):
+        co.lyapunov(**given)
+
+
+def test_memory_is_estimated_first(monkeypatch):
+    from coadjoint import memory
+
+    monkeypatch.setattr(memory, "available", lambda: 10**6)
+    monkeypatch.setattr(memory, "SMALL", 0)
+    spins = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 60), co.Quadratic(np.tile([1.0, 0.5, 0.25], 60)))
+    with pytest.raises(ValueError, match="180 tangent vectors of dimension 180 needs about"):
+        co.lyapunov(spins, np.ones(180), (0, 1), 0.1)
+    with pytest.raises(ValueError, match=r"history of 1000001 times needs about .* larger save_every"):
+        co.lyapunov(BODY, np.ones(3), (0, 10**6), 1.0, save_every=1)
+    with pytest.raises(ValueError, match=r"states of 100000 steps.* needs about"):
+        co.lyapunov(BODY, np.ones(3), (0, 1000), 0.01, co.Taylor(4))
