@@ -41,6 +41,20 @@ INLINE void add_owing(V* vectors, V* errors, int64_t place, const V& old, const 
     vectors[place] = now;
 }
 
+// Beyond this size of a flow less the unit (of its square, for a rotation 2 (1 - cos)), what an increment owes is paid at
+// once: what is kept for later is moved by that much in each flow, and would grow without end from 1 on.
+constexpr double WIDE = 0.25;
+
+template <class V, class Mask>
+INLINE void add_owing(V* vectors, V* errors, int64_t place, const V& old, const V& increment, V error, V owed,
+                      bool some, const Mask& wide) {
+    if (__builtin_expect(some, 0)) {
+        error = select(wide, error + owed, error);
+        owed = select(wide, V(0.0), owed);
+    }
+    add_owing(vectors, errors, place, old, increment, error, owed);
+}
+
 // What an action is applied to: `rows` vectors, their compensation, and room for three times their length.
 template <class V>
 struct Vectors {
@@ -76,6 +90,8 @@ INLINE void rotate(const Rotation<A>& turn, const uint32_t* index, uint32_t repe
         if (repeat >= MANY) return rotate_many(turn.sine, turn.lowered, index, repeat, x.at);
     const V sine(turn.sine), lowered(turn.lowered);
     const V dearth(care == CORRECTED ? shortfall(turn.sine, -turn.lowered, A(1.0)) : A(0.0));
+    const auto wide = lowered < V(-0.5 * WIDE);
+    const bool some = care == CORRECTED && any(wide);
     for (uint32_t block = 0; block < repeat; ++block, index += 2) {
         int64_t i = index[0] * x.rows, j = index[1] * x.rows;
         for (int64_t row = 0; row < x.rows; ++row) {
@@ -86,8 +102,8 @@ INLINE void rotate(const Rotation<A>& turn, const uint32_t* index, uint32_t repe
                 V e = x.errors[i + row], f = x.errors[j + row];
                 V first = fma(lowered, e, -fma(sine, f, fma(sine, b, -back))) - dearth * a;
                 V second = fma(lowered, f, fma(sine, e, fma(sine, a, -forth))) - dearth * b;
-                add_owing(x.at, x.errors, i + row, a, fma(lowered, a, -back), e, first);
-                add_owing(x.at, x.errors, j + row, b, fma(lowered, b, forth), f, second);
+                add_owing(x.at, x.errors, i + row, a, fma(lowered, a, -back), e, first, some, wide);
+                add_owing(x.at, x.errors, j + row, b, fma(lowered, b, forth), f, second, some, wide);
             } else {
                 add<care>(x.at, x.errors, i + row, a, fma(lowered, a, -back));
                 add<care>(x.at, x.errors, j + row, b, fma(lowered, b, forth));
@@ -99,13 +115,15 @@ INLINE void rotate(const Rotation<A>& turn, const uint32_t* index, uint32_t repe
 template <Care care, class A, class V>
 INLINE void shear(const A& factor, const uint32_t* index, const Vectors<V>& x) {
     const V by(factor);
+    const auto wide = V(WIDE) < by * by;
+    const bool some = care == CORRECTED && any(wide);
     int64_t i = index[0] * x.rows, j = index[1] * x.rows;
     for (int64_t row = 0; row < x.rows; ++row) {
         V source = x.at[j + row];
         V moved = by * source;
         if constexpr (care == CORRECTED) {
             V owed = fma(by, x.errors[j + row], fma(by, source, -moved));
-            add_owing(x.at, x.errors, i + row, x.at[i + row], moved, x.errors[i + row], owed);
+            add_owing(x.at, x.errors, i + row, x.at[i + row], moved, x.errors[i + row], owed, some, wide);
         } else {
             add<care>(x.at, x.errors, i + row, x.at[i + row], moved);
         }
