@@ -23,7 +23,7 @@ def systems():
     rng = np.random.default_rng(11)
     e3 = co.algebras.e(3)
     cubic = co.Polynomial(
-        {(2, 0, 0, 0, 0, 0): 0.5, (0, 2, 0, 0, 0, 0): 0.3, (0, 0, 0, 3, 0, 0): 0.2, (0, 0, 1, 0, 0, 0): 1}
+        {(2, 0, 0, 0, 0, 0): 0.5, (0, 2, 0, 0, 0, 0): 0.3, (0, 0, 0, 3, 0, 0): 0.05, (0, 0, 1, 0, 0, 0): 1}
     )
     return {
         "body": co.systems.rigid_body(inertia=(1, 2, 2.5)),
