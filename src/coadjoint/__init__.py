@@ -45,7 +45,9 @@ _HOME = {
     "batch": "coadjoint.systems.batch",
     "Choice": "coadjoint.choosing.accuracy",
     "choose": "coadjoint.choosing.accuracy",
+    "ModifiedHamiltonian": "coadjoint.analysis.modified_hamiltonian",
     "integrate": "coadjoint.runs.integrate",
+    "modified_hamiltonian": "coadjoint.analysis.modified_hamiltonian",
     "prepare": "coadjoint.runs.prepared_run",
     "stepper": "coadjoint.runs.stepper",
 }
@@ -66,6 +68,8 @@ if TYPE_CHECKING:
     from coadjoint.algebra.invariant import Invariant as Invariant
     from coadjoint.algebra.lie_algebra import LieAlgebra as LieAlgebra
     from coadjoint.algebra.polynomial import Polynomial as Polynomial
+    from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian as ModifiedHamiltonian
+    from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian as modified_hamiltonian
     from coadjoint.choosing.accuracy import Choice as Choice
     from coadjoint.choosing.accuracy import choose as choose
     from coadjoint.errors import IntegrationError as IntegrationError

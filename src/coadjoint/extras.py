@@ -14,6 +14,7 @@ EXTRAS = {
     "matplotlib": "plot",
     "click": "cli",
     "tqdm": "cli",
+    "sympy": "algebra",
 }
 """Package -> the extra that brings it, as pyproject.toml declares it; all others that are imported are requirements."""
 

@@ -62,6 +62,10 @@ class ExactPolynomials:
         """The polynomial 0."""
         return self._context.from_dict({})
 
+    def monomial(self, exponents: Sequence[int]) -> Exact:
+        """Return x1^e1 ... xn^en."""
+        return self._context.from_dict({(*exponents, *(0,) * len(self.symbols)): 1})
+
     def of(self, given: Polynomial) -> Exact:
         """Return a polynomial in n coordinates as one of the ring, its floats as the rational numbers that they are."""
         rest = (0,) * len(self.symbols)
@@ -75,6 +79,11 @@ class ExactPolynomials:
                 raise ValueError(f"the polynomial has symbols in it, {', '.join(self.symbols)}; give them values first")
             monomials[tuple(map(int, exponents[: self.dim]))] = fraction(value)
         return Polynomial(monomials, dim=self.dim)
+
+    def with_symbols(self, exact: Exact) -> Polynomial:
+        """Return one of the ring as a `Polynomial` in the coordinates and then the symbols."""
+        monomials = {tuple(map(int, exponents)): fraction(value) for exponents, value in exact.to_dict().items()}
+        return Polynomial(monomials, dim=self.dim + len(self.symbols))
 
     def gradient(self, F: Exact) -> list[Exact]:
         """Return the derivatives with respect to x1, ..., xn."""

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.polynomial_text import coordinate_names, latex, plain, sympy_of
 from coadjoint.algebra.product_sums import Coefficient, ProductSum, differentiated
 from coadjoint.given import array_given, read_whole
 from coadjoint.memory import check_room
@@ -130,15 +131,38 @@ class Polynomial:
         return sum(next(reversed(self._monomials))) if self._monomials else 0
 
     def __repr__(self) -> str:
-        text = ""
-        for exponents, value in self._monomials.items():
-            factors = [f"x{i}" + (f"^{e}" if e > 1 else "") for i, e in enumerate(exponents, 1) if e]
-            size = abs(value)
-            if size != 1 or not factors:
-                factors.insert(0, f"({size})" if isinstance(size, Fraction) and size.denominator != 1 else f"{size}")
-            sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
-            text += sign + "*".join(factors)
-        return text or "0"
+        return plain(self._monomials, coordinate_names(self._dim))
+
+    def to_latex(self) -> str:
+        r"""Return it as LaTeX, without dollars.
+
+        Returns
+        -------
+        str
+
+        Examples
+        --------
+        >>> print(Polynomial({(2, 0): 0.5, (0, 1): -3}).to_latex())
+        -3 x_{2} + 0.5 x_{1}^{2}
+        """
+        return latex(self._monomials, coordinate_names(self._dim))
+
+    def _repr_latex_(self) -> str:
+        return f"${self.to_latex()}$"
+
+    def to_sympy(self) -> Any:
+        """Return it as an expression of SymPy in the symbols x1, ..., xn; fractions stay exact.
+
+        Returns
+        -------
+        sympy.Expr
+
+        Raises
+        ------
+        MissingPackageError
+            SymPy is not installed.
+        """
+        return sympy_of(self._monomials, coordinate_names(self._dim))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Polynomial):
@@ -247,27 +271,35 @@ class Polynomial:
         twice = differentiated(differentiated(self._factors, self._dim), self._dim)
         return ProductSum(twice, self._dim**2)
 
-    def _point(self, x: Any) -> NDArray[Any]:
+    def _point(self, x: Any, several: bool = False) -> NDArray[Any]:
         point = array_given(x, "x", "iufc")
-        if point.shape != (self._dim,):
-            raise ValueError(f"x must have shape ({self._dim},), not {point.shape}")
+        if point.shape != (self._dim,) and not (several and point.shape[-1:] == (self._dim,)):
+            shape = f"(..., {self._dim})" if several and point.ndim > 1 else f"({self._dim},)"
+            raise ValueError(f"x must have shape {shape}, not {point.shape}")
         return point if point.dtype == object else point.astype(np.result_type(point.dtype, np.float64), copy=False)
 
     @QUIET
     def __call__(self, x: Any) -> Any:
-        """Return the value at x, shape (n,); with dtype object (Fraction, mpmath) as exact as x is."""
-        return self._value_sum(self._point(x)).item(0)
+        """Return the value at x, shape (n,), or the values at states of shape (..., n).
+
+        With dtype object (Fraction, mpmath) they are as exact as x is.
+        """
+        point = self._point(x, several=True)
+        if point.ndim == 1:
+            return self._value_sum(point).item(0)
+        return self._value_sum.along(point)[..., 0]
 
     @QUIET
     def gradient(self, x: Any) -> NDArray[Any]:
-        """Return the gradient at x, both of shape (n,); dtype object is allowed.
+        """Return the gradient at x, both of shape (n,), or at states of shape (..., n); dtype object is allowed.
 
         Examples
         --------
         >>> Polynomial({(2, 1): 1}).gradient([3.0, 5.0])
         array([30.,  9.])
         """
-        return self._gradient_sum(self._point(x))
+        point = self._point(x, several=True)
+        return self._gradient_sum(point) if point.ndim == 1 else self._gradient_sum.along(point)
 
     @QUIET
     def hessian(self, x: Any) -> NDArray[Any]:

@@ -13,6 +13,9 @@ from coadjoint.algebra.exact import exact_numbers
 
 Coefficient = int | float | Fraction
 
+MOST_NUMBERS = 2**20
+"""Factors that are held at once where there are many points: more do not fit a cache."""
+
 
 def differentiated(
     terms: Iterable[tuple[int, Coefficient, dict[int, int]]], dim: int
@@ -69,3 +72,36 @@ class ProductSum:
             terms[: self._starts.size] *= np.multiply.reduceat(x[self._index] ** power, self._starts)
         np.add.at(result, self._to, terms)
         return result
+
+    def along(self, x: NDArray[Any]) -> NDArray[Any]:
+        """Return the sums at many points (..., n), shape (..., places), in their kind of number.
+
+        Powers are made once for all terms, so that it is much faster than point after point; the same up to rounding.
+        """
+        points = x.reshape(-1, x.shape[-1])
+        result = np.zeros((len(points), self._places), dtype=x.dtype)
+        together = max(1, MOST_NUMBERS // max(1, self._index.size + len(self._to)))
+        for first in range(0, len(points), together):
+            some = slice(first, first + together)
+            self._add(points[some].T, result[some].T)
+        return result.reshape(*x.shape[:-1], self._places)
+
+    def _add(self, x: NDArray[Any], result: NDArray[Any]) -> None:
+        """Add the sums at points (n, k) to a result (places, k)."""
+        count = x.shape[1]
+        exact = x.dtype == object
+        coefficients = self._exact if exact else self._coefficients.astype(x.dtype)
+        terms = np.repeat(coefficients[:, None], count, axis=1)
+        if self._starts.size:
+            powers = [x]
+            while len(powers) < int(self._power.max()):
+                powers.append(powers[-1] * x)
+            factors = np.empty((len(self._index), count), dtype=x.dtype)
+            for e, power in enumerate(powers, 1):
+                own = self._power == e
+                factors[own] = power[self._index[own]]
+            terms[: self._starts.size] = terms[: self._starts.size] * np.multiply.reduceat(factors, self._starts)
+        for place in range(self._places):
+            own = np.flatnonzero(self._to == place)
+            if len(own):
+                result[place] += np.add.reduce(terms[own], axis=0)

@@ -19,6 +19,7 @@ from coadjoint.wording import short
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.work import Work
+    from coadjoint.program.sweeps import Swept
     from coadjoint.program.table import Program
 
 Representation = NDArray[np.float64] | str | None
@@ -266,6 +267,21 @@ class Method(ABC):
             The scheme is not made of flows.
         """
         raise TypeError(f"{self} is not made of exact flows, so it has no program; Splitting has one")
+
+    def swept(self) -> Swept:
+        """Return the scheme as sweeps through the parts of a Hamiltonian.
+
+        Returns
+        -------
+        Swept
+            What `coadjoint.program` makes its table from: sweeps, processor, parts and rotation.
+
+        Raises
+        ------
+        TypeError
+            The scheme is not made of flows.
+        """
+        raise TypeError(f"{self} is not made of exact flows of parts, as Splitting is")
 
     @abstractmethod
     def work(self, system: System, group: Representation = None) -> Work:

@@ -21,6 +21,7 @@ from coadjoint.wording import short
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.work import Work
+    from coadjoint.program.sweeps import Swept
     from coadjoint.program.table import Program
 
 LARGEST_SUM = 1000.0
@@ -93,6 +94,9 @@ class Composition(Composed):
 
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
         return self.whole.program(system, group=group, number=number)
+
+    def swept(self) -> Swept:
+        return self.whole.swept()
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop of the base, composed."""

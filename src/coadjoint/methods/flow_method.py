@@ -78,6 +78,10 @@ class FlowMethod(Method):
             raise ValueError(f"the sweeps of {self} cover {sum(covered)!r} of the step; their coefficients add up to 1")
         return build_program(system, self, group=group, number=number)
 
+    def swept(self) -> FlowMethod:
+        """Return the scheme itself."""
+        return self
+
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop over the rows of the table."""
         from coadjoint.kernels.flow import FLOW_LOOP

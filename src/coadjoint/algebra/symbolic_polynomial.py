@@ -1,0 +1,122 @@
+"""Polynomials whose coefficients are polynomials in symbols, such as masses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+from coadjoint.algebra.exact import exact_number
+from coadjoint.algebra.polynomial import Exponents, Polynomial
+from coadjoint.algebra.polynomial_text import coordinate_names, latex, plain, sympy_of
+from coadjoint.algebra.product_sums import Coefficient
+from coadjoint.given import read_number
+
+
+class SymbolicPolynomial:
+    """A polynomial in x1, ..., xn with coefficients that are polynomials in symbols.
+
+    Parameters
+    ----------
+    polynomial : Polynomial
+        In the coordinates and then the symbols.
+    symbols : sequence of str
+        Names of the last coordinates.
+
+    Examples
+    --------
+    >>> p = SymbolicPolynomial(Polynomial({(2, 0, 1, 0): 1, (2, 0, 0, 1): -2}), ["m1", "m2"])
+    >>> p
+    x1^2*(m1 - 2*m2)
+    >>> p.with_values({"m1": 5, "m2": 1})
+    3*x1^2
+    """
+
+    def __init__(self, polynomial: Polynomial, symbols: Sequence[str]) -> None:
+        self._polynomial, self.symbols = polynomial, tuple(symbols)
+        self.dim = polynomial.dim - len(self.symbols)
+
+    @property
+    def coefficients(self) -> Mapping[Exponents, Polynomial]:
+        """Exponents of x1, ..., xn -> polynomial in the symbols."""
+        found: dict[Exponents, dict[Exponents, Coefficient]] = {}
+        for exponents, value in self._polynomial.monomials.items():
+            found.setdefault(exponents[: self.dim], {})[exponents[self.dim :]] = value
+        ordered = Polynomial(dict.fromkeys(found, 1), dim=self.dim).monomials
+        return {exponents: Polynomial(found[exponents]) for exponents in ordered}
+
+    @property
+    def degree(self) -> int:
+        """The largest degree in the coordinates."""
+        return max((sum(exponents) for exponents in self.coefficients), default=0)
+
+    def with_values(self, values: Mapping[str, Coefficient]) -> Polynomial:
+        """Return the polynomial with numbers for all symbols: exact ones where values and coefficients are.
+
+        Parameters
+        ----------
+        values : mapping
+            Name -> number.
+
+        Returns
+        -------
+        Polynomial
+        """
+        numbers = [_exact(values[name], name) for name in self.symbols]
+        monomials = {}
+        for exponents, coefficient in self.coefficients.items():
+            total: Any = 0
+            for powers, value in coefficient.monomials.items():
+                term: Any = exact_number(value)
+                for number, power in zip(numbers, powers, strict=True):
+                    term = term * number**power
+                total = total + term
+            floats = any(isinstance(value, float) for value in coefficient.monomials.values())
+            monomials[exponents] = float(total) if floats else _short(total)
+        return Polynomial(monomials, dim=self.dim)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, SymbolicPolynomial):
+            return NotImplemented
+        return self.symbols == other.symbols and self._polynomial == other._polynomial
+
+    def __hash__(self) -> int:
+        return hash((self.symbols, self._polynomial))
+
+    def __repr__(self) -> str:
+        names = coordinate_names(self.dim)
+        return self._grouped([plain({e: 1}, names) for e in self.coefficients], plain, self.symbols, "*")
+
+    def to_latex(self) -> str:
+        """Return it as LaTeX, without dollars."""
+        names = coordinate_names(self.dim)
+        return self._grouped([latex({e: 1}, names) for e in self.coefficients], latex, self.symbols, " ")
+
+    def _repr_latex_(self) -> str:
+        return f"${self.to_latex()}$"
+
+    def to_sympy(self) -> Any:
+        """Return it as an expression of SymPy."""
+        return sympy_of(self._polynomial.monomials, [*coordinate_names(self.dim), *self.symbols])
+
+    def _grouped(self, products: Sequence[str], write: Any, names: Sequence[str], between: str) -> str:
+        text = ""
+        for shown, coefficient in zip(products, self.coefficients.values(), strict=True):
+            own = write(coefficient.monomials, names)
+            if len(coefficient.monomials) > 1:
+                own = f"({own})"
+            joined = own if shown == "1" else shown if own == "1" else f"{shown}{between}{own}"
+            text += f" + {joined}" if text else joined
+        return text or "0"
+
+
+def _exact(value: Any, name: str) -> Any:
+    return (
+        value
+        if isinstance(value, int | Fraction) and not isinstance(value, bool)
+        else exact_number(read_number(value, name))
+    )
+
+
+def _short(value: Any) -> Any:
+    return int(value) if isinstance(value, Fraction) and value.denominator == 1 else value

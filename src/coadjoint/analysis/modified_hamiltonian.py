@@ -1,0 +1,366 @@
+"""Which Hamiltonian does a splitting keep? That of the nearby system which its steps solve, power by power of h."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.polynomial_text import coordinate_names, latex, plain, rounded_if_long
+from coadjoint.algebra.symbolic_polynomial import SymbolicPolynomial
+from coadjoint.analysis.symbols_of_hamiltonian import Symbols, no_symbols, symbols_of
+from coadjoint.extras import need
+from coadjoint.given import is_of_a_ring, read_whole
+from coadjoint.methods.base import Method
+from coadjoint.program.composition_logarithm import Coordinates, composition_logarithm, swept_exactly
+from coadjoint.program.modified_series import Balls, ModifiedSeries
+from coadjoint.program.part_polynomials import part_polynomials, with_given_coefficients
+from coadjoint.program.rational_pieces import rational_pieces
+from coadjoint.program.sweep_logarithm import Commutators
+from coadjoint.program.sweeps import Sweep
+from coadjoint.program.table import Program
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.polynomial_form import polynomial_of
+from coadjoint.wording import short
+
+HIGHEST = 12
+"""Terms below h^12: beyond, the words in the free algebra alone take minutes."""
+
+MOST_SHOWN = 30  # monomials of a term, where it is printed
+
+Term = Polynomial | SymbolicPolynomial
+
+
+class ErrorTerm(NamedTuple):
+    """The first term that a scheme adds to the Hamiltonian: h^power times a function.
+
+    Parameters
+    ----------
+    power : int or None
+        Of h: the order of the scheme. None where a step is the flow of H itself, of a single part.
+    term : Polynomial or SymbolicPolynomial
+        The function; it may be zero for a system whose parts commute more than they must.
+    """
+
+    power: int | None
+    term: Term
+
+
+class ModifiedHamiltonian:
+    """The function H + h^2 H2 + ... that a splitting keeps: a step is its flow over h, up to O(h^(order + 1)).
+
+    `modified_hamiltonian` makes it. Call it as ``H(x, h)``, h negative for runs backward in time; along a run it is
+    kept to O(h^order).
+
+    Attributes
+    ----------
+    terms : mapping of int to Polynomial
+        Power of h -> its factor, where that is not zero; a `SymbolicPolynomial` where symbols were asked for. Fractions
+        where the coefficients of the scheme are rational, else floats.
+    order : int
+        The terms are those below h^order.
+    radius : float
+        The largest relative error of a coefficient before it was rounded to float64; 0 where all are exact.
+    neglected : float
+        What was taken as zero is not larger: what the rounding of the scheme's own coefficients leaves of its order
+        conditions, and coefficients that are zero up to that rounding.
+    values : mapping of str to number
+        Name of a symbol -> the coefficient of H that it stands for; empty where no symbols were asked for.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]))
+    >>> H = co.modified_hamiltonian(body, co.Splitting(parts="coordinates"), order=4)
+    >>> H
+    0.5*x1^2 + 0.25*x2^2 + 0.125*x3^2 + h^2*(-(1/384)*x1^2*x2^2 - (1/384)*x1^2*x3^2 + (1/192)*x2^2*x3^2)
+    >>> H([1.0, 2.0, 3.0], 0.0), H.gradient([[1.0, 2.0, 3.0], [0.0, 0.0, 1.0]], 0.1).shape
+    (2.625, (2, 3))
+    """
+
+    def __init__(
+        self,
+        terms: Mapping[int, Term],
+        order: int,
+        *,
+        radius: float = 0.0,
+        neglected: float = 0.0,
+        values: Mapping[str, Any] | None = None,
+        source: _Source | None = None,
+    ) -> None:
+        self.terms: Mapping[int, Term] = MappingProxyType(dict(terms))
+        self.order, self.radius, self.neglected = order, radius, neglected
+        self.values: Mapping[str, Any] = MappingProxyType(dict(values or {}))
+        self._source = source
+
+    @property
+    def dim(self) -> int:
+        """Number of coordinates."""
+        return self.terms[0].dim
+
+    @cached_property
+    def error_term(self) -> ErrorTerm:
+        """The scheme's own first term, at the power of its order; also where that is not below `order`."""
+        if self._source is None:
+            raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; ask the symbolic one")
+        return self._source.error_term()
+
+    @cached_property
+    def kernel(self) -> ModifiedHamiltonian:
+        """That of the kernel K alone of a processed scheme P K P^-1; the same of other schemes."""
+        if self._source is None:
+            raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; ask the symbolic one")
+        return self._source.kernel().found(self.order)
+
+    def _numeric(self) -> Mapping[int, Polynomial]:
+        if self.values:
+            raise TypeError(f"the modified Hamiltonian has the symbols {', '.join(self.values)}; take with_values()")
+        return self.terms  # type: ignore[return-value]
+
+    def __call__(self, x: Any, h: Any) -> Any:
+        """Return the values at states.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,), (k, n) or (k, members, n)
+            States: floats, or objects such as ``mpmath.mpf`` and fractions, which are served exactly.
+        h : number
+            Step, with its sign.
+
+        Returns
+        -------
+        float or ndarray
+            One value for each state.
+        """
+        return self._sum(lambda term: term(x), _step(h))
+
+    def gradient(self, x: Any, h: Any) -> NDArray[Any]:
+        """Return the gradients at states, of the shape of x; parameters are those of a call."""
+        return self._sum(lambda term: term.gradient(x), _step(h))
+
+    def _sum(self, at: Callable[[Polynomial], Any], h: Any) -> Any:
+        terms = self._numeric()
+        # The small terms are added up first.
+        total: Any = 0
+        for k in sorted(terms, reverse=True):
+            total = total + h**k * at(terms[k]) if k else total + at(terms[k])
+        return total
+
+    def with_values(self, values: Mapping[str, Any] | None = None) -> ModifiedHamiltonian:
+        """Return it with numbers for the symbols.
+
+        Parameters
+        ----------
+        values : mapping, optional
+            Name -> number; symbols that are not named take the coefficients of the system's own H.
+
+        Returns
+        -------
+        ModifiedHamiltonian
+        """
+        unknown = [name for name in values or {} if name not in self.values]
+        if unknown:
+            known = f"the symbols are {', '.join(self.values)}" if self.values else "there are no symbols"
+            raise ValueError(f"values has {short(unknown[0])}; {known}")
+        numbers = {**self.values, **(values or {})}
+        terms = {
+            k: term.with_values(numbers) if isinstance(term, SymbolicPolynomial) else term
+            for k, term in self.terms.items()
+        }
+        return ModifiedHamiltonian(terms, self.order, radius=self.radius, neglected=self.neglected)
+
+    def __repr__(self) -> str:
+        return self._written(repr, _plain, "*")
+
+    def to_latex(self) -> str:
+        """Return it as LaTeX, without dollars, all digits."""
+        return self._written(lambda term: term.to_latex(), lambda term: term.to_latex(), r"\,", "h^{{{0}}}")
+
+    def _repr_latex_(self) -> str:
+        written = self._written(lambda term: term.to_latex(), _readable_latex, r"\,", "h^{{{0}}}")
+        return f"${written}$"
+
+    def to_sympy(self) -> Any:
+        """Return it as an expression of SymPy in h, x1, ..., xn and the symbols; fractions stay exact."""
+        need("an expression of SymPy", "sympy")
+        import sympy
+
+        h = sympy.Symbol("h")
+        return sum((h**k * term.to_sympy() for k, term in self.terms.items()), sympy.Integer(0))
+
+    def _written(self, symbolic: Any, numeric: Any, between: str, power: str = "h^{0}") -> str:
+        text = ""
+        for k, term in self.terms.items():
+            own = symbolic(term) if isinstance(term, SymbolicPolynomial) else numeric(term)
+            step = "h" if k == 1 else power.format(k)
+            text += f" + {step}{between}({own})" if k else own
+        return text
+
+
+def _plain(term: Polynomial) -> str:
+    if len(term.monomials) > MOST_SHOWN:
+        return f"<{len(term.monomials)} monomials of degree {term.degree} and less>"
+    return plain(rounded_if_long(term.monomials), coordinate_names(term.dim))
+
+
+def _readable_latex(term: Polynomial) -> str:
+    if len(term.monomials) > MOST_SHOWN:
+        return rf"\text{{{len(term.monomials)} monomials}}"
+    return latex(rounded_if_long(term.monomials), coordinate_names(term.dim))
+
+
+def _step(h: Any) -> Any:
+    if isinstance(h, bool) or not is_of_a_ring(h) or np.ndim(h):
+        raise TypeError(f"the step h is {short(h)}; it must be a number")
+    return h
+
+
+class _Source:
+    """What terms are made from: a program, and the sweeps of its scheme."""
+
+    def __init__(
+        self,
+        system: LiePoissonSystem,
+        program: Program,
+        sweeps: list[Sweep],
+        after: list[Sweep],
+        order: int,
+        symbols: Symbols,
+    ) -> None:
+        self._system, self._program, self._symbols = system, program, symbols
+        self._sweeps, self._after, self._order = sweeps, after, order
+
+    def kernel(self) -> _Source:
+        """Return that of the kernel alone."""
+        return _Source(self._system, self._program, self._sweeps, [], self._order, self._symbols)
+
+    def found(self, order: int) -> ModifiedHamiltonian:
+        """Return the terms below h^order."""
+        terms, radius, neglected = self._terms(self._coordinates(order), range(2, order + 1))
+        return ModifiedHamiltonian(
+            {0: self._symbols.hamiltonian, **terms},
+            order,
+            radius=radius,
+            neglected=neglected,
+            values=self._symbols.values,
+            source=self,
+        )
+
+    def error_term(self) -> ErrorTerm:
+        """Return the first term above h^0 that the scheme has whatever the system."""
+        if len(self._program.parts) > 1 or np.any(self._program.frequency != 0):
+            for highest in range(min(self._order + 1, HIGHEST + 1), HIGHEST + 2):
+                coordinates = self._coordinates(highest)
+                weight = coordinates.leading
+                if weight is not None:
+                    terms, _, _ = self._terms(coordinates, [weight])
+                    return ErrorTerm(weight - 1, terms.get(weight - 1, self._symbols.zero))
+        return ErrorTerm(None, self._symbols.zero)
+
+    def _coordinates(self, highest: int) -> Coordinates:
+        return composition_logarithm(
+            self._sweeps,
+            self._after,
+            highest,
+            order=self._order,
+            parts=len(self._program.parts),
+            rational=bool(np.any(self._program.frequency != 0)),
+        )
+
+    def _terms(self, coordinates: Coordinates, weights: Any) -> tuple[dict[int, Term], float, float]:
+        ring = ExactPolynomials(self._system.algebra, tuple(self._symbols.values))
+        flows = self._flows(ring, max(weights, default=1))
+        series = ModifiedSeries(Commutators(ring, self._system.sign), flows, max(weights, default=1))
+        found: dict[int, Term] = {}
+        radius, neglected = 0.0, coordinates.neglected
+        for weight in weights:
+            term = series.term(coordinates, weight)
+            if isinstance(term, Balls):
+                radius, neglected = max(radius, term.radius), max(neglected, term.neglected)
+                polynomial = Polynomial(term.coefficients, dim=ring.dim + len(ring.symbols))
+            else:
+                polynomial = ring.with_symbols(term)
+            if polynomial.monomials:
+                found[weight - 1] = self._symbols.written(polynomial)
+        return found, radius, neglected
+
+    def _flows(self, ring: ExactPolynomials, highest: int) -> list[dict[int, Exact]]:
+        parts = self._program.parts
+        pieces = part_polynomials(ring, parts)
+        if not self._program.shift:
+            pieces = with_given_coefficients(ring, parts, pieces, self._symbols.given, self._symbols.factors(ring))
+        turned = rational_pieces(ring, parts, self._program.frequency, highest)
+        return [{1: piece, **more} for piece, more in zip(pieces, turned, strict=True)]
+
+
+def modified_hamiltonian(
+    system: LiePoissonSystem, method: Method, order: int = 4, *, symbols: Any = False
+) -> ModifiedHamiltonian:
+    """Return the modified Hamiltonian of a splitting or a composition: the terms below h^order.
+
+    A step is the flow over h of H + h^2 H2 + h^4 H4 + ... (asymptotic in h). What a run keeps can be read off that
+    function; schemes of one order compare as the sizes of their first terms.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        With a polynomial Hamiltonian that does not depend on time.
+    method : Method
+        `Splitting` of any order, scheme and parts, a `Composition` of them, or a flow method of your own.
+    order : int
+        From 1 to 12. Order 2 is H for a scheme of order 2, order 4 is H + h^2 H2, and so on.
+    symbols : bool or sequence of str
+        Keep coefficients of H as symbols: m1 stands for the factor of x1^2/2, m12 for that of x1 x2, b1 for that of x1,
+        c113 for that of x1^2 x3 (from dimension 10 on m1_2 and so on). True for all of them, or some names.
+
+    Returns
+    -------
+    ModifiedHamiltonian
+        Exact where the coefficients of the scheme are rational, floats of H being the rational numbers that they are.
+
+    Raises
+    ------
+    TypeError
+        The scheme is not made of flows.
+    ValueError
+        The system cannot be served: its Hamiltonian depends on time, is no polynomial, or does not split; symbols where
+        a Casimir was taken off H or squares were completed; or terms too large for this machine.
+
+    References
+    ----------
+    S. Reich, Numerical integration of the generalized Euler equations, 1993, section 6, by the formula of Baker,
+    Campbell and Hausdorff.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]))
+    >>> H = co.modified_hamiltonian(body, co.Splitting(parts="coordinates"), order=4)
+    >>> H.terms[2]
+    -(1/384)*x1^2*x2^2 - (1/384)*x1^2*x3^2 + (1/192)*x2^2*x3^2
+    >>> run = co.integrate(body, (1.0, 2.0, 0.5), (0, 10), 0.1, co.Splitting(parts="coordinates"))
+    >>> kept = H(run.x, 0.1)
+    >>> float(max(abs(kept - kept[0])) / run.drift()["energy"]) < 0.01
+    True
+    """
+    if not isinstance(method, Method):
+        raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=4)")
+    order = read_whole(order, "order", 1, HIGHEST, why="the words in the free algebra double in number with each power")
+    program = method.program(system)
+    if system.hamiltonian.timed:
+        raise ValueError(
+            f"the Hamiltonian of {system.name} depends on time, so that no function of x is kept; "
+            "a modified Hamiltonian is for autonomous systems"
+        )
+    H = polynomial_of(system.hamiltonian)
+    if H is None:
+        raise ValueError(f"the Hamiltonian of {system.name} is no polynomial")
+    chosen = symbols_of(H, symbols, program) if symbols is not False else no_symbols(H)
+    sweeps, after = swept_exactly(method.swept())
+    return _Source(system, program, sweeps, after, method.order, chosen).found(order)

@@ -1,0 +1,132 @@
+"""Of which vector field is one sweep through the parts the flow? The logarithm of a product of flows, as polynomials.
+
+A function H stands for the derivation F -> sign {F, H} along its motion, so that functions F become
+exp(h H_1) exp(h H_2) ... F under the flows of H_1, then H_2, ...: the first flow stands on the left. The commutator of
+two derivations is that of [F, G] = sign {G, F}.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from functools import cache
+from math import comb
+
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, rational
+
+Flow = Mapping[int, Exact]
+"""The flow of sum_j h^j W_j, the W_j commuting: j -> W_j. An exact flow has j = 1 alone."""
+
+
+class Commutators:
+    """The bracket [F, G] = sign {G, F} of polynomials.
+
+    Parameters
+    ----------
+    ring : ExactPolynomials
+        On the dual of the algebra.
+    sign : {+1, -1}
+        Of the equation x' = sign J(x) grad H(x).
+
+    Examples
+    --------
+    >>> from coadjoint.algebra import catalogue
+    >>> ring = ExactPolynomials(catalogue.so(3))
+    >>> x1, x2, x3 = ring.coordinates
+    >>> ring.polynomial(Commutators(ring, 1)(x1, x2))
+    -x3
+    """
+
+    def __init__(self, ring: ExactPolynomials, sign: int) -> None:
+        self.ring, self.sign = ring, sign
+
+    def __call__(self, F: Exact, G: Exact) -> Exact:
+        """Return [F, G]."""
+        return self.sign * self.ring.bracket(G, F)
+
+    def with_first(self, F: Exact) -> _WithFirst:
+        """Return G -> [F, G], for many G."""
+        return _WithFirst(self.ring, [self.sign * entry for entry in self.ring.field(F)])
+
+
+class _WithFirst:
+    def __init__(self, ring: ExactPolynomials, field: Sequence[Exact]) -> None:
+        self._ring = ring
+        self._field = field
+
+    def __call__(self, G: Exact) -> Exact:
+        # sign {G, F} is the derivative of G along the motion of F.
+        return self._ring.along(self._field, G)
+
+
+def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: int) -> list[Exact]:
+    """Return Y_1, Y_2, ...: flows in turn are the flow of h Y_1 + h^2 Y_2 + ...
+
+    With E(h) = exp(W(h)) ... for the flows in their order, R = E' E^-1 has a plain series, and Y = log E obeys
+    Y' = sum_k B_k/k! ad_Y^k R, with the Bernoulli numbers B_k and B_1 = -1/2.
+
+    Parameters
+    ----------
+    commutators : Commutators
+        The bracket.
+    flows : sequence of mappings
+        The first one flows first.
+    highest : int
+        Power of h of the last term.
+
+    Returns
+    -------
+    list of fmpq_mpoly
+        Y_1 to Y_highest.
+    """
+    ring = commutators.ring
+    R = [ring.zero] * highest
+    for flow in reversed(flows):
+        for j, W in flow.items():
+            R = _transported(commutators.with_first(W), j, R)
+        for j, W in flow.items():
+            if j <= highest:
+                R[j - 1] += j * W
+    found: list[Exact] = []
+    turned: list[list[Exact]] = []  # turned[k][q]: the h^q of ad_Y^k R
+    for n in range(1, highest + 1):
+        total = R[n - 1]
+        for k in range(1, n):
+            if len(turned) < k:
+                turned.append([ring.zero] * k)
+            before = R if k == 1 else turned[k - 2]
+            sum_of_brackets = ring.zero
+            for m in range(1, n - k + 1):
+                other = before[n - 1 - m]
+                if other != 0 and found[m - 1] != 0:
+                    sum_of_brackets += commutators(found[m - 1], other)
+            turned[k - 1].append(sum_of_brackets)
+            total += sum_of_brackets * rational(_bernoulli(k) / _factorial(k))
+        found.append(total / n)
+    return found
+
+
+def _transported(ad: _WithFirst, j: int, series: list[Exact]) -> list[Exact]:
+    """Return exp(h^j ad) of a series in h."""
+    result, current = list(series), list(series)
+    for m in range(1, len(series) // j + 1):
+        current = [
+            ad(current[k - j]) / m if k >= j and current[k - j] != 0 else 0 * series[0] for k in range(len(series))
+        ]
+        result = [a + b for a, b in zip(result, current, strict=True)]
+    return result
+
+
+@cache
+def _bernoulli(k: int) -> Fraction:
+    """Return B_k, with B_1 = -1/2."""
+    if k == 0:
+        return Fraction(1)
+    return -sum((comb(k + 1, j) * _bernoulli(j) for j in range(k)), Fraction(0)) / (k + 1)
+
+
+def _factorial(k: int) -> int:
+    result = 1
+    for factor in range(2, k + 1):
+        result *= factor
+    return result
