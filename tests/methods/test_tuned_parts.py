@@ -9,6 +9,7 @@ import coadjoint as co
 from coadjoint.methods.short_orbit import short_orbit
 from coadjoint.methods.tuned_parts import ErrorsOfOrders
 from coadjoint.program.decompose import decompose
+from coadjoint.program.leading_term import leading_term
 from coadjoint.program.nested_brackets import NestedBrackets
 from coadjoint.program.second_order import Samples
 from coadjoint.program.split import split
@@ -74,7 +75,7 @@ def test_the_predicted_error_is_the_measured_one(name):
     """The run of order 2 differs from the motion by h^2 times the prediction, up to h^4, at two steps."""
     system = systems()[name]
     start = np.random.default_rng(4).standard_normal(system.dim)
-    orbit = short_orbit(co.Splitting(order=6), system, start, steps=256)
+    orbit = short_orbit(co.Splitting(order=6), system, start, steps=96)
     parts = decompose(system, "auto")
     errors = ErrorsOfOrders(system, parts.parts, [orbit])
     order = tuple(range(len(parts.parts)))
@@ -92,25 +93,35 @@ def test_the_predicted_error_is_the_measured_one(name):
     assert relative[1] < 0.35 * relative[0] or relative[1] < 0.02
 
 
-def test_tuned_is_seldom_worse_than_automatic():
+@pytest.mark.parametrize(("order", "step"), [(2, 0.03), (4, 0.15)])
+def test_tuned_is_seldom_worse_than_automatic(order, step):
     """Over states that nobody looked at; taking the term at the state alone was worse for two in five."""
     rng = np.random.default_rng(2026)
     ratios = []
     for name, system in systems().items():
-        if name == "cubic":  # its motions leave every bound
+        # The motions of the cubic one leave every bound; the many parts of the full one take long at order 4.
+        if name == "cubic" or (order == 4 and name == "so(4), full"):
             continue
-        for _ in range(4):
+        for _ in range(8 // order):
             start = rng.standard_normal(system.dim)
             rate = np.linalg.norm(system.vector_field(start)) / np.linalg.norm(start) + 0.5
-            h = 0.03 / rate
-            exact = co.integrate(system, start, (0.0, 1000 * h), h, co.GaussLegendre(6), save_every=10).x
-            tuned, auto = (
-                np.max(np.abs(co.integrate(system, start, (0.0, 1000 * h), h, method, save_every=10).x - exact))
-                for method in (co.Splitting.tuned(system, start), co.Splitting())
-            )
+            h = step / rate
+            exact = co.integrate(system, start, (0.0, 600 * h), h, co.GaussLegendre(6), save_every=10).x
+            methods = (co.Splitting.tuned(system, start, order=order), co.Splitting(order=order))
+            runs = (co.integrate(system, start, (0.0, 600 * h), h, method, save_every=10).x for method in methods)
+            tuned, auto = (np.max(np.abs(x - exact)) for x in runs)
             ratios.append(tuned / auto)
     assert np.exp(np.mean(np.log(ratios))) < 0.8
     assert np.mean(np.array(ratios) > 1.05) < 0.2
+
+
+def test_the_leading_term_is_that_of_the_modified_hamiltonian():
+    for name in ("body, full", "top", "A3,7"):
+        system = systems()[name]
+        for method in (co.Splitting(order=2), co.Splitting(order=4), co.Splitting(scheme="blanes_moan4")):
+            expected = co.modified_hamiltonian(system, method, order=2).error_term
+            assert expected.power == method.order
+            assert leading_term(system, method, method.order) == expected.term
 
 
 def test_the_automatic_parts_stay_where_nothing_is_better():

@@ -37,6 +37,11 @@ class ShortOrbit(NamedTuple):
     tangents: Floats
     spacing: float
 
+    @property
+    def square(self) -> float:
+        """The square of the largest momentum; 1 where there is none."""
+        return float(np.max(np.sum(self.points**2, axis=1))) or 1.0
+
     def carried(self, fields: Floats) -> Floats:
         """Return what errors have become that a perturbed field makes along the way, to first order.
 

@@ -2,38 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from math import comb
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import Method
+from coadjoint.methods.flow_method import FlowMethod
 from coadjoint.methods.short_orbit import ShortOrbit, short_orbit
 from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.program.decompose import best_decomposition, candidates, decompose
+from coadjoint.program.leading_term import leading_term
 from coadjoint.program.nested_brackets import NestedBrackets
 from coadjoint.program.order_of_parts import CLEARLY, MOST_ORDERED, least_of_orders
 from coadjoint.program.parts import Parts
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.polynomial_form import polynomial_of
 
 Floats = NDArray[np.float64]
 
 # Larger systems are compared at the given states alone: the brackets of a motion cost n^3 for each of its points.
 LARGEST_FOLLOWED = 64
+# Choices that are compared by the own first term of a scheme of higher order.
+MOST_TRIED = 12
+# Such a term may have so many monomials; where there are more, the choice of order two is taken.
+MOST_MONOMIALS = 4000
 
 
-def tuned_parts(system: LiePoissonSystem, method: Method, starts: Floats) -> ChosenParts:
+def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], starts: Floats) -> ChosenParts:
     """Return shift and order of the automatic parts with the smallest error along short motions from some states.
 
-    The error is that of the step of order two: its field differs by h^2 J grad H2 from the motion's, and the tangent
-    map carries what this adds at one point to all later ones.
+    The field of a scheme differs from the motion's by J times the gradient of the first term of its modified
+    Hamiltonian, and the tangent map carries what this adds at one point to all later ones. Of order two every order of
+    the parts is compared; of a higher one those that are best at order two, which is a good guess of them.
 
     Parameters
     ----------
     system : LiePoissonSystem
         The system.
-    method : Method
-        Any splitting of order two, to follow the motion.
+    scheme : callable
+        Returns the scheme with a choice of parts.
     starts : ndarray, shape (members, n)
         The states.
 
@@ -42,21 +52,56 @@ def tuned_parts(system: LiePoissonSystem, method: Method, starts: Floats) -> Cho
     ChosenParts
         The choice of ``parts="auto"``, unless another one is better.
     """
-    terms = system.hamiltonian.terms()
+    method = scheme("auto")
+    own, terms = decompose(system, "auto").choice, system.hamiltonian.terms()
     if system.dim > LARGEST_FOLLOWED or not all(term.differentiable for term in terms):
         return best_decomposition(system, starts).choice
     orbits = [short_orbit(method, system, start) for start in starts]
-    own, found = decompose(system, "auto").choice, candidates(system)
     # Any number of parts is the same for all of them: the fewest.
     if not 1 < len(own.order) <= MOST_ORDERED:
         return best_decomposition(system, np.concatenate([orbit.points for orbit in orbits])).choice
-    errors = {shift: ErrorsOfOrders(system, parts, orbits) for shift, parts in found}
-    best, least = own, errors[own.shift].sizes([own.order])[0] if own.shift in errors else np.inf
-    for shift, measured in errors.items():
-        order, size = least_of_orders(tuple(range(len(own.order))), measured.sizes)
-        if size < least * CLEARLY:
-            best, least = ChosenParts(order, shift), size
-    return best
+    ranked: list[tuple[float, ChosenParts]] = []
+    for shift, parts in candidates(system):
+        errors = ErrorsOfOrders(system, parts, orbits)
+        natural = own.order if shift == own.shift else tuple(range(len(parts)))
+        tried: dict[tuple[int, ...], float] = {}
+        least_of_orders(natural, partial(_remembered, errors, tried))
+        ranked += [(size, ChosenParts(order, shift)) for order, size in tried.items()]
+    ranked.sort(key=lambda one: (one[0], one[1] != own))
+    if method.order == 2 or _monomials(system, method.order) > MOST_MONOMIALS:
+        return _least(ranked, own)
+    some = [own, *(choice for _, choice in ranked if choice != own)][:MOST_TRIED]
+    return _least([(_error_of_scheme(system, scheme(choice), orbits), choice) for choice in some], own)
+
+
+def _monomials(system: LiePoissonSystem, order: int) -> float:
+    """Return a bound of the monomials of the first term: brackets of order + 1 pieces of H, each takes a degree."""
+    H = polynomial_of(system.hamiltonian)
+    return np.inf if H is None else comb(system.dim + (order + 1) * (H.degree - 1) + 1, system.dim)
+
+
+def _remembered(
+    errors: ErrorsOfOrders, kept: dict[tuple[int, ...], float], orders: Sequence[tuple[int, ...]]
+) -> list[float]:
+    kept.update(zip(orders, errors.sizes(orders), strict=True))
+    return [kept[order] for order in orders]
+
+
+def _least(sizes: Sequence[tuple[float, ChosenParts]], own: ChosenParts) -> ChosenParts:
+    """Return the least, but the own choice where nothing is clearly less."""
+    least, best = min(sizes, key=lambda one: one[0])
+    return best if all(choice != own or least < size * CLEARLY for size, choice in sizes) else own
+
+
+def _error_of_scheme(system: LiePoissonSystem, method: FlowMethod, orbits: Sequence[ShortOrbit]) -> float:
+    """Return the error of a scheme, divided by h^order; see `ErrorsOfOrders.sizes`."""
+    term = leading_term(system, method, method.order)
+    total = 0.0
+    for orbit in orbits:
+        slopes = term.gradient(orbit.points)
+        fields = np.array([_turned(system, x, slope[:, None]) for x, slope in zip(orbit.points, slopes, strict=True)])
+        total += np.max(np.sum(orbit.carried(fields)[:, :, 0] ** 2, axis=1)) / orbit.square
+    return float(np.sqrt(total / len(orbits)))
 
 
 class ErrorsOfOrders:
@@ -74,23 +119,22 @@ class ErrorsOfOrders:
 
     def __init__(self, system: LiePoissonSystem, parts: Parts, orbits: Sequence[ShortOrbit]) -> None:
         self._brackets = NestedBrackets(system.algebra, parts)
-        self._carried, self._size = [], []
+        self._carried, self._square = [], [orbit.square for orbit in orbits]
         for orbit in orbits:
             slopes = np.moveaxis(self._brackets.gradients(orbit.points), (2, 3), (0, 1))
             slopes = slopes.reshape(*slopes.shape[:2], -1)
             fields = np.array([_turned(system, x, slope) for x, slope in zip(orbit.points, slopes, strict=True)])
             self._carried.append(orbit.carried(fields))
-            self._size.append(float(np.max(np.abs(orbit.points))))
 
     def sizes(self, orders: Sequence[tuple[int, ...]]) -> list[float]:
         """Return for orders of the parts the root mean square over the orbits of the largest error, a part of x."""
         weights = np.array([self._brackets.weights(order).ravel() for order in orders])
         total = np.zeros(len(orders))
-        for carried, size in zip(self._carried, self._size, strict=True):
+        for carried, square in zip(self._carried, self._square, strict=True):
             squares = np.zeros((len(carried), len(orders)))
             for i in range(carried.shape[1]):
                 squares += _summed(carried[:, i], weights) ** 2
-            total += np.max(squares, axis=0) / (size**2 or 1.0)
+            total += np.max(squares, axis=0) / square
         return np.sqrt(total / len(self._carried)).tolist()
 
     def along(self, order: tuple[int, ...]) -> list[Floats]:
