@@ -21,8 +21,8 @@ ROOMS = {
     "experiments": ("does it hold?", 7.4, -1.3),
 }
 """Room: its question, and its place. A room uses rooms to its left, and those above it in this list."""
-DOORS = {"choosing": "accuracy=", "files": "to_xarray", "pictures": "plot"}
-"""What `runs` opens, only when it is asked to: `integrate(accuracy=)`, `Solution.to_xarray`, `Solution.plot`."""
+DOORS = {"choosing": "accuracy=", "files": "to_xarray", "analysis": "modified_energy", "pictures": "plot"}
+"""What `runs` opens, only when it is asked to: `integrate(accuracy=)`, and methods of `Solution`."""
 WIDE, HIGH = 0.84, 0.92
 INK, FILL, COMPILED = "#1f2d3d", "#eef3f8", "#f7e7cf"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -84,13 +84,11 @@ class SymbolicPolynomial:
         return hash((self.symbols, self._polynomial))
 
     def __repr__(self) -> str:
-        names = coordinate_names(self.dim)
-        return self._grouped([plain({e: 1}, names) for e in self.coefficients], plain, self.symbols, "*")
+        return self._grouped(plain, "*")
 
     def to_latex(self) -> str:
         """Return it as LaTeX, without dollars."""
-        names = coordinate_names(self.dim)
-        return self._grouped([latex({e: 1}, names) for e in self.coefficients], latex, self.symbols, " ")
+        return self._grouped(latex, r" \, ")
 
     def _repr_latex_(self) -> str:
         return f"${self.to_latex()}$"
@@ -99,14 +97,16 @@ class SymbolicPolynomial:
         """Return it as an expression of SymPy."""
         return sympy_of(self._polynomial.monomials, [*coordinate_names(self.dim), *self.symbols])
 
-    def _grouped(self, products: Sequence[str], write: Any, names: Sequence[str], between: str) -> str:
+    def _grouped(self, write: Callable[[Mapping[Exponents, Coefficient], Sequence[str]], str], between: str) -> str:
+        names = coordinate_names(self.dim)
         text = ""
-        for shown, coefficient in zip(products, self.coefficients.values(), strict=True):
-            own = write(coefficient.monomials, names)
-            if len(coefficient.monomials) > 1:
-                own = f"({own})"
-            joined = own if shown == "1" else shown if own == "1" else f"{shown}{between}{own}"
-            text += f" + {joined}" if text else joined
+        for exponents, coefficient in self.coefficients.items():
+            if len(coefficient.monomials) == 1 or not any(exponents):
+                joined = {(*powers, *exponents): value for powers, value in coefficient.monomials.items()}
+                own = write(joined, [*self.symbols, *names])
+            else:
+                own = f"{write({exponents: 1}, names)}{between}({write(coefficient.monomials, self.symbols)})"
+            text += (f" - {own[1:]}" if own.startswith("-") else f" + {own}") if text else own
         return text or "0"
 
 

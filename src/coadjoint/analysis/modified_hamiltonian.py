@@ -25,6 +25,7 @@ from coadjoint.program.rational_pieces import rational_pieces
 from coadjoint.program.sweep_logarithm import Commutators
 from coadjoint.program.sweeps import Sweep
 from coadjoint.program.table import Program
+from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.polynomial_form import polynomial_of
 from coadjoint.wording import short
@@ -300,7 +301,7 @@ class _Source:
 
 
 def modified_hamiltonian(
-    system: LiePoissonSystem, method: Method, order: int = 4, *, symbols: Any = False
+    system: System, method: Method, order: int = 4, *, symbols: Any = False
 ) -> ModifiedHamiltonian:
     """Return the modified Hamiltonian of a splitting or a composition: the terms below h^order.
 
@@ -351,6 +352,8 @@ def modified_hamiltonian(
     """
     if not isinstance(method, Method):
         raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=4)")
+    if not isinstance(system, LiePoissonSystem):
+        raise TypeError(f"the system is {short(system)}; a modified Hamiltonian is for one LiePoissonSystem")
     order = read_whole(order, "order", 1, HIGHEST, why="the words in the free algebra double in number with each power")
     program = method.program(system)
     if system.hamiltonian.timed:

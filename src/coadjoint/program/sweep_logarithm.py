@@ -13,6 +13,12 @@ from functools import cache
 from math import comb
 
 from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, rational
+from coadjoint.memory import check_room
+
+MOST_PRODUCTS = 2 * 10**8
+"""Of monomials, in one bracket: some ten seconds."""
+
+BYTES_PER_MONOMIAL = 40
 
 Flow = Mapping[int, Exact]
 """The flow of sum_j h^j W_j, the W_j commuting: j -> W_j. An exact flow has j = 1 alone."""
@@ -42,21 +48,44 @@ class Commutators:
 
     def __call__(self, F: Exact, G: Exact) -> Exact:
         """Return [F, G]."""
-        return self.sign * self.ring.bracket(G, F)
+        return self.with_first(F)(G)
 
-    def with_first(self, F: Exact) -> _WithFirst:
+    def with_first(self, F: Exact) -> WithFirst:
         """Return G -> [F, G], for many G."""
-        return _WithFirst(self.ring, [self.sign * entry for entry in self.ring.field(F)])
+        return WithFirst(self.ring, [self.sign * entry for entry in self.ring.field(F)])
 
 
-class _WithFirst:
+class WithFirst:
+    """The derivative of functions along a field: G -> [F, G] = sign {G, F}.
+
+    Parameters
+    ----------
+    ring : ExactPolynomials
+        Of the functions.
+    field : sequence of fmpq_mpoly
+        sign J(x) grad F.
+    """
+
     def __init__(self, ring: ExactPolynomials, field: Sequence[Exact]) -> None:
         self._ring = ring
-        self._field = field
+        self._moving = [(i, component) for i, component in enumerate(field) if component != 0]
 
     def __call__(self, G: Exact) -> Exact:
-        # sign {G, F} is the derivative of G along the motion of F.
-        return self._ring.along(self._field, G)
+        """Return the bracket, or refuse by name one that is too large."""
+        slopes = [G.derivative(i) for i, _ in self._moving]
+        count = sum(len(slope) * len(component) for slope, (_, component) in zip(slopes, self._moving, strict=True))
+        if count > MOST_PRODUCTS:
+            raise ValueError(
+                f"a bracket in a modified Hamiltonian takes about {count:.0e} products of monomials, and at most "
+                f"{MOST_PRODUCTS:.0e} are tried; take a lower order, or a system of fewer coordinates"
+            )
+        size = BYTES_PER_MONOMIAL + self._ring.dim + len(self._ring.symbols)
+        check_room(count * size, "a bracket in a modified Hamiltonian")
+        total = self._ring.zero
+        for slope, (_, component) in zip(slopes, self._moving, strict=True):
+            if slope != 0:
+                total += component * slope
+        return total
 
 
 def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: int) -> list[Exact]:
@@ -106,7 +135,7 @@ def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: in
     return found
 
 
-def _transported(ad: _WithFirst, j: int, series: list[Exact]) -> list[Exact]:
+def _transported(ad: WithFirst, j: int, series: list[Exact]) -> list[Exact]:
     """Return exp(h^j ad) of a series in h."""
     result, current = list(series), list(series)
     for m in range(1, len(series) // j + 1):

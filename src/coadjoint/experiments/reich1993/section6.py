@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian
 from coadjoint.analysis.order import fit_order
 from coadjoint.experiments.convergence import SLOPE_TOLERANCE, roundoff, within
 from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES, body_trial
@@ -16,7 +15,6 @@ from coadjoint.methods.splitting import Splitting
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper
-from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.paper_examples import paper_rigid_body
 
 
@@ -25,55 +23,9 @@ def statements() -> list[Statement]:
     return [_perturbed_hamiltonian(), _lemma_6_1(), _bracket(), _remark_6_1()]
 
 
-def lie_poisson_bracket(algebra: LieAlgebra, F: Polynomial, G: Polynomial) -> Polynomial:
-    """Return {F, G} = (grad F)^T J(x) grad G.
-
-    Examples
-    --------
-    >>> from coadjoint.algebra import catalogue
-    >>> x1, x2, _ = (Polynomial.variable(i, 3) for i in range(3))
-    >>> lie_poisson_bracket(catalogue.so(3), x1, x2)
-    x3
-    """
-    total = Polynomial({}, dim=algebra.dim)
-    for i, j, k, c in zip(*algebra.triples, strict=True):
-        turn = F.derivative(i) * G.derivative(j) - F.derivative(j) * G.derivative(i)
-        total = total + float(c) * Polynomial.variable(int(k), algebra.dim) * turn
-    return total
-
-
-def second_hamiltonian(system: LiePoissonSystem) -> Polynomial:
-    """Return H2: the splitting, one coordinate at a time, is the flow of H + h^2 H2 + O(h^4).
-
-    For a pair A, D in the order A(h/2) D(h) A(h/2), H2 = -{A, {A, D}}/24 + {D, {D, A}}/12 (Baker, Campbell, Hausdorff);
-    for more parts D is split in turn.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        With sign +1 and a diagonal quadratic Hamiltonian.
-
-    Returns
-    -------
-    Polynomial
-        Of degree 4.
-    """
-
-    def bracket(F: Polynomial, G: Polynomial) -> Polynomial:
-        return lie_poisson_bracket(system.algebra, F, G)
-
-    masses = system.hamiltonian.gradient(np.ones(system.dim))
-    parts = [0.5 * float(m) * Polynomial.variable(i, system.dim) ** 2 for i, m in enumerate(masses)]
-    total = Polynomial({}, dim=system.dim)
-    for i, A in enumerate(parts[:-1]):
-        D = sum(parts[i + 1 :], Polynomial({}, dim=system.dim))
-        total = total + (-1 / 24) * bracket(A, bracket(A, D)) + (1 / 12) * bracket(D, bracket(D, A))
-    return total
-
-
 def _perturbed_hamiltonian() -> Statement:
     body = paper_rigid_body()
-    second = second_hamiltonian(body)
+    second = modified_hamiltonian(body, COORDINATES, order=4).terms[2]
     steps = [10.0 / count for count in (40, 60, 80, 120, 160, 240)]
     plain, perturbed = [], []
     for h in steps:

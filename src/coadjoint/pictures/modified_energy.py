@@ -1,0 +1,70 @@
+"""How well is a modified Hamiltonian kept along a run? Deviations of growing orders, on a logarithmic scale."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from coadjoint.extras import need
+from coadjoint.given import read_list, read_whole
+from coadjoint.pictures.style import colour, key, plain_axes
+from coadjoint.runs.solution import check_solution
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from coadjoint.runs.solution import Solution
+
+MOST_POINTS = 5000
+"""More than a printed line can show."""
+
+
+def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) -> Figure:
+    r"""Return a figure of how far the energy and modified energies of growing order stray from their start in a run.
+
+    Each order should lie lower than the one before, by a factor like the square of the step, until round-off is
+    reached, and none should grow: then the run is the motion of a nearby Hamiltonian system.
+
+    Parameters
+    ----------
+    solution : Solution
+        By a splitting; of an ensemble the first member is drawn.
+    orders : sequence of int
+        Of the modified Hamiltonians; see `coadjoint.modified_hamiltonian`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Neither shown nor saved.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 10), step=0.1)
+    >>> [line.get_label() for line in draw_modified_energy(sol, orders=(4, 6)).axes[0].lines]
+    ['energy $H$', '$\\tilde H$ of order 4', '$\\tilde H$ of order 6']
+    """
+    check_solution(solution)
+    need("drawing modified energies", "matplotlib")
+    from matplotlib.figure import Figure
+
+    given = read_list(orders, "orders", "give whole numbers such as (4, 6)")
+    wanted = [read_whole(order, "an order") for order in given]
+    series = {"energy $H$": solution.energy}
+    series |= {rf"$\tilde H$ of order {order}": solution.modified_energy(order) for order in wanted}
+    every = max(1, -(-len(solution.t) // MOST_POINTS))
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    for place, (label, values) in enumerate(series.items()):
+        own = values.reshape(len(values), -1)[:, 0]
+        deviation = np.abs(own - own[0])[::every]
+        # Zero has no logarithm: the line has gaps where nothing has changed in any bit.
+        visible = np.where(deviation > 0.0, deviation, np.nan)
+        axes.plot(solution.t[::every], visible, color=colour(place), linewidth=0.9, label=label)
+    axes.set(yscale="log", xlabel="time $t$", ylabel="absolute deviation from start")
+    axes.set_title(f"{solution.system.name}, {solution.method}, step {solution.step:g}".replace("$", r"\$"))
+    plain_axes(axes)
+    key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
