@@ -47,7 +47,10 @@ _HOME = {
     "choose": "coadjoint.choosing.accuracy",
     "ModifiedHamiltonian": "coadjoint.analysis.modified_hamiltonian",
     "integrate": "coadjoint.runs.integrate",
+    "Corrector": "coadjoint.analysis.corrector",
+    "corrector": "coadjoint.analysis.corrector",
     "modified_hamiltonian": "coadjoint.analysis.modified_hamiltonian",
+    "suggest_step": "coadjoint.analysis.suggested_step",
     "prepare": "coadjoint.runs.prepared_run",
     "stepper": "coadjoint.runs.stepper",
 }
@@ -68,8 +71,11 @@ if TYPE_CHECKING:
     from coadjoint.algebra.invariant import Invariant as Invariant
     from coadjoint.algebra.lie_algebra import LieAlgebra as LieAlgebra
     from coadjoint.algebra.polynomial import Polynomial as Polynomial
+    from coadjoint.analysis.corrector import Corrector as Corrector
+    from coadjoint.analysis.corrector import corrector as corrector
     from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian as ModifiedHamiltonian
     from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian as modified_hamiltonian
+    from coadjoint.analysis.suggested_step import suggest_step as suggest_step
     from coadjoint.choosing.accuracy import Choice as Choice
     from coadjoint.choosing.accuracy import choose as choose
     from coadjoint.errors import IntegrationError as IntegrationError
