@@ -23,6 +23,8 @@ ROOMS = {
 """Room: its question, and its place. A room uses rooms to its left, and those above it in this list."""
 DOORS = {"choosing": "accuracy=", "files": "to_xarray", "analysis": "modified_energy", "pictures": "plot"}
 """What `runs` opens, only when it is asked to: `integrate(accuracy=)`, and methods of `Solution`."""
+NEIGHBOURS = {("analysis", "pictures"): "plot"}
+"""Doors between rooms at one place, opened only when asked: `Certificate.plot`."""
 WIDE, HIGH = 0.84, 0.92
 INK, FILL, COMPILED = "#1f2d3d", "#eef3f8", "#f7e7cf"
 
@@ -51,6 +53,10 @@ def draw() -> Any:
             label = {"ha": "right", "va": "center", "color": INK, "size": 8.5}
             paper = {"facecolor": "white", "edgecolor": "none", "pad": 1}
             axes.text(x - WIDE / 2 - 0.08, y + 0.43 * side, DOORS[name], **label, bbox=paper)
+    for (above, below), said in NEIGHBOURS.items():
+        x, top, bottom = ROOMS[above][1] - 0.2, ROOMS[above][2] - HIGH / 2, ROOMS[below][2] + HIGH / 2
+        _arrow(axes, (x, bottom), (x, top), dashed=True)
+        axes.text(x + 0.06, (top + bottom) / 2, said, ha="left", va="center", color=INK, size=8.5)
     for name in ("analysis", "pictures"):
         _arrow(axes, (6.2 + WIDE / 2, ROOMS[name][2]), (7.4 - WIDE / 2, -1.3))
     _box(axes, "source", "the loops,\nin C++", 3.0, -1.5, COMPILED)
@@ -59,7 +65,7 @@ def draw() -> Any:
     _box(axes, "cli.py", "the command\ncoadjoint", 7.4, 0.65, "white")
     _arrow(axes, (6.2 + WIDE / 2, 0.65), (7.4 - WIDE / 2, 0.65))
     notes = ("algebra, energy, state go in at the left", "solid: what a room makes goes to the right")
-    for line, said in enumerate((*notes, "dashed: opened by runs only when asked")):
+    for line, said in enumerate((*notes, "dashed: opened only when asked")):
         axes.text(-0.43, 2.2 - 0.3 * line, said, ha="left", va="center", color=INK, size=11, style="italic")
     return figure
 

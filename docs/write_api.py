@@ -11,6 +11,7 @@ from typing import Any
 
 import coadjoint as co
 from coadjoint import commands
+from coadjoint.analysis.certificate import Row
 from coadjoint.runs.solution import Drift
 from coadjoint.runs.stepper import Stepper
 
@@ -28,18 +29,34 @@ MEMBERS_OF = (
     ("A prepared run", co.PreparedRun),
     ("A stepper", Stepper),
     ("A choice", co.Choice),
+    ("Frequencies", co.Frequencies),
+    ("A phase drift", co.PhaseDrift),
+    ("A certificate", co.Certificate),
+    ("A row of a certificate", Row),
+    ("A modified field", co.ModifiedField),
 )
 USED = {
+    "analysis.checks.growth": ("growth", "Growth"),
+    "analysis.checks.slope": ("slope", "Slope"),
+    "analysis.frequencies": ("Combinations",),
+    "analysis.line_drift": ("line_drift",),
     "analysis.order": ("fit_order", "OrderFit"),
+    "analysis.periods": ("period", "Period"),
     "analysis.phase": ("phase_error",),
+    "analysis.phase_drift": ("drift_of_series",),
     "analysis.poisson_defect": ("poisson_defect", "defect_of_tangent", "PoissonDefect"),
-    "analysis.rotations": ("attitude_angle", "precession_error"),
+    "analysis.predicted_drift": ("PredictedDrift",),
+    "analysis.rotations": ("attitude_angle", "precession_error", "twist"),
     "analysis.round_off": ("round_off", "random_walk", "orthogonality", "spatial_momentum", "RandomWalk"),
+    "analysis.field_of_step": ("field_of_series", "field_at"),
+    "analysis.modified_fields": ("ExactField", "FieldAtPoints"),
     "files.configuration": ("load", "Configuration"),
     "files.export": ("dataset_of", "rebuild", "solution_inputs", "mark_failed"),
-    "files.output": ("write_dataset", "write_figure"),
+    "files.output": ("write_dataset", "write_figure", "write_text"),
     "methods.registry": ("forget", "scheme", "parameters_of", "from_description", "description_of"),
+    "pictures.certificate": ("draw_certificate",),
     "pictures.level_surface": ("level_surface",),
+    "pictures.phase_drift": ("draw_phase_drift",),
     "pictures.solution": ("draw_solution",),
     "program.table": ("Program",),
     "systems.hamiltonian": ("HamiltonianLike",),

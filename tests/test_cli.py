@@ -1,5 +1,7 @@
 """The command: what it runs, what it says, and its exit status."""
 
+import dataclasses
+import json
 import os
 import subprocess
 import sys
@@ -10,6 +12,7 @@ import pytest
 import xarray
 
 import coadjoint
+import coadjoint as co
 from coadjoint import cli
 from coadjoint.experiments.statement import judged
 
@@ -136,7 +139,7 @@ def test_failed_run_without_output(folder, capsys):
     ("arguments", "said"),
     [
         (["rnu"], "coadjoint: unknown command 'rnu'; did you mean 'run'?"),
-        (["zzzzz"], "coadjoint: unknown command 'zzzzz'; there are methods, reproduce, run, systems"),
+        (["zzzzz"], "coadjoint: unknown command 'zzzzz'; there are certify, methods, reproduce, run, systems"),
         (["run"], "coadjoint: missing argument 'FILE' (see 'coadjoint run --help')"),
         (["run", "body.toml", "--ot", "x"], "coadjoint: unknown option '--ot'; did you mean '--out'?"),
         (["--verzion"], "coadjoint: unknown option '--verzion'; did you mean '--version'?"),
@@ -178,6 +181,57 @@ def test_folder_that_cannot_be_written_to(folder, capsys):
     # /proc takes no files, not even from an administrator.
     said = refused(capsys, "run", "body.toml", "--out", "/proc/run.zarr")
     assert said.startswith("/proc/run.zarr: cannot be written (") and said.endswith("); give another folder")
+
+
+def test_certify_prints_writes_and_draws(folder, capsys):
+    arguments = ["certify", "body.toml", "--steps", "40", "--json", "found.json", "--plot", "found.png"]
+    assert cli.main(arguments) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert "passed: every declared property holds\nwritten: found.json\nwritten: found.png\n" in said.out
+    read = json.loads((folder / "found.json").read_text())
+    assert read["passed"] is True and read["subject"]["steps"] == 40 and read["subject"]["step"] == 0.1
+    assert (folder / "found.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_certify_goes_backward_where_the_file_does(folder, capsys):
+    (folder / "back.toml").write_text(BODY.replace("[0.0, 1.0]", "[1.0, 0.0]"))
+    assert cli.main(["certify", "back.toml", "--steps", "10", "--json", "back.json"]) == 0
+    assert json.loads((folder / "back.json").read_text())["subject"]["step"] == -0.1
+
+
+def test_certify_has_the_status_1_where_a_declared_property_fails(folder, capsys):
+    @co.methods.register
+    @dataclasses.dataclass(frozen=True)
+    class SaidSymmetric(co.ModifiedGaussLegendre):
+        symmetric = True
+
+    try:
+        (folder / "false.toml").write_text(BODY + '[method]\nname = "SaidSymmetric"\n')
+        assert cli.main(["certify", "false.toml", "--steps", "10"]) == 1
+    finally:
+        co.methods.registry.forget("SaidSymmetric")
+    said = capsys.readouterr()
+    assert said.err == "" and said.out.endswith("not passed: a step back undoes a step (fails)\n")
+
+
+def test_certify_cannot_decide_at_rest(folder, capsys):
+    (folder / "rest.toml").write_text(BODY.replace("[1.0, 0.1, 0.5]", "[1.0, 0.0, 0.0]"))
+    assert cli.main(["certify", "rest.toml", "--steps", "10"]) == 1
+    assert "order (not decidable here)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["none.toml"], "none.toml: cannot be read (No such file or directory)"),
+        (["body.toml", "--json", "found.txt"], "found.txt: the suffix says the format; it must be .json"),
+        (["body.toml", "--plot", "found.gif"], "found.gif: the suffix says the format; it must be .png, .pdf or .svg"),
+        (["body.toml", "--steps", "0"], "steps must be a whole number from 1 to 10000000, not 0"),
+    ],
+)
+def test_certify_refuses_in_one_line(folder, capsys, arguments, said):
+    assert said in refused(capsys, "certify", *arguments)
 
 
 def test_systems_and_methods_are_listed(capsys):

@@ -53,7 +53,7 @@ def test_no_room_reaches_back(drawn):
     order = list(drawn.ROOMS)
     # Rooms at one place along the picture do not know each other; the first six stand in a row.
     along = {room: x for room, (_, x, _) in drawn.ROOMS.items()}
-    wrong, doors = [], set()
+    wrong, doors, neighbours = [], set(), set()
     for room in order:
         for path in sorted((PACKAGE / room).rglob("*.py")):
             for other, deferred in imports(path):
@@ -61,10 +61,13 @@ def test_no_room_reaches_back(drawn):
                     continue
                 if room == "runs" and other in drawn.DOORS and deferred:
                     doors.add(other)
+                elif (room, other) in drawn.NEIGHBOURS and deferred:
+                    neighbours.add((room, other))
                 else:
                     wrong.append(f"{path.relative_to(PACKAGE)} imports from {other}")
     assert wrong == []
     assert doors == set(drawn.DOORS)
+    assert neighbours == set(drawn.NEIGHBOURS)
 
 
 def test_the_picture_can_be_drawn(drawn, tmp_path):

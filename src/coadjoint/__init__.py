@@ -40,17 +40,26 @@ _HOME = {
     "RadauEnergy": "coadjoint.methods.radau_energy",
     "Splitting": "coadjoint.methods.splitting",
     "Taylor": "coadjoint.methods.taylor",
+    "Frequencies": "coadjoint.analysis.frequencies",
+    "PhaseDrift": "coadjoint.analysis.phase_drift",
     "PreparedRun": "coadjoint.runs.prepared_run",
     "Solution": "coadjoint.runs.solution",
     "batch": "coadjoint.systems.batch",
+    "Certificate": "coadjoint.analysis.certificate",
+    "certify": "coadjoint.analysis.certify",
     "Choice": "coadjoint.choosing.accuracy",
     "choose": "coadjoint.choosing.accuracy",
+    "frequencies": "coadjoint.analysis.frequencies",
+    "phase_drift": "coadjoint.analysis.phase_drift",
+    "predicted_drift": "coadjoint.analysis.predicted_drift",
     "ModifiedHamiltonian": "coadjoint.analysis.modified_hamiltonian",
     "integrate": "coadjoint.runs.integrate",
     "Corrector": "coadjoint.analysis.corrector",
     "corrector": "coadjoint.analysis.corrector",
     "modified_hamiltonian": "coadjoint.analysis.modified_hamiltonian",
     "suggest_step": "coadjoint.analysis.suggested_step",
+    "ModifiedField": "coadjoint.analysis.modified_fields",
+    "modified_field": "coadjoint.analysis.modified_field",
     "prepare": "coadjoint.runs.prepared_run",
     "stepper": "coadjoint.runs.stepper",
 }
@@ -71,10 +80,19 @@ if TYPE_CHECKING:
     from coadjoint.algebra.invariant import Invariant as Invariant
     from coadjoint.algebra.lie_algebra import LieAlgebra as LieAlgebra
     from coadjoint.algebra.polynomial import Polynomial as Polynomial
+    from coadjoint.analysis.certificate import Certificate as Certificate
+    from coadjoint.analysis.certify import certify as certify
     from coadjoint.analysis.corrector import Corrector as Corrector
     from coadjoint.analysis.corrector import corrector as corrector
+    from coadjoint.analysis.frequencies import Frequencies as Frequencies
+    from coadjoint.analysis.frequencies import frequencies as frequencies
+    from coadjoint.analysis.modified_field import modified_field as modified_field
+    from coadjoint.analysis.modified_fields import ModifiedField as ModifiedField
     from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian as ModifiedHamiltonian
     from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian as modified_hamiltonian
+    from coadjoint.analysis.phase_drift import PhaseDrift as PhaseDrift
+    from coadjoint.analysis.phase_drift import phase_drift as phase_drift
+    from coadjoint.analysis.predicted_drift import predicted_drift as predicted_drift
     from coadjoint.analysis.suggested_step import suggest_step as suggest_step
     from coadjoint.choosing.accuracy import Choice as Choice
     from coadjoint.choosing.accuracy import choose as choose

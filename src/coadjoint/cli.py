@@ -1,8 +1,9 @@
 """The entry of the command ``coadjoint``: exit statuses, and one line for whatever is wrong.
 
-Exit status: 0, all is well; 1, a run failed while running (what it had is written, and says so), or its result could
-not be written; 2, wrong input, one line on the standard error says what would be right; 128 + the number of a signal
-that ended it: 130, interrupted; 143, terminated; 141, nobody reads its output any more.
+Exit status: 0, all is well; 1, a run failed while running (what it had is written, and says so), its result could not
+be written, or a scheme does not keep what it declares (``certify``); 2, wrong input, one line on the standard error
+says what would be right; 128 + the number of a signal that ended it: 130, interrupted; 143, terminated; 141, nobody
+reads its output any more.
 
 The commands are in `coadjoint.commands`. Nothing is imported here that takes time, so that an interrupt is heard from
 the start.
@@ -74,5 +75,5 @@ def run() -> None:
 
 
 def _forget_output() -> None:
-    """Lose what is still to be printed: the interpreter would try again when it ends, and complain."""
+    """Drop what is still to be printed. The interpreter would try again when it ends, and complain."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

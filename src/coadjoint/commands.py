@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import inspect
+import math
 import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coadjoint import __version__
-from coadjoint.errors import in_one_line
+from coadjoint.errors import in_one_line, nearest
 
 UNREAD = 141  # nobody reads what is printed
 
@@ -32,7 +32,9 @@ class _Commands(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
-            raise click.UsageError(f"unknown command {args[0]!r}; {_nearest(args[0], self.list_commands(ctx))}", ctx)
+            raise click.UsageError(
+                f"unknown command {args[0]!r}; {_did_you_mean(args[0], self.list_commands(ctx))}", ctx
+            )
         return super().resolve_command(ctx, args)
 
 
@@ -144,6 +146,44 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
         click.echo(f"written: {place}")
 
 
+@commands.command("certify")
+@click.argument("file", type=click.Path())
+@click.option("--json", "mapping", metavar="PATH", help="Where to write all that was measured: .json.")
+@click.option("--plot", "figure", metavar="PATH", help="Where to draw the evidence: .png, .pdf or .svg.")
+@click.option("--steps", type=int, metavar="N", help="Steps of the long run, 2000 by default.")
+def certify_file(file: str, mapping: str | None, figure: str | None, steps: int | None) -> None:
+    """Measure what the scheme of the configuration FILE (TOML) keeps, and hold it against what it declares.
+
+    Exit status 0 only where every declared property holds; 1 where one fails or cannot be decided.
+    """
+    from coadjoint.analysis.certify import STEPS, certify
+    from coadjoint.files.configuration import load
+    from coadjoint.files.output import FIGURES, TEXTS, check_target, write_figure, write_text
+
+    configuration = load(file)
+    target = None if mapping is None else check_target(mapping, TEXTS)
+    drawing = None if figure is None else check_target(figure, FIGURES)
+    found = certify(
+        configuration.system,
+        configuration.method,
+        configuration.x0,
+        math.copysign(configuration.step, configuration.t_span[1] - configuration.t_span[0]),
+        steps=STEPS if steps is None else steps,
+    )
+    click.echo(str(found))
+    if target is not None:
+        with _writing(configuration, target):
+            write_text(found.to_json(), target)
+    if drawing is not None:
+        with _writing(configuration, drawing):
+            write_figure(found.plot(), drawing)
+    for place in (target, drawing):
+        if place is not None:
+            click.echo(f"written: {place}")
+    if not found.passed:
+        raise click.exceptions.Exit(1)
+
+
 @commands.command("systems")
 def list_systems() -> None:
     """List the ready-made systems with their parameters."""
@@ -187,9 +227,9 @@ def reproduce(out: str) -> None:
         click.echo(f"written: {figure}")
 
 
-def _nearest(name: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+def _did_you_mean(name: str, known: Sequence[str]) -> str:
+    near = nearest(name, known)
+    return f"there are {', '.join(known)}" if near is None else f"did you mean {near!r}?"
 
 
 def _said(error: click.ClickException) -> str:
@@ -198,7 +238,7 @@ def _said(error: click.ClickException) -> str:
         known = [
             name for parameter in error.ctx.command.get_params(error.ctx) for name in parameter.opts if name[0] == "-"
         ]
-        return f"coadjoint: unknown option {error.option_name!r}; {_nearest(error.option_name, known)}"
+        return f"coadjoint: unknown option {error.option_name!r}; {_did_you_mean(error.option_name, known)}"
     message = in_one_line(error.format_message())
     if isinstance(error, click.UsageError):
         usage = f" (see '{error.ctx.command_path} --help')" if error.ctx is not None and "; " not in message else ""
@@ -238,7 +278,7 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
     from coadjoint.files.output import OutputError
 
     try:
-        # The parts of click's own main that are wanted: that one prints an empty line at an interrupt.
+        # What is wanted of click's own `main`, which prints an empty line at an interrupt.
         with commands.make_context("coadjoint", arguments) as context:
             commands.invoke(context)
     except click.exceptions.Exit as done:
@@ -248,10 +288,10 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
     except (ConfigurationError, OutputError) as error:
         return 2, in_one_line(str(error))
     except ImportError as error:
-        # A package that is missing, or that does not fit the others: its own sentence says which.
+        # A package is missing, or does not fit the others. The sentence of the error says which.
         return 2, in_one_line(f"coadjoint: {error}")
     except (ValueError, TypeError, ArithmeticError, RecursionError, MemoryError) as error:
-        # What no reader foresaw: bad input all the same.
+        # No reader foresaw it, but it is bad input all the same.
         return 2, in_one_line(f"coadjoint: {type(error).__name__}: {error}")
     except BrokenPipeError:
         return UNREAD, ""

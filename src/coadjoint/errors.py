@@ -74,10 +74,34 @@ def unknown_name(kind: str, name: Any, known: Iterable[str]) -> ValueError:
     names = sorted(known)
     if not isinstance(name, str):
         return ValueError(f"unknown {kind} {short(name)}; give a name, such as {names[0]!r}")
+    return ValueError(f"unknown {kind} {short(name)}; did you mean {nearest(name, names, least=0.0)!r}?")
+
+
+def nearest(name: str, known: Iterable[str], least: float = 0.5) -> str | None:
+    """Return the known name that is most like a given one, or None where none is near.
+
+    Parameters
+    ----------
+    name : str
+        The name that was given, of any length.
+    known : iterable of str
+        The names that exist.
+    least : float, optional
+        How much a name must be like the given one to be near: 0 takes any, 1 the same alone.
+
+    Returns
+    -------
+    str or None
+
+    Examples
+    --------
+    >>> nearest("stpe", ["t_span", "step"]), nearest("x", ["t_span", "step"])
+    ('step', None)
+    """
+    names = sorted(known)
     # What is much longer than every name is compared by its beginning: the time grows like the square of it.
-    beginning = name[: 2 * max(map(len, names))]
-    close = difflib.get_close_matches(beginning, names, n=1, cutoff=0.0)
-    return ValueError(f"unknown {kind} {short(name)}; did you mean {close[0]!r}?")
+    beginning = name[: 2 * max(map(len, names), default=0)]
+    return next(iter(difflib.get_close_matches(beginning, names, n=1, cutoff=least)), None)
 
 
 def in_one_line(message: str, limit: int = 400) -> str:

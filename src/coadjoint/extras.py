@@ -14,6 +14,7 @@ EXTRAS = {
     "matplotlib": "plot",
     "click": "cli",
     "tqdm": "cli",
+    "mpmath": "precision",
     "sympy": "algebra",
 }
 """Package -> the extra that brings it, as pyproject.toml declares it; all others that are imported are requirements."""
@@ -60,5 +61,5 @@ def need(what: str, *packages: str) -> None:
 def _installed(name: str) -> bool:
     try:
         return importlib.util.find_spec(name) is not None
-    except ValueError:  # a module that was put into sys.modules without a specification
+    except ValueError:  # the module was put into sys.modules without a specification
         return True

@@ -107,7 +107,7 @@ def read_numbers(values: Any, what: str) -> Floats:
     try:
         if array.dtype.itemsize <= 8 and array.dtype.kind != "O":
             return np.array(array, dtype=np.float64)
-        with np.errstate(over="ignore"):  # infinity, which whoever asks for finite numbers refuses
+        with np.errstate(over="ignore"):  # infinity, which is refused where numbers must be finite
             return np.array(array, dtype=np.float64)
     except OverflowError:
         raise ValueError(f"{what} holds a number that is too large for float64") from None

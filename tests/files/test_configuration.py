@@ -7,8 +7,9 @@ import pytest
 from configuration_files import OWN, READY_MADE
 
 import coadjoint as co
+from coadjoint.algebra.written_brackets import read_brackets
 from coadjoint.files.configuration import ConfigurationError, load
-from coadjoint.files.formulas import read_brackets, read_polynomial
+from coadjoint.files.polynomials import read_polynomial
 from coadjoint.methods import registry
 
 
@@ -159,7 +160,7 @@ def test_wrong_ready_made(written, changes, said):
         ([("M = [1.0, 0.5, 0.25]", "M = true")], "hamiltonian.M: must be a number or a list of numbers or "),
         (
             [("M = [1.0, 0.5, 0.25]", 'polynomial = "x1**2"')],
-            "hamiltonian.polynomial: 'x1**2' cannot be read from '*2' on; ",
+            "hamiltonian.polynomial: 'x1**2' cannot be read from '**2' on; ",
         ),
         ([("M = [1.0, 0.5, 0.25]", 'polynomial = "x4"')], "hamiltonian.polynomial: 'x4' has the coordinate x4; "),
         ([("M = [1.0, 0.5, 0.25]", "polynomial = 3")], "hamiltonian.polynomial: must be text such as "),

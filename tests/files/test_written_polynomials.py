@@ -7,7 +7,8 @@ from fractions import Fraction
 import pytest
 
 import coadjoint as co
-from coadjoint.files.formulas import read_brackets, read_polynomial
+from coadjoint.algebra.written_brackets import read_brackets
+from coadjoint.files.polynomials import read_polynomial
 
 
 def test_long_polynomials_are_read_in_time_that_grows_with_them():
@@ -42,7 +43,7 @@ def test_highest_degree_and_largest_coefficient():
 
 
 def test_more_terms_than_memory(monkeypatch):
-    monkeypatch.setattr("coadjoint.files.formulas.check_room", lambda count, what: wanted.append((count, what)))
+    monkeypatch.setattr("coadjoint.algebra.formula_reader.check_room", lambda count, what: wanted.append((count, what)))
     wanted = []
     read_polynomial(" + ".join(f"x{i + 1}" for i in range(1100)), 1100)
     assert [what for _, what in wanted] == ["a polynomial of 1024 terms or more in 1100 coordinates"]

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from coadjoint.kernels import runge_kutta
-from coadjoint.kernels.arrays import Block, Extent, Layout
+from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.loop import Crew, Stop, remembered
 from coadjoint.kernels.runge_kutta_tables import runge_kutta_tables
 from coadjoint.kernels.tables import watch_tables
@@ -27,7 +27,7 @@ def begin(systems, method, x0, h, steps, representation=None, fractions=(1.0,)):
     d = found[0].tables.group.size
     memory = remembered(runge_kutta.RUNGE_KUTTA_LOOP, found[0].tables)
     layout = Layout(Extent(members, 2, n, d * d, 1 + len(systems[0].casimirs), memory))
-    saved, state = Block(layout.saved), Block(layout.state)
+    saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
     state["momenta"][:], state["groups"][:] = x0, np.eye(d).ravel()
     tables, watch, stride = found[0].tables, watches[0].tables, 0
     if len(systems) > 1:

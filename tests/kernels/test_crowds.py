@@ -7,7 +7,7 @@ import pytest
 from test_runge_kutta import SCHEMES, served, systems
 
 import coadjoint as co
-from coadjoint.kernels.arrays import Block
+from coadjoint.kernels.arrays import NamedArrays
 from runs import STATE, run
 
 MEMBERS = 35  # a whole block of lanes on every processor, and some that are left
@@ -119,7 +119,7 @@ def test_cut_and_resumed_runs_have_the_same_bits(method, members):
             60,
             representation="coadjoint",
             cuts=CUTS,
-            keep=Block.copy,
+            keep=NamedArrays.copy,
             **how,
         )
         for other in (cut, resumed):

@@ -8,9 +8,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+import coadjoint as co
 from coadjoint.kernels import description, structures
-from coadjoint.kernels.arrays import Block, Extent, Layout
+from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.field import GroupField
+from coadjoint.methods.projection import independent, project
 
 
 def text():
@@ -25,7 +27,10 @@ CHANGES = {
     "closed form of an attitude": ("SKEW 4;", "SKEW 6;", "Turn.SKEW is 4 in this package and 6"),
     "layout of a block": ("CUBIC_HEADER 6;", "CUBIC_HEADER 4;", "Limit.CUBIC_HEADER is 6 in this package and 4"),
     "limit": ("MOST_SUBSTEPS 4096;", "MOST_SUBSTEPS 8192;", "Limit.MOST_SUBSTEPS is 4096 in this package and 8192"),
-    "limit that is gone": ("BLOCK 32;", "", "Limit.BLOCK is a number in this package and missing in the compiled"),
+    "limit that is gone": ("LARGEST_CROWD 32;", "", "Limit.LARGEST_CROWD is a number in this package and missing in"),
+    "units of a defect": ("PROJECTION_EXACT 4;", "", "Limit.PROJECTION_EXACT is a number in this package and missing"),
+    "rank of gradients": ("DEPENDENT_BITS 36;", "", "Limit.DEPENDENT_BITS is a number in this package and missing in"),
+    "divergence": ("GROWTH_BITS 64;", "", "Limit.GROWTH_BITS is a number in this package and missing in the compiled"),
     "status": ("UNDEFINED 3;", "", "Status.UNDEFINED is a number in this package and missing"),
     "outcome": ("NO_MEMORY -2;", "", "Outcome.NO_MEMORY is a number in this package and missing"),
     "solver": ("GRADIENT 4;", "FIELD 4;", "Solver.GRADIENT is a number in this package and missing"),
@@ -108,7 +113,39 @@ def test_the_order_and_shapes_of_arrays_are_those_of_the_kernels(monkeypatch):
     assert before.saved.shapes["x"] == after.saved.shapes["x"] == (2, 3, 4)
     assert before.saved.size == after.saved.size == 2 * 3 * (4 + 9 + 2)
     assert before.state.shapes["worst"] == (3, description.limit("TENTHS"), 2)
-    assert Block(before.state)["status"].dtype == np.int64
+    assert NamedArrays(before.state)["status"].dtype == np.int64
+
+
+def with_limits(monkeypatch, **values):
+    said = description.parsed(text())
+    changed = {**said.codes, "Limit": {**said.codes["Limit"], **values}}
+    monkeypatch.setattr(description, "described", lambda: said._replace(codes=changed))
+
+
+def test_the_plain_reading_of_a_projection_has_the_limits_of_the_kernels(monkeypatch):
+    body = co.systems.rigid_body((1, 2, 3))
+    x = np.array([0.3, 0.5, 0.7])
+    energy, near = body.hamiltonian, np.array([[1.0, 0.0], [1.0, 2.0**-17]])
+    assert independent(near) == [0, 1]
+    assert not np.array_equal(project([energy], x, 1.01 * x, float, 0.0).y, 1.01 * x)
+    with_limits(monkeypatch, DEPENDENT_BITS=30)
+    assert independent(near) == [0]
+    with_limits(monkeypatch, PROJECTION_EXACT=2**53)
+    assert np.array_equal(project([energy], x, 1.01 * x, float, 0.0).y, 1.01 * x)
+    with_limits(monkeypatch, PROJECTION_CORRECTIONS=0)
+    with pytest.raises(co.IntegrationError, match="does not converge"):
+        project([energy], x, 1.01 * x, float, 0.0)
+
+
+def test_the_plain_reading_of_stages_gives_up_where_the_kernels_do(monkeypatch):
+    body, x = co.systems.rigid_body((1, 2, 3)), np.array([0.3, 0.5, 0.7])
+    after = co.GaussLegendre(stages=2).step(body, x, 0.0, 0.1)
+    with_limits(monkeypatch, GROWTH_BITS=0)
+    assert np.array_equal(co.GaussLegendre(stages=2).step(body, x, 0.0, 0.1), after)
+    with_limits(monkeypatch, GROWTH_BITS=-1)
+    # No correction may be larger than half of the first, and the first is as large as itself.
+    with pytest.raises(co.IntegrationError, match="do not converge"):
+        co.GaussLegendre(stages=2).step(body, x, 0.0, 0.1)
 
 
 class Pair(NamedTuple):

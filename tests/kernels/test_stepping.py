@@ -10,7 +10,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels import stepping
-from coadjoint.kernels.arrays import Block, Extent, Layout
+from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.description import codes
 from coadjoint.kernels.loop import Crew, Stop
 from coadjoint.kernels.step_tables import step_tables
@@ -26,7 +26,7 @@ def run(system, method, x0, h, steps, *, t0=0.0, cuts=(), fractions=(1.0,)):
     members, n = momenta.shape
     prepared, watch = step_tables(system, method, None, fractions), watch_tables(system, system.casimirs)
     layout = Layout(Extent(members, 2, n, 0, 1 + len(system.casimirs), 0))
-    saved, state = Block(layout.saved), Block(layout.state)
+    saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
     state["momenta"][:] = momenta
     crew = Crew(stepping.STEP_LOOP, prepared.tables, watch.tables, 0, members)
     for k0, k1 in pairwise([0, *cuts, steps]):

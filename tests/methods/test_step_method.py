@@ -277,3 +277,32 @@ def test_what_is_no_scheme_is_not_registered():
         co.methods.register(co.methods.StepMethod)
     assert co.methods.registry  # nothing was left behind
     assert "StepMethod" not in co.methods.names()
+
+
+@dataclasses.dataclass(frozen=True)
+class RunningAnother(co.methods.StepMethod):
+    """A step that is the end of another run: loops inside of loops."""
+
+    inner: co.methods.Method
+    compiles = False
+    order, explicit, symmetric = 2, True, True
+
+    def properties(self, system):
+        return NOTHING
+
+    def step(self, system, x, t, h):
+        return co.stepper(system, self.inner, h)(x, t)
+
+
+@pytest.mark.parametrize("inner", [co.Splitting(), co.GaussLegendre(2), co.Taylor(4)], ids=str)
+def test_a_step_may_run_other_loops(inner):
+    """Twenty steps make twenty tables: more than a thread remembers of the steps that it read last."""
+    system, x0 = SYSTEMS["so(3)"], np.array([0.3, 1.0, 0.2])
+    for depth, method in enumerate((RunningAnother(inner), RunningAnother(RunningAnother(inner)))):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = co.integrate(system, x0, (0, 2), 0.1, method, threads=1)
+        state = x0
+        for _ in range(20):
+            state = co.stepper(system, inner, 0.1)(state)
+        assert np.array_equal(found.x[-1], state), depth

@@ -255,8 +255,21 @@ def test_explicit_parts_that_do_not_serve_are_refused(name, choice, message):
 def test_a_general_function_is_refused_by_name():
     H = co.Hamiltonian(lambda x: 0.5 * x[0] * x[0] * x[1], lambda x: np.array([x[0] * x[1], 0.5 * x[0] * x[0], 0.0]))
     s = co.LiePoissonSystem(SO3, H, name="top with a lid")
-    with pytest.raises(ValueError, match=r"Splitting cannot serve top with a lid: .*SplitHamiltonian.*GaussLegendre"):
+    why = "a function in it couples e1 and e2, which do not commute; give H as .* \\(SplitHamiltonian\\), or use Gauss"
+    with pytest.raises(ValueError, match=f"^{why}"):
         split(s)
+    for scheme in (co.Splitting(), co.Splitting(order=1, parts="coordinates")):
+        with pytest.raises(ValueError, match=f"^Splitting cannot serve top with a lid: {why}"):
+            scheme.program(s)
+
+
+def test_the_scheme_that_needs_the_parts_is_named():
+    class Sheared(co.Splitting):
+        pass
+
+    s = co.LiePoissonSystem(SO3, co.Polynomial({(2, 1, 0): 0.5}), name="top")
+    with pytest.raises(ValueError, match=r"^Sheared cannot serve top: its monomial"):
+        Sheared().program(s)
 
 
 def test_a_monomial_of_coordinates_that_do_not_commute_is_refused_by_name():

@@ -18,7 +18,7 @@ from coadjoint.algebra.derivations import Equations, Vector, equations, monomial
 from coadjoint.algebra.generic_rank import generic_rank
 from coadjoint.algebra.joins import Integers
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.algebra.rational_constants import rational_constants
+from coadjoint.algebra.rational_constants import cleared, rational_constants
 from coadjoint.given import read_whole
 
 MONOMIALS = 40_000  # of one degree in one summand: a minute at most
@@ -71,9 +71,7 @@ def _polynomial(vector: Vector, basis: Integers, dim: int) -> Polynomial:
     """Return coefficients as a polynomial: primitive whole numbers where they are rational."""
     values = list(vector.values())
     if not any(isinstance(value, float) for value in values):
-        fractions = [Fraction(value) for value in values]
-        common = math.lcm(*(value.denominator for value in fractions))
-        whole = [int(value * common) for value in fractions]  # primitive, since the first fraction is 1
+        whole = cleared([Fraction(value) for value in values]).tolist()  # primitive, since the first fraction is 1
         values = [value // math.gcd(*whole) for value in whole]
     exponents = (np.bincount(basis[column], minlength=dim).tolist() for column in vector)
     return Polynomial({tuple(e): value for e, value in zip(exponents, values, strict=True)})

@@ -1,28 +1,61 @@
-"""Floats as the whole and rational numbers that they are."""
+"""Exact numbers: floats as the whole and rational numbers that they are, and those of python-flint."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from fractions import Fraction
+from numbers import Rational
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+TOO_LARGE = "is too large for float64, or has too many digits"
 
-def exact_number(value: int | float | Fraction) -> int | Fraction:
-    """Return a finite number exactly, as int where it is whole, else as Fraction.
 
-    Products with Fraction or mpmath numbers then keep their exactness or their precision.
+def exact_number(value: Any) -> Any:
+    """Return a finite float as the int or the Fraction that it is, and a rational number of any kind as one of Python.
+
+    Products with Fraction or mpmath numbers then keep their exactness or their precision. Any other number is returned
+    as it is.
 
     Examples
     --------
-    >>> exact_number(2.0), exact_number(0.5), exact_number(3)
-    (2, Fraction(1, 2), 3)
+    >>> exact_number(2.0), exact_number(0.5), exact_number(3), exact_number(np.int8(100)) * 2
+    (2, Fraction(1, 2), 3, 200)
     """
     if isinstance(value, float):
         return int(value) if value.is_integer() else Fraction(value)
-    return value
+    if isinstance(value, int | Fraction) or not isinstance(value, Rational):
+        return value
+    return fraction(value)
+
+
+def fraction(value: Any) -> int | Fraction:
+    """Return a rational number, of NumPy or of python-flint for instance, as one of Python.
+
+    Examples
+    --------
+    >>> fraction(rational(0.25)), fraction(rational(2))
+    (Fraction(1, 4), 2)
+    """
+    above, below = int(value.numerator), int(value.denominator)
+    return above if below == 1 else Fraction(above, below)
+
+
+def rational(value: Any) -> Any:
+    """Return a finite number as the rational number that it is, `flint.fmpq`.
+
+    Examples
+    --------
+    >>> rational(0.5), rational(Fraction(1, 3))
+    (1/2, 1/3)
+    """
+    from flint import fmpq
+
+    exact = Fraction(exact_number(value))
+    return fmpq(exact.numerator, exact.denominator)
 
 
 def rounded(value: int | float | Fraction) -> float:
@@ -39,7 +72,7 @@ def rounded(value: int | float | Fraction) -> float:
         raise ValueError("a constant of the new algebra is too large for float64; take smaller numbers") from None
 
 
-def exact_numbers(values: Iterable[int | float | Fraction]) -> NDArray[Any]:
+def exact_numbers(values: Iterable[Any]) -> NDArray[Any]:
     """Return an object array of exact numbers.
 
     Examples
@@ -51,3 +84,17 @@ def exact_numbers(values: Iterable[int | float | Fraction]) -> NDArray[Any]:
     result = np.empty(len(exact), dtype=object)
     result[:] = exact
     return result
+
+
+def fits(value: int | float | Fraction) -> bool:
+    """Say whether a number is finite in float64 and, where it is exact, has so many digits as one can work with.
+
+    Examples
+    --------
+    >>> fits(10**308), fits(10**309), fits(float("inf")), fits(Fraction(1, 10**2000))
+    (True, False, False, False)
+    """
+    try:
+        return math.isfinite(value) and not (isinstance(value, Fraction) and value.denominator.bit_length() > 4096)
+    except OverflowError:
+        return False

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.exact import exact_number
+from coadjoint.algebra.exact import fraction as fraction
+from coadjoint.algebra.exact import rational as rational
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.algebra.product_sums import Coefficient
 
 Exact = Any
 """A polynomial of the ring: `flint.fmpq_mpoly`, which has +, -, *, / by numbers and == of its own."""
@@ -85,6 +85,14 @@ class ExactPolynomials:
         monomials = {tuple(map(int, exponents)): fraction(value) for exponents, value in exact.to_dict().items()}
         return Polynomial(monomials, dim=self.dim + len(self.symbols))
 
+    def at_origin(self, exact: Exact) -> int | Fraction:
+        """Return the constant of a polynomial."""
+        return fraction(exact[(0,) * (self.dim + len(self.symbols))])
+
+    def reduced(self, F: Exact) -> Exact:
+        """Return what is kept of a polynomial: here all of it."""
+        return F
+
     def gradient(self, F: Exact) -> list[Exact]:
         """Return the derivatives with respect to x1, ..., xn."""
         return [F.derivative(i) for i in range(self.dim)]
@@ -123,29 +131,3 @@ class ExactPolynomials:
         for i, j, k, c in zip(*(np.asarray(column).tolist() for column in self.algebra.triples), strict=True):
             found[i, j] = found.get((i, j), self.zero) + rational(c) * self.coordinates[k]
         return found
-
-
-def rational(value: Coefficient) -> Any:
-    """Return a finite number as the rational number that it is, `flint.fmpq`.
-
-    Examples
-    --------
-    >>> rational(0.5), rational(Fraction(1, 3))
-    (1/2, 1/3)
-    """
-    from flint import fmpq
-
-    exact = Fraction(exact_number(value))
-    return fmpq(exact.numerator, exact.denominator)
-
-
-def fraction(value: Any) -> int | Fraction:
-    """Return a rational number of python-flint as one of Python.
-
-    Examples
-    --------
-    >>> fraction(rational(0.25)), fraction(rational(2))
-    (Fraction(1, 4), 2)
-    """
-    above, below = int(value.numer()), int(value.denom())
-    return above if below == 1 else Fraction(above, below)

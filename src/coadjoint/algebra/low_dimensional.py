@@ -15,7 +15,8 @@ import numpy as np
 
 from coadjoint.algebra.elimination import Span
 from coadjoint.algebra.exact import exact_number, rounded
-from coadjoint.algebra.expressions import Number, read_formula, satisfied
+from coadjoint.algebra.formula_reader import Number
+from coadjoint.algebra.formulas import read_formula, satisfied
 from coadjoint.algebra.joins import Floats
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.logarithmic import LOGARITHM, LogarithmicSum
@@ -75,9 +76,7 @@ def read_parameters(name: str, given: Mapping[str, Any]) -> dict[str, Number]:
     for key in expected:
         value = given[key]
         number = read_number(value, f"{key} of {name}")
-        # Whole numbers of NumPy would wrap.
-        rational = isinstance(value, Rational)
-        values[key] = exact_number(Fraction(int(value.numerator), int(value.denominator)) if rational else number)
+        values[key] = exact_number(value if isinstance(value, Rational) else number)
     condition = entries()[name].get("range")
     if condition is not None and not satisfied(condition, values):
         shown = ", ".join(f"{key} = {_shown(value)}" for key, value in values.items())
@@ -99,11 +98,10 @@ def exact_constants(name: str, parameters: Mapping[str, Number]) -> Constants:
     (3/2)*x1
     """
     entry = entries()[name]
-    elements = {f"e{i + 1}": Polynomial.variable(i, entry["dim"]) for i in range(entry["dim"])}
     result: Constants = {}
     for pair, text in entry["brackets"].items():
         i, j = (int(label.removeprefix("e")) - 1 for label in pair.split())
-        bracket = read_formula(text, {**parameters, **elements})
+        bracket = read_formula(text, parameters, entry["dim"], "e")
         if not isinstance(bracket, Polynomial) or any(sum(exponents) != 1 for exponents in bracket.monomials):
             raise ValueError(f"bracket {pair!r} of {name} must be a combination of basis elements, not {text!r}")
         result[i, j] = bracket
@@ -125,13 +123,12 @@ def formulas(name: str, parameters: Mapping[str, Number]) -> dict[str, Polynomia
     ['x2^2 + x3^2', 'log|x1| - a*atan2(x3, x2)']
     """
     entry = entries()[name]
-    names = {**parameters, **{f"x{i + 1}": Polynomial.variable(i, entry["dim"]) for i in range(entry["dim"])}}
     result: dict[str, Polynomial | LogarithmicSum] = {}
     for given in entry["invariants"]:
         stated = {"formula": given} if isinstance(given, str) else given
         if "where" in stated and not satisfied(stated["where"], parameters):
             continue
-        formula = read_formula(stated["formula"], names)
+        formula = read_formula(stated["formula"], parameters, entry["dim"])
         if isinstance(formula, int | Fraction):
             raise ValueError(f"invariant {stated['formula']!r} of {name} is a constant")
         if isinstance(formula, LogarithmicSum):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint.algebra.derivations import Equations, Vector, blocks, check_block
+from coadjoint.algebra.exact import rational
 from coadjoint.algebra.joins import groups
 from coadjoint.algebra.modular import random_prime, residues
 
@@ -180,11 +181,11 @@ def pivots(rows: Sequence[Sequence[Any]], width: int) -> list[int]:
     >>> pivots([[0, Fraction(1, 2), 1], [0, 1, 2]], 3)
     [1]
     """
-    from flint import fmpq, fmpq_mat
+    from flint import fmpq_mat
 
     if not rows:
         return []
-    flat = [fmpq(Fraction(value).numerator, Fraction(value).denominator) for row in rows for value in row]
+    flat = [rational(value) for row in rows for value in row]
     reduced, rank = fmpq_mat(len(rows), width, flat).rref()
     entries = reduced.entries()
     return [next(at for at in range(width) if entries[row * width + at] != 0) for row in range(rank)]

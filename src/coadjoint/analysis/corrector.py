@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from itertools import combinations_with_replacement
 from math import comb
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.exact_polynomials import ExactPolynomials
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian
+from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian, modified_hamiltonian
 from coadjoint.given import read_finite, read_number
 from coadjoint.memory import check_room
 from coadjoint.methods.base import Method
@@ -135,10 +135,10 @@ def corrector(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike) -> Co
     S. Blanes, F. Casas and A. Murua, Composition methods for differential equations with processing, SIAM J. Sci.
     Comput. 27 (2006), for correctors of compositions.
     """
-    H = polynomial_of(system.hamiltonian)
-    term = modified_hamiltonian(system, method, method.order).error_term.term
-    if H is None or not isinstance(term, Polynomial):
+    found, H = modified_hamiltonian(system, method, method.order), polynomial_of(system.hamiltonian)
+    if H is None or not isinstance(found, ModifiedHamiltonian):
         raise ValueError(f"the Hamiltonian of {system.name} is no polynomial; a corrector is a polynomial's flow")
+    term = cast(Polynomial, found.error_term.term)
     starts = np.atleast_2d(read_finite(x0, "x0"))
     if starts.ndim != 2 or starts.shape[1] != system.dim:
         raise ValueError(f"x0 has the shape {starts.shape}; it must be ({system.dim},) or (k, {system.dim})")

@@ -14,6 +14,7 @@ from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.polynomial_text import coordinate_names, latex, plain, rounded_if_long
 from coadjoint.algebra.symbolic_polynomial import SymbolicPolynomial
+from coadjoint.analysis.modified_energy_at_points import ModifiedEnergyAtPoints
 from coadjoint.analysis.symbols_of_hamiltonian import Symbols, no_symbols, symbols_of
 from coadjoint.extras import need
 from coadjoint.given import is_of_a_ring, read_whole
@@ -265,19 +266,13 @@ class _Source:
         return ErrorTerm(None, self._symbols.zero)
 
     def _coordinates(self, highest: int) -> Coordinates:
-        return composition_logarithm(
-            self._sweeps,
-            self._after,
-            highest,
-            order=self._order,
-            parts=len(self._program.parts),
-            rational=bool(np.any(self._program.frequency != 0)),
-        )
+        return coordinates_of(self._program, self._sweeps, self._after, highest, self._order)
 
     def _terms(self, coordinates: Coordinates, weights: Any) -> tuple[dict[int, Term], float, float]:
         ring = ExactPolynomials(self._system.algebra, tuple(self._symbols.values))
-        flows = self._flows(ring, max(weights, default=1))
-        series = ModifiedSeries(Commutators(ring, self._system.sign), flows, max(weights, default=1))
+        weights = [weight for weight in weights if coordinates.of_weight[weight]]
+        highest = max(weights, default=1)
+        series = ModifiedSeries(Commutators(ring, self._system.sign), self._flows(ring, highest), highest)
         found: dict[int, Term] = {}
         radius, neglected = 0.0, coordinates.neglected
         for weight in weights:
@@ -302,7 +297,7 @@ class _Source:
 
 def modified_hamiltonian(
     system: System, method: Method, order: int = 4, *, symbols: Any = False
-) -> ModifiedHamiltonian:
+) -> ModifiedHamiltonian | ModifiedEnergyAtPoints:
     """Return the modified Hamiltonian of a splitting or a composition: the terms below h^order.
 
     A step is the flow over h of H + h^2 H2 + h^4 H4 + ... (asymptotic in h). What a run keeps can be read off that
@@ -311,7 +306,7 @@ def modified_hamiltonian(
     Parameters
     ----------
     system : LiePoissonSystem
-        With a polynomial Hamiltonian that does not depend on time.
+        With a Hamiltonian that splits and does not depend on time.
     method : Method
         `Splitting` of any order, scheme and parts, a `Composition` of them, or a flow method of your own.
     order : int
@@ -324,14 +319,15 @@ def modified_hamiltonian(
     -------
     ModifiedHamiltonian
         Exact where the coefficients of the scheme are rational, floats of H being the rational numbers that they are.
+        Where H is no polynomial, a `ModifiedEnergyAtPoints`, which can only be evaluated.
 
     Raises
     ------
     TypeError
-        The scheme is not made of flows.
+        The scheme is not made of flows, or the system is none on a Lie algebra.
     ValueError
-        The system cannot be served: its Hamiltonian depends on time, is no polynomial, or does not split; symbols where
-        a Casimir was taken off H or squares were completed; or terms too large for this machine.
+        The system cannot be served: its Hamiltonian depends on time or does not split; symbols where a Casimir was
+        taken off H, squares were completed, or H is no polynomial; or terms too large for this machine.
 
     References
     ----------
@@ -361,9 +357,23 @@ def modified_hamiltonian(
             f"the Hamiltonian of {system.name} depends on time, so that no function of x is kept; "
             "a modified Hamiltonian is for autonomous systems"
         )
+    sweeps, after = swept_exactly(method.swept())
     H = polynomial_of(system.hamiltonian)
     if H is None:
-        raise ValueError(f"the Hamiltonian of {system.name} is no polynomial")
+        if symbols is not False:
+            raise ValueError(f"the Hamiltonian of {system.name} is no polynomial, so that symbols have no place in it")
+        if np.any(program.frequency != 0):
+            raise ValueError(
+                f"the Hamiltonian of {system.name} is no polynomial, and rational rotations are flows of integrals of "
+                'it that are not known; take rotation="exact"'
+            )
+        coordinates = coordinates_of(program, sweeps, after, order, method.order)
+        return ModifiedEnergyAtPoints(system, program, coordinates, order)
     chosen = symbols_of(H, symbols, program) if symbols is not False else no_symbols(H)
-    sweeps, after = swept_exactly(method.swept())
     return _Source(system, program, sweeps, after, method.order, chosen).found(order)
+
+
+def coordinates_of(program: Program, sweeps: list[Sweep], after: list[Sweep], highest: int, order: int) -> Coordinates:
+    """Return the Lie series of a step by a program; parameters are those of `composition_logarithm`."""
+    rational = bool(np.any(program.frequency != 0))
+    return composition_logarithm(sweeps, after, highest, order=order, parts=len(program.parts), rational=rational)

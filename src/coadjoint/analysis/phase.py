@@ -2,49 +2,57 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.analysis.reference_motion import Motion, field_along, motion_of
 from coadjoint.given import read_finite
-from coadjoint.systems.kinds import check_one_system
-from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.kinds import System, check_one_system
 from coadjoint.systems.points import QUIET
 
 MOST_ITERATIONS = 30
+FIRST = 4  # points whose lead is found from zero; then the leads found so far predict as many again
 
 
 def phase_error(
-    system: LiePoissonSystem, x0: npt.ArrayLike, t: npt.ArrayLike, x: npt.ArrayLike
+    system: System, x0: npt.ArrayLike, t: npt.ArrayLike, x: npt.ArrayLike, reference: Any = None
 ) -> npt.NDArray[np.float64]:
-    """Return the signed phase error of computed states: by how much time they are ahead of the exact motion.
+    """Return the signed phase error of computed states: by how much time they are ahead of the right motion.
 
     Parameters
     ----------
-    system : LiePoissonSystem
-        With a closed form.
+    system : LiePoissonSystem or PoissonSystem
+        With a closed form, where no reference is given.
     x0 : array_like, shape (n,)
-        The state at time zero.
+        The state at time zero, of the closed form.
     t : array_like, shape (k,)
         Times.
     x : array_like, shape (k, n)
         Computed states.
+    reference : callable or Solution, optional
+        The right motion, where it is not the closed form: a function of times (k,) that returns states (k, n), or a run
+        by a better scheme or with a smaller step, whose saved points are dense enough to be read in between.
 
     Returns
     -------
     ndarray, shape (k,)
-        The lead d that makes exact(t + d) the nearest point to x, in units of time; positive is early, negative
-        late. Meaningful while abs(d) is less than half a period. NaN where no nearest point is found.
+        The lead d that makes right(t + d) the nearest point to x, in units of time; positive is early, negative
+        late. NaN where no nearest point is found, or the reference does not go so far. Times in order are followed
+        from the first on, so that a lead may exceed a period; what is not in order has leads of less than half a one.
 
     Raises
     ------
     ValueError
-        The states do not fit the times.
+        The states do not fit the times, or the saved points of the reference are too far apart.
     TypeError
         No closed form is known.
 
     Notes
     -----
-    Gauss-Newton on |x - exact(t + d)|^2: d grows by f.(x - y)/|f|^2 at y = exact(t + d), f the vector field there.
+    Gauss-Newton on |x - right(t + d)|^2: d grows by f.(x - y)/|f|^2 at y = right(t + d), f the vector field there. A
+    motion of several angles has a phase error in each of them, and the lead is an average; see `line_lead`.
 
     Examples
     --------
@@ -60,21 +68,53 @@ def phase_error(
         raise ValueError(
             f"x has the shape {states.shape}; it must be ({times.size}, {system.dim}), a state for each time"
         )
-    return _leads(system, x0, times, states)
+    return leads(system, motion_of(system, reference, x0), times, states)
 
 
 @QUIET
-def _leads(
-    system: LiePoissonSystem, x0: npt.ArrayLike, times: npt.NDArray[np.float64], states: npt.NDArray[np.float64]
+def leads(
+    system: System, right: Motion, times: npt.NDArray[np.float64], states: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
-    lead = np.zeros(len(times))
+    """Return the leads of states before a motion, followed where the times are in order; see `phase_error`."""
+    ordered = len(times) > FIRST and (np.all(np.diff(times) > 0.0) or np.all(np.diff(times) < 0.0))
+    if not ordered:
+        return _found(system, right, times, states, np.zeros(len(times)))
+    lead = np.full(len(times), np.nan)
+    first, last = 0, FIRST
+    while first < len(times):
+        lead[first:last] = _found(
+            system, right, times[first:last], states[first:last], _expected(times, lead, first, last)
+        )
+        first, last = last, min(2 * last, len(times))
+    return lead
+
+
+def _expected(
+    times: npt.NDArray[np.float64], lead: npt.NDArray[np.float64], first: int, last: int
+) -> npt.NDArray[np.float64]:
+    """Return what the later half of the leads found so far promises for the next."""
+    known = np.flatnonzero(np.isfinite(lead[:first]))
+    known = known[len(known) // 2 :]
+    if len(known) < 2:
+        return np.zeros(last - first)
+    slope, at_zero = np.polyfit(times[known], lead[known], 1)
+    return np.asarray(slope * times[first:last] + at_zero)
+
+
+def _found(
+    system: System,
+    right: Motion,
+    times: npt.NDArray[np.float64],
+    states: npt.NDArray[np.float64],
+    lead: npt.NDArray[np.float64],
+) -> npt.NDArray[np.float64]:
     change = np.full(len(times), np.inf)
     for _ in range(MOST_ITERATIONS):
-        y = system.exact(x0, times + lead)
-        f = np.array([system.vector_field(state) for state in y])
+        y = right(times + lead)
+        f = field_along(system, y)
         # Gauss-Newton converges linearly off the orbit and its last digits are round-off of the exact motion.
         change = np.einsum("ki,ki->k", f, states - y) / np.einsum("ki,ki->k", f, f)
         lead = lead + change
-        if np.max(np.abs(change)) <= 2.0**-40 * max(1.0, float(np.max(np.abs(times)))):
+        if np.all(np.isnan(change)) or np.nanmax(np.abs(change)) <= 2.0**-40 * max(1.0, float(np.max(np.abs(times)))):
             break
     return np.where(np.abs(change) <= 2.0**-20 * np.maximum(1.0, np.abs(times)), lead, np.nan)

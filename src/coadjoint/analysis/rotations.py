@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra import catalogue
 from coadjoint.given import read_finite
 from coadjoint.wording import short
 
@@ -73,13 +74,66 @@ def precession_error(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) ->
     >>> precession_error(np.eye(3), quarter, [0.0, 0.0, 5.0]) == -np.pi / 2
     True
     """
+    turned, angle, direction = _turn_about(A, B, axis)
+    along = turned @ direction * angle
+    return float(along) if along.ndim == 0 else along
+
+
+def twist(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) -> Any:
+    """Return the angle about an axis fixed in space that is nearest to the turn from one attitude to another.
+
+    Near zero it is `precession_error`; over many turns, where a rotation vector jumps, it stays the angle modulo 2 pi.
+
+    Parameters
+    ----------
+    A, B, axis
+        As for `precession_error`.
+
+    Returns
+    -------
+    float or ndarray, shape (...)
+        From -pi to pi, of the factor of A B^T that turns about the axis.
+
+    Raises
+    ------
+    ValueError
+        The matrices are not 3 x 3, or the axis is not three numbers, not all zero.
+
+    Examples
+    --------
+    >>> quarter = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    >>> round(twist(np.eye(3), quarter, [0.0, 0.0, 5.0]) / np.pi, 12)
+    -0.5
+    """
+    turned, angle, direction = _turn_about(A, B, axis)
+    half = 2.0 * np.arctan2(turned @ direction * np.sin(0.5 * angle), np.cos(0.5 * angle))
+    return float(half) if half.ndim == 0 else half
+
+
+def turns_space(system: Any) -> bool:
+    """Say whether the group elements of a system are rotations of space that carry its momentum.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> turns_space(co.systems.rigid_body()), turns_space(co.systems.paper_a37())
+    (True, False)
+    """
+    own: Any = getattr(system, "representation", None)
+    turning: Any = catalogue.so(3).representation
+    return np.array_equal(own, turning)
+
+
+def _turn_about(
+    A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return axis and angle of A B^T, and the unit vector along the axis that was given."""
     direction = read_finite(axis, "axis")
     if direction.shape != (3,) or not np.any(direction):
         raise ValueError(f"axis is {short(axis)}; it must be three numbers, not all zero")
     direction /= np.max(np.abs(direction))  # whose square does not overflow
     turned, angle = _axis_and_angle(_checked(A, "A") @ np.swapaxes(_checked(B, "B"), -1, -2))
-    along = turned @ (direction / np.linalg.norm(direction)) * angle
-    return float(along) if along.ndim == 0 else along
+    return turned, angle, direction / np.linalg.norm(direction)
 
 
 def _checked(given: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:

@@ -12,7 +12,7 @@ from coadjoint.methods.short_orbit import PART, short_orbit
 from coadjoint.methods.splitting import Splitting
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-HALVINGS = 50
+HALVINGS = 40
 
 
 def suggest_step(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike, energy: float) -> float:
@@ -49,7 +49,7 @@ def suggest_step(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike, en
     >>> body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.5)
     >>> h = suggest_step(body, co.Splitting(), x0, energy=1e-5)
     >>> run = co.integrate(body, x0, (0, 1000 * h), h, co.Splitting())
-    >>> 0.9e-5 < run.drift()["energy"] * abs(run.energy[0]) < 1.1e-5
+    >>> 0.9e-5 < run.drift()["energy"] < 1.1e-5
     True
     """
     wanted = read_positive(energy, "energy")
@@ -62,11 +62,11 @@ def suggest_step(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike, en
 def _step_from(system: LiePoissonSystem, method: Method, start: npt.NDArray[np.float64], wanted: float) -> float:
     H = modified_hamiltonian(system, method, method.order + 3)
     orbit = short_orbit(Splitting(), system, start)
-    values = {k: term(orbit.points) for k, term in H.terms.items() if k}
-    changes = {k: value - value[0] for k, value in values.items()}
+    plain = H(orbit.points, 0.0)
 
     def change(h: float) -> float:
-        return float(np.max(np.abs(sum((h**k * own for k, own in changes.items()), np.zeros(len(orbit.points))))))
+        added = H(orbit.points, h) - plain
+        return float(np.max(np.abs(added - added[0])))
 
     low, high = 0.0, orbit.spacing / PART
     if change(high) <= wanted:

@@ -28,11 +28,11 @@ from coadjoint.wording import short
 SAFETY = 3.0
 MODERATE_ORDER = 8
 ROUNDING_SHARE = 0.5
-# No error is aimed at below: it could not be divided by.
+# The least error that is aimed at; a smaller one could not be divided by.
 LEAST = 2.0**-1000
 
 
-# High orders first: where they win, the others are given up after a short look.
+# High orders come first. Where they win, the others are given up after a short look.
 SCHEMES: tuple[Method, ...] = (
     *(Taylor(p) for p in (16, 12, 20, 24, 8, 10, 14, 6)),
     *(GaussLegendre(s) for s in (8, 6, 12, 10, 4, 3, 2)),
@@ -155,7 +155,7 @@ def choose(
     """
     check_one_system(system)
     wanted, processed = _checked(accuracy), read_flag(processed, "processed")
-    # Near a blow-up numbers overflow; what comes of it is looked at, and said.
+    # Near a blow-up numbers overflow. What comes of it is checked below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         return _chosen(system, x0, span_of(t_span), wanted, attitude, methods, processed)
 

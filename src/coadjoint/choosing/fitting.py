@@ -21,7 +21,7 @@ CLEARLY = 16.0
 LARGE = 0.05
 # Steps within this factor of what is wanted are near enough to extrapolate.
 NEAR = 1.3
-# What is so many times dearer than another choice is given up.
+# A choice that costs so many times more than another is given up.
 MUCH_DEARER = 4.0
 
 
@@ -82,7 +82,7 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float) -> Fit | 
             too_few = max(too_few, steps)
             if steps > (2**20 if trial is None else DEAREST_TRIAL / candidate.cost(trial)):
                 break
-            # Between what failed and what did not, where there is such.
+            # Between a number of steps that failed and one that did not, where there are both.
             steps = pilot.fitting(2 * steps if best is None else math.sqrt(steps * best.trial.steps))
             continue
         noise = CLEARLY * max(pilot.noise, _rounding(pilot, candidate, steps, 1.0))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 # Faster than t^2.5 from quarter to half to whole is taken for exponential.
 EXPONENTIAL = 2.0**2.5
-# So much in the last half alone, after slower growth, is the beginning of it.
+# So much growth in the last half alone, after slower growth, is the beginning of exponential growth.
 BURST = 16.0
 
 

@@ -25,7 +25,7 @@ POINTS = 240
 REFINEMENTS = 9
 NOT_YET = 1e-3
 PATIENCE = 3
-# Growth is seen in no fewer points than these.
+# The fewest points in which growth can be seen.
 FEW = 12
 # A step of the reference is right when two of half its size agree with it so far.
 SETTLED = 2.0**-40
@@ -83,10 +83,10 @@ class Pilot:
         self.windows = abs(span) / self.window
         self.points = POINTS if steps >= POINTS else least
         self.reference, self.reference_steps, change = self._settled_reference()
-        # At rest everything is zero, and any size will do.
+        # At rest everything is zero, so that any size will do.
         found = np.max(np.linalg.norm(self.reference, axis=2), axis=0)
         self.size = np.where(found > 0.0, found, 1.0)
-        # One change may be small by chance: another number of steps shows rounding once more.
+        # One change may be small by chance. Another number of steps shows rounding a second time.
         again = self.run(REFERENCE, self.reference_steps + self.points)
         if not np.any(again.state["status"]):
             change = np.maximum(change, np.max(np.linalg.norm(again.saved["x"] - self.reference, axis=2), axis=0))

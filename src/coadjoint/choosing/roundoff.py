@@ -11,12 +11,12 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 # steps; Gauss methods, which keep quadratic invariants and round their slopes alone, by less.
 FLOW_WALK = 0.5
 GAUSS_WALK = 0.1
-# The most that flows were seen to round to one side: Casimirs of so(3) with a full M.
+# The largest bias that flows were seen to have: Casimirs of so(3) with a full M.
 FLOW_BIAS = 7e-4
 # The last refinements of the reference show its own rounding, a few times, of two runs at once and at the worst point.
 # Where that exceeds the model, which is where the motion is chaotic, no scheme was seen to have much more.
 NOISE = 1.0
-# The coefficients of a composition are rounded, each on its own: a clock that is wrong by the root of their number.
+# Each coefficient of a composition is rounded on its own, so that its time is wrong by the root of their number.
 COEFFICIENTS = 3.0
 # Of a compensated sum only the increments are rounded. A flow moves further than the motion does in the same time,
 # since what other parts undo is moved too.

@@ -42,7 +42,7 @@ def sample_of(system: System, momenta: NDArray[np.float64], t0: float, span: flo
     crowd = momenta[looked_at]
     sizes = np.linalg.norm(crowd, axis=1)
     rates = np.array([np.linalg.norm(system.vector_field(x, t0)) for x in crowd]) / np.where(sizes > 0.0, sizes, 1.0)
-    # A field that is not finite at a member is what its pilot will say.
+    # Where the field is not finite at a member, its pilot will say so.
     rates = np.where(np.isfinite(rates), rates, np.inf)
     fastest = float(np.max(rates[np.isfinite(rates)], initial=0.0))
     time = abs(span) if fastest == 0.0 else min(abs(span), STEPS / FINENESS / fastest)

@@ -1,1 +1,1 @@
-"""Saved where, read from what? Configuration files, formulas, records of runs, and the files that hold them."""
+"""Saved where, read from what? Configuration files, records of runs, and the files that hold them."""

@@ -13,7 +13,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.errors import in_one_line
 from coadjoint.extras import need
 from coadjoint.files.configuration_parts import ConfigurationError, method_of_file, section, system_of_file
-from coadjoint.files.formulas import read_polynomial
+from coadjoint.files.polynomials import read_polynomial
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import Method
 from coadjoint.runs.start import start_of
@@ -24,7 +24,7 @@ MOST_BYTES = 2**28
 MOST_NESTED = 64
 _STRING = r"""\"{3}(?:[^\\]|\\.)*?\"{3}|'{3}.*?'{3}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'"""
 _NESTING = re.compile(rf"{_STRING}|\#[^\n]*|[\[{{\]}}]", re.DOTALL)
-# The reader of the library takes time in the third power of the number of parts.
+# The time of the TOML reader grows like the third power of the number of parts.
 _LONG_KEY = re.compile(rf"(?<![\w.])(?:(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')[ \t]*\.[ \t]*){{{MOST_NESTED}}}")
 _LONG_NUMBER = re.compile(r"\d[\d_]{3999,}")
 
@@ -105,7 +105,7 @@ class Configuration:
         from coadjoint.runs.integrate import integrate
 
         self._check_memory()
-        # `load` checked everything else: what is still refused is what the scheme finds out when it is made ready.
+        # `load` checked everything else. What is still refused here was found when the scheme was made ready.
         with section(self.path, "method"):
             return integrate(
                 self.system,
@@ -188,7 +188,7 @@ def load(path: str | Path) -> Configuration:
 def _text(path: str | Path) -> str:
     try:
         with open(path, "rb") as file:
-            # A device, or a dataset taken for a configuration, may have no end.
+            # A device may have no end, and a dataset that is taken for a configuration may be huge.
             given = file.read(MOST_BYTES + 1)
     except (OSError, ValueError) as reason:
         raise ConfigurationError(f"{path}: cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
@@ -213,7 +213,7 @@ def _parsed(name: str, text: str) -> dict[str, Any]:
             name, text, _deepest(text), f"lists and tables are nested deeper than {MOST_NESTED}; nest less"
         ) from None
     except ValueError as reason:
-        # The interpreter does not convert whole numbers of so many digits.
+        # Python does not convert whole numbers of so many digits.
         digits = _LONG_NUMBER.search(text)
         place = len(text) if digits is None else digits.start()
         raise _wrong_at(name, text, place, "a whole number has too many digits" if digits else str(reason)) from None

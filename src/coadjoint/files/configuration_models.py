@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
-import math
 import types
 import typing
 from collections.abc import Iterable, Mapping
@@ -11,7 +9,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from coadjoint.errors import in_one_line
+from coadjoint.algebra.exact import fits
+from coadjoint.errors import in_one_line, nearest
 from coadjoint.wording import short
 
 SHOWN = 60
@@ -21,11 +20,7 @@ SHAPES = {0: "a number", 1: "a list of numbers", 2: "a list of equally long list
 def _number(value: Any) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    try:
-        finite = math.isfinite(float(value))
-    except OverflowError:
-        finite = False
-    if not finite:
+    if not fits(value):
         raise ValueError(
             f"every number must be finite, and {value} is not"
             if isinstance(value, float)
@@ -132,7 +127,7 @@ class InitialTable(Table):
 
 
 class RunTable(Table):
-    """Times and how they are gone through."""
+    """The times of the run, and what is saved and watched."""
 
     t_span: Annotated[Any, _numbers(1)]
     step: Annotated[float, Field(gt=0)]
@@ -173,10 +168,9 @@ def unknown_key(key: str, known: Iterable[str]) -> str:
     "unknown key; did you mean 'step'?"
     """
     names = sorted(known)
-    # Whatever is much longer than every name is near to none, and would take long to be compared.
-    near = difflib.get_close_matches(key[:SHOWN], names, n=1, cutoff=0.5)
-    if near:
-        return f"unknown key; did you mean {near[0]!r}?"
+    near = nearest(key, names)
+    if near is not None:
+        return f"unknown key; did you mean {near!r}?"
     return f"unknown key; known here: {', '.join(names)}" if names else "unknown key; there are none here"
 
 

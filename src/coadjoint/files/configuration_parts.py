@@ -12,8 +12,9 @@ import numpy as np
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.written_brackets import read_brackets
 from coadjoint.errors import in_one_line
-from coadjoint.files.formulas import read_brackets, read_polynomial
+from coadjoint.files.polynomials import read_polynomial
 from coadjoint.memory import check_room
 from coadjoint.methods import registry
 from coadjoint.methods.base import Method
@@ -167,7 +168,7 @@ def method_of_file(name: str, table: Mapping[str, Any]) -> Method:
 
 
 def _check_dimension(name: str, table: AlgebraTable, states: list[Any]) -> None:
-    """Refuse a dimension before anything of that length is made: so long is the state, which the file writes out."""
+    """Refuse a dimension other than the length of the state, before anything of that length is made."""
     if table.dim is None:
         return
     with section(name, "algebra.dim"):

@@ -20,7 +20,7 @@ class SteadfastFile:
     """A file in which no write fails: the first failure is kept for `close`, which raises it.
 
     HDF5 cannot close a file that it fails to write, and crashes when the interpreter ends. What comes after a failure
-    is kept in memory, for HDF5 may read what it has written; but pieces of more than 2^20 bytes are dropped: those are
+    is kept in memory, since HDF5 may read what it has written. Pieces of more than 2^20 bytes are dropped: they are
     numbers, which it does not read again.
 
     Parameters
@@ -111,7 +111,7 @@ class SteadfastFile:
         return bytes(piece)
 
     def _attempt(self, work: Callable[[], object]) -> bool:
-        """Return whether it could be done on the disk, where nothing had failed before."""
+        """Return whether something could be done on the disk; after a failure nothing is tried."""
         if self._failure is None:
             try:
                 with self._writing():

@@ -26,12 +26,14 @@ class OutputError(ValueError):
 
 DATASETS = (".nc", ".zarr")
 FIGURES = (".png", ".pdf", ".svg")
+TEXTS = (".json",)
 PACKAGES = {
     ".nc": ("xarray", "h5netcdf", "h5py"),
     ".zarr": ("xarray", "zarr"),
     **dict.fromkeys(FIGURES, ("matplotlib",)),
+    ".json": (),
 }
-NAMED = {".nc": "NetCDF", ".zarr": "Zarr", **dict.fromkeys(FIGURES, "a figure")}
+NAMED = {".nc": "NetCDF", ".zarr": "Zarr", ".json": "JSON", **dict.fromkeys(FIGURES, "a figure")}
 
 
 def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
@@ -65,7 +67,8 @@ def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
     """
     target, allowed = Path(path), tuple(suffixes)
     if target.suffix not in allowed:
-        raise OutputError(f"{path}: the suffix says the format; it must be {', '.join(allowed[:-1])} or {allowed[-1]}")
+        listed = " or ".join(part for part in (", ".join(allowed[:-1]), allowed[-1]) if part)
+        raise OutputError(f"{path}: the suffix says the format; it must be {listed}")
     need(f"{path}: {NAMED[target.suffix]}", *PACKAGES[target.suffix])
     try:
         if not target.parent.is_dir():
@@ -143,7 +146,7 @@ def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
 
 
 def _in_a_thread(work: Callable[[], None], give_up: Callable[[], None]) -> None:
-    """Do a work that no interrupt may cut: HDF5 does not survive it. Only the main thread hears interrupts."""
+    """Do something that no interrupt may cut, as HDF5 does not survive it. Only the main thread hears interrupts."""
     with ThreadPoolExecutor(1) as pool:
         done = pool.submit(work)
         try:
@@ -180,4 +183,33 @@ def write_figure(figure: Figure, path: str | Path) -> None:
     figure.savefig(drawn, format=target.suffix[1:])
     with Unfinished(target) as unfinished:
         unfinished.place.write_bytes(drawn.getbuffer())
+        unfinished.finish()
+
+
+def write_text(text: str, path: str | Path) -> None:
+    """Write text as JSON, whole or not at all.
+
+    Parameters
+    ----------
+    text : str
+        From `Certificate.to_json`, for instance.
+    path : str or Path
+        The target, a ``.json`` file, replaced if it exists.
+
+    Raises
+    ------
+    OutputError
+        As `check_target`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_text("{}", f"{folder}/empty.json")
+    ...     Path(f"{folder}/empty.json").read_text()
+    '{}'
+    """
+    target = check_target(path, TEXTS)
+    with Unfinished(target) as unfinished:
+        unfinished.place.write_text(text, encoding="utf-8")
         unfinished.finish()

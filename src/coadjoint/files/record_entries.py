@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.expressions import fits
+from coadjoint.algebra.exact import fits
 from coadjoint.errors import in_one_line
 from coadjoint.wording import short
 
@@ -72,7 +72,7 @@ class Entry:
         return found[key]
 
     def only(self, *known: str) -> Entry:
-        """Refuse keys that mean nothing here: what they say would be lost. Returns itself."""
+        """Refuse keys that mean nothing here, since what they say would be lost; return the entry itself."""
         for key, entry in self.table().items():
             if key not in known:
                 raise ValueError(f"{entry.place} is none of the keys that are known there, {', '.join(known)}")
@@ -199,7 +199,7 @@ def parsed(value: Any, place: str) -> Entry:
 
 @contextmanager
 def made_of(entry: Entry) -> Iterator[None]:
-    """Say of which entry something was made, in what the library refuses; all of it is a ValueError then.
+    """Name the entry that something is made of in what the library refuses, which becomes a ValueError.
 
     Examples
     --------

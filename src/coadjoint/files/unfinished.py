@@ -54,7 +54,7 @@ class Unfinished:
         self._lock: int | None = None
 
     def __enter__(self) -> Unfinished:
-        # Whoever ends the process knows of the folder before it is there.
+        # The folder is known to what ends the process before it exists.
         interruption.begin(self.give_up)
         try:
             while self._lock is None:
@@ -125,7 +125,7 @@ def _remove_if_left(folder: Path, target: Path) -> None:
     try:
         lock = _locked(folder / LOCK)
     except FileNotFoundError:
-        folder.rmdir()  # killed before it was locked, or about to be: then its run makes another
+        folder.rmdir()  # Its run was killed before it locked it, or is about to: then it makes another.
         return
     if lock is not None:
         _settle(folder, target)
@@ -133,7 +133,7 @@ def _remove_if_left(folder: Path, target: Path) -> None:
 
 
 def _prefix(target: Path) -> str:
-    # A name may be as long as a file system allows, so it is cut, and told apart by its hash.
+    # A name may be as long as a file system allows, so that it is cut; its hash tells it from others.
     return f".{target.name[:24]}-{sha256(os.fsencode(target.name)).hexdigest()[:12]}-"
 
 

@@ -1,4 +1,4 @@
-"""The arrays of a run: what it leaves, and what it works with, each in one block that the loops find their way in."""
+"""The arrays of a run: what it leaves, and what it works with, each in one piece of memory that the loops read."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from coadjoint.kernels.description import described
 from coadjoint.kernels.structures import pointed
 
-# The first number of a contiguous array that can be written to; twenty times quicker than its `ctypes`.
+# The first number of an array, as ctypes has it; the array is contiguous and writable. Twenty times quicker than
+# the attribute `ctypes` of the array.
 number_at: Any = ctypes.c_double.from_buffer
 
 
 class Extent(NamedTuple):
-    """How much there is: K saved points of M members, of dimension n, with d*d entries of a group element, I invariants
-    and so many numbers that a member remembers from step to step.
+    """The sizes of a run: K saved points, M members, dimension n, d*d entries of a group element, I invariants, and how
+    many numbers a member remembers from step to step.
     """
 
     members: int
@@ -31,7 +32,7 @@ class Extent(NamedTuple):
 
 
 class Places:
-    """Where arrays of numbers of eight bytes stand in a block, one after the other.
+    """Where arrays of numbers of eight bytes stand in one piece of memory, one after the other.
 
     Parameters
     ----------
@@ -50,14 +51,14 @@ class Places:
             self.size += prod(shape)
 
 
-class Block:
-    """Arrays in one piece of memory, zero at first, by name: `block["x"]` is a view."""
+class NamedArrays:
+    """Arrays in one piece of memory, zero at first, by name: `arrays["x"]` is a view."""
 
     __slots__ = ("address", "numbers", "places")
 
     def __init__(self, places: Places) -> None:
         self.places = places
-        # One at least: an address needs something to stand at.
+        # At least one number, so that there is an address.
         self.numbers = np.zeros(places.size or 1)
         self.address = ctypes.byref(number_at(self.numbers))
 
@@ -70,30 +71,30 @@ class Block:
         """Return where an array stands in memory."""
         return ctypes.addressof(number_at(self.numbers)) + 8 * self.places.slices[name].start
 
-    def take(self, members: NDArray[np.int64], axis: int) -> Block:
-        """Return another block with these members in their order, along an axis that all arrays have."""
-        other = Block(self.places)
+    def take(self, members: NDArray[np.int64], axis: int) -> NamedArrays:
+        """Return arrays of these members in their order, along an axis that all arrays have."""
+        other = NamedArrays(self.places)
         for name in self.places.shapes:
             self[name].take(members, axis=axis, out=other[name])
         return other
 
-    def only(self, names: Iterable[str]) -> Block:
+    def only(self, names: Iterable[str]) -> NamedArrays:
         """Return a copy of some of the arrays."""
         places = self.places
-        other = Block(Places({name: places.shapes[name] for name in names}, places.whole))
+        other = NamedArrays(Places({name: places.shapes[name] for name in names}, places.whole))
         for name in other.places.shapes:
             other[name][:] = self[name]
         return other
 
-    def copy(self) -> Block:
-        """Return another block with the same numbers."""
-        other = Block(self.places)
+    def copy(self) -> NamedArrays:
+        """Return arrays of their own with the same numbers."""
+        other = NamedArrays(self.places)
         other.numbers[:] = self.numbers
         return other
 
 
 class Layout:
-    """The two blocks of a run, in the order, types and shapes that the library describes.
+    """The arrays of a run, in the order, types and shapes that the library describes.
 
     What is `saved`, at K points: `x` (K, M, n); `group` (K, M, d*d), transposed matrices; `values` (K, M, I), of the
     invariants.
@@ -112,10 +113,10 @@ class Layout:
         self.address = ctypes.byref(self.table)
         self.saved, self.state = self._places("saved"), self._places("state")
 
-    def _places(self, block: str) -> Places:
+    def _places(self, kind: str) -> Places:
         description = described()
         sizes = {**description.codes["Limit"], **self.extent._asdict()}
-        arrays = description.arrays[block]
+        arrays = description.arrays[kind]
         return Places(
             {name: tuple(sizes[axis] for axis in array.axes) for name, array in arrays.items()},
             {name for name, array in arrays.items() if array.kind == "integers"},

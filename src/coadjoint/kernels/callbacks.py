@@ -24,7 +24,7 @@ def callback_of(
         raise TypeError(f"{what} cannot be compiled by Numba: {reason_of(error)}") from error
 
 
-# A step function or a scan makes many runs of one system: each of its functions is compiled once.
+# A stepper or a scan makes many runs of one system, so that each of its functions is compiled once.
 @lru_cache(maxsize=256)
 def _compiled(function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool) -> Any:
     inner = numba.njit(error_model="numpy", boundscheck=True)(function) if inspect.isfunction(function) else function

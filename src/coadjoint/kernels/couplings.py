@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from coadjoint.systems.kinds import System
 
-WIDEST = 48  # diagonals on either side: each unknown costs two multiplications with all pairs of them
-MOST_NUMBERS = 2**25  # that the factors may hold
-MOST_COUPLINGS = 64  # per coordinate, on average: more are no band
+WIDEST = 48  # diagonals on either side; an unknown costs two multiplications for each pair of them
+MOST_NUMBERS = 2**25  # numbers that the factors may hold
+MOST_COUPLINGS = 64  # couplings of a coordinate, on average; with more there is no narrow band
 
 NO_BAND: tuple[int, NDArray[np.uint32]] = (-1, np.zeros(0, dtype=np.uint32))
 

@@ -1,8 +1,8 @@
-"""What the kernels and Python share, as the library itself describes it, and whether this package is of the same mind.
+"""What the kernels and Python share, as the library itself describes it, and whether this package agrees.
 
 Tables, arrays of a run, codes and limits are written in the headers of `source/boundary`. The plain reading of a
-program works without compiled code, so that the room `program` writes what it needs of them as well: that is compared,
-name by name, when the description is first read.
+program works without compiled code, so that `program` writes what it needs of them again. That is compared, name by
+name, when the description is first read.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Description(NamedTuple):
     tables : mapping
         Name -> pairs of the type and the name of a field, in their order.
     arrays : mapping
-        Name of a block -> name -> `Array`, in their order.
+        "saved" or "state" -> name -> `Array`, in their order.
     codes : mapping
         Name of a list -> name -> code. The limits are the list "Limit".
     """
@@ -61,7 +61,20 @@ USED: Mapping[str, Iterable[str]] = {
     "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED"),
     "Outcome": ("INTERRUPTED", "NO_MEMORY"),
     "Solver": ("EXPLICIT", "ITERATED", "IMPLICIT", "STRUCTURE", "GRADIENT"),
-    "Limit": ("TENTHS", "RATIONAL", "LARGEST_DENSE", "LARGEST_DIRECT", "WIDEST", "BLOCK", "STATE_VERSION"),
+    "Limit": (
+        "TENTHS",
+        "RATIONAL",
+        "LARGEST_DENSE",
+        "LARGEST_DIRECT",
+        "WIDEST",
+        "LARGEST_CROWD",
+        "STATE_VERSION",
+        "PROJECTION_EXACT",
+        "PROJECTION_STAGNANT",
+        "PROJECTION_CORRECTIONS",
+        "DEPENDENT_BITS",
+        "GROWTH_BITS",
+    ),
 }
 """Codes whose values Python asks for, by name."""
 
@@ -87,7 +100,7 @@ def parsed(text: str) -> Description:
     Parameters
     ----------
     text : str
-        A line for each table, block of arrays and list of codes: what it is, its name, and its entries.
+        A line for each table, each kind of arrays and each list of codes: what it is, its name, and its entries.
 
     Returns
     -------
@@ -137,14 +150,14 @@ def check(description: Description) -> None:
             if name not in codes.get(what, {}):
                 _agree(f"{what}.{name}", "a number", None)
     axes = {name for _, name in description.tables.get("Extent", ())} | set(codes["Limit"])
-    for block, used in ARRAYS.items():
-        _agree(f"arrays of a run, {block}", sorted(used), sorted(arrays.get(block, {})))
-        for name, array in arrays[block].items():
+    for kind, used in ARRAYS.items():
+        _agree(f"arrays of a run, {kind}", sorted(used), sorted(arrays.get(kind, {})))
+        for name, array in arrays[kind].items():
             unknown = sorted(set(array.axes) - axes)
             if unknown:
-                _agree(f"axes of {block}.{name}", "numbers of Extent and limits", unknown)
+                _agree(f"axes of {kind}.{name}", "numbers of Extent and limits", unknown)
             if array.kind not in TYPES:
-                _agree(f"type of {block}.{name}", " or ".join(TYPES), array.kind)
+                _agree(f"type of {kind}.{name}", " or ".join(TYPES), array.kind)
 
 
 def check_fields(name: str, fields: Iterable[str]) -> None:

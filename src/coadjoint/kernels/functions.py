@@ -58,7 +58,7 @@ class CompiledFunction:
 
 
 class TabledFunction:
-    """A formula as the kernels read it, at the negative of an address; keeps it alive as long as it is in use."""
+    """A formula as the kernels read it, known by the negative of its address; it is kept alive while it is in use."""
 
     def __init__(self, forms: Forms) -> None:
         self._table = pointed(forms)

@@ -14,7 +14,7 @@ from coadjoint.kernels import compiling
 from coadjoint.wording import short
 
 FOLDER = Path(__file__).parent
-# They are no modules of Python: their names have nothing of its version.
+# They are no Python modules, so that their names do not hold the version of Python.
 SUFFIX = {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
 
@@ -121,8 +121,8 @@ def kernels() -> ctypes.CDLL:
 def listening_kernels() -> ctypes.PyDLL:
     """Return the same library for its loops, which are called with Python's lock.
 
-    They give it back while they work, and take it now and then to hear signals; what a handler raises is raised by the
-    call of the loop.
+    The loops release the lock while they work, and take it now and then to hear signals. What a handler raises is
+    raised by the call of the loop.
     """
     library = kernels()
     python = ctypes.pythonapi

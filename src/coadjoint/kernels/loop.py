@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.kernels.arrays import Block, Layout
+from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.kernels.description import codes
 from coadjoint.kernels.library import kernels, listening_kernels
 from coadjoint.kernels.structures import pointed
@@ -50,19 +50,19 @@ class CompiledLoop:
 
 
 class Stop:
-    """What other threads say to the loops of a run: that they are to end."""
+    """How another thread tells the loops of a run to end."""
 
     def __init__(self) -> None:
         self._said = ctypes.c_int64(0)
         self.address = ctypes.byref(self._said)
 
     def say(self) -> None:
-        """Let every loop end that was given this: within a fraction of a second."""
+        """Let every loop that was given this end, within a fraction of a second."""
         self._said.value = 1
 
 
 class Crew:
-    """The members that one call of a loop advances, first to last - 1, with what it reads for them.
+    """The members that one call of a loop advances, first to last - 1, and what the loop reads for them.
 
     Parameters
     ----------
@@ -93,13 +93,15 @@ class Crew:
         places = members.ctypes.data, first - base, last - base, stride
         self._advance = partial(_loop(loop), *map(ctypes.byref, given), *places)
 
-    def advance(self, layout: Layout, schedule: Any, saved: Block, state: Block, k0: int, k1: int, stop: Stop) -> int:
+    def advance(
+        self, layout: Layout, schedule: Any, saved: NamedArrays, state: NamedArrays, k0: int, k1: int, stop: Stop
+    ) -> int:
         """Take the steps k0 + 1 to k1 of the `pointed` schedule; where k0 is 0 the start is saved first.
 
-        Signals are heard meanwhile in the main thread, some times a second; what their handlers raise comes from here.
-        The other threads hear `stop`.
+        In the main thread signals are heard meanwhile, some times a second, and what their handlers raise is raised
+        here. The other threads hear `stop`.
 
-        Returns how many of the members have failed; after the last step also those of an energy that is not finite.
+        Returns how many of the members have failed. After the last step, members whose energy is not finite count too.
 
         Raises
         ------

@@ -94,7 +94,7 @@ def _copied(x: Any) -> Any:
 
 
 def _offer(kinds: tuple[Any, ...], name: str, make: Callable[..., Any], kernel: Any) -> None:
-    """Let tuples of these kinds have a method in compiled code."""
+    """Give tuples of these kinds a method in compiled code."""
     direct, copying = make(kernel, _as_it_is), make(kernel, _copied)
 
     def chosen(self: Any, x: Any) -> Any:

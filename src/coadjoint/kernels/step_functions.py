@@ -42,10 +42,11 @@ class StepFunction:
 
     def __init__(self, method: Any, system: Any) -> None:
         self._raised: BaseException | None = None
-        found, reason = _compiled(method, system)
+        found, reason = _compiled(method, system) if method.compiles else (None, "")
         self.compiled = found is not None
         if found is None:
-            _say_once(type(method), reason)
+            if method.compiles:
+                _say_once(type(method), reason)
             self._callback = CALLBACK(self._called(method, system))
             self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
         else:

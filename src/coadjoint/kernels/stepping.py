@@ -27,7 +27,7 @@ class StepTables(NamedTuple):
 
 
 class Stepping(NamedTuple):
-    """A compiled step, by its name in the library, and what it reads; a step of the run is `substeps` of it.
+    """A compiled step, by its name in the library, and what it reads. A step of the run is made of `substeps` of it.
 
     They have the lengths `fraction`, at the moments `moment`, in units of the step. `step` is the address of the step.
     `serial` is the number that the loop gives to the tables when it first reads them.

@@ -54,7 +54,7 @@ def structure_of_table(kind: Any) -> Any:
 
 @functools.cache
 def varied_fields(kind: Any) -> frozenset[str]:
-    """Return which arrays of a class of tables hold a column for each member, where the constants of members differ.
+    """Return the arrays of a class of tables that hold a column for each member where constants of members differ.
 
     Examples
     --------
@@ -109,7 +109,7 @@ def pointed(table: Any) -> Any:
 
 @functools.cache
 def packer(kind: Any) -> Callable[..., bytes]:
-    """Return what lays out a table of plain numbers and addresses, in a tenth of the time that a structure takes.
+    """Return a function that lays out a table of plain numbers and addresses ten times quicker than a structure.
 
     Parameters
     ----------

@@ -71,8 +71,8 @@ def stacked(members: Sequence[Tables]) -> Tables:
     -------
     NamedTuple
         The integers and functions of the first member; every array of constants (count,) has become (count, columns),
-        C-contiguous, a column for each member and the last one repeated up to a multiple of the limit BLOCK: lanes may
-        read beyond the last member.
+        C-contiguous, a column for each member and the last one repeated up to a multiple of the limit
+        LARGEST_CROWD: lanes may read beyond the last member.
 
     Examples
     --------
@@ -91,7 +91,7 @@ def _stacked_column(tables: Any, name: str, item: Any, column: Sequence[Any]) ->
     if isinstance(item, tuple):
         return stacked(column)
     if _varies(tables, name):
-        beyond = -len(column) % limit("BLOCK")
+        beyond = -len(column) % limit("LARGEST_CROWD")
         return np.ascontiguousarray(np.pad(np.array(column), ((0, beyond), (0, 0)), mode="edge").T)
     return item
 

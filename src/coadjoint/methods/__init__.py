@@ -15,11 +15,12 @@ _HOME = {
     "FlowMethod": "coadjoint.methods.flow_method",
     "Method": "coadjoint.methods.base",
     "Operations": "coadjoint.methods.work",
-    "Properties": "coadjoint.methods.base",
+    "Properties": "coadjoint.methods.properties",
     "RungeKuttaMethod": "coadjoint.methods.runge_kutta",
     "StepMethod": "coadjoint.methods.step_method",
     "Sweep": "coadjoint.program.sweeps",
     "compile_step": "coadjoint.methods.step_compiler",
+    "even_order": "coadjoint.methods.symmetrized",
     "get": "coadjoint.methods.registry",
     "names": "coadjoint.methods.registry",
     "register": "coadjoint.methods.registry",
@@ -31,9 +32,9 @@ if TYPE_CHECKING:
     from typing import Any
 
     from coadjoint.methods.base import Method as Method
-    from coadjoint.methods.base import Properties as Properties
     from coadjoint.methods.compiled_step import CompiledStepMethod as CompiledStepMethod
     from coadjoint.methods.flow_method import FlowMethod as FlowMethod
+    from coadjoint.methods.properties import Properties as Properties
     from coadjoint.methods.registry import get as get
     from coadjoint.methods.registry import names as names
     from coadjoint.methods.registry import register as register
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.stages import Coefficients as Coefficients
     from coadjoint.methods.step_compiler import compile_step as compile_step
     from coadjoint.methods.step_method import StepMethod as StepMethod
+    from coadjoint.methods.symmetrized import even_order as even_order
     from coadjoint.methods.work import Operations as Operations
     from coadjoint.program.sweeps import Sweep as Sweep
 

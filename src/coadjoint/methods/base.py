@@ -1,23 +1,24 @@
-"""What every scheme is: an order, declared properties, and its family's coefficients."""
+"""What every scheme is: the protocol that all of them follow."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_choice, read_flag
 from coadjoint.memory import check_room
+from coadjoint.methods.properties import Properties
 from coadjoint.program.numbers import Number
 from coadjoint.systems.kinds import System, tabulated
 from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
     from coadjoint.program.sweeps import Swept
     from coadjoint.program.table import Program
@@ -25,43 +26,7 @@ if TYPE_CHECKING:
 Representation = NDArray[np.float64] | str | None
 
 BYTES_PER_CONSTANT = 450  # while flows are read from both orders of a bracket
-KINDS_OF_CASIMIRS = ("all", "polynomial", "quadratic", "none")
-KINDS_OF_ATTITUDE = ("every representation", "coadjoint", "integrated", "none")
 LONGEST = 200  # characters of a parameter in a message
-
-
-@dataclass(frozen=True)
-class Properties:
-    """What a scheme keeps to round-off on a given system.
-
-    Parameters
-    ----------
-    poisson : bool
-        Whether each step is a Poisson map.
-    energy : bool
-        Whether the energy is kept.
-    casimirs : str
-        ``"all"``, ``"polynomial"`` (those that are polynomials), ``"quadratic"`` (of degree at most two) or ``"none"``.
-    attitude : str
-        ``"every representation"``, ``"coadjoint"`` (and representations that are orthogonal for a fixed form and
-        contain the coadjoint one), ``"integrated"`` (as a differential equation, nothing kept) or ``"none"``.
-
-    Raises
-    ------
-    TypeError, ValueError
-        A value is none of these.
-    """
-
-    poisson: bool
-    energy: bool
-    casimirs: str
-    attitude: str
-
-    def __post_init__(self) -> None:
-        for name in ("poisson", "energy"):
-            object.__setattr__(self, name, read_flag(getattr(self, name), name))
-        read_choice(self.casimirs, "kind of Casimirs", KINDS_OF_CASIMIRS)
-        read_choice(self.attitude, "kind of attitude", KINDS_OF_ATTITUDE)
 
 
 class Method(ABC):
@@ -147,6 +112,20 @@ class Method(ABC):
             `Composition` is the scheme that checks them, and has a name.
         """
         raise TypeError(f"{self} cannot be composed")
+
+    def symmetrized(self) -> Method:
+        """Return a step of this scheme and one of its adjoint, each over half the step: symmetric, of even order.
+
+        Returns
+        -------
+        Method
+
+        Raises
+        ------
+        TypeError
+            The adjoint is not known as a scheme.
+        """
+        raise TypeError(f"the adjoint of {self} is not known as a scheme; take a splitting, or a Runge-Kutta tableau")
 
     @property
     def fractions(self) -> tuple[float, ...]:
@@ -244,6 +223,34 @@ class Method(ABC):
             The first two are exact to round-off; differences have some nine digits.
         """
         return "formula"
+
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        """Return one step as a power series in h whose coefficients are exact polynomials in the state.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system; its field is a polynomial.
+        x : (n,) array of FormalNumber
+            The state.
+        h : FormalNumber
+            The step, or a multiple of it.
+
+        Returns
+        -------
+        (n,) array of FormalNumber
+
+        Raises
+        ------
+        TypeError
+            The step is no such series, or it is not known how it is found.
+        """
+        raise TypeError(f"a step of {self} is not known as a power series in exact numbers")
+
+    @property
+    def known_to(self) -> float:
+        """Relative error of the coefficients that `formal_step` has; 0 where they are exact."""
+        return 0.0
 
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
         """Return the table of elementary flows that a step is made of.

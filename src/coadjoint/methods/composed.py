@@ -9,15 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.base import Method, Properties, Representation
+from coadjoint.methods.base import Method, Representation
 from coadjoint.methods.flow_method import FlowMethod
+from coadjoint.methods.formal_numbers import is_short
 from coadjoint.methods.order_conditions import composition_order
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.stepped import SteppedMethod
 from coadjoint.program.sweeps import Sweep
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.kinds import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
 
 
@@ -56,6 +60,12 @@ class Composed(Method):
     def fractions(self) -> tuple[float, ...]:
         """The fractions of the step of all substeps, compositions in the base multiplied out."""
         return tuple(c * f for c in self.coefficients for f in self.base.fractions)
+
+    @property
+    def known_to(self) -> float:
+        """The worse of the base and of the fractions, which are exact where they are short."""
+        own = 0.0 if all(map(is_short, self.coefficients)) else UNIT_ROUNDOFF
+        return max(own, self.base.known_to)
 
     def properties(self, system: System) -> Properties:
         """Return what the base keeps; a composition keeps the same."""
@@ -124,6 +134,11 @@ class Substeps(Composed):
         number = type(h)
         for fraction in map(number, self.coefficients):
             x, t = self.base.step(system, x, t, h * fraction), t + h * fraction
+        return x
+
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        for fraction in self.coefficients:
+            x = self.base.formal_step(system, x, h * fraction)
         return x
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -20,6 +20,7 @@ from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
     from coadjoint.program.sweeps import Swept
     from coadjoint.program.table import Program
@@ -105,6 +106,9 @@ class Composition(Composed):
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         return self.whole.step(system, x, t, h)
 
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        return self.whole.formal_step(system, x, h)
+
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         return self.whole.tangent(system, x, t, h)
 
@@ -120,7 +124,7 @@ class Composition(Composed):
         return self.whole.took_newton(memory)
 
     def look_ahead(self, systems: Sequence[System]) -> None:
-        """Let the base look at them."""
+        """Let the base look ahead."""
         self.base.look_ahead(systems)
 
     @classmethod

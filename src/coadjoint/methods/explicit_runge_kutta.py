@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_choice
-from coadjoint.methods.base import Properties
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number, convert
@@ -83,7 +83,6 @@ class ExplicitRungeKutta(RungeKuttaMethod):
         return Properties(poisson=False, energy=False, casimirs="none", attitude=attitude)
 
     def coefficients(self, number: Number = float) -> Coefficients:
-        """Return the tableau."""
         _, nodes, rows, weights = TABLEAUX[self.name]
 
         def filled(values: tuple[Any, ...]) -> NDArray[Any]:

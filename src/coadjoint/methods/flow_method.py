@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from fractions import Fraction
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Method, Representation
+from coadjoint.methods.formal_numbers import is_short
 from coadjoint.program.numbers import Number
 from coadjoint.program.sweeps import Sweep
 from coadjoint.systems.kinds import System
@@ -20,10 +22,12 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
     from coadjoint.program.reading import Reading
     from coadjoint.program.table import Program
 
+TABULATED = 1e-38  # what published coefficients are off by, relatively: they have 40 digits at least
 MOST_OFF = 2.0**-40  # of the sum of absolute coefficients of sweeps: rounding, and coefficients of twelve digits
 
 
@@ -64,6 +68,12 @@ class FlowMethod(Method):
 
         return ComposedFlows(self, tuple(coefficients))
 
+    def symmetrized(self) -> Method:
+        """Return the sweeps of this scheme, then in reverse."""
+        from coadjoint.methods.symmetrized import PairOfFlows
+
+        return PairOfFlows(self)
+
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
         from coadjoint.program.table import build_program
 
@@ -96,6 +106,17 @@ class FlowMethod(Method):
         point = np.asarray(x)
         number: Number = float if point.dtype != object else type(point[0])
         return _reading(self, system, number).steps(point, number(h), 1, t0=number(t))
+
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        from coadjoint.methods.formal_flows import FormalReading
+
+        return FormalReading(self.program(system, number=Fraction)).steps(x, h, 1, t0=0 * h)
+
+    @property
+    def known_to(self) -> float:
+        """Zero for coefficients that are short fractions, else the digits of the table of schemes."""
+        sweeps = [*self.sweeps(Fraction), *self.processor(Fraction)]
+        return 0.0 if all(is_short(sweep.coefficient) for sweep in sweeps) else TABULATED
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         point = np.asarray(x, dtype=np.float64)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import decimal
 import functools
+import math
 from collections.abc import Sequence
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -149,6 +151,18 @@ def _radau_roots(stages: int, number: Number) -> list[Any]:
 def _radau(stages: int, number: Number) -> Collocation:
     _refuse_fractions(stages, number)
     return _collocation(_radau_roots(stages, number))
+
+
+def gauss_nodes(stages: int) -> list[Fraction]:
+    """Return the polynomial of degree s in c, of leading coefficient 1, whose roots are the nodes, lowest power first.
+
+    Examples
+    --------
+    >>> [str(coefficient) for coefficient in gauss_nodes(2)]
+    ['1/6', '-1', '1']
+    """
+    signed = [(-1) ** (stages - k) * math.comb(stages, k) * math.comb(stages + k, k) for k in range(stages + 1)]
+    return [Fraction(value, signed[-1]) for value in signed]
 
 
 def gauss_legendre(stages: int, number: Number = float) -> Collocation:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_whole
-from coadjoint.methods.base import Properties, has_quadratic_energy
-from coadjoint.methods.gauss_coefficients import extrapolation, gauss_legendre
+from coadjoint.methods.base import has_quadratic_energy
+from coadjoint.methods.gauss_coefficients import extrapolation, gauss_legendre, gauss_nodes
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number
@@ -110,8 +112,12 @@ class GaussLegendre(RungeKuttaMethod):
         attitude = "none" if system.algebra is None else "coadjoint"
         return Properties(poisson=False, energy=has_quadratic_energy(system), casimirs="quadratic", attitude=attitude)
 
+    @property
+    def collocation(self) -> list[Fraction]:
+        """The Legendre polynomial of degree s on [0, 1]."""
+        return gauss_nodes(self.stages)
+
     def coefficients(self, number: Number = float) -> Coefficients:
-        """Return the tableau."""
         return gauss_tableau(self.stages, number)
 
     def forecast(self, ratio: float) -> NDArray[np.float64]:

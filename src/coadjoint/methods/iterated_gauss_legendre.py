@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 
-from coadjoint.methods.base import Properties
+from coadjoint.methods.gauss_coefficients import gauss_nodes
 from coadjoint.methods.gauss_legendre import gauss_tableau, stages_given
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number
@@ -78,6 +80,11 @@ class IteratedGaussLegendre(RungeKuttaMethod):
         """Return what is kept: nothing but linear invariants; any system is served."""
         check_one_system(system)
         return Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+    @property
+    def collocation(self) -> list[Fraction]:
+        """The Legendre polynomial of degree s on [0, 1]."""
+        return gauss_nodes(self.stages)
 
     def coefficients(self, number: Number = float) -> Coefficients:
         """Return the tableau of the Gauss-Legendre method."""

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 
 from coadjoint.given import read_choice
-from coadjoint.methods.base import Properties, has_quadratic_energy
+from coadjoint.methods.base import has_quadratic_energy
+from coadjoint.methods.gauss_coefficients import gauss_nodes
 from coadjoint.methods.gauss_legendre import gauss_tableau, stages_given
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number
@@ -115,6 +118,11 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
                 f'{system.name} does not have; take freeze="structure" or GaussLegendre'
             )
         return Properties(poisson=False, energy=False, casimirs="quadratic", attitude="coadjoint")
+
+    @property
+    def collocation(self) -> list[Fraction]:
+        """The Legendre polynomial of degree s on [0, 1]."""
+        return gauss_nodes(self.stages)
 
     def coefficients(self, number: Number = float) -> Coefficients:
         """Return the tableau of the Gauss-Legendre method."""

@@ -13,13 +13,6 @@ from coadjoint.methods.stages import linear_solve
 from coadjoint.program.numbers import Number, roundoff
 from coadjoint.systems.hamiltonian import HamiltonianLike
 
-# As in projection.hpp: what is left of the square of a gradient beside others; units of rounding in a defect, and in
-# one that corrections no longer lower.
-DEPENDENT = 2.0**-36
-EXACT = 4
-STAGNANT = 256
-MOST_CORRECTIONS = 64
-
 
 class Projected(NamedTuple):
     """A projected state, and how it was reached: y = z + directions^T multipliers, for the invariants that it took."""
@@ -57,6 +50,9 @@ def project(
     IntegrationError
         Newton's iteration, with the Gram matrix of the gradients at z, does not converge.
     """
+    from coadjoint.kernels.description import limit
+
+    exact, stagnant = limit("PROJECTION_EXACT"), limit("PROJECTION_STAGNANT")
     unit = roundoff(number)
     if unit == 0:
         raise TypeError("a projection solves equations that exact fractions do not settle: take projected=False")
@@ -67,11 +63,11 @@ def project(
     directions = gradients[free]
     multipliers = directions @ z * 0
     y, residual = z, float("inf")
-    for _ in range(MOST_CORRECTIONS + 1):
+    for _ in range(limit("PROJECTION_CORRECTIONS") + 1):
         before = residual
         defects = np.array([w - C.value(y) for w, C in zip(wanted, invariants, strict=True)])
         residual = float(max(abs(defects)))
-        allowed = EXACT * (STAGNANT if residual >= 0.5 * before else 1)
+        allowed = exact * (stagnant if residual >= 0.5 * before else 1)
         if all(abs(d) <= allowed * unit * size for d, size in zip(defects, sizes, strict=True)):
             return Projected(y, [invariants[a] for a in free], directions, multipliers)
         if not residual - residual == 0:
@@ -104,12 +100,15 @@ def independent(gradients: NDArray[Any]) -> list[int]:
     >>> independent(np.array([[1.0, 0.0], [2.0, 0.0], [1.0, 1.0]]))
     [0, 2]
     """
+    from coadjoint.kernels.description import limit
+
+    least = 2.0 ** -limit("DEPENDENT_BITS")
     found: list[int] = []
     for row, gradient in enumerate(gradients):
         rest = gradient
         if found:
             others = gradients[found]
             rest = gradient - linear_solve(others @ others.T, (others @ gradient)[:, None])[:, 0] @ others
-        if rest @ rest > DEPENDENT * (gradient @ gradient):
+        if rest @ rest > least * (gradient @ gradient):
             found.append(row)
     return found

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.base import Properties
 from coadjoint.methods.compiled_step import CompiledStepMethod
 from coadjoint.methods.gauss_coefficients import radau
 from coadjoint.methods.gauss_legendre import stages_given
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.solvers import settle
 from coadjoint.methods.stages import Coefficients, Step, begin, linear_solve
 from coadjoint.program.numbers import Number

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_choice
-from coadjoint.methods.base import Representation
+from coadjoint.methods.base import Method, Representation
 from coadjoint.methods.solvers import SOLVERS, Evaluation
 from coadjoint.methods.stages import Coefficients, Step, begin, checked
 from coadjoint.methods.stepped import SteppedMethod
@@ -18,7 +18,10 @@ from coadjoint.program.numbers import Number
 from coadjoint.systems.kinds import System
 
 if TYPE_CHECKING:
+    from fractions import Fraction
+
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
 
 
@@ -68,6 +71,52 @@ class RungeKuttaMethod(SteppedMethod):
         -------
         Coefficients
         """
+
+    @property
+    def collocation(self) -> Sequence[Fraction] | None:
+        """The polynomial whose roots are the nodes, lowest power first, of a collocation method with rational ones.
+
+        Its series are then rational though the nodes are not. None is a tableau whose numbers are read as they are.
+        """
+        return None
+
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        from coadjoint.methods.formal_stages import FormalStages, StagesOfCollocation, StagesOfTableau, formal_end
+
+        self.properties(system)
+        if not self._as_written:
+            return super().formal_step(system, x, h)
+        stages: FormalStages
+        if self.collocation is None:
+            stages = StagesOfTableau(self._rational[0], x, h)
+        else:
+            stages = StagesOfCollocation(self.collocation, x, h)
+        return formal_end(stages, system, read_choice(self.solver, "solver", SOLVERS), self.function_iterations)
+
+    @property
+    def known_to(self) -> float:
+        """Zero for rational coefficients, else what they are rounded to."""
+        return 0.0 if self.collocation is not None else self._rational[1]
+
+    @property
+    def _rational(self) -> tuple[Coefficients, float]:
+        """The tableau in fractions, and their relative error."""
+        from coadjoint.methods.formal_stages import rational_tableau
+
+        return rational_tableau(self.coefficients)
+
+    def symmetrized(self) -> Method:
+        """Return the tableau of this scheme and its adjoint; where the solver stops early there is none."""
+        from coadjoint.methods.symmetrized import PairOfTableaux
+
+        if self.solver not in ("explicit", "implicit") or not self._as_written:
+            return super().symmetrized()
+        return PairOfTableaux(self)
+
+    @property
+    def _as_written(self) -> bool:
+        """Whether a step is what tableau and solver say."""
+        return all(getattr(type(self), name) is getattr(RungeKuttaMethod, name) for name in ("step", "evaluate"))
 
     def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
         """Return the slopes of a step as `solver` says, with their derivatives if `tangent`.

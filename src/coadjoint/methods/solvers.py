@@ -13,7 +13,6 @@ from coadjoint.methods.stages import Step
 from coadjoint.program.numbers import roundoff
 
 MOST_ITERATIONS = 200  # for 53 bits; in proportion for more
-GROWTH = 2**64  # of the first correction: a correction so much larger will not come back
 
 
 class Evaluation(NamedTuple):
@@ -134,12 +133,15 @@ def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDA
     IntegrationError
         The iteration does not converge.
     """
+    from coadjoint.kernels.description import limit
+
+    most_growth = 2 ** limit("GROWTH_BITS")  # of the first correction: one so much larger will not come back
     unit = roundoff(float if step.x.dtype != object else type(step.x[0]))
     if unit == 0:
         raise TypeError("the stages solve equations that exact fractions do not settle: take floats or mpmath.mpf")
     most = MOST_ITERATIONS * max(1, int(-np.log2(float(unit)) / 53))
     points, least, quiet, largest, first = step.start(), None, 0, None, 0
-    with np.errstate(over="ignore", invalid="ignore"):  # a divergent iteration is told from its last correction
+    with np.errstate(over="ignore", invalid="ignore"):  # an iteration that diverges is known by its last correction
         for iteration in range(1, most + 1):
             slopes = slopes_at(points)
             new = step.points(slopes)
@@ -148,12 +150,12 @@ def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDA
             if largest == 0:
                 return slopes
             first = largest if iteration == 1 else first
-            if not largest <= GROWTH * first:
+            if not largest <= most_growth * first:
                 break
             falling = least is None or bool(np.any(change < least))
             least = change if least is None else np.minimum(change, least)
             quiet = quiet + 1 if iteration > 3 and not falling and largest <= 2**21 * unit * size else 0
-            if quiet >= max(2, iteration // 4):  # the more slowly corrections shrink, the longer they may turn
+            if quiet >= max(2, iteration // 4):  # slow corrections may turn for longer before they shrink
                 return slopes
     residual = float(largest) if largest is not None else float("nan")
     raise IntegrationError(

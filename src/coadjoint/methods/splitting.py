@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.given import read_choice, read_finite, read_flag, read_list, read_number, read_whole
-from coadjoint.methods.base import Method, Properties
+from coadjoint.methods.base import Method
 from coadjoint.methods.flow_method import FlowMethod
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES, SplittingScheme
 from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.program.sweeps import Sweep
@@ -220,6 +221,10 @@ class Splitting(FlowMethod):
         if len(self.processor()) > 0:
             return "; of a processed scheme P K P^-1 only the kernel K is; take a scheme without a processor"
         return "; of a first-order splitting take Splitting(order=2), its composition with its adjoint"
+
+    def symmetrized(self) -> Method:
+        """Return the splitting of order 2 for a single sweep."""
+        return super().symmetrized() if self.order != 1 or self.adjoint else replace(self, order=2)
 
     def with_compensation(self) -> Method | None:
         """Return the same splitting, compensated; None where that was not left open."""

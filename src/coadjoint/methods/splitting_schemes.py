@@ -62,7 +62,7 @@ def sweeps_of_steps(coefficients: Sequence[Any], number: Callable[[Any], Any]) -
 def _alternating(coefficients: Sequence[Any], number: Callable[[Any], Any]) -> list[Sweep]:
     """Forward, backward, forward, ...: a first-order step and its adjoint.
 
-    Time is moved first in the one and last in the other, so the two of a pair see the same moment.
+    The one moves time first and the other moves it last, so that both of a pair see the same moment.
     """
     sweeps, passed = [], number(0)
     for k, coefficient in enumerate(coefficients):

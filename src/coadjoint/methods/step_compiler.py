@@ -95,9 +95,9 @@ def _address(name: str, path: str) -> int:
 
 @cache
 def _library(source: Path) -> ctypes.CDLL:
-    kernels()  # refused first, where they are missing
+    kernels()  # says first what is missing
     compiler = _compiler()
-    # The same level, the same bits.
+    # compiled for the level in use, so that the bits are the same
     how = [*options(tuning(level_in_use())), "-DCOADJOINT_APART", "-shared"]
     said = subprocess.run([*compiler, "--version"], capture_output=True, text=True, timeout=SECONDS, check=False).stdout
     key = hashlib.sha256(json.dumps([compiler, how, said]).encode())

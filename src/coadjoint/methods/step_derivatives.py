@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-# So small a step leaves nothing of second order, and products of it are no denormal numbers.
+# So small a step leaves nothing of second order, and its products do not underflow.
 COMPLEX_STEP = 2.0**-300
-# The cube root of the unit round-off: the errors of a central difference are then alike.
+# The cube root of the unit round-off: then rounding and truncation of a central difference are of one size.
 DIFFERENCE = 2.0**-17
-# A step that is no analytic function of x shows in differences, which have this error at least.
+# A step that is no analytic function of x is known by a difference, whose own error is at least this.
 AGREEMENT = 2.0**-20
 
 

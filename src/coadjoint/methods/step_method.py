@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from coadjoint.methods.base import Representation
 from coadjoint.methods.stepped import SteppedMethod
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.kinds import System
 
 if TYPE_CHECKING:
@@ -53,6 +54,10 @@ class StepMethod(SteppedMethod):
 
     failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "the step gave numbers that are not finite, or failed"}
     compensates: ClassVar[bool] = False
+    known_to = UNIT_ROUNDOFF
+
+    compiles: ClassVar[bool] = True
+    """Whether Numba is asked to compile the step; where not, each step is a call of Python, and nothing is said."""
 
     @abstractmethod
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any: ...

@@ -14,6 +14,7 @@ from coadjoint.systems.kinds import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
 
 WHOLE = (1.0,)
@@ -68,6 +69,12 @@ class SteppedMethod(Method):
 
     def work(self, system: System, group: Representation = None) -> Work:
         return self.work_of_substeps(system, group, 1)
+
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        """Return the step as it is written, read in formal series: it must be made of sums, products and quotients."""
+        from coadjoint.methods.formal_numbers import vector
+
+        return vector(map(type(h), self.step(system, x, 0 * h, h)))
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its derivative, by complex steps or differences."""

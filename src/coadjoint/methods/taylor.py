@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.given import read_flag, read_whole
-from coadjoint.methods.base import Method, Properties
+from coadjoint.methods.base import Method
 from coadjoint.methods.compiled_step import CompiledStepMethod
 from coadjoint.methods.power_series import Dual, expand
 from coadjoint.methods.projection import project
+from coadjoint.methods.properties import Properties
 from coadjoint.methods.stages import linear_solve
 from coadjoint.methods.work import Operations
 from coadjoint.program.numbers import Number

@@ -93,7 +93,7 @@ def decompose_all(systems: Sequence[LiePoissonSystem]) -> None:
             _FOUND[system] = found
 
 
-# Systems do not change: what was found for one serves all of its runs, as long as it lives.
+# Systems do not change, so that what was found for one serves all of its runs, as long as it lives.
 _FOUND: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
 
 
@@ -163,7 +163,7 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
     found = [Candidate((), split(system, "auto", terms))]
     fewest = len(found[0].parts)
     shifts = list(candidate_shifts(system, found[0].parts, casimirs)) if fewest > 1 else []
-    # Of many shifts of a large system it can be told that they leave as many.
+    # For many shifts of a large system the number of parts is known without making them.
     counts = [0] * len(shifts) if comparing else numbers_of_parts(system, casimirs, shifts)
     for shift, count in zip(shifts, counts, strict=True):
         if count >= fewest:

@@ -1,4 +1,4 @@
-"""How few parts? Parts that commute are joined."""
+"""How few parts can a Hamiltonian have? Parts that commute are joined."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from coadjoint.program.first_fit import first_fit
 from coadjoint.program.parts import Parts
 from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
 
-# Larger sets of parts are joined in one order alone: a lattice has thousands, and comes in a good one.
+# More parts than this are joined in the order given alone. A lattice has thousands, in an order that is good.
 MOST_REORDERED = 64
 
 

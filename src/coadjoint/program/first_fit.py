@@ -1,4 +1,4 @@
-"""Which things may share a group? First fit: each in the first group where it clashes with nothing."""
+"""Which things may share a group? First fit: each goes into the first group where it clashes with nothing."""
 
 from __future__ import annotations
 
@@ -95,6 +95,6 @@ def _masks(count: int, first: Integers, second: Integers, present: NDArray[np.bo
             masks, taken = (np.concatenate([m, np.zeros_like(m[..., :1])], axis=2) for m in (masks, taken))
         lowest = ~taken & (taken + np.uint64(1))
         lowest[..., 1:] &= -np.cumprod(taken == ~np.uint64(0), axis=2, dtype=np.uint64)[..., :-1]
-        # the first word that is not full has the bit
+        # the bit is in the first word that is not full
         masks[own] = np.where(present[own][..., None], lowest, np.uint64(0))
     return masks

@@ -39,7 +39,7 @@ def roundoff(number: Number) -> Any:
     one = number(1)
     if number is float:
         return UNIT_ROUNDOFF
-    if isinstance(one, Fraction):
+    if isinstance(one, Fraction) or getattr(one, "exact", False) is True:
         return Fraction(0)
     u = one
     while one + u / 2 != one:

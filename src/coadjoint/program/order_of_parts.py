@@ -1,4 +1,4 @@
-"""In which order? The one with the smallest h^2 term, of every order of few parts, or moving parts one by one."""
+"""In which order do parts move? In that of the smallest h^2 term, of all orders or by moving parts one by one."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def best_orders(
         if len(parts) > 1 and len(points) and _has_hessians(terms):
             pattern = tuple(column.tobytes() for column in system.algebra.triples[:3])
             quadratic = all(term.form is not None for term in terms)
-            # Many parts are moved step by step, each set in its own way.
+            # Many parts are moved one by one, and each set takes its own way.
             key: Hashable = (len(parts), quadratic, pattern) if len(parts) <= MOST_PERMUTED else m
             alike.setdefault(key, []).append(m)
     for members in alike.values():

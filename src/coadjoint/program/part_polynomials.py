@@ -14,7 +14,7 @@ from coadjoint.algebra.polynomial import Exponents, Polynomial
 from coadjoint.program.parts import FunctionShare, Parts
 
 # A completed square may have numerators of thousands of digits; then the floats are taken that a run takes as well.
-MOST_BITS = 2048
+MOST_BITS = 512
 
 
 def part_polynomials(ring: ExactPolynomials, parts: Parts) -> list[Exact]:

@@ -157,7 +157,7 @@ class Parts(Sequence[Part]):
         )
 
     def joined(self, label: NDArray[Any]) -> Parts:
-        """Return the parts with equal labels as one, which must commute; in the order of their first members."""
+        """Return the parts with equal labels, which must commute, as one part; in the order of their first members."""
         first = np.full(int(label.max(initial=-1)) + 1, len(self))
         np.minimum.at(first, label, np.arange(len(self)))
         order = np.argsort(first[label], kind="stable")

@@ -1,4 +1,4 @@
-"""What depends on a pattern alone is made once: members of an ensemble differ in their constants."""
+"""What depends on a pattern alone is made once, since members of an ensemble differ in their constants alone."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LARGEST_PATTERN = 64  # coordinates, forms or parts: what is made of larger patt
 
 
 class Pattern(Generic[Given]):
-    """Something known by the arrays that decide on what is made of it: equal to another where those are.
+    """The arrays that alone decide on what is made of them. Two patterns are equal where their arrays are.
 
     Parameters
     ----------
@@ -43,6 +43,6 @@ class Pattern(Generic[Given]):
 
 
 def _content(column: NDArray[Any]) -> tuple[Any, ...]:
-    # The bytes of objects, fractions for instance, are addresses.
+    # The bytes of an array of objects, such as fractions, are addresses.
     held = tuple(column.tolist()) if column.dtype == object else column.tobytes()
     return column.dtype.char, column.shape, held

@@ -48,7 +48,7 @@ def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, apart: bool) 
 def coupled_atoms(term: QuadraticTerm, commutation: Commutation) -> Parts | None:
     """Return `quadratic_atoms` where all coordinates that are coupled commute, and None where not.
 
-    Then no entry decides on the parts, but only which are zero, and every angle is that of one coordinate.
+    Then the parts depend only on which entries are zero, and every angle belongs to one coordinate.
     """
     label, members, squared = _sets(term, commutation, apart=False)
     return None if np.any(squared) else _coupled(term, members, label[members])
@@ -93,7 +93,7 @@ def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tu
     for first, last in pairwise(ends.tolist()):
         start, entries = matrix.start[first : last + 1], slice(*matrix.start[[first, last]])
         own = SparseRows(start - start[0], local[entries].astype(np.uint32), matrix.value[entries])
-        # A lattice repeats itself: equal sets of coordinates have equal squares.
+        # A lattice repeats itself, and equal sets of coordinates have equal squares.
         key = tuple(column.tobytes() for column in (*own, linear[first:last]))
         if key not in known:
             known[key] = _without_rounding(sparse_squares(own, linear[first:last]), own.value)

@@ -210,8 +210,8 @@ class Reading:
             traceless = block - mean * np.eye(2, dtype=int)
             s, c = self._entire_pair(angle**2 * (traceless @ traceless)[0, 0])
             scale = f.exp(angle * mean)
-            # Where both are large, exp(mean) cosh must not be made of expm1(mean) = -1 + ...: that lost what cosh then
-            # amplifies.
+            # Where both are large, exp(mean) cosh is not made of expm1(mean) = -1 + ..., which has lost digits that
+            # cosh would amplify.
             diagonal = f.expm1(angle * mean) + scale * c
             return diagonal * own + scale * angle * s * (traceless @ own)
         moved = block @ own

@@ -52,8 +52,8 @@ class Flows(NamedTuple):
 
 
 class Joining(NamedTuple):
-    """What decides whether two flows of one part, one after the other, are one: which parts depend on time, and which
-    turn rationally.
+    """Whether two flows of one part, one after the other, can be joined. It depends on which parts depend on time, and
+    on which turn rationally.
     """
 
     timed: NDArray[np.bool_]
@@ -67,17 +67,17 @@ class Joining(NamedTuple):
         return cls(parts.timed, rational)
 
     def joins(self, part: int, moment: Any, later: Any, turn: bool) -> bool:
-        """Return whether two flows of one part are one, the first at `moment`, the second at the moment `later`.
+        """Return whether two flows of one part can be joined, the first at `moment`, the second at the moment `later`.
 
-        Not where each of two flows has its own moment; and two half rational rotations are not a whole one.
+        They cannot where each has a moment of its own, nor where they turn rationally: two halves are not a whole.
         """
         return not (self.timed[part] and moment != later) and (not self.rational[part] or turn)
 
     def joined(self, flows: Flows) -> Flows:
-        """Return flows with those of one part that follow each other joined where they may be."""
+        """Return the flows after neighbours of one part were joined where they can be."""
         kept = np.ones(len(flows.part), dtype=bool)
         coefficient, turn = flows.coefficient.copy(), flows.turn.copy()
-        # Of two that are joined the second stays: few follow one of the same part, but in a system of a single one.
+        # Of two that are joined the second stays. Long chains of one part are met in systems of a single part alone.
         for r in (np.flatnonzero(flows.part[1:] == flows.part[:-1]) + 1).tolist():
             if self.joins(int(flows.part[r]), flows.moment[r - 1], flows.moment[r], bool(turn[r])):
                 coefficient[r] = coefficient[r - 1] + coefficient[r]
@@ -124,7 +124,7 @@ def _rows(sweeps: Sequence[Sweep], after: Sequence[Sweep], joining: Joining, sig
     start = undone._replace(coefficient=-undone.coefficient).then(kernel)
     step, finish = kernel, processor._replace(moment=processor.moment + 1)
     size = len(kernel.part)
-    # The last row belongs to the step before: seen from this one its moment lies a whole step earlier.
+    # The last row belongs to the step before, so that its moment lies a whole step earlier.
     if size > 1 and kernel.part[-1] == kernel.part[0]:
         before, turn = kernel.moment[-1] - 1, bool(kernel.turn[0])
         if joining.joins(int(kernel.part[0]), before, kernel.moment[0], turn):

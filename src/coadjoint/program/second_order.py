@@ -74,7 +74,7 @@ def _own_jet(share: PolynomialShare | FunctionShare, own: NDArray[Any], x: Float
 def _applied(matrices: Floats, vectors: Floats) -> Floats:
     """Return matrices (..., n, n) times vectors (..., n), summed in order.
 
-    Not by einsum: whether others are compared at the same time must not change a bit, for the smallest one is chosen.
+    Not by einsum: no bit may depend on which others are compared at the same time, since the smallest is chosen.
     """
     total = matrices[..., 0] * vectors[..., :1]
     for j in range(1, matrices.shape[-1]):

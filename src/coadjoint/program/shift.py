@@ -23,7 +23,7 @@ from coadjoint.systems.terms import QuadraticTerm, Term
 Shift = tuple[tuple[str, float], ...]
 
 LARGEST_SINGULAR = 8
-LARGEST_DENSE = 32  # coordinates: up to here a sum over all n^2 entries is quicker than to sort those that are not zero
+LARGEST_DENSE = 32  # coordinates; up to here a sum over all n^2 entries is quicker than sorting the others
 # What a shift leaves of an entry is zero below this many units of round-off of what is added up.
 ROUNDING = 4 * UNIT_ROUNDOFF
 
@@ -86,7 +86,7 @@ def _entries(casimir: Polynomial) -> Entries | None:
     return rows, columns, np.concatenate([np.where(apart, values, 2.0 * values), values[apart]])
 
 
-# A scan over constants takes off the same Casimir again and again.
+# A scan over constants takes the same Casimir off again and again.
 _remembered_entries = lru_cache(maxsize=256)(_entries)
 
 
@@ -170,7 +170,7 @@ def candidate_shifts(
     edges = parts.forms.start[parts.angle]
     for first, last in pairwise(edges.tolist()):
         coordinates = distinct(parts.forms.coordinate[first:last]).tolist()
-        # All coordinates of a part at once, each by the first Casimir that holds its square: a lattice has one a spin.
+        # All coordinates of a part at once, each by the first Casimir with its square. A lattice has one for each spin.
         factors: dict[str, float] = {}
         for coordinate in coordinates:
             for name, entry in holders.get(coordinate, [])[:1]:

@@ -160,10 +160,14 @@ def _function_atom(system: LiePoissonSystem, term: FunctionTerm, commutation: Co
     return Parts.single(FunctionShare(term), coordinates, term.timed)
 
 
-def _not_split(system: LiePoissonSystem, what: str, clash: tuple[int, int]) -> ValueError:
+class NotSplit(ValueError):
+    """A Hamiltonian is no sum of functions whose flows are known: which piece of it, and why."""
+
+
+def _not_split(system: LiePoissonSystem, what: str, clash: tuple[int, int]) -> NotSplit:
     first, second = (system.algebra.basis[k] for k in clash)
-    return ValueError(
-        f"Splitting cannot serve {system.name}: {what} couples {first} and {second}, which do not commute; "
+    return NotSplit(
+        f"{what} couples {first} and {second}, which do not commute; "
         "give H as a sum of functions of commuting coordinates (SplitHamiltonian), or use GaussLegendre"
     )
 

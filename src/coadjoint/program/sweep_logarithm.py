@@ -15,8 +15,8 @@ from math import comb
 from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, rational
 from coadjoint.memory import check_room
 
-MOST_PRODUCTS = 2 * 10**8
-"""Of monomials, in one bracket: some ten seconds."""
+MOST_PRODUCTS = 10**8
+"""Of monomials, in all brackets together: about a minute, and more where numerators are long."""
 
 BYTES_PER_MONOMIAL = 40
 
@@ -45,6 +45,7 @@ class Commutators:
 
     def __init__(self, ring: ExactPolynomials, sign: int) -> None:
         self.ring, self.sign = ring, sign
+        self._spent = 0
 
     def __call__(self, F: Exact, G: Exact) -> Exact:
         """Return [F, G]."""
@@ -52,7 +53,18 @@ class Commutators:
 
     def with_first(self, F: Exact) -> WithFirst:
         """Return G -> [F, G], for many G."""
-        return WithFirst(self.ring, [self.sign * entry for entry in self.ring.field(F)])
+        return WithFirst(self, [self.sign * entry for entry in self.ring.field(F)])
+
+    def check_room(self, count: int) -> None:
+        """Refuse a bracket of so many products of monomials, with those before it, that it takes too long or large."""
+        self._spent += count
+        if self._spent > MOST_PRODUCTS:
+            raise ValueError(
+                f"the brackets of a modified Hamiltonian take {self._spent:.0e} products of monomials or more, and at "
+                f"most {MOST_PRODUCTS:.0e} are made; take a lower order, or a system of fewer coordinates"
+            )
+        size = BYTES_PER_MONOMIAL + self.ring.dim + len(self.ring.symbols)
+        check_room(count * size, "a bracket in a modified Hamiltonian")
 
 
 class WithFirst:
@@ -60,32 +72,26 @@ class WithFirst:
 
     Parameters
     ----------
-    ring : ExactPolynomials
-        Of the functions.
+    commutators : Commutators
+        The bracket.
     field : sequence of fmpq_mpoly
         sign J(x) grad F.
     """
 
-    def __init__(self, ring: ExactPolynomials, field: Sequence[Exact]) -> None:
-        self._ring = ring
+    def __init__(self, commutators: Commutators, field: Sequence[Exact]) -> None:
+        self._commutators, self._ring = commutators, commutators.ring
         self._moving = [(i, component) for i, component in enumerate(field) if component != 0]
 
     def __call__(self, G: Exact) -> Exact:
         """Return the bracket, or refuse by name one that is too large."""
         slopes = [G.derivative(i) for i, _ in self._moving]
         count = sum(len(slope) * len(component) for slope, (_, component) in zip(slopes, self._moving, strict=True))
-        if count > MOST_PRODUCTS:
-            raise ValueError(
-                f"a bracket in a modified Hamiltonian takes about {count:.0e} products of monomials, and at most "
-                f"{MOST_PRODUCTS:.0e} are tried; take a lower order, or a system of fewer coordinates"
-            )
-        size = BYTES_PER_MONOMIAL + self._ring.dim + len(self._ring.symbols)
-        check_room(count * size, "a bracket in a modified Hamiltonian")
+        self._commutators.check_room(count)
         total = self._ring.zero
         for slope, (_, component) in zip(slopes, self._moving, strict=True):
             if slope != 0:
                 total += component * slope
-        return total
+        return self._ring.reduced(total)
 
 
 def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: int) -> list[Exact]:

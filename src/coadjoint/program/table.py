@@ -20,6 +20,7 @@ from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
 from coadjoint.program.rational_rotations import rational_frequencies
 from coadjoint.program.rows import Joining, Rows, rows_of
 from coadjoint.program.sparse_rows import SparseRows
+from coadjoint.program.split import NotSplit
 from coadjoint.program.sweeps import Swept
 from coadjoint.program.term_table import Terms, TermTable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -100,6 +101,11 @@ def build_program(
     Program
         The table.
 
+    Raises
+    ------
+    ValueError
+        The Hamiltonian does not split, or the parts that were chosen do not fit it.
+
     Examples
     --------
     >>> import coadjoint as co
@@ -110,7 +116,10 @@ def build_program(
     >>> [int(s) for s in program.rows.section]
     [0, 4, 8, 9]
     """
-    decomposition = decompose(system, method.parts)
+    try:
+        decomposition = decompose(system, method.parts)
+    except NotSplit as reason:
+        raise ValueError(f"{type(method).__name__} cannot serve {system.name}: {reason}") from None
     parts = decomposition.parts
     table = _term_table(parts)
     state = _state_action(system.algebra, parts, number)

@@ -1,7 +1,7 @@
-"""What Casimirs that were taken off a Hamiltonian still do to the group element, as blocks that are known beforehand.
+"""What Casimirs that were taken off a Hamiltonian still do to the group element, in components known beforehand.
 
 A Casimir C turns the group element by exp(t X), X = -sign rho(grad C(x0)). X is linear in x0: its pattern, and by which
-closed form each of its blocks moves, depend on the algebra, the Casimirs and the representation alone.
+closed form each of its components moves, depend on the algebra, the Casimirs and the representation alone.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ LARGEST_KEPT = 4096
 
 
 class Turn(IntEnum):
-    """How exp(t X) - 1 acts on a block.
+    """How exp(t X) - 1 acts on a component.
 
     NILPOTENT: a finite sum. PLANE: one coordinate, or any 2 x 2. CUBIC: X^3 = lam X, two terms (Rodrigues' formula in
-    any basis), lam of either sign. PAIR: a skew 4 x 4, two turns that commute. SKEW: any other block that keeps a
+    any basis), lam of either sign. PAIR: a skew 4 x 4, two turns that commute. SKEW: any other component that keeps a
     definite form, by the planes that it turns. GENERAL: the truncated Taylor series, and squarings.
     """
 
@@ -52,18 +52,18 @@ class Turn(IntEnum):
 
 
 class UnshiftTables(NamedTuple):
-    """X of `size` rows as blocks, from a momentum of `dim` components.
+    """X of `size` rows in its components, from a momentum of `dim` numbers.
 
-    Block b has the coordinates begin[b] to begin[b + 1] of `coordinate`, and the entries form[b] to form[b + 1]: entry
-    f stands at cell[f], column after column, and is the sum over entry[f] to entry[f + 1] of weight times x[column].
-    `order` is the last power of a NILPOTENT block, and of a CUBIC one the number of its eigenvalues that are not 0. A
-    `leaning` block leaves x where it is but for rounding, which is taken off. Where metric[b] is not negative, the form
-    that a SKEW block keeps is L L^T, and L^T and its inverse stand at this place of `metrics`.
+    Component b has the coordinates begin[b] to begin[b + 1] of `coordinate`, and the entries form[b] to form[b + 1].
+    Entry f stands at cell[f], column after column, and is the sum over entry[f] to entry[f + 1] of weight times
+    x[column]. `order` is the last power of a NILPOTENT component, and of a CUBIC one the number of its eigenvalues that
+    are not 0. A `leaning` component leaves x where it is but for rounding, which is taken off. Where metric[b] is not
+    negative, the form that a SKEW component keeps is L L^T, and L^T and its inverse stand at this place of `metrics`.
     """
 
     size: int
     dim: int
-    blocks: int
+    components: int
     kind: NDArray[np.uint8]
     leaning: NDArray[np.uint8]
     order: NDArray[np.uint32]
@@ -78,7 +78,7 @@ class UnshiftTables(NamedTuple):
     metrics: NDArray[np.float64]
 
 
-class _Block(NamedTuple):
+class _Component(NamedTuple):
     """A connected set of coordinates and the entries of X in it, numbered locally, sorted by cell and momentum."""
 
     coordinates: Integers
@@ -107,7 +107,7 @@ class _Block(NamedTuple):
         )
 
     def at(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the block for a momentum."""
+        """Return the component for a momentum."""
         flat = np.bincount(self.cell, weights=self.weight * x[self.momentum], minlength=self.width**2)
         return np.asarray(flat.reshape(self.width, self.width).T)
 
@@ -175,9 +175,9 @@ def _tables(
     entries = [_scaled(casimir, factor) for casimir, factor in shift]
     generators = _generators(matrices, algebra.dim, sign, entries)
     samples = np.random.default_rng(SEED).integers(-8, 9, (SAMPLES, algebra.dim)).astype(np.float64) + 0.5
-    blocks = list(_blocks(matrices.size, generators))
-    kinds = [_kind_of(block, samples, entries if representation is None else []) for block in blocks]
-    cells = [fresh(block.cell) for block in blocks]
+    components = list(_components(matrices.size, generators))
+    kinds = [_kind_of(component, samples, entries if representation is None else []) for component in components]
+    cells = [fresh(component.cell) for component in components]
     metrics = [kind.metric.ravel() for kind in kinds if kind.metric is not None]
     place = starts_of([0 if kind.metric is None else kind.metric.size for kind in kinds])
 
@@ -188,17 +188,17 @@ def _tables(
     return UnshiftTables(
         size=matrices.size,
         dim=algebra.dim,
-        blocks=len(blocks),
+        components=len(components),
         kind=np.array([kind.turn for kind in kinds], dtype=np.uint8),
-        leaning=np.array([representation is None and not block.skew for block in blocks], dtype=np.uint8),
+        leaning=np.array([representation is None and not component.skew for component in components], dtype=np.uint8),
         order=np.array([kind.order for kind in kinds], dtype=np.uint32),
-        begin=starts_of([block.width for block in blocks]).astype(np.uint32),
-        coordinate=joined([block.coordinates for block in blocks]),
+        begin=starts_of([component.width for component in components]).astype(np.uint32),
+        coordinate=joined([component.coordinates for component in components]),
         form=starts_of([int(np.count_nonzero(own)) for own in cells]).astype(np.uint32),
-        cell=joined([block.cell for block in blocks])[first],
+        cell=joined([component.cell for component in components])[first],
         entry=np.append(np.flatnonzero(first), len(first)).astype(np.uint32),
-        column=joined([block.momentum for block in blocks]),
-        weight=joined([block.weight for block in blocks], np.float64),
+        column=joined([component.momentum for component in components]),
+        weight=joined([component.weight for component in components], np.float64),
         metric=np.array([-1 if kind.metric is None else int(place[b]) for b, kind in enumerate(kinds)], dtype=np.int64),
         metrics=joined(metrics, np.float64),
     )
@@ -222,7 +222,7 @@ def _generators(matrices: BasisMatrices, dim: int, sign: int, entries: Sequence[
     return Generators(momentum, row, column, sign * weight)
 
 
-def _blocks(size: int, generators: Generators) -> Any:
+def _components(size: int, generators: Generators) -> Any:
     """Yield the connected sets of coordinates, in the order of their first ones."""
     momentum, row, column, weight = generators
     label = connected(size, row, column)
@@ -235,20 +235,20 @@ def _blocks(size: int, generators: Generators) -> Any:
             continue
         own = np.arange(len(row))[order][first:last]
         local[members] = np.arange(len(members))
-        yield _Block(members, local[row[own]], local[column[own]], momentum[own], weight[own])
+        yield _Component(members, local[row[own]], local[column[own]], momentum[own], weight[own])
 
 
-def _kind_of(block: _Block, samples: NDArray[np.float64], casimirs: Sequence[Entries]) -> _Kind:
-    """Return by which closed form a block moves, whatever the momentum: what holds at some of no special kind."""
-    m = block.width
-    layer = layers(m, block.column[fresh(block.cell)], block.row[fresh(block.cell)])
+def _kind_of(component: _Component, samples: NDArray[np.float64], casimirs: Sequence[Entries]) -> _Kind:
+    """Return by which closed form a component moves, whatever the momentum: what holds at some of no special kind."""
+    m = component.width
+    layer = layers(m, component.column[fresh(component.cell)], component.row[fresh(component.cell)])
     if layer.min() >= 0:
         return _Kind(Turn.NILPOTENT, int(layer.max()))
     if m <= 2:
         return _Kind(Turn.PLANE)
-    if block.skew and m > 4:
+    if component.skew and m > 4:
         return _Kind(Turn.SKEW)
-    found = [block.at(x) for x in samples]
+    found = [component.at(x) for x in samples]
     powers = [(D, D @ D, D @ D @ D) for D in found]
     bounds = [(abs(D), abs(D) @ abs(D), abs(D) @ abs(D) @ abs(D)) for D in found]
     for order in (1, 2):
@@ -257,9 +257,9 @@ def _kind_of(block: _Block, samples: NDArray[np.float64], casimirs: Sequence[Ent
     ranks = [_rank_of_cubic(p, b) for p, b in zip(powers, bounds, strict=True)]
     if ranks[0] and ranks.count(ranks[0]) == len(ranks):
         return _Kind(Turn.CUBIC, ranks[0])
-    if block.skew:
+    if component.skew:
         return _Kind(Turn.PAIR if m == 4 else Turn.SKEW)
-    metrics = (_metric(block, entry) for entry in casimirs)
+    metrics = (_metric(component, entry) for entry in casimirs)
     metric = next((one for one in metrics if one is not None), None)
     return _Kind(Turn.GENERAL) if metric is None else _Kind(Turn.SKEW, 0, metric)
 
@@ -278,11 +278,11 @@ def _rank_of_cubic(powers: Sequence[NDArray[np.float64]], bounds: Sequence[NDArr
     return max(0, round(float(np.trace(square)) / lam))
 
 
-def _metric(block: _Block, casimir: Entries) -> NDArray[np.float64] | None:
+def _metric(component: _Component, casimir: Entries) -> NDArray[np.float64] | None:
     """Return L^T and its inverse, column after column, for the form L L^T of a definite Casimir, which X keeps."""
     rows, columns, values = casimir
-    m, place = block.width, np.full(max(int(rows.max()), int(block.coordinates[-1])) + 1, -1)
-    place[block.coordinates] = np.arange(m)
+    m, place = component.width, np.full(max(int(rows.max()), int(component.coordinates[-1])) + 1, -1)
+    place[component.coordinates] = np.arange(m)
     own = (place[rows] >= 0) & (place[columns] >= 0)
     form = np.zeros((m, m))
     form[place[rows[own]], place[columns[own]]] = values[own]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import Block
+from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.description import limit
 from coadjoint.kernels.loop import CompiledLoop, Crew
 from coadjoint.methods.base import Method
@@ -20,14 +20,14 @@ from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 
-# So many crews to a worker in a round: an interrupt waits for them, and each of them costs a call from Python.
+# Crews of a worker in one round. An interrupt waits until the round ends, and each crew costs a call from Python.
 CREWS_IN_A_ROUND = 8
 
 
 class Group(NamedTuple):
     """Members with tables of one structure: `members` are their places in the batch, ascending.
 
-    `tables` and `watch` are those of the first, with each array of constants (count,) become (count, stride).
+    `tables` and `watch` are those of the first member, but each array of constants (count,) is now (count, stride).
     """
 
     members: NDArray[np.int64]
@@ -38,7 +38,7 @@ class Group(NamedTuple):
 
 
 class BatchLoops(Loops):
-    """A batch: each member has the tables that it has alone.
+    """A batch: each member has the same tables as if it ran alone.
 
     Parameters
     ----------
@@ -79,10 +79,10 @@ class BatchLoops(Loops):
         self.size, self.memory = batch.dim, max(found.memory for found in prepared)
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
-        """Return rounds of crews, each within a group and of whole blocks of lanes."""
+        """Return rounds of crews, each crew within one group, beginning where lanes begin."""
         crews: list[Crew] = []
         for group, (first, last) in zip(self.groups, pairwise(self._first.tolist()), strict=True):
-            for places in shared_out(first, last, workers, limit("BLOCK")):
+            for places in shared_out(first, last, workers, limit("LARGEST_CROWD")):
                 crews.append(Crew(group.loop, group.tables, group.watch, *places, group.stride, first))
         size = CREWS_IN_A_ROUND * workers
         return [crews[a : a + size] for a in range(0, len(crews), size)]
@@ -92,18 +92,17 @@ class BatchLoops(Loops):
         return next((error for found in self._prepared if (error := found.raised())), None)
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
-        """Return whether those of any member might be no numbers."""
+        """Return whether the elements of any member might not be finite."""
         return any(unshift is not None and unshift.may_overflow(start, times) for unshift in self._unshifts)
 
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the group elements that the loops start from."""
         rows, shifted = np.array(as_rows(groups)), [unshift is not None for unshift in self._unshifts]
         rows[shifted] = unit_row(groups.shape[-1])
         return rows
 
 
 def turned_each(
-    unshifts: Sequence[Unshift | None], start: Start, times: Times, saved: Block, points: int
+    unshifts: Sequence[Unshift | None], start: Start, times: Times, saved: NamedArrays, points: int
 ) -> NDArray[np.float64]:
     """Return the group elements (points, members, d, d), each member turned by what was taken off its H."""
     found, held = np.array(plainly(start, times, saved, points), order="C"), saved.place_of("group")
@@ -140,7 +139,7 @@ def groups_of(prepared: Sequence[CompiledLoop], watches: Sequence[Any]) -> list[
     from coadjoint.kernels.structures import pointed
     from coadjoint.kernels.varied_tables import stacked, structure_of
 
-    block = limit("BLOCK")
+    block = limit("LARGEST_CROWD")
     found: dict[Hashable, list[int]] = {}
     for m, (own, watch) in enumerate(zip(prepared, watches, strict=True)):
         found.setdefault((own.name, structure_of(own.tables), structure_of(watch)), []).append(m)

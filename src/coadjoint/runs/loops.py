@@ -1,4 +1,4 @@
-"""The compiled loops of a run, made once for a system and a step: who is advanced by which tables."""
+"""The compiled loops of a run, made once for a system and a step: which members are advanced by which tables."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import Block, Extent, Layout
+from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.loop import Crew
 from coadjoint.methods.base import Method
 from coadjoint.runs.shifted_attitude import Unshift, plainly
@@ -19,7 +19,7 @@ from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.kinds import System
 
-Turned = Callable[[Start, Times, Block, int], NDArray[np.float64]]
+Turned = Callable[[Start, Times, NamedArrays, int], NDArray[np.float64]]
 
 
 class Plan:
@@ -38,7 +38,7 @@ class Plan:
 
 
 class Loops(ABC):
-    """What a run needs of its system; many runs, in several threads, may share it.
+    """The compiled loops of a run, and what else it needs of its system; runs in several threads may share them.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Loops(ABC):
         How many numbers a member remembers from step to step.
     turned : callable
         ``turned(start, times, saved, points)`` returns the group elements (points, members, d, d) of the run from
-        those that the loops left; it does not hold the tables of the loops.
+        those that the loops left. It does not keep the tables of the loops alive.
     """
 
     order: NDArray[np.int64] | None = None
@@ -76,7 +76,7 @@ class Loops(ABC):
         """Return the crews that are at work together, one round after the other."""
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
-        """Return whether `turned` might give elements that are no numbers, where those of the loops are."""
+        """Return whether `turned` might make elements that are not finite from those of the loops, which are."""
         return isinstance(self.turned, Unshift) and self.turned.may_overflow(start, times)
 
     @abstractmethod
@@ -125,12 +125,12 @@ class SystemLoops(Loops):
         self.turned = Unshift(system, prepared.shift, representation) if self._shifted else plainly
         self._keep = watch.keep
         self._prepared = prepared
-        self._block = limit("BLOCK") if system.dim <= limit("WIDEST") else 1
-        # As C structures once, not for each plan.
+        self._block = limit("LARGEST_CROWD") if system.dim <= limit("WIDEST") else 1
+        # Made C structures here, once for all plans.
         self._given = prepared.name, pointed(prepared.tables), pointed(watch.tables)
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
-        """Return one round, of a crew for each worker; what the kernels advance side by side stays together."""
+        """Return one round with a crew for each worker. Members that the kernels advance side by side share a crew."""
         return [[Crew(*self._given, *places) for places in shared_out(0, members, workers, self._block)]]
 
     def raised(self) -> BaseException | None:
@@ -138,12 +138,12 @@ class SystemLoops(Loops):
         return self._prepared.raised()
 
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return unit elements for a shifted run (`turned` puts the initial ones before them), else the given ones."""
+        """Return the given elements; for a shifted run unit elements, which `turned` multiplies by the given ones."""
         return unit_row(groups.shape[-1]) if self._shifted else as_rows(groups)
 
 
 def shared_out(first: int, last: int, workers: int, block: int) -> list[tuple[int, int]]:
-    """Return the members first to last - 1 as crews, one for each worker, of whole blocks.
+    """Return the members first to last - 1 as crews, one for each worker, which begin at multiples of `block`.
 
     Examples
     --------

@@ -85,7 +85,7 @@ def check_observe(observe: Any) -> dict[str, Any]:
 
 
 def _value_at(given: Any, name: str, x0: NDArray[np.float64]) -> Any:
-    """Return a quantity at the start; NaN where it is not defined there, which the run then says of it as well."""
+    """Return a quantity at the start; NaN where it is not defined there, as the run itself will have it."""
     try:
         return 0.0 if isinstance(given, Polynomial | Quadratic) or takes_time(given, name) else given(x0)
     except (ArithmeticError, ValueError, OSError):

@@ -28,7 +28,7 @@ from coadjoint.wording import short
 class PreparedRun:
     """A system, a scheme and a step with everything that does not depend on the initial state; see `prepare`.
 
-    It does not change: several threads may run it at the same time, each run has arrays of its own.
+    It does not change. Several threads may run it at the same time, since each run has arrays of its own.
 
     Attributes
     ----------
@@ -152,8 +152,8 @@ def prepare(
 ) -> PreparedRun:
     """Make a run ready once, for many short calls: control loops, shooting, maps, ensembles that arrive one by one.
 
-    `integrate` does the same and throws it away. Parameters are those of `integrate`; the initial state and the times
-    are said at each run.
+    `integrate` does the same and throws it away. Parameters are those of `integrate`, but for the initial state and
+    the times, which are given to each run.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ def check_room_of_run(layout: Layout, times: Times, members: int) -> None:
     Raises
     ------
     ValueError
-        With the estimate, with what is free, and with a `save_every` that fits, where there is one.
+        With the memory that is estimated and that is free, and a `save_every` that fits, where there is one.
     """
     need = BYTES * (layout.saved.size + layout.state.size) + PER_POINT * times.points
     if need <= SMALL:

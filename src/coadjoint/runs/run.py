@@ -13,7 +13,7 @@ import numpy as np
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
 from coadjoint.given import read_flag
-from coadjoint.kernels.arrays import Block
+from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.description import codes
 from coadjoint.kernels.loop import Crew, Stop
 from coadjoint.kernels.watching import schedule_of
@@ -28,7 +28,7 @@ from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System
 
-# Between two calls of the compiled loop a progress bar can move.
+# A progress bar moves between two calls of the compiled loop.
 SECONDS_BETWEEN_LOOKS = 0.2
 
 
@@ -50,7 +50,8 @@ class Run:
     workers : int
         How many threads.
     state : RunState, optional
-        Where to go on, after some of the steps; it stays as it is. What was saved until then is not saved again.
+        Where to go on, after some of the steps; this object does not change. What was saved until then is not saved
+        again.
 
     Attributes
     ----------
@@ -76,9 +77,9 @@ class Run:
         members, square = len(start.momenta), start.groups.shape[1] ** 2
         self.plan = loops.plan(members, times.points, square, workers)
         check_room_of_run(self.plan.layout, times, members)
-        self.saved = Block(self.plan.layout.saved)
+        self.saved = NamedArrays(self.plan.layout.saved)
         if state is None:
-            self.state = RunState(Block(self.plan.layout.state))
+            self.state = RunState(NamedArrays(self.plan.layout.state))
             self.state["momenta"][:] = start.momenta
             if square:
                 self.state["groups"][:] = loops.started(start.groups)
@@ -91,7 +92,7 @@ class Run:
         self.wrong = 0
 
     def advance(self, progress: bool = False, until: int | None = None) -> None:
-        """Take the steps up to the number `until`, or all, round after round; the loops hear an interrupt."""
+        """Take the steps up to number `until`, or all, one round after the other; an interrupt ends them."""
         plan, order = self.plan, self.loops.order
         first, last = self.state.number, self.times.steps if until is None else until
         began = time.perf_counter()
@@ -163,7 +164,7 @@ class Run:
         raise self._error(int(failed[0]), len(failed), self._solution(kept, observed))
 
     def _check_attitude(self, whole: Solution) -> None:
-        """Refuse a group element that overflowed where the momentum did not: what a shift leaves to it may grow."""
+        """Refuse a group element that overflowed where the momentum did not: the factor of a shift may grow."""
         sound = np.isfinite(np.asarray(whole.attitude)).reshape(len(whole.t), -1).all(axis=1)
         if sound.all():
             return
@@ -178,7 +179,7 @@ class Run:
         )
 
     def _energy_error(self, whole: Solution) -> IntegrationError:
-        """A state that is finite with an energy that is not: the function of the user is not defined there."""
+        """Return the error for an energy that is not finite at a finite state, where a function is undefined."""
         wrong = np.flatnonzero(~np.isfinite(whole.energy).reshape(len(whole.t), -1).all(axis=1))
         step, when = int(self.times.saved[wrong[0]]), float(whole.t[wrong[0]])
         return IntegrationError(

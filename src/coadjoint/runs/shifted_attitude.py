@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.kernels.arrays import Block
+from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.watching import schedule_of
 from coadjoint.program.unshift import unshift_tables
 from coadjoint.runs.start import FEW, Representation, Start
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 Shift = tuple[tuple[Polynomial, float], ...]
 
 
-# exp of less than that is finite.
+# exp is finite up to this.
 FINITE_GROWTH = 700.0
 
 
-def plainly(start: Start, times: Times, saved: Block, points: int) -> NDArray[np.float64]:
-    """Return group elements (points, members, d, d) as the loops left them; they hold them transposed."""
+def plainly(start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
+    """Return the group elements (points, members, d, d) that the loops left, transposed back."""
     return np.swapaxes(saved["group"][:points].reshape(points, *start.groups.shape), 2, 3)
 
 
 class Unshift:
-    """Group elements of the whole Hamiltonian H, from those of H - sum c C, started at the unit element.
+    """Group elements for the Hamiltonian H, from those for H - sum c C that started at the unit element.
 
     g(t) = g0 exp(-sign c t rho(grad C(x0))) g_shifted(t): the gradient of a Casimir, carried to space, is constant. The
     element at a saved point depends on the number of steps to it, x0 and g0 alone; at the start it is g0.
@@ -57,7 +57,7 @@ class Unshift:
 
         system, shift, rate = self._system, self._shift, 1.0
         if len(shift) == 1:
-            # The factor of a single Casimir is that of the time: a scan over constants shares the tables.
+            # The factor of a single Casimir multiplies the time, so that a scan over factors shares the tables.
             ((casimir, rate),) = shift
             shift = ((casimir, 1.0),)
         rho = None if isinstance(self._representation, str) else self._representation
@@ -65,15 +65,15 @@ class Unshift:
         return Unshifting(unshift_tables(system.algebra, rho, system.sign, shift), rate)
 
     def may_overflow(self, start: Start, times: Times) -> bool:
-        """Return whether the exponential might be no number at the end: what grows could, far from the start."""
+        """Return whether the exponential might overflow before the end: where it grows it could, far from the start."""
         most = self._unshifting.most * abs(times.h) * times.steps
         momenta = start.momenta
         if momenta.size <= FEW:
-            # Of few numbers Python finds the largest five times quicker.
+            # Python finds the largest of few numbers five times quicker than NumPy.
             return most * max(map(abs, momenta.ravel().tolist())) > FINITE_GROWTH
         return most * float(np.max(np.abs(momenta))) > FINITE_GROWTH
 
-    def __call__(self, start: Start, times: Times, saved: Block, points: int) -> NDArray[np.float64]:
+    def __call__(self, start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
         """Return group elements (points, members, d, d) from those that the loops left."""
         found = np.empty((points, *start.groups.shape))
         self.fill(found, start, times, saved.place_of("group"), 0, len(start.groups))

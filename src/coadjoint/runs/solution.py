@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-    from coadjoint.kernels.arrays import Block
+    from coadjoint.kernels.arrays import NamedArrays
     from coadjoint.runs.loops import Turned
     from coadjoint.runs.observed import Observed
     from coadjoint.runs.run import Run
     from coadjoint.runs.start import Start
     from coadjoint.runs.times import Times
 
-# Of the state of a run a solution looks at these; a larger one is not held for them.
+# What a solution needs of the state of a run. Of a large state only these are kept.
 REPORTED = ("worst", "status", "evaluations", "iterations")
 FEW_NUMBERS = 2**12
 
@@ -54,7 +54,7 @@ class Statistics:
 
 
 class Drift(float):
-    """The largest absolute deviation of an invariant from its start; a float with the course of it.
+    """The largest absolute deviation of an invariant from its start: a float that also knows when and where.
 
     Attributes
     ----------
@@ -127,8 +127,8 @@ class Solution:
     method: Method
     watched: bool
     observed: Mapping[str, NDArray[np.float64]]
-    _saved: Block
-    _state: Block
+    _saved: NamedArrays
+    _state: NamedArrays
     _kept: int
     _seconds: float
     _times: Times
@@ -174,7 +174,7 @@ class Solution:
         return self._saved[name][: self._kept]
 
     def _picked(self, series: NDArray[Any]) -> NDArray[Any]:
-        """Without the axis of members where there is one alone."""
+        """Return values without the axis of members where there is only one."""
         return series[:, 0] if self._start.single else series
 
     @cached_property

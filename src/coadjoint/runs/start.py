@@ -116,7 +116,7 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
 
 
 def _finite(momenta: NDArray[np.float64]) -> bool:
-    # Of few numbers a finite sum says the same, five times quicker; where it overflows nothing is said yet.
+    # Numbers with a finite sum are finite. Of few numbers that is found five times quicker.
     few = momenta.ndim == 1 and len(momenta) <= FEW
     return (few and math.isfinite(sum(momenta.tolist()))) or bool(np.isfinite(momenta).all())
 
@@ -171,7 +171,7 @@ def with_group(
 
 @lru_cache(maxsize=4)
 def _unit(size: int) -> NDArray[np.float64]:
-    """Return one unit element; nobody writes to the start of a run, so that many may share it."""
+    """Return one unit element. Nobody writes to the start of a run, so that many runs may share it."""
     return np.eye(size)[None]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import Block, Extent, Layout, Places
+from coadjoint.kernels.arrays import Extent, Layout, NamedArrays, Places
 from coadjoint.kernels.description import described, limit
 from coadjoint.wording import short
 
@@ -16,12 +16,12 @@ from coadjoint.wording import short
 class RunState:
     """The state of a run after some of its steps; what it has saved until then is not part of it.
 
-    With the system, the scheme, the times and the start of the run it is all that the next steps depend on: they have
-    the same bits whether the run went on, or began again from a copy. Two states are equal where all bits are.
+    The next steps depend on it, and on the system, the scheme, the times and the start of the run. They have the same
+    bits whether the run goes on or begins again from a copy. Two states are equal where all their bits are.
 
     Parameters
     ----------
-    arrays : Block
+    arrays : NamedArrays
         The arrays of `coadjoint.kernels.arrays.Layout`, of all members in the order in which they were given.
     number : int
         How many steps were taken.
@@ -35,7 +35,7 @@ class RunState:
     __slots__ = ("arrays", "number")
     __hash__ = None  # type: ignore[assignment]
 
-    def __init__(self, arrays: Block, number: int = 0) -> None:
+    def __init__(self, arrays: NamedArrays, number: int = 0) -> None:
         self.arrays, self.number = arrays, number
 
     @property
@@ -104,7 +104,7 @@ class RunState:
         if number < 0:
             raise ValueError(f"number of the state is {number}; it must be a whole number from 0 up")
         places = _places_of(mapping)
-        arrays = Block(places)
+        arrays = NamedArrays(places)
         for name in places.shapes:
             arrays[name][:] = mapping[name]
         return cls(arrays, number)
@@ -136,7 +136,7 @@ def _whole(mapping: Mapping[str, Any], name: str) -> int:
 
 
 def _places_of(mapping: Mapping[str, Any]) -> Places:
-    """Return where the arrays of a mapping stand in a block, their sizes read from their shapes."""
+    """Return where the arrays of a mapping stand in one piece of memory, their sizes read from their shapes."""
     described_arrays = described().arrays["state"]
     names = set(mapping) - {"version", "number"}
     if names != set(described_arrays):

@@ -14,9 +14,9 @@ from coadjoint.wording import short
 
 
 class Times(NamedTuple):
-    """Start, signed step, number of steps, and every how many of them a state is saved, or after which: `marks`.
+    """Start, signed step and number of steps, and which are saved: every `save_every`-th, or those in `marks`.
 
-    The first `passed` of the saved steps are not meant: a run that goes on has them behind it.
+    The first `passed` of the saved steps are left out: a run that goes on has taken them before.
     """
 
     t0: float
@@ -123,7 +123,7 @@ def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Ti
     if not quotient < 2.0**53:
         raise ValueError(f"step {size!r} is too small for the time {abs(span)!r}: the steps could not be counted")
     steps = round(quotient)
-    # The ends, the span, the step and their quotient are each rounded: 8 u relative covers them.
+    # The ends, the span, the step and their quotient are each rounded: 8 round-offs cover them all.
     if abs(quotient - steps) > 8 * UNIT_ROUNDOFF * max(quotient, abs(first) / size):
         count = max(1, math.floor(quotient))
         raise ValueError(
@@ -154,7 +154,7 @@ def span_of(t_span: Any) -> tuple[float, float]:
     >>> span_of([0, 2])
     (0.0, 2.0)
     """
-    # A tuple is what it looks like; what is in anything else takes longer to say.
+    # A tuple can be unpacked at once; anything else is read entry by entry first.
     ends = t_span if type(t_span) is tuple else read_numbers(t_span, "t_span").tolist()
     if not isinstance(ends, list | tuple) or len(ends) != 2 or any(isinstance(end, list) for end in ends):
         raise ValueError(f"t_span is {short(t_span)}; it must be two numbers, the start and the end")

@@ -20,7 +20,8 @@ from coadjoint.systems.terms import QuadraticTerm
 from coadjoint.systems.user_functions import sample_points
 from coadjoint.wording import short
 
-# A system looks for Casimirs by itself where that takes a fraction of a second: monomials times constants a coordinate.
+# A system searches for Casimirs by itself where that takes a fraction of a second. This is the largest number of
+# monomials times constants, for each coordinate.
 LARGEST_SEARCH = 5000
 HIGHEST_DEGREE = 4
 
@@ -84,7 +85,7 @@ def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size
     return result
 
 
-# Algebras do not change, and equal ones have the same Casimirs: a scan over Hamiltonians looks for them once.
+# Algebras do not change, and equal ones have the same Casimirs, so that a scan over Hamiltonians searches once.
 _FOUND: WeakKeyDictionary[LieAlgebra, dict[str, Polynomial]] = WeakKeyDictionary()
 
 
@@ -122,7 +123,7 @@ def casimirs_of(algebra: LieAlgebra) -> Mapping[str, Any]:
     if algebra not in _FOUND:
         try:
             _FOUND[algebra] = algebra.casimirs(degree)
-        except ValueError:  # rounded constants that leave open what is a Casimir
+        except ValueError:  # the constants are rounded, and leave open what is a Casimir
             _FOUND[algebra] = {}
     found = _FOUND[algebra]
     return found if len(found) > len(known) else known

@@ -208,8 +208,8 @@ def _check_variables(polynomial: Polynomial, n: int) -> None:
         raise ValueError(f"the polynomial has {polynomial.dim} variables but the system has dimension {n}; give {n}")
 
 
-# The members of an ensemble follow the same Casimirs. Polynomials are equal whatever kind of numbers they hold, and the
-# kind is to be kept.
+# The members of an ensemble follow the same Casimirs, which are converted once. Polynomials of floats and of whole
+# numbers can be equal, so that the kinds of numbers belong to the key.
 @lru_cache(maxsize=64)
 def _quadratic(polynomial: Polynomial, kinds: tuple[type, ...]) -> Quadratic:
     return Quadratic.from_polynomial(polynomial)

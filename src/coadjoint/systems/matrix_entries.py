@@ -12,7 +12,7 @@ from coadjoint.given import REAL, array_given, read_finite
 from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-BYTES_PER_ENTRY = 100  # while its place is sorted, and compared with the one across the diagonal
+BYTES_PER_ENTRY = 100  # while entries are sorted and compared with those across the diagonal
 SPARSE = "give a sparse matrix, or a diagonal"
 
 
@@ -24,7 +24,7 @@ def real_array(given: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
     if array.dtype != object:
         return floats
     exact = np.empty(array.shape, dtype=object)
-    # Numbers of NumPy in an array of objects would wrap.
+    # Whole numbers of NumPy in an array of objects would overflow silently.
     for place, entry in np.ndenumerate(array):
         exact[place] = entry.item() if isinstance(entry, np.generic) else entry
     return exact

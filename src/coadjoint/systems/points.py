@@ -6,12 +6,12 @@ numbers (for complex steps), and arrays of Python objects (fractions, multipreci
 
 from __future__ import annotations
 
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.exact import exact_numbers
 from coadjoint.given import REAL, array_given, is_real, read_title
 from coadjoint.wording import short
 
@@ -31,18 +31,12 @@ def point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
 def matching(coefficients: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return `coefficients` in numbers that multiply those of `x` without loss.
 
-    Fractions times floats are floats in Python; at a point of objects the coefficients therefore become the whole
-    or rational numbers that they are.
+    Fractions times floats are floats in Python. At a point of objects the coefficients therefore become the whole or
+    rational numbers that they are.
     """
     if x.dtype != object:
         return coefficients
-    exact = np.empty(coefficients.shape, dtype=object)
-    exact[:] = [_exact(entry) if isinstance(entry, float) else entry for entry in coefficients.tolist()]
-    return exact
-
-
-def _exact(value: float) -> int | Fraction:
-    return int(value) if value.is_integer() else Fraction(value)
+    return exact_numbers(coefficients.tolist())
 
 
 def scatter(rows: npt.NDArray[np.int64], entries: npt.NDArray[Any], n: int) -> npt.NDArray[Any]:

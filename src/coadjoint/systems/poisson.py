@@ -26,8 +26,8 @@ class PoissonSystem:
     """The system ``x' = sign * J(x) grad H(x)`` with any skew-symmetric function J.
 
     For brackets that are not linear in x (Lotka-Volterra, nonholonomic systems; J need not satisfy the Jacobi
-    identity). The schemes that keep the energy serve it; splitting does not, its flows would not be linear. Where J is
-    linear in x, make a `LiePoissonSystem`.
+    identity). The schemes that keep the energy serve it. Splitting does not, since its flows would not be linear. Where
+    J is linear in x, make a `LiePoissonSystem`.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class PoissonSystem:
             raise ValueError(f"structure_matrix returns shape {J.shape}; it must return ({self.dim}, {self.dim})")
         size = np.abs(J).max(initial=0.0)
         excess = np.abs(J + J.T)
-        # Where J is not finite, nothing is said: x may lie outside its domain.
+        # Where J is not finite nothing is checked, since x may lie outside its domain.
         if np.isfinite(size) and excess.max(initial=0.0) > 64 * UNIT_ROUNDOFF * size:
             i, j = (int(q) for q in np.unravel_index(np.argmax(excess), J.shape))
             raise ValueError(

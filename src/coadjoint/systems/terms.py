@@ -28,7 +28,7 @@ class TermReader(Protocol):
 
 
 class Term(Protocol):
-    """What every kind of term says of itself. All else that is made from it, is made by a `TermReader`."""
+    """What every kind of term says of itself. A `TermReader` makes tables and parts from it."""
 
     @property
     def piece(self) -> int | None:
@@ -36,11 +36,11 @@ class Term(Protocol):
 
     @property
     def constant(self) -> float:
-        """What its value has beside the rest."""
+        """The constant that is added to its value."""
 
     @property
     def degree(self) -> int | None:
-        """As a polynomial; None where it is none."""
+        """The degree as a polynomial; None where it is no polynomial."""
 
     @property
     def called(self) -> bool:
@@ -56,10 +56,10 @@ class Term(Protocol):
 
     @property
     def form(self) -> QuadraticTerm | None:
-        """The term as a quadratic one, where it is."""
+        """The term as a quadratic one; None where it is not quadratic."""
 
     def couplings(self) -> Iterator[npt.NDArray[np.int64]]:
-        """Yield sets of coordinates, so that no second derivative between two that share none of them is not zero."""
+        """Yield sets of coordinates: second derivatives between two coordinates that share no set are zero."""
 
     def placed(self, where: npt.NDArray[np.int64], n: int, piece: int) -> Term:
         """Return the term of the coordinates `where` as one of all n coordinates, belonging to a piece."""

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.analysis.phase_drift import ANGLES, PhaseDrift, drift_of_series
 from coadjoint.analysis.rotations import attitude_angle, precession_error
 from coadjoint.experiments.reich1993.systems import COORDINATES
 from coadjoint.methods.base import Method
@@ -52,6 +53,11 @@ class BodyRun(NamedTuple):
         attitude = self.solution.attitude
         assert attitude is not None
         return np.asarray(precession_error(attitude, self.exact, self.solution.x[0]))
+
+    @property
+    def drift(self) -> PhaseDrift:
+        """How the phase of the attitude grows, in radians."""
+        return drift_of_series(self.solution.t, self.phase, ANGLES)
 
     def at(self, time: float) -> int:
         """Return the place of a saved time."""

@@ -11,6 +11,7 @@ from coadjoint.experiments.reich1993.body_runs import MIDPOINT, MODIFIED, SPLITT
 from coadjoint.experiments.reich1993.figures import RESOLUTION
 from coadjoint.experiments.reich1993.systems import CALM_START, CALM_STEP
 from coadjoint.methods.base import Method
+from coadjoint.pictures.phase_drift import with_error
 from coadjoint.pictures.style import INK, colour, plain_axes
 from coadjoint.runs.integrate import integrate
 from coadjoint.systems.paper_examples import paper_rigid_body
@@ -71,14 +72,17 @@ def long_time_figure(phase_end: float, steps: int) -> Figure:
         run = body_run(method, CALM_START, phase_end, CALM_STEP, 10)
         angle.plot(run.solution.t[1:], run.angle[1:], **line)
         if method is SPLITTING:
+            drift = run.drift
             phase.plot(run.solution.t, run.phase, **{**line, "linewidth": 0.9})
+            phase.plot(drift.t, drift.intercept + drift.slope * drift.t, color=INK, linestyle=":", linewidth=1.2)
+            fitted = f"{drift.growth}, slope {with_error(drift.slope, drift.uncertainty)}"
         _draw_drift(energy, casimir, method, steps, line)
     angle.set(xlabel="time $t$", ylabel="attitude error [rad]", xscale="log", yscale="log")
     angle.set_title("angle between computed and exact attitude")
     phase.set(xlabel="time $t$", ylabel="phase error [rad]")
     phase.axhline(0.0, color=INK, linewidth=0.6)
     phase.ticklabel_format(axis="y", style="sci", scilimits=(0, 0), useMathText=True)
-    phase.set_title("splitting: signed angle about the spatial momentum $A\\,x$")
+    phase.set_title(f"splitting: signed angle about the spatial momentum $A\\,x$\n{fitted}")
     energy.set(xlabel="steps", ylabel="largest $|H - H(0)|$ so far", xscale="log", yscale="log")
     energy.set_title("drift of the energy")
     casimir.set(xlabel="steps", ylabel="largest change of $|x|^2$ so far", xscale="log", yscale="log")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian
+from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian, modified_hamiltonian
 from coadjoint.analysis.order import fit_order
 from coadjoint.experiments.convergence import SLOPE_TOLERANCE, roundoff, within
 from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES, body_trial
@@ -25,7 +25,9 @@ def statements() -> list[Statement]:
 
 def _perturbed_hamiltonian() -> Statement:
     body = paper_rigid_body()
-    second = modified_hamiltonian(body, COORDINATES, order=4).terms[2]
+    kept = modified_hamiltonian(body, COORDINATES, order=4)
+    assert isinstance(kept, ModifiedHamiltonian)
+    second = kept.terms[2]
     steps = [10.0 / count for count in (40, 60, 80, 120, 160, 240)]
     plain, perturbed = [], []
     for h in steps:

@@ -33,7 +33,7 @@ namespace coadjoint {
 #define PLACE_ARRAY(type, name, axes) name = reinterpret_cast<coadjoint::type>(at), at += axes;
 #define DESCRIBE_ARRAY(type, name, axes) #type " " #name " " #axes ";"
 
-// Each kind stands in one block, array after array, and every number takes eight bytes.
+// Each kind stands in one piece of memory, array after array, and every number takes eight bytes.
 struct Arrays : Extent {
     SAVED_ARRAYS(DECLARE_ARRAY)
     STATE_ARRAYS(DECLARE_ARRAY)

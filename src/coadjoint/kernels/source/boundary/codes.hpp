@@ -23,7 +23,7 @@ CODES(Outcome, OUTCOMES)
 #define TERM_KINDS(_) _(LINEAR, 0) _(POLYNOMIAL, 1) _(FUNCTION, 2)
 CODES(TermKind, TERM_KINDS)
 
-// What a form of an invariant that is no polynomial is: held for the next one, or the second polynomial of a term.
+// The role of a form in an invariant that is no polynomial: held for the next one, or the second polynomial of a term.
 #define ROLES(_) _(HOLD, 0) _(QUOTIENT, 1) _(LOGARITHM, 2) _(ANGLE, 3)
 CODES(Role, ROLES)
 
@@ -31,7 +31,7 @@ CODES(Role, ROLES)
 #define BLOCK_KINDS(_) _(SCALE, 0) _(ROTATE, 1) _(PLANE, 2) _(SHEAR, 3) _(CUBIC, 4) _(SERIES, 5)
 CODES(Kind, BLOCK_KINDS)
 
-// By which closed form what was taken off a Hamiltonian turns the group element.
+// The closed form by which a Casimir that was taken off a Hamiltonian turns the group element.
 namespace turns {
 #define TURNS(_) _(NILPOTENT, 0) _(PLANE, 1) _(CUBIC, 2) _(PAIR, 3) _(SKEW, 4) _(GENERAL, 5)
 CODES(Turn, TURNS)
@@ -43,15 +43,21 @@ CODES(Solver, SOLVERS)
 
 // TENTHS: pieces of a run whose largest deviations are told apart. RATIONAL: added to the kind of a rotation by
 // tan(angle/2) := half the angle. CUBIC_HEADER: constants of a CUBIC block before the values of its entries.
-// MOST_SUBSTEPS: of norm one, in a step of a series; one that turns so far knows nothing of the motion any more.
+// MOST_SUBSTEPS: of norm one, in a step of a series; a longer step would have lost the motion anyway.
 // LARGEST_DENSE: unknowns of Newton's method with a dense matrix; above, a band or no matrix is used. LARGEST_DIRECT:
 // unknowns of a linear scheme; above, iterating costs less than LU factors, and their square is not stored. WIDEST:
-// dimension up to which members go side by side, since lanes of states stay in the cache. BLOCK: the most members that
-// go side by side on any processor; crews begin at multiples of it. STATE_VERSION: of what a run is between two steps;
-// to be raised where the meaning of an array of the state changes.
+// dimension up to which members go side by side, since lanes of states stay in the cache. LARGEST_CROWD: the most
+// members that go side by side on any processor; crews begin at multiples of it. STATE_VERSION: of what a run is between
+// two steps; to be raised where the meaning of an array of the state changes.
+// PROJECTION_EXACT: the defect that rounding leaves, in round-offs of the sum of the terms of x . dC/dx.
+// PROJECTION_STAGNANT: times that, the defect that is accepted where corrections no longer help.
+// PROJECTION_CORRECTIONS: the most of them. DEPENDENT_BITS: a gradient is taken for a combination of those before it
+// where the square of its rest is smaller than its own by so many bits. GROWTH_BITS: an iteration is given up where a
+// correction is larger than the first by so many bits.
 #define LIMITS(_)                                                                                             \
     _(TENTHS, 10) _(RATIONAL, 8) _(CUBIC_HEADER, 6) _(MOST_SUBSTEPS, 4096) _(LARGEST_DENSE, 200)              \
-    _(LARGEST_DIRECT, 160) _(WIDEST, 1024) _(BLOCK, 32) _(STATE_VERSION, 1)
+    _(LARGEST_DIRECT, 160) _(WIDEST, 1024) _(LARGEST_CROWD, 32) _(STATE_VERSION, 1) _(PROJECTION_EXACT, 4)    \
+    _(PROJECTION_STAGNANT, 256) _(PROJECTION_CORRECTIONS, 64) _(DEPENDENT_BITS, 36) _(GROWTH_BITS, 64)
 CODES(Limit, LIMITS)
 
 }  // namespace coadjoint

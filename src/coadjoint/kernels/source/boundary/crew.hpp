@@ -16,13 +16,14 @@ struct Crew {
     int64_t first, last, stride;
 };
 
-// Blank what a run leaves of the members of a crew, and save their start: momenta and groups stand in the state.
+// Clear what a run leaves of the members of a crew, and save their start from the momenta and groups of the state.
 void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, const Crew& crew);
 
-// How many members of a crew have failed; where the run has ended, also by an energy that is not finite.
+// How many members of a crew have failed. Where the run has ended, an energy that is not finite is a failure too.
 int64_t wrong(const Watch& watch, const Arrays& arrays, const Crew& crew, bool ended);
 
-// What a call is given, for a family of schemes with tables of its own: the arrays are those of all members.
+// The loop over the steps of one call, for a family of schemes with tables of its own: the arrays are those of all
+// members.
 template <class Tables>
 struct Loop {
     const Tables& tables;
@@ -43,8 +44,8 @@ struct Loop {
     }
 };
 
-// Take the steps k0 + 1 to k1 of a crew by `follow(loop, crew)`, from the start where k0 is 0; return `wrong`, or why
-// they were not all taken: then nothing that the crew was to leave is of use.
+// Take the steps k0 + 1 to k1 of a crew by `follow(loop, crew)`, from the start where k0 is 0; return `wrong`. Where
+// not all steps were taken, return why; then what the crew has left is of no use.
 template <class Tables, class Follow>
 int64_t take_steps(const Tables& tables, const Watch& watch, const Crew& crew, const Arrays& arrays,
                    const Schedule& schedule, int64_t k0, int64_t k1, const int64_t* stop, Follow follow) {
@@ -92,7 +93,7 @@ void write_lane(const A* from, double* to, int64_t length, int64_t member, int l
 }
 
 constexpr int CROWD = 4 * NATIVE;    // members side by side: four vectors hide each other's latency
-constexpr int64_t FEWEST = 3;        // members that are worth a block of lanes
-static_assert(BLOCK % CROWD == 0, "crews begin at multiples of BLOCK, and crowds within them at multiples of CROWD");
+constexpr int64_t FEWEST = 3;        // members that are worth lanes
+static_assert(LARGEST_CROWD % CROWD == 0, "crews begin at multiples of LARGEST_CROWD, and crowds within them of CROWD");
 
 }  // namespace coadjoint

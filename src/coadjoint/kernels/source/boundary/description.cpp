@@ -1,4 +1,4 @@
-// All that Python and the kernels share, as text: a line for each table, each block of arrays, and each list of codes.
+// All that Python and the kernels share, as text: a line for each table, each kind of arrays, and each list of codes.
 #include <string>
 
 #include "boundary/arrays.hpp"

@@ -22,13 +22,16 @@ struct Python {
 thread_local Hearing* Hearing::current = nullptr;
 
 Hearing::Hearing(const int64_t* stop)
-    : stop(stop), thread(python.release ? python.release() : nullptr), next(Clock::now() + BETWEEN_SIGNALS) {
+    : stop(stop),
+      thread(python.release ? python.release() : nullptr),
+      outer(current),
+      next(Clock::now() + BETWEEN_SIGNALS) {
     left = BETWEEN_LOOKS;
     current = this;
 }
 
 Hearing::~Hearing() {
-    current = nullptr;
+    current = outer;
     if (python.acquire) python.acquire(thread);
 }
 

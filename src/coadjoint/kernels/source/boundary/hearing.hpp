@@ -1,5 +1,5 @@
-// How a loop hears that it is to stop. Whoever works says how much was done; after about a millisecond of that somebody
-// looks at the clock, and some times a second at Python's signals.
+// How a loop hears that it is to stop. Each piece of work says how large it was. After about a millisecond of work the
+// clock is looked at, and some times a second Python's signals.
 #pragma once
 
 #include <chrono>
@@ -17,7 +17,7 @@ class Hearing {
     Hearing(const Hearing&) = delete;
     Hearing& operator=(const Hearing&) = delete;
 
-    // Of the call that this thread is in. Loops of short steps ask for it once, and before they begin.
+    // The one of the call that this thread is in. Loops of short steps ask for it once, before they begin.
     static Hearing& of_this_call();
 
     // Say that `work` was done, in multiplications or what takes as long.
@@ -36,6 +36,7 @@ class Hearing {
     int64_t left = 0;
     const int64_t* stop;
     void* thread;
+    Hearing* const outer;  // of the call inside which this one is: a step written in Python may run another loop
     Clock::time_point next;
 
     void look();

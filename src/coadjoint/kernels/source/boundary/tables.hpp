@@ -66,8 +66,8 @@ TABLE(Watch, WATCH_FIELDS)
     _(integer, remembered)
 TABLE(Extent, EXTENT_FIELDS)
 
-// Saved are the steps at `marks`, `marked` of them, ascending, or without those every save_every-th from 0 on, and the
-// last. The first `passed` saved ones lie behind: a run that goes on has no room for them.
+// The saved steps are the `marked` steps at `marks`, ascending; without marks every save_every-th from 0 on, and the
+// last. The first `passed` of them were taken before, and a run that goes on has no room for them.
 #define SCHEDULE_FIELDS(_)                                                                                           \
     _(number, t0) _(number, h) _(integer, steps) _(integer, save_every) _(integer, passed) _(flag, watching)  \
     _(integer, marked) _(integers, marks)
@@ -99,7 +99,7 @@ TABLE(StepTables, STEP_FIELDS)
 TABLE(Stepping, STEPPING_FIELDS)
 
 #define UNSHIFT_FIELDS(_)                                                                                            \
-    _(integer, size) _(integer, dim) _(integer, blocks) _(bytes, kind) _(bytes, leaning) _(indices, order)           \
+    _(integer, size) _(integer, dim) _(integer, components) _(bytes, kind) _(bytes, leaning) _(indices, order)           \
     _(indices, begin) _(indices, coordinate) _(indices, form) _(indices, cell) _(indices, entry) _(indices, column)  \
     _(numbers, weight) _(integers, metric) _(numbers, metrics)
 TABLE(UnshiftTables, UNSHIFT_FIELDS)

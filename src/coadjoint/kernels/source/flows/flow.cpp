@@ -12,7 +12,7 @@ static void advance_crew(const FlowLoop& loop, const Crew& crew) {
     int64_t place = crew.first;
     const bool narrow = loop.arrays.size <= WIDEST;
     while (place < crew.last && (crew.stride || (narrow && crew.last - place >= FEWEST))) {
-        const int64_t next = std::min<int64_t>(place + BLOCKS * CROWD, crew.last);
+        const int64_t next = std::min<int64_t>(place + CROWDS * CROWD, crew.last);
         if (crew.stride)
             follow_together<care, carry, Crowd>(loop, own, crew.members, place, next);
         else

@@ -7,10 +7,9 @@
 
 namespace coadjoint {
 
-// Blocks of members as lanes; the last member fills what is left of the lanes. While one block waits for a sine,
-// another goes on.
+// Members as lanes; the last member fills what is left of the lanes. While one crowd waits for a sine, another goes on.
 template <Care care, bool carry, class A, class C>
-struct Block {
+struct FlowCrowd {
     const FlowLoop& loop;
     const C constants;
     const int64_t* members;
@@ -20,7 +19,7 @@ struct Block {
     CrowdRecorder<A, C> recorder;
     Vectors<A> momentum, group;
 
-    Block(const FlowLoop& loop, const C& constants, const int64_t* members, int64_t count, Room<A>& scratch)
+    FlowCrowd(const FlowLoop& loop, const C& constants, const int64_t* members, int64_t count, Room<A>& scratch)
         : loop(loop), constants(constants), members(members), count(count), size(loop.arrays.size),
           square(loop.arrays.square), momenta(2 * size), elements(2 * square), going{},
           recorder(loop.watch, loop.arrays, loop.schedule, loop.k0, this->constants, members, going, count),
@@ -33,7 +32,7 @@ struct Block {
         read_lanes(group.errors, loop.arrays.group_errors, square, members, count);
     }
 
-    ~Block() {
+    ~FlowCrowd() {
         for (int64_t lane = 0; lane < count; ++lane) {
             const int64_t member = members[lane];
             if (going[lane]) loop.arrays.evaluations[member] += evaluations;
@@ -76,23 +75,23 @@ struct Block {
     }
 };
 
-constexpr int BLOCKS = 2;
+constexpr int CROWDS = 2;
 
 // `constants_from(place)` are those of the lanes from a place of the crew.
 template <Care care, bool carry, class A, class ConstantsFrom>
 void follow_together(const FlowLoop& loop, const ConstantsFrom& constants_from, const int64_t* members, int64_t first,
                      int64_t last) {
-    typedef Block<care, carry, A, decltype(constants_from(0))> Own;
+    typedef FlowCrowd<care, carry, A, decltype(constants_from(0))> Own;
     constexpr int64_t lanes = Numbers<A>::lanes;
     const FlowTables& tables = loop.tables;
     const Schedule& schedule = loop.schedule;
     const int64_t size = loop.arrays.size, square = loop.arrays.square;
     Room<A> scratch(3 * std::max(size, square)), copies(2 * (size + square));
     AngleRoom<A> angles(tables.longest);
-    std::optional<Own> blocks[BLOCKS];
+    std::optional<Own> crowds[CROWDS];
     int used = 0;
     for (int64_t place = first; place < last; place += lanes)
-        blocks[used++].emplace(loop, constants_from(place), members + place, std::min(lanes, last - place), scratch);
+        crowds[used++].emplace(loop, constants_from(place), members + place, std::min(lanes, last - place), scratch);
     const int64_t work = used * lanes * work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.hearing.after(work);
@@ -100,15 +99,15 @@ void follow_together(const FlowLoop& loop, const ConstantsFrom& constants_from, 
         const uint32_t from = tables.section[k == 1 ? 0 : 1], to = tables.section[k == 1 ? 1 : 2];
         for (uint32_t r = from; r < to; ++r)
             for (int b = 0; b < used; ++b)
-                apply_row<care, carry>(tables, blocks[b]->constants, r, blocks[b]->momentum, blocks[b]->group, t,
+                apply_row<care, carry>(tables, crowds[b]->constants, r, crowds[b]->momentum, crowds[b]->group, t,
                                        schedule.h, angles);
         int64_t left = 0;
         for (int b = 0; b < used; ++b) {
-            blocks[b]->evaluations += to - from;
-            blocks[b]->stop_where_not(finite(size, blocks[b]->momentum.at), k);
-            blocks[b]->recorder.after(
-                k, [&](bool saving) { return blocks[b]->finished(k, saving, t, copies.at, scratch.at, angles); });
-            left += blocks[b]->left;
+            crowds[b]->evaluations += to - from;
+            crowds[b]->stop_where_not(finite(size, crowds[b]->momentum.at), k);
+            crowds[b]->recorder.after(
+                k, [&](bool saving) { return crowds[b]->finished(k, saving, t, copies.at, scratch.at, angles); });
+            left += crowds[b]->left;
         }
         if (left == 0) break;
     }

@@ -1,5 +1,5 @@
 // What a Casimir that was taken off the Hamiltonian still does to the group element: g(t) = g0 exp(t X) g_shifted(t), X
-// constant and linear in the initial momentum. The blocks of X and their kinds are in the tables, found once for a
+// constant and linear in the initial momentum. The components of X and their kinds are in the tables, found once for a
 // system (`coadjoint.program.unshift`, which says what they are); here only numbers change.
 #include <limits>
 
@@ -30,10 +30,10 @@ Rotation<double> entire_turn(double lam, double root, double t) {
     return {turn.sine / root, turn.lowered / lam};
 }
 
-// A block of X, D times a power of two, and exp(t X) - 1 of it.
-class Block {
+// A component of X, D times a power of two, and exp(t X) - 1 of it.
+class Component {
   public:
-    Block(const UnshiftTables& tables, int64_t b, const double* x)
+    Component(const UnshiftTables& tables, int64_t b, const double* x)
         : m(tables.begin[b + 1] - tables.begin[b]),
           coordinates(tables.coordinate + tables.begin[b]),
           kind(tables.kind[b]),
@@ -284,12 +284,12 @@ void transpose(const double* from, double* to, int64_t size) {
 EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run, const Schedule* schedule) {
     const int64_t d = tables->size, square = d * d;
     Matrix moved(square), placed, before;
-    std::vector<Block> blocks;
-    blocks.reserve(tables->blocks);
+    std::vector<Component> components;
+    components.reserve(tables->components);
     for (int64_t member = run->first; member < run->last; ++member) {
-        blocks.clear();
-        for (int64_t b = 0; b < tables->blocks; ++b)
-            blocks.emplace_back(*tables, b, run->momenta + member * tables->dim);
+        components.clear();
+        for (int64_t b = 0; b < tables->components; ++b)
+            components.emplace_back(*tables, b, run->momenta + member * tables->dim);
         const double* initial = run->initial + member * square;
         const bool unit = is_unit(initial, d);
         if (!unit) {
@@ -304,9 +304,9 @@ EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run, const Sch
             }
             const double* group = run->held + here;
             std::copy_n(group, square, moved.begin());
-            for (Block& block : blocks) {
-                block.move_to(run->rate * (double(step) * schedule->h));
-                block.apply(group, moved.data(), d);
+            for (Component& component : components) {
+                component.move_to(run->rate * (double(step) * schedule->h));
+                component.apply(group, moved.data(), d);
             }
             if (!unit) {
                 placed.assign(square, 0.0);

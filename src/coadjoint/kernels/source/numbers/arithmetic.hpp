@@ -7,6 +7,11 @@ namespace coadjoint {
 
 // pi/2 in three doubles. For |q| < 2^20 the fused phi - q*P1 is exact; P2 and P3 correct it.
 constexpr double UNIT_ROUNDOFF = 0x1p-53;
+
+constexpr double power_of_two(int64_t exponent) {
+    return exponent == 0 ? 1.0 : exponent > 0 ? 2.0 * power_of_two(exponent - 1) : 0.5 * power_of_two(exponent + 1);
+}
+
 constexpr double P1 = 1.5707963267948966;
 constexpr double P2 = 6.123233995736766e-17;
 constexpr double P3 = -1.4973849048591698e-33;

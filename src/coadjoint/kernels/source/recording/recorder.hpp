@@ -7,7 +7,7 @@
 
 namespace coadjoint {
 
-// Where nothing is left to be finished before a state is looked at.
+// For states that are finished when they are looked at.
 struct AlreadyFinished {
     static constexpr bool nothing = true, with_errors = false;
     template <class A>
@@ -77,7 +77,7 @@ class MemberRecorder {
             for (good = 0; good < waiting && at(sound, int(good));) ++good;
         }
         const int64_t failed = good < waiting ? step[good] : 0;
-        // What was saved of the group since the step that failed is taken back.
+        // What was saved of the group from the step that failed on is taken back.
         for (int64_t lane = good; lane < waiting; ++lane)
             if (slot[lane] >= 0) std::fill_n(group_at(slot[lane]), arrays.square, NAN);
         if (good > 0) note(good, step, states.at);
@@ -150,7 +150,7 @@ class CrowdRecorder {
         if (slot >= 0) save(slot, rows);
     }
 
-    // To be called before a lane stops going: it keeps the deviations that it had until then.
+    // Keep the deviations so far of a lane that is about to stop; to be called before it does.
     void keep_worst() {
         if (tenth < 0) return;
         each([&](int64_t lane, int64_t i) {

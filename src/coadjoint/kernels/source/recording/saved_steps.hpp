@@ -36,7 +36,7 @@ class SavedSteps {
   private:
     const Schedule* schedule;
 
-    // Beyond the last there is none: no loop comes to such a step, nor again to the last one.
+    // After the last one a step that no loop comes to.
     void find() {
         const bool none = schedule->marks && slot + schedule->passed >= schedule->marked;
         next = none ? std::numeric_limits<int64_t>::max() : step_of(*schedule, slot);

@@ -9,7 +9,7 @@
 
 namespace coadjoint {
 
-// Whether every component is finite: 0 times it is 0.
+// Whether every component is finite: then 0 times it is 0.
 template <class A>
 INLINE auto finite(int64_t size, const A* x) {
     A total(0.0);
@@ -35,7 +35,7 @@ INLINE double unwrapped(double now, double last, double period) {
     return now + period * std::floor((last - now) / period + 0.5);
 }
 
-// Note the value of invariant i of a member at step k, where it has come from the values of the steps before.
+// Note the value of invariant i of a member at step k.
 INLINE void note_value(const Arrays& arrays, int64_t count, int64_t i, double period, int64_t member, int64_t k,
                        int64_t slot, int64_t tenth, double now) {
     int64_t place = member * count + i;

@@ -8,7 +8,7 @@
 
 namespace coadjoint {
 
-// Call a function with each of the numbers 0 to n - 1 as a constant: an index that is none would send arrays to memory.
+// Call a function with each of the numbers 0 to n - 1 as a constant, so that arrays stay in registers.
 template <class Function, int... i>
 INLINE void each_of(Function function, std::integer_sequence<int, i...>) {
     (function(std::integral_constant<int, i>()), ...);
@@ -85,7 +85,7 @@ Known known_algebra(const Field& field, const C& constants) {
     return Known::NONE;
 }
 
-// One iteration after the other, for stages that are one block of lanes.
+// One iteration after the other, for stages that fit into one row of lanes.
 template <class Layout, class Bracket, bool full>
 struct Bracketed {
     typedef typename Layout::A A;

@@ -14,7 +14,7 @@ constexpr int64_t MOST_CORRECTIONS = 50;
 constexpr double SLUGGISH = 0.25;  // of the correction before: then the factors are renewed
 constexpr double SETTLING = 0x1p-40;  // of the size of the stages: below it what falls no further is round-off
 
-// Correct the points of one trajectory until corrections, which Newton's method more than halves, do so no longer:
+// Correct the points of one trajectory for as long as each correction is less than half of the one before:
 // `evaluate` sets the slopes at the points, `solve` turns the defect, stage after stage, into a correction, and `renew`
 // is called where corrections fall slowly. With `enough` it is done after so many of them: what is linear is solved by
 // the first, and refined by the second.

@@ -26,7 +26,7 @@ inline int64_t work_of_step(const RungeKuttaLoop& loop) {
            tables.substeps * (8 * stages * slopes + (tables.direct ? edge * edge * edge : 0));
 }
 
-// Where the first correction already is no number something overflowed; else the iteration did not converge.
+// Where the first correction is NaN a number overflowed; else the iteration did not converge.
 INLINE int64_t failure_of(double residual) { return residual == residual ? NOT_CONVERGED : OVERFLOWED; }
 
 template <class Side>
@@ -78,7 +78,7 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member) {
     }
 }
 
-// A block of members as lanes; the last one fills what is left of the lanes.
+// Members as lanes; the last one fills what is left of the lanes.
 template <class A, class C>
 struct Together {
     static constexpr int lanes = Numbers<A>::lanes;

@@ -4,6 +4,7 @@
 #include <limits>
 #include <type_traits>
 
+#include "boundary/codes.hpp"
 #include "numbers/arithmetic.hpp"
 #include "boundary/hearing.hpp"
 #include "stages/stages.hpp"
@@ -12,7 +13,7 @@ namespace coadjoint {
 
 constexpr int64_t FIRST_TEST = 3;     // early corrections may rise before they fall
 constexpr int64_t MOST = 192;
-constexpr double GROWTH = 0x1p64;     // of the first correction: a correction so much larger will not come back
+constexpr double GROWTH = power_of_two(GROWTH_BITS);  // a correction so much larger than the first will not come back
 constexpr double NOISE = 0x1p-32;     // of the size of the stages: only below it may a correction be round-off
 constexpr int64_t LOOK = 16;          // every so many iterations: is it slow?
 constexpr double SLOW = 0x1p-6;       // a fall by less since the last look would take more than MOST iterations
@@ -98,7 +99,7 @@ struct Unknowns {
             noise.at[b] = Layout::choose(where, noise.at[b] + A(NOISE) * moved.at[b], noise.at[b]);
     }
 
-    // The largest correction of a stage, summed over its components; no number where there is one that is none.
+    // The largest correction of a stage, summed over its components; NaN where one of them is.
     V largest_move() const {
         V result(0.0), spoilt(0.0);
         for (int64_t b = 0; b < blocks; ++b) {
@@ -135,7 +136,7 @@ struct Outcome {
 // keeps its slopes. `iterate` sets the slopes at the points, then the points, told whether their moves are watched;
 // `keep` is told which lanes settled, to keep more of them. Outcomes have the residual only of what failed.
 //
-// Where nobody goes nothing is done, and nobody has settled.
+// Where no trajectory goes, nothing is done.
 //
 // A trajectory has settled when nothing moves, or when for some iterations in a row no component's correction has
 // fallen below all that it was since the corrections became small. It fails when corrections grow or fall slowly.
@@ -161,7 +162,7 @@ INLINE auto settle_by(Unknowns<Layout>& y, Mask going, int64_t blocks, int64_t s
     std::fill_n(y.least.at, blocks * size, A(std::numeric_limits<double>::infinity()));
     V first = infinite, looked = infinite, quiet(0.0);
     bool kept = false;
-    // By the last of them everybody has settled or failed.
+    // After the last of them every trajectory has settled or failed.
     for (; passed <= MOST; ++passed) {
         iterate(std::true_type());
         if (__builtin_expect(slow, 0)) Hearing::of_this_call().after(y.work * Numbers<V>::lanes);

@@ -2,15 +2,15 @@
 // for lambda with the Gram matrix of the gradients at z.
 #pragma once
 
+#include "boundary/codes.hpp"
 #include "numbers/arithmetic.hpp"
 #include "steps/invariant_rows.hpp"
 #include "numbers/sparse_factors.hpp"
 
 namespace coadjoint {
 
-constexpr double EXACT = 4.0 * UNIT_ROUNDOFF;   // of the sum of the terms of x . dC/dx: a defect that rounding alone leaves
-constexpr double STAGNANT = 0x1p8;  // times that: where corrections no longer help
-constexpr int64_t MOST_CORRECTIONS = 64;
+constexpr double EXACT = double(PROJECTION_EXACT) * UNIT_ROUNDOFF;
+static_assert(DEPENDENT == power_of_two(-DEPENDENT_BITS), "the plain reading finds the same rows dependent");
 
 // Add to x + dx, where dx is what rounding left.
 template <class A>
@@ -57,7 +57,7 @@ struct Projection {
         rows.gram(factors);
         factors.factorize();
         std::fill_n(moved.at, blocks, Row(0.0));
-        for (corrections = 1; corrections <= MOST_CORRECTIONS; ++corrections) {
+        for (corrections = 1; corrections <= PROJECTION_CORRECTIONS; ++corrections) {
             const double before = residual;
             if (!(before - before == 0.0)) return false;
             factors.solve(defects.data());
@@ -99,7 +99,7 @@ struct Projection {
                 for (int k = 0; k < j; ++k) L[i][j] = fma(-L[i][k] * L[j][k], inverse[k], L[i][j]);
         }
         Row unused[R], total(0.0);
-        for (corrections = 1; corrections <= MOST_CORRECTIONS; ++corrections) {
+        for (corrections = 1; corrections <= PROJECTION_CORRECTIONS; ++corrections) {
             const double before = residual;
             if (!(before - before == 0.0)) return false;
 #pragma GCC unroll 4
@@ -160,7 +160,7 @@ struct Projection {
         bool all = true;
         for (size_t a = 0; a < size; ++a)
             all &= std::fabs(kept[a] - rows.template value<false>(a, Newest<0, W>(x), x)) <=
-                   STAGNANT * EXACT * rows.terms_of(a, x);
+                   double(PROJECTION_STAGNANT) * EXACT * rows.terms_of(a, x);
         return all;
     }
 

@@ -13,7 +13,7 @@ typedef StepScheme* (*MakeScheme)(const StepTables& tables, const Own& constants
 // since others may come to stand where they stood.
 struct Remembered {
     int64_t serial = 0;
-    std::unique_ptr<StepScheme> scheme;
+    std::shared_ptr<StepScheme> scheme;
 };
 constexpr int64_t REMEMBERED = 16, SMALL = 64;
 static thread_local Remembered remembered[REMEMBERED];
@@ -32,14 +32,15 @@ static std::unique_ptr<StepScheme> made(const Stepping& tables, const Own& const
     return std::unique_ptr<StepScheme>(reinterpret_cast<MakeScheme>(tables.step[0])(tables.tables, constants));
 }
 
-static StepScheme* remembered_step(const Stepping& tables) {
+// Shared: a step written in Python may run other loops, which take its place here while it is still at work.
+static std::shared_ptr<StepScheme> remembered_step(const Stepping& tables) {
     const int64_t serial = serial_of(tables);
     Remembered& place = remembered[serial % REMEMBERED];
     if (place.serial != serial) {
         place.scheme = made(tables, Own{1, 0});
         place.serial = serial;
     }
-    return place.scheme.get();
+    return place.scheme;
 }
 
 static void follow(const Loop<Stepping>& loop, const Crew& crew) {
@@ -53,7 +54,8 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
     double *x = reinterpret_cast<double*>(momentum.at), *dx = x + 8 * eights;
     const int64_t watched = work_of_terms(watch.terms, 0, watch.terms.size);
     std::unique_ptr<StepScheme> own;
-    StepScheme* scheme = crew.stride || n > SMALL ? nullptr : remembered_step(tables);
+    const std::shared_ptr<StepScheme> shared = crew.stride || n > SMALL ? nullptr : remembered_step(tables);
+    StepScheme* scheme = shared.get();
     AlreadyFinished nothing;
     MemberRecorder<double, Own, AlreadyFinished> recorder(watch, arrays, schedule, Own{1, 0}, nothing);
     for (int64_t place = crew.first; place < crew.last; ++place) {

@@ -1,0 +1,153 @@
+"""`certify`: does a scheme keep on a system what it declares, and does it follow the motion at all?"""
+
+from __future__ import annotations
+
+import platform
+from typing import Any
+
+import numpy as np
+
+import coadjoint
+from coadjoint.analysis.certificate import Certificate, Row
+from coadjoint.analysis.checks.attitude import attitude_rows
+from coadjoint.analysis.checks.convergence import convergence_rows, study
+from coadjoint.analysis.checks.invariants import invariant_rows, long_run, run_row
+from coadjoint.analysis.checks.poisson import poisson_row
+from coadjoint.analysis.checks.subject import Subject
+from coadjoint.analysis.checks.symmetry import reversibility_row, symmetry_row
+from coadjoint.analysis.given_step import scheme_and_claims
+from coadjoint.given import read_number, read_whole
+from coadjoint.methods.base import Method
+from coadjoint.methods.properties import Properties
+from coadjoint.methods.registry import description_of
+from coadjoint.runs.start import momenta_of
+from coadjoint.systems.kinds import System, check_one_system
+
+STEPS = 2000
+MOST_STEPS = 10**7
+
+
+def certify(
+    system: System,
+    method: Any,
+    x0: Any,
+    step: float,
+    *,
+    steps: int = STEPS,
+    order: int | None = None,
+    properties: Properties | None = None,
+    symmetric: bool | None = None,
+) -> Certificate:
+    """Measure what a scheme keeps on a system, and hold it against what the scheme declares.
+
+    For the first run of a new system, a new scheme or an unusual step, and for every scheme of your own. Measured are
+    the order and the limit of small steps, against a closed form or an independent code (a flow at the wrong speed
+    keeps every invariant); the symmetry; the Poisson bracket, by the tangent of the step; energy and Casimirs, in a
+    step and over a long run; and what the group element keeps, where the scheme carries one.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        What moves.
+    method : Method or callable
+        A scheme, or a function ``step(x, h)`` (``step(x, t, h)`` where the Hamiltonian depends on time) that returns
+        the state after a step of length h, negative for backward. Of a function say what it declares by the last three
+        parameters; what is not said is measured, and cannot fail.
+    x0 : array_like, shape (n,) or (k, n)
+        A state, from which further ones along the motion are taken, or a sample of four or more, of which the first
+        eight are looked at.
+    step : float
+        The step; negative for backward. Order, symmetry and defects are also looked at with other steps.
+    steps : int, optional
+        Of the long run.
+    order : int, optional
+        Order of accuracy of a function.
+    properties : Properties, optional
+        What a function keeps, ``co.methods.Properties(poisson=, energy=, casimirs=, attitude="none")``.
+    symmetric : bool, optional
+        Whether a step back of a function undoes a step.
+
+    Returns
+    -------
+    Certificate
+        ``passed``, rows by name, a table by ``print``, ``plot()`` and ``to_json()``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For wrong input, and for a scheme that cannot serve the system. A run that fails is a row, not an error.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> co.certify(body, co.Splitting(order=4), (0.3, 1.0, 0.2), 0.1, steps=200).passed
+    True
+
+    The explicit Euler method, said to keep the energy:
+
+    >>> claims = co.methods.Properties(poisson=False, energy=True, casimirs="none", attitude="none")
+    >>> def euler(x, h):
+    ...     return x + h * body.vector_field(x)
+    >>> certificate = co.certify(body, euler, (0.3, 1.0, 0.2), 0.1, steps=200, order=1, properties=claims)
+    >>> [row.key for row in certificate.failures]
+    ['energy']
+    """
+    check_one_system(system)
+    h = read_number(step, "step")
+    if h == 0.0:
+        raise ValueError(f"step is {h!r}; it must not be zero")
+    count = read_whole(steps, "steps", 1, MOST_STEPS, floats=True)
+    scheme, claims = scheme_and_claims(system, method, order, properties, symmetric)
+    states, _ = momenta_of(system, x0)
+    with np.errstate(all="ignore"):
+        subject = Subject(system, scheme, claims, h, states, count, compiled=isinstance(method, Method))
+        return Certificate(_rows(subject), _described(subject))
+
+
+def _rows(subject: Subject) -> tuple[Row, ...]:
+    found = study(subject)
+    telling = subject.h if found is None else found.telling(subject.h)
+    run = long_run(subject)
+    return (
+        *convergence_rows(subject, found),
+        symmetry_row(subject, telling),
+        reversibility_row(subject, telling),
+        poisson_row(subject, telling),
+        *invariant_rows(subject, run, telling),
+        *attitude_rows(subject, found, 0 if run.solution is None else run.solution.stats.steps),
+        run_row(subject, run),
+    )
+
+
+def _described(subject: Subject) -> dict[str, Any]:
+    system, algebra = subject.system, subject.system.algebra
+    return {
+        "system": {
+            "name": system.name,
+            "algebra": None if algebra is None else getattr(algebra, "name", None) or repr(algebra),
+            "dim": system.dim,
+            "sign": system.sign,
+            "hamiltonian": repr(system.hamiltonian),
+            "parameters": getattr(system, "parameters", None),
+        },
+        "scheme": {"shown": str(subject.method), "description": _description(subject.method)},
+        "step": subject.h,
+        "steps": subject.steps,
+        "given": subject.given,
+        "states": subject.states,
+        "versions": {
+            "coadjoint": coadjoint.__version__,
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+            "machine": platform.machine(),
+        },
+    }
+
+
+def _description(method: Method) -> Any:
+    try:
+        return description_of(method)
+    except TypeError:
+        return None

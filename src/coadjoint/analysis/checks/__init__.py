@@ -1,0 +1,1 @@
+"""What is looked at by a certificate? One file for each kind of check."""

@@ -1,0 +1,210 @@
+"""What does the group element keep: the spatial momentum, its group? And does it follow the motion?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.representation import invariant_form
+from coadjoint.analysis.certificate import INAPPLICABLE, Row, verdict
+from coadjoint.analysis.checks.convergence import Study, allowed
+from coadjoint.analysis.checks.reference import motion
+from coadjoint.analysis.checks.slope import CLEAR
+from coadjoint.analysis.checks.subject import Subject
+from coadjoint.errors import IntegrationError
+from coadjoint.methods.attitude import check_attitude
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.solution import Solution
+
+Floats = NDArray[np.float64]
+
+LARGEST = 64
+"""Dimension up to which the coadjoint matrix is carried."""
+LARGEST_FOLLOWED = 16
+"""Dimension up to which it is also followed by the independent code."""
+SAVED = 16
+LARGE_CONDITION = 1e3
+KEEPING = ("every representation", "coadjoint")
+
+Seen = tuple[float, float, str]
+"""A defect, its bound, and what was seen."""
+
+
+def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row]:
+    """Return the rows on the group element; one that says why, where there is none.
+
+    Parameters
+    ----------
+    subject : Subject
+        What is looked at.
+    study : Study or None
+        Of the convergence of the momentum, over whose span the element is followed.
+    steps : int
+        That are taken with it.
+
+    Returns
+    -------
+    list of Row
+    """
+    system, properties = subject.system, subject.claims.properties
+    kind = "none" if properties is None else properties.attitude
+    why = ""
+    if system.algebra is None:
+        why = "the system has no Lie algebra"
+    elif kind == "none":
+        why = "the scheme carries none"
+    elif steps == 0:
+        why = "no step could be taken"
+    elif system.dim > LARGEST:
+        why = f"the coadjoint matrix of dimension {system.dim} is not carried for this"
+    if why:
+        claimed = system.algebra is not None and kind != "none"
+        found = verdict(claimed, None) if claimed else INAPPLICABLE
+        return [Row("attitude", "group element", kind, "-", found, claimed=claimed, reason=why)]
+    claimed = kind in KEEPING
+    rows = [_row(subject, "spatial momentum", "spatial momentum", kind, claimed, lambda: _momentum(subject, steps))]
+    representation = system.representation
+    if representation is not None and _carried(subject):
+        form = invariant_form(representation)
+        if form is not None:
+            rows.append(_row(subject, "group", "group of a form", kind, claimed, lambda: _form(subject, form, steps)))
+        if kind == "every representation":
+            rows.append(
+                _row(subject, "element", "one group element", kind, claimed, lambda: _one_element(subject, steps))
+            )
+    if study is not None and system.dim <= LARGEST_FOLLOWED:
+        rows.append(_row(subject, "attitude", "limit of the element", kind, True, lambda: _limit(subject, study)))
+    return rows
+
+
+def _row(subject: Subject, key: str, what: str, kind: str, claimed: bool, look: Callable[[], Seen | None]) -> Row:
+    try:
+        seen = look()
+        reason = "" if seen is not None else "the element could not be followed"
+    except IntegrationError as error:
+        seen, reason = None, str(error)
+    if seen is None:
+        return Row(key, what, kind, "-", verdict(claimed, None), claimed=claimed, reason=reason)
+    defect, bound, said = seen
+    source = "round-off of the run, 4 d u each evaluation"
+    if key == "attitude":
+        source = "6 times the error that the last change of the step implies, and round-off"
+    return Row(key, what, kind, said, verdict(claimed, defect <= bound), claimed, defect, bound, source)
+
+
+def _carried(subject: Subject) -> bool:
+    try:
+        check_attitude(subject.method, subject.system, subject.system.representation)
+    except ValueError:
+        return False
+    return True
+
+
+def _run(subject: Subject, attitude: Any, steps: int) -> tuple[Solution, Floats, float]:
+    """Take the steps, or half as many until they do not fail and the element is not much larger than its inverse.
+
+    What was rounded at g_s is multiplied by g_s^-1 g_t until t: elements that grow and shrink again have lost digits.
+    Returned are the run, its elements, and their largest condition.
+    """
+    while True:
+        try:
+            run = subject.run(subject.states, subject.h, steps, max(1, steps // SAVED), attitude)
+        except IntegrationError:
+            if steps == 1:
+                raise
+        else:
+            assert run.attitude is not None
+            values = np.linalg.svd(run.attitude, compute_uv=False)
+            condition = float(np.max(values[..., 0] / np.maximum(values[..., -1], np.finfo(float).tiny)))
+            if condition <= LARGE_CONDITION or steps == 1:
+                return run, run.attitude, condition
+        steps //= 2
+
+
+def _rounding(subject: Subject, run: Solution) -> float:
+    assert run.attitude is not None
+    evaluations = run.stats.evaluations / len(subject.states) + run.stats.steps + 1
+    return 4 * run.attitude.shape[-1] * UNIT_ROUNDOFF * evaluations
+
+
+def _size(matrices: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(matrices, axis=(-2, -1)))
+
+
+def _momentum(subject: Subject, steps: int) -> Seen:
+    """K x is constant, K the coadjoint matrix."""
+    run, K, condition = _run(subject, "coadjoint", steps)
+    moved = np.einsum("kmij,kmj->kmi", K, run.x) - run.x[0]
+    size = float(np.max(_size(K) * np.linalg.norm(run.x, axis=-1))) * condition
+    defect = float(np.max(np.linalg.norm(moved, axis=-1)))
+    return defect, _rounding(subject, run) * size, f"moves by {defect:.2g} in {run.stats.steps} steps"
+
+
+def _form(subject: Subject, form: Floats, steps: int) -> Seen:
+    """g^T P g = P, P the form that the group of the representation keeps; the unit matrix for rotations."""
+    run, g, condition = _run(subject, True, steps)
+    defect = float(np.max(_size(np.swapaxes(g, -1, -2) @ form @ g - form)))
+    size = float(np.max(_size(g)) ** 2 * np.linalg.norm(form)) * condition
+    name = "g^T g - 1" if np.array_equal(form, np.eye(len(form))) else "g^T P g - P"
+    return defect, 2 * _rounding(subject, run) * size, f"{name} is {defect:.2g} after {run.stats.steps} steps"
+
+
+def _one_element(subject: Subject, steps: int) -> Seen:
+    """The element of the representation is that of the coadjoint matrix: rho_i g = g sum_j K_ij rho_j."""
+    rho = np.asarray(subject.system.representation)
+    in_K, K, of_K = _run(subject, "coadjoint", steps)
+    in_rho, g, of_g = _run(subject, True, in_K.stats.steps)
+    if in_rho.stats.steps < in_K.stats.steps:
+        in_K, K, of_K = _run(subject, "coadjoint", in_rho.stats.steps)
+    left = np.einsum("iab,kmbc->kmiac", rho, g)
+    right = np.einsum("kmab,kmij,jbc->kmiac", g, K, rho, optimize=True)
+    defect = float(np.max(np.sqrt(np.sum((left - right) ** 2, axis=(-3, -2, -1)))))
+    size = float(np.max(_size(g) * _size(K)) * np.linalg.norm(rho)) * max(of_g, of_K)
+    bound = 2 * (_rounding(subject, in_rho) + _rounding(subject, in_K)) * size
+    said = f"representation and coadjoint matrix differ by {defect:.2g} after {in_rho.stats.steps} steps"
+    return defect, bound, said
+
+
+class _WithElement:
+    """The motion of a momentum with its coadjoint matrix, K' = -sign K D_u, u = grad H(x)."""
+
+    closed_form = None
+
+    def __init__(self, system: Any) -> None:
+        self._system, self.name = system, system.name
+
+    def vector_field(self, y: Floats, t: float) -> Floats:
+        system, n = self._system, self._system.dim
+        x, K = y[:n], y[n:].reshape(n, n)
+        turned = K @ system.algebra.coadjoint(system.hamiltonian.gradient(x, t))
+        return np.concatenate([system.vector_field(x, t), -system.sign * turned.ravel()])
+
+
+# One for each system, so that what was followed is found again.
+_with_element = lru_cache(maxsize=16)(_WithElement)
+
+
+def _limit(subject: Subject, study: Study) -> Seen | None:
+    """Small steps lead to the element that the independent code has."""
+    n, x = subject.system.dim, subject.states[0]
+    start = np.concatenate([x, np.eye(n).ravel()])
+    reference = motion(_with_element(subject.system), start[None], study.span)  # type: ignore[arg-type]
+    if reference is None:
+        return None
+    element = reference.states[0, n:].reshape(n, n)
+    size = float(np.linalg.norm(element))
+    # The smaller half of the steps at which the momentum is told from round-off, or the smallest.
+    clear = [k for k, error in enumerate(study.errors) if error > CLEAR * study.floors[k]]
+    place = clear[-1] if clear else len(study.counts) - 1
+    counts = (study.counts[place], 2 * study.counts[place])
+    ends = [subject.run(x, study.span / count, count, attitude="coadjoint") for count in counts]
+    found = [run.attitude[-1] for run in ends if run.attitude is not None]
+    error = float(np.linalg.norm(found[1] - element)) / size
+    change = float(np.linalg.norm(found[1] - found[0])) / size
+    floor = CLEAR * (2 * reference.error + UNIT_ROUNDOFF * (8 + 2 * np.sqrt(ends[1].stats.evaluations)))
+    said = f"error {error:.2g} at the step {abs(study.span) / counts[1]:.3g}, against {reference.by}"
+    return error, floor + allowed(change, 2.0, subject.claims.order), said

@@ -1,0 +1,223 @@
+"""Which invariants does the scheme keep, by how much does it miss in a step, and how does that grow over a long run?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.analysis.certificate import HOLDS, INAPPLICABLE, UNDECIDED, Row, verdict
+from coadjoint.analysis.checks.growth import growth
+from coadjoint.analysis.checks.reference import motion
+from coadjoint.analysis.checks.sizes import size_of
+from coadjoint.analysis.checks.subject import Subject
+from coadjoint.errors import IntegrationError
+from coadjoint.methods.properties import Properties
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.solution import Solution
+from coadjoint.systems.quadratic import Quadratic
+
+Floats = NDArray[np.float64]
+
+SAVED = 128
+MUCH_LARGER = 16.0
+LOOKED_AT = 8
+"""Points along the run, at which the sizes of the invariants are taken."""
+
+
+def keeps(properties: Properties, casimir: Any) -> bool:
+    """Return whether a scheme declares to keep a Casimir.
+
+    Parameters
+    ----------
+    properties : Properties
+        What the scheme declares.
+    casimir : Polynomial, Quadratic or Invariant
+        One of the system.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> cubic = Polynomial({(3, 0): 1.0})
+    >>> declared = {"poisson": False, "energy": False, "attitude": "none"}
+    >>> [keeps(Properties(**declared, casimirs=kind), cubic) for kind in ("all", "polynomial", "quadratic", "none")]
+    [True, True, False, False]
+    """
+    if properties.casimirs == "all":
+        return True
+    if not isinstance(casimir, Polynomial | Quadratic) or properties.casimirs == "none":
+        return False
+    return properties.casimirs == "polynomial" or isinstance(casimir, Quadratic) or casimir.degree <= 2
+
+
+@dataclass(frozen=True)
+class LongRun:
+    """The long run, or what there is of it.
+
+    Parameters
+    ----------
+    solution : Solution or None
+        None where not even one step was taken.
+    failed : str
+        What was said where it failed.
+    until : float
+        When it failed.
+    """
+
+    solution: Solution | None
+    failed: str = ""
+    until: float = 0.0
+
+
+def long_run(subject: Subject) -> LongRun:
+    """Take the steps of the long run from every state, or half as many until they do not fail.
+
+    Nor may the states have grown much: the step is then another one for the motion, and its linear systems are worse
+    than round-off knows of.
+    """
+    count, failed, until = subject.steps, "", 0.0
+    start = np.linalg.norm(subject.states, axis=1)
+    while count:
+        try:
+            run = subject.run(subject.states, subject.h, count, max(1, count // SAVED), watch=True)
+        except IntegrationError as error:
+            failed, until = failed or str(error), until or error.time
+        else:
+            if count == 1 or np.all(np.linalg.norm(run.x, axis=-1) <= MUCH_LARGER * start):
+                return LongRun(run, failed, until)
+        count //= 2
+    return LongRun(None, failed, until)
+
+
+def run_row(subject: Subject, run: LongRun) -> Row:
+    """Return the row on the run itself: that it comes to its end, where the motion can be followed so far.
+
+    What fails on the way keeps nothing, so that a scheme that declares anything must come to the end.
+    """
+    key, what, ends = "run", "long run", "ends"
+    steps = f"{subject.steps} steps of {subject.h:g} from {len(subject.states)} states"
+    claims = subject.claims
+    declares = any(said is not None for said in (claims.order, claims.symmetric, claims.properties))
+    if not run.failed:
+        return Row(key, what, ends, steps, verdict(declares, True), claimed=declares)
+    if motion(subject.system, subject.states, run.until + subject.h) is None:
+        why = "an independent code cannot follow the motion so far either"
+        return Row(key, what, ends, run.failed, UNDECIDED, reason=why)
+    return Row(key, what, ends, run.failed, verdict(declares, False), claimed=declares)
+
+
+def invariant_rows(subject: Subject, run: LongRun, telling: float) -> list[Row]:
+    """Return a row for the energy, and one for each Casimir.
+
+    Parameters
+    ----------
+    subject : Subject
+        What is looked at.
+    run : LongRun
+        From `long_run`.
+    telling : float
+        A larger step, at which the scheme is still near the motion.
+
+    Returns
+    -------
+    list of Row
+    """
+    system, properties = subject.system, subject.claims.properties
+    single = _single_steps(subject, telling)
+    rows = []
+    for name, invariant in {"energy": system.hamiltonian, **system.casimirs}.items():
+        energy = invariant is system.hamiltonian
+        key = name if energy else f"casimir {name}"
+        what = "energy" if energy else f"Casimir {name}"
+        claimed = False
+        if properties is not None:
+            claimed = properties.energy if energy else keeps(properties, invariant)
+        declared = "nothing" if properties is None else "kept" if claimed else "not kept"
+        if energy and system.hamiltonian.timed:
+            why = "the Hamiltonian depends on time"
+            rows.append(Row(key, what, declared, "-", INAPPLICABLE, claimed=claimed, reason=why))
+        else:
+            rows.append(_row(subject, run, single, name, invariant, Row(key, what, declared, "-", HOLDS, claimed)))
+    return rows
+
+
+def _single_steps(subject: Subject, telling: float) -> list[tuple[float, Solution]]:
+    found = []
+    for h in dict.fromkeys((subject.h, telling)):
+        try:
+            found.append((h, subject.run(subject.states, h, 1)))
+        except IntegrationError:
+            continue
+    return found
+
+
+def _row(
+    subject: Subject, run: LongRun, single: list[tuple[float, Solution]], name: str, invariant: Any, row: Row
+) -> Row:
+    """Return the row of an invariant: its error in one step, and over the run, each against its round-off."""
+    noise = subject.noise / (float(np.min(np.linalg.norm(subject.states, axis=1))) or 1.0)
+    looks: list[tuple[float, float, str, str]] = []
+    evidence: dict[str, Any] = {}
+    for h, step in single:
+        values = _series(step, name)
+        sizes = np.maximum(*(_sizes(invariant, states) for states in step.x))
+        errors = np.abs(values[1] - values[0])
+        rounding = subject.rounding(h, step.stats.evaluations / len(subject.states)) + 8 * UNIT_ROUNDOFF + 8 * noise
+        k = int(np.argmax(errors / np.where(sizes > 0.0, sizes, 1.0)))
+        said = f"{errors[k]:.2g} in a step of {h:.3g}"
+        looks.append((float(errors[k]), float(rounding * sizes[k]), said, "round-off of a step, 4 n u each evaluation"))
+        evidence[f"errors in a step of {h:.6g}"] = errors
+    kind = ""
+    if run.solution is not None and len(run.solution.t) > 1:
+        solution = run.solution
+        values = _series(solution, name)
+        evidence |= {"times": solution.t, "deviations": values - values[0]}
+        found = growth(solution.t, values - values[0])
+        evidence |= {"window times": found.times, "window sizes": found.sizes, "power of time": found.power}
+        kind = found.kind
+        worst = float(solution.drift()[name])
+        members = len(subject.states)
+        chosen = solution.x[np.linspace(0, len(solution.x) - 1, LOOKED_AT).astype(int)].reshape(-1, subject.system.dim)
+        size = float(np.max(_sizes(invariant, chosen)))
+        evaluations = solution.stats.evaluations / members + solution.stats.steps + 1
+        rounding = 4 * subject.system.dim * UNIT_ROUNDOFF * evaluations + 8 * noise * solution.stats.steps
+        said = f"{worst:.2g} after {solution.stats.steps} steps, growth {kind}"
+        looks.append((worst, rounding * size, said, "round-off of the run, 4 n u each evaluation, all of one sign"))
+    finite = [look for look in looks if np.isfinite(look[0]) and np.isfinite(look[1])]
+    if not finite or len(finite) < len(looks):
+        return Row(**{**vars(row), "verdict": UNDECIDED, "reason": run.failed or "its value is not finite"})
+    value, bound, _, source = max(finite, key=lambda look: look[0] / look[1] if look[1] else np.inf * look[0])
+    return Row(
+        row.key,
+        row.what,
+        row.declared,
+        ", ".join(said for _, _, said, _ in finite),
+        verdict(row.claimed, value <= bound),
+        claimed=row.claimed,
+        value=value,
+        bound=bound,
+        source=source,
+        reason=_shorter(subject, run),
+        evidence=evidence,
+    )
+
+
+def _shorter(subject: Subject, run: LongRun) -> str:
+    if run.failed:
+        return "of the steps that did not fail"
+    shorter = run.solution is not None and run.solution.stats.steps < subject.steps
+    return f"of the steps before a state has grown {MUCH_LARGER:.0f} times" if shorter else ""
+
+
+def _sizes(invariant: Any, states: Floats) -> Floats:
+    return np.array([size_of(invariant, x) for x in states])
+
+
+def _series(solution: Solution, name: str) -> Floats:
+    return np.asarray(solution.energy if name == "energy" else solution.casimirs[name])

@@ -1,0 +1,85 @@
+"""Which power of the step do errors follow, and how sure is that?"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+MOST_POINTS = 5
+FEWEST_POINTS = 3
+# A logarithm of an error is off by so much where rounding is 1/16 of the error.
+CLEAR = 16.0
+
+
+class Slope(NamedTuple):
+    """A power of the step.
+
+    Parameters
+    ----------
+    value : float
+        The slope at the smallest steps.
+    uncertainty : float
+        How far it may be from the one that vanishing steps have.
+    steepening : float
+        By how much it is larger there than at the largest steps: where errors fall ever faster, the order is not yet
+        seen.
+    steps, errors : ndarray, shape (k,)
+        The points that it comes from, largest step first.
+    """
+
+    value: float
+    uncertainty: float
+    steepening: float
+    steps: NDArray[np.float64]
+    errors: NDArray[np.float64]
+
+    def __str__(self) -> str:
+        """Return the slope with its uncertainty."""
+        return f"{self.value:.2f} +- {self.uncertainty:.2f}"
+
+
+def slope(steps: list[float], errors: list[float], floors: list[float]) -> Slope | None:
+    """Return the slope of the logarithms at the smallest steps whose errors stand above round-off.
+
+    Parameters
+    ----------
+    steps, errors, floors : list of float
+        Positive; what round-off alone may have made of each error.
+
+    Returns
+    -------
+    Slope or None
+        None where fewer than three points are above the floor.
+
+    Notes
+    -----
+    With an error C h^p (1 + a h + ...) the slope of some points around the step h is p + a h + .... From the larger of
+    the points to the smaller the step falls by a ratio r, so that what is left of a h is the change of the slope over
+    r - 1. To it is added what 1/16 of an error makes of the slope, where round-off may be so near.
+
+    Examples
+    --------
+    >>> found = slope([0.4, 0.2, 0.1], [1.6e-3, 4e-4, 1e-4], [1e-16] * 3)
+    >>> round(found.value, 12), found.uncertainty < 1e-9
+    (2.0, True)
+    """
+    points = [
+        (step, error, floor)
+        for step, error, floor in sorted(zip(steps, errors, floors, strict=True), reverse=True)
+        if error > CLEAR * floor
+    ][-MOST_POINTS:]
+    if len(points) < FEWEST_POINTS:
+        return None
+    h, e, floor = (np.array(column) for column in zip(*points, strict=True))
+    width = 3 if len(h) == MOST_POINTS else 2
+    large, small = _slope(h[:width], e[:width]), _slope(h[-width:], e[-width:])
+    ratio = math.exp(float(np.mean(np.log(h[:width])) - np.mean(np.log(h[-width:]))))
+    rounded = float(floor[-1] / e[-1]) / math.log(h[-width] / h[-1])
+    return Slope(small, abs(small - large) / (ratio - 1.0) + rounded, small - large, h, e)
+
+
+def _slope(h: NDArray[np.float64], e: NDArray[np.float64]) -> float:
+    return float(np.polyfit(np.log(h), np.log(e), 1)[0])

@@ -1,0 +1,154 @@
+"""What all checks look at: a system, a scheme with its claims, a step, and states along the motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.analysis.checks.reference import motion, natural_time
+from coadjoint.analysis.given_step import Claims
+from coadjoint.errors import IntegrationError
+from coadjoint.methods.base import Method
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.solution import Solution
+from coadjoint.systems.kinds import System
+
+Floats = NDArray[np.float64]
+
+FEWEST_STATES = 4
+MOST_STATES = 8
+# Of the natural time, between states along the motion: neighbours are then different, and few steps lead to them.
+APART = 0.7
+LARGEST_DENSE = 256
+"""Dimension up to which matrices of a step are looked at."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is looked at.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+    method : Method
+    claims : Claims
+    h : float
+        The step; negative for backward.
+    given : ndarray, shape (k, n)
+        The states that were given.
+    steps : int
+        Of the long run.
+    compiled : bool
+        Whether steps are cheap; those of a function of the user are not.
+    """
+
+    system: System
+    method: Method
+    claims: Claims
+    h: float
+    given: Floats
+    steps: int
+    compiled: bool = True
+    _prepared: dict[Any, PreparedRun] = field(default_factory=dict)
+
+    @cached_property
+    def states(self) -> Floats:
+        """States, shape (k, n): those given, and where they are few, further ones along the motion of the first."""
+        if len(self.given) >= FEWEST_STATES:
+            return self.given[:MOST_STATES]
+        found, x = list(self.given), self.given[0]
+        apart = np.copysign(APART * self.time, self.h)
+        while len(found) < FEWEST_STATES:
+            ahead = motion(self.system, x[None], float(apart))
+            if ahead is None:
+                break
+            x = ahead.states[0]
+            found.append(x)
+        return np.array(found)
+
+    @cached_property
+    def time(self) -> float:
+        """The time in which the motion changes by its own size, at the state where that is shortest."""
+        times = [natural_time(self.system, x) for x in self.given]
+        return min((time for time in times if time > 0.0), default=abs(self.h))
+
+    @cached_property
+    def rests(self) -> bool:
+        """Whether no state moves."""
+        return all(natural_time(self.system, x) == 0.0 for x in self.given)
+
+    @cached_property
+    def span_time(self) -> float:
+        """The same, at the fastest of all states."""
+        return min([self.time, *(time for time in map(self._time_at, self.states) if time > 0.0)])
+
+    def _time_at(self, x: Floats) -> float:
+        return natural_time(self.system, x)
+
+    @cached_property
+    def evaluations(self) -> float:
+        """Elementary flows or evaluations of the field in a step of one member; 1 at least, and where it fails."""
+        try:
+            run = self.run(self.states, self.h, 1)
+        except IntegrationError:
+            return 1.0
+        return max(1.0, run.stats.evaluations / len(self.states))
+
+    @cached_property
+    def noise(self) -> float:
+        """How far rounding, or an iteration that stops early, moves a step: by second differences of neighbours.
+
+        A smooth map has none over 2^-40 of the state; those of independent errors are sqrt(6) times as large.
+        """
+        worst = 0.0
+        for x in self.states[:2]:
+            size = float(np.linalg.norm(x))
+            direction = np.cos(1.0 + np.arange(len(x))) * size / np.sqrt(len(x))
+            line = np.array([x + 2.0**-40 * k * direction for k in range(10)])
+            try:
+                after = self.step(line, self.h)
+            except IntegrationError:
+                continue
+            worst = max(worst, float(np.max(np.linalg.norm(np.diff(after, 2, axis=0), axis=1))) / np.sqrt(6.0))
+        return worst
+
+    def rounding(self, h: float, evaluations: float | None = None) -> float:
+        """Return what a step of the given states rounds at most, relative to the state: 4 n u for each evaluation."""
+        count = self.evaluations if evaluations is None else evaluations
+        return 4 * self.system.dim * UNIT_ROUNDOFF * (count + 1)
+
+    def condition(self, x: Floats, h: float) -> float:
+        """Return how much a step of length h and one back amplify, by differences: |P| |P^-1|."""
+        small = 2.0**-17 * (float(np.max(np.abs(x))) or 1.0)
+        units = small * np.eye(len(x))
+        ahead, behind = self.step(x + units, h), self.step(x - units, h)
+        P = (ahead - behind) / (2 * small)
+        return float(np.linalg.norm(P) * np.linalg.norm(np.linalg.inv(P)))
+
+    def step(self, x: Floats, h: float, t: float = 0.0) -> Floats:
+        """Return the states (k, n) after a step of length h from the time t."""
+        return np.asarray(self.run(x, h, 1, t=t).x[-1])
+
+    def run(
+        self,
+        x: Any,
+        h: float,
+        count: int,
+        save_every: int | None = None,
+        attitude: Any = False,
+        watch: bool = False,
+        t: float = 0.0,
+    ) -> Solution:
+        """Run so many steps of length h, from the time t."""
+        kind = attitude if isinstance(attitude, bool | str) else "given"
+        key = (abs(h), kind, watch)
+        if key not in self._prepared:
+            self._prepared[key] = PreparedRun(
+                self.system, self.method, abs(h), attitude=attitude, watch=watch, threads=1
+            )
+        return self._prepared[key].run(x, (t, t + count * h), count if save_every is None else save_every)

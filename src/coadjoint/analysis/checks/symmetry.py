@@ -1,0 +1,153 @@
+"""Does a step back undo a step, and does a reflection turn a step into its inverse?"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.analysis.certificate import INAPPLICABLE, Row, verdict
+from coadjoint.analysis.checks.slope import Slope, slope
+from coadjoint.analysis.checks.subject import LARGEST_DENSE, Subject
+from coadjoint.errors import IntegrationError
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+Floats = NDArray[np.float64]
+There = Callable[[Floats, float], Floats]
+
+MOST_COORDINATES = 10
+"""Up to so many, all reflections of coordinates are tried; beyond, x -> -x alone."""
+SLOPES = 6
+# A step that is a function of the user may iterate; what that leaves is in its measured noise, but not more than this.
+MOST_NOISE = 1e-6
+
+
+def symmetry_row(subject: Subject, telling: float) -> Row:
+    """Return the row on psi_(-h) psi_h = 1.
+
+    Parameters
+    ----------
+    subject : Subject
+        What is looked at.
+    telling : float
+        A larger step, at which the scheme is still near the motion.
+
+    Returns
+    -------
+    Row
+    """
+    claim = subject.claims.symmetric
+
+    def back(x: Floats, h: float) -> Floats:
+        return subject.step(subject.step(x, h), -h, h)
+
+    return _row(subject, telling, "symmetry", "a step back undoes a step", claim, back)
+
+
+def reversibility_row(subject: Subject, telling: float) -> Row:
+    """Return the row on R psi_h R psi_h = 1, where a reflection R of coordinates reverses the motion.
+
+    Parameters
+    ----------
+    subject, telling
+        As for `symmetry_row`.
+
+    Returns
+    -------
+    Row
+        Nothing is declared of it.
+    """
+    what = "reversible as the motion"
+    signs = None if subject.system.hamiltonian.timed else reversing(subject)
+    if signs is None:
+        timed = "the Hamiltonian depends on time" if subject.system.hamiltonian.timed else "no reflection was found"
+        return Row("reversibility", what, "nothing", "-", INAPPLICABLE, reason=f"{timed} that reverses the motion")
+
+    def turned(x: Floats, h: float) -> Floats:
+        return np.asarray(signs * subject.step(signs * subject.step(x, h), h))
+
+    row = _row(subject, telling, "reversibility", what, None, turned)
+    shown = ", ".join(("-" if sign < 0 else "+") for sign in signs[:12])
+    return Row(**{**vars(row), "reason": f"under the reflection ({shown})"})
+
+
+def reversing(subject: Subject) -> Floats | None:
+    """Return signs R with R f(R x) = -f(x) at every state, x -> -x first; None where none of those tried has it."""
+    n, field = subject.system.dim, subject.system.vector_field
+    tried: Any = [(-1.0,) * n]
+    if n <= MOST_COORDINATES:
+        tried = itertools.chain(tried, itertools.product((-1.0, 1.0), repeat=n))
+    velocities = [np.asarray(field(x)) for x in subject.states]
+    for candidate in tried:
+        signs = np.array(candidate)
+        for x, velocity in zip(subject.states, velocities, strict=True):
+            size = max(float(np.linalg.norm(velocity)), float(np.linalg.norm(x)))
+            if not np.linalg.norm(signs * field(signs * x) + velocity) <= 256 * n * UNIT_ROUNDOFF * size:
+                break
+        else:
+            return signs
+    return None
+
+
+def _row(subject: Subject, telling: float, key: str, what: str, claim: bool | None, there: There) -> Row:
+    claimed = bool(claim)
+    declared = "nothing" if claim is None else "kept" if claim else "not kept"
+    if subject.system.dim > LARGEST_DENSE:
+        why = f"its bound needs a dense matrix of dimension {subject.system.dim}"
+        return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=why)
+    worst: tuple[float, float, float] | None = None
+    failed = ""
+    for h in dict.fromkeys((subject.h, telling)):
+        try:
+            for x, moved in zip(subject.states, there(subject.states, h) - subject.states, strict=True):
+                defect, bound = float(np.linalg.norm(moved)), _bound(subject, x, h)
+                if worst is None or defect * worst[1] > worst[0] * bound:
+                    worst = (defect, bound, h)
+        except (IntegrationError, np.linalg.LinAlgError) as error:
+            failed = failed or f"at the step {h:g}: {error}"
+    if worst is None:
+        return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=failed)
+    defect, bound, h = worst
+    fitted = _defect_slope(subject, there, telling)
+    measured = f"defect {defect:.2g} at the step {h:.3g}"
+    if defect > bound and fitted is not None:
+        measured += f", of order {fitted}"
+    points = {} if fitted is None else {"steps": fitted.steps, "defects": fitted.errors, "slope": fitted.value}
+    return Row(
+        key,
+        what,
+        declared,
+        measured,
+        verdict(claimed, defect <= bound),
+        claimed=claimed,
+        value=defect,
+        bound=bound,
+        source="round-off of two steps times the condition of one",
+        reason=failed,
+        evidence=points,
+    )
+
+
+def _bound(subject: Subject, x: Floats, h: float) -> float:
+    """Return what the rounding of two steps makes, amplified by at most the condition of the step back."""
+    size = float(np.linalg.norm(x))
+    run = subject.run(x, h, 1)
+    noise = min(8 * subject.noise, MOST_NOISE * size)
+    return 2 * subject.condition(x, h) * (subject.rounding(h, run.stats.evaluations) * size + noise)
+
+
+def _defect_slope(subject: Subject, there: There, largest: float) -> Slope | None:
+    steps, defects, floors = [], [], []
+    for k in range(SLOPES):
+        h = largest / 2.0 ** (k / 2)
+        try:
+            moved = there(subject.states, h) - subject.states
+        except IntegrationError:
+            continue
+        steps.append(abs(h))
+        defects.append(float(np.linalg.norm(moved)))
+        floors.append(subject.rounding(h) * float(np.linalg.norm(subject.states)) + subject.noise)
+    return slope(steps, defects, floors)

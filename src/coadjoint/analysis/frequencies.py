@@ -1,0 +1,275 @@
+"""Which frequencies has a motion? Windowed Fourier analysis of its samples, to ten digits and more."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coadjoint.analysis.line_fit import IN_THE_END, Lines, correct_lines, find_lines, hann, spread_by_noise
+from coadjoint.analysis.sampled import sampled
+from coadjoint.given import read_finite, read_whole
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.wording import short
+
+Floats = NDArray[np.float64]
+
+WINDOW = 5
+FEWEST_SAMPLES = 64
+MOST_NUMBERS = 2**23  # held at once: ensembles are analysed in groups
+MOST_COMBINATIONS = 2**21
+NARROWER = 2  # the second window, whose difference says how much lines disturb each other
+
+
+@dataclass(frozen=True)
+class Combinations:
+    """Lines as integer combinations of few frequencies.
+
+    Attributes
+    ----------
+    basis : ndarray, shape (d,)
+        The frequencies.
+    integers : ndarray of int, shape (lines, d)
+        Line k has nearly the frequency ``integers[k] @ basis``.
+    misfit : ndarray, shape (lines,)
+        What is left, in radians per unit of time.
+    found : ndarray of bool, shape (lines,)
+        Whether the misfit is within what the frequencies are known to; the others are the nearest combination only.
+    """
+
+    basis: Floats
+    integers: NDArray[np.int64]
+    misfit: Floats
+    found: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Frequencies:
+    """The strongest lines of a signal, strongest first; of an ensemble every array begins with the axis of members.
+
+    Attributes
+    ----------
+    frequency : ndarray, shape (lines,)
+        In radians per unit of time. Of a real signal they are positive. NaN where fewer lines stand above round-off.
+    amplitude : ndarray, shape (lines,) or (lines, channels)
+        Complex, at time zero: a real signal is mean + Re(sum_k a_k exp(i w_k t)), a complex one without Re.
+    uncertainty : ndarray, shape (lines,)
+        Standard error of the frequency: what a narrower window changes, what noise near the line would do, and
+        round-off, together.
+    diffusion : ndarray, shape (lines,)
+        Frequency in the second half of the span minus that in the first. Of a quasi-periodic motion it is small, and
+        falls like a high power of the span; of a chaotic one it does not.
+    mean : complex or float, or ndarray, shape (channels,)
+        What does not oscillate.
+    residual : float or ndarray, shape (members,)
+        Root mean square of the signal, in the middle of the span (under the window), without these lines.
+    """
+
+    frequency: Floats
+    amplitude: NDArray[np.complex128]
+    uncertainty: Floats
+    diffusion: Floats
+    mean: Any
+    residual: Any
+    _real: bool
+
+    def __call__(self, t: ArrayLike) -> NDArray[Any]:
+        """Return the sum of the lines at times, shape (k,), (k, channels) or (k, members, channels)."""
+        times = read_finite(t, "t")
+        several = self.frequency.ndim == 2
+        w = np.atleast_2d(np.nan_to_num(self.frequency))
+        a = np.nan_to_num(self.amplitude).reshape(*w.shape, -1)
+        waves = np.exp(1j * np.multiply.outer(times, w))
+        total = np.einsum("...mk,mkc->...mc", waves, a)
+        total = np.asarray(total.real if self._real else total) + np.reshape(self.mean, (len(w), -1))
+        if self.amplitude.ndim == self.frequency.ndim:
+            total = total[..., 0]
+        return total if several else total[..., 0] if total.ndim == times.ndim + 1 else total[..., 0, :]
+
+    def combinations(self, basis: ArrayLike | None = None, largest: int = 8) -> Combinations:
+        """Return the lines as integer combinations of few frequencies.
+
+        Parameters
+        ----------
+        basis : array_like, shape (d,), optional
+            The frequencies of the angles. None takes the strongest line that is no combination of those before it,
+            again and again.
+        largest : int
+            Largest size of an integer.
+
+        Returns
+        -------
+        Combinations
+            Of all combinations within the uncertainty that with the smallest integers.
+
+        Raises
+        ------
+        ValueError
+            An ensemble; or more than two million combinations, with so many frequencies of that size.
+
+        Examples
+        --------
+        >>> t = np.arange(4096) * 0.1
+        >>> found = frequencies(t, 2.0 * np.cos(t) + np.cos(np.sqrt(2.0) * t) + 0.1 * np.cos((1 + np.sqrt(2.0)) * t))
+        >>> found.combinations().integers.tolist()
+        [[1, 0], [0, 1], [1, 1]]
+        """
+        if self.frequency.ndim == 2:
+            raise ValueError("these are the frequencies of an ensemble; take those of one member")
+        largest = read_whole(largest, "largest", 1)
+        there = np.isfinite(self.frequency)
+        w, known = (
+            self.frequency[there],
+            4.0 * self.uncertainty[there] + 4.0 * UNIT_ROUNDOFF * np.abs(self.frequency[there]),
+        )
+        if basis is not None:
+            axes = np.atleast_1d(read_finite(basis, "basis"))
+            return _combined(axes, np.zeros(len(axes)), w, known, largest)
+        chosen: list[int] = []
+        for k in range(len(w)):
+            if not chosen or not _combined(w[chosen], known[chosen], w[k : k + 1], known[k : k + 1], largest).found[0]:
+                chosen.append(k)
+        return _combined(w[chosen], known[chosen], w, known, largest)
+
+    def __str__(self) -> str:
+        """Return a table, a line for each frequency."""
+        if self.frequency.ndim == 2:
+            return f"<frequencies of {len(self.frequency)} members>"
+        rows = [f"{'frequency':>20} {'uncertainty':>12} {'diffusion':>12} {'amplitude':>12}"]
+        size = np.linalg.norm(self.amplitude.reshape(len(self.frequency), -1), axis=1)
+        for w, u, d, a in zip(self.frequency, self.uncertainty, self.diffusion, size, strict=True):
+            rows.append(f"{w:20.14g} {u:12.1e} {d:12.1e} {a:12.5g}")
+        return "\n".join(rows)
+
+
+def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WINDOW) -> Frequencies:
+    """Return the strongest frequencies of a run or of samples, with amplitudes and uncertainties.
+
+    Choose it for the rotation and libration frequencies of a periodic or quasi-periodic motion, for the error of a
+    scheme in each of them (`Frequencies` of two runs), and for the diffusion of frequencies, which tells chaos.
+
+    Parameters
+    ----------
+    given : Solution or array_like, shape (k,)
+        A run, or even times; 64 at least. A last time of a run that is off the even grid is left out.
+    signal : None, int, str, callable or array_like
+        Of a run: None is the momentum, a number one of its components, ``"attitude"`` the entries of the group element,
+        ``"energy"`` or the name of what was observed; a function is given ``sol.x`` as a whole and returns an array
+        over the times. An array is the samples: (k,), (k, channels), or (k, members, channels). The channels
+        share their frequencies, and each line has an amplitude in each of them.
+    count : int
+        How many lines. Weaker lines that are not asked for disturb the others; ask for more to see by how much.
+    window : int
+        Power p of Hann's window (1 + cos)^p, from 1 to 12. Lines that are m > p bins of 2 pi / span apart disturb each
+        other by about m^-(2p+1); nearer than p + 1 bins they are told apart badly. A small p is for noise, a large one
+        for smooth signals.
+
+    Returns
+    -------
+    Frequencies
+        Strongest first. Frequencies above pi / spacing cannot be told from lower ones.
+
+    Raises
+    ------
+    ValueError
+        Uneven times, too few samples, values that are not finite, or more lines than the span can tell apart.
+    TypeError
+        No signal of that kind.
+
+    Notes
+    -----
+    Laskar's frequency analysis (the highest peak of the windowed transform, refined, taken off, and so on), in which
+    all lines found so far are then corrected together by windowed least squares in frequencies and amplitudes: a
+    finite sum of lines is found to round-off, and of an infinite one the window keeps the rest away.
+
+    References
+    ----------
+    J. Laskar, The chaotic motion of the solar system, Icarus 88 (1990); Introduction to frequency map analysis (1999).
+
+    Examples
+    --------
+    >>> t = np.arange(2000) * 0.25
+    >>> found = frequencies(t, np.cos(0.7 * t) + 1e-5 * np.sin(np.sqrt(3.0) * t), count=2)
+    >>> bool(np.all(np.abs(found.frequency - [0.7, np.sqrt(3.0)]) < [1e-14, 1e-9]))
+    True
+    """
+    count, power = read_whole(count, "count"), read_whole(window, "window", 1, 12)
+    data = sampled(given, signal, FEWEST_SAMPLES)
+    samples = len(data.t)
+    most = samples // (8 * (power + 1))
+    if count > most:
+        raise ValueError(f"count is {count}; {samples} samples tell at most {most} lines apart, so give more samples")
+    group = max(1, MOST_NUMBERS // (samples * (8 * count + 3 * data.values.shape[2])))
+    parts = [_analysed(data.t, data.values[i : i + group], count, power) for i in range(0, len(data.values), group)]
+    w, a, uncertainty, diffusion, mean, residual = (np.concatenate(pieces) for pieces in zip(*parts, strict=True))
+    if not data.channels:
+        a, mean = a[..., 0], mean[..., 0]
+    if not data.members:
+        w, a, uncertainty, diffusion, mean, residual = w[0], a[0], uncertainty[0], diffusion[0], mean[0], residual[0]
+    return Frequencies(w, a, uncertainty, diffusion, mean, residual, not np.iscomplexobj(data.values))
+
+
+def _analysed(t: Floats, values: NDArray[Any], count: int, power: int) -> tuple[NDArray[Any], ...]:
+    middle, half = 0.5 * (t[0] + t[-1]), 0.5 * (t[-1] - t[0])
+    s = np.linspace(-1.0, 1.0, len(t))
+    lines = find_lines(s, values, min(count + 1, len(t) // (8 * (power + 1))), power)
+    other = correct_lines(s, values, lines.frequency, lines.present, hann(s, max(1, power - NARROWER)), IN_THE_END)
+    rounding = UNIT_ROUNDOFF * np.abs(lines.frequency)
+    uncertainty = np.sqrt(
+        (other.frequency - lines.frequency) ** 2 + spread_by_noise(lines, s, power) ** 2 + rounding**2
+    )
+    diffusion = _halves(s, values, lines, power)
+    w = lines.frequency / half
+    a = lines.amplitude * np.exp(-1j * w * middle)[..., None]
+    mirrored = (w < 0.0) & (not np.iscomplexobj(values))  # backward in time, or corrected beyond zero
+    w, a = np.where(mirrored, -w, w), np.where(mirrored[..., None], a.conj(), a)
+    diffusion = np.where(mirrored, -diffusion, diffusion)
+    size = np.where(lines.present, np.linalg.norm(a, axis=2), -1.0)
+    order = np.argsort(-size, axis=1, kind="stable")[:, :count]
+    present = np.take_along_axis(lines.present, order, axis=1)
+
+    def picked(of: NDArray[Any]) -> Any:
+        found = np.take_along_axis(of, order, axis=1)
+        return np.pad(np.where(present, found, np.nan), ((0, 0), (0, count - order.shape[1])), constant_values=np.nan)
+
+    amplitude = np.take_along_axis(a, order[..., None], axis=1)
+    amplitude = np.where(present[..., None], amplitude, np.nan)
+    amplitude = np.pad(amplitude, ((0, 0), (0, count - order.shape[1]), (0, 0)), constant_values=np.nan)
+    rest = np.sqrt(np.einsum("s,msc->m", hann(s, power), np.abs(lines.residual) ** 2))
+    return picked(w), amplitude, picked(uncertainty / abs(half)), picked(diffusion / half), lines.mean, rest
+
+
+def _halves(s: Floats, values: NDArray[Any], lines: Lines, power: int) -> Floats:
+    """Return the change of each frequency from the first half of the span to the second."""
+    size = (len(s) + 1) // 2
+    own = np.linspace(-1.0, 1.0, size)
+    scale = (size - 1) / (len(s) - 1)
+    early, late = (
+        correct_lines(own, part, lines.frequency * scale, lines.present, hann(own, power), IN_THE_END).frequency
+        for part in (values[:, :size], values[:, len(s) - size :])
+    )
+    return np.asarray((late - early) / scale)
+
+
+def _combined(basis: Floats, basis_known: Floats, w: Floats, known: Floats, largest: int) -> Combinations:
+    d = len(basis)
+    if (2 * largest + 1) ** d > MOST_COMBINATIONS:
+        raise ValueError(
+            f"{d} frequencies with integers up to {largest} have too many combinations; "
+            f"give fewer, or a smaller largest; basis = {short(basis.tolist())}"
+        )
+    grid = np.array(list(product(range(-largest, largest + 1), repeat=d)))
+    grid = grid[np.argsort(np.sum(np.abs(grid), axis=1), kind="stable")]
+    sums, slack = grid @ basis, np.abs(grid) @ basis_known
+    integers, misfit, found = [], [], []
+    for line, own in zip(w, known, strict=True):
+        off = np.abs(sums - line)
+        within = off <= own + slack
+        place = int(np.argmax(within)) if np.any(within) else int(np.argmin(off))
+        integers.append(grid[place])
+        misfit.append(line - sums[place])
+        found.append(bool(within[place]))
+    return Combinations(basis, np.array(integers), np.array(misfit), np.array(found))

@@ -1,0 +1,130 @@
+"""What is certified: a scheme with what it declares, or a plain function step(x, h) with what is said of it."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from coadjoint.given import read_flag, read_whole
+from coadjoint.methods.base import Method, declared_by
+from coadjoint.methods.properties import Properties
+from coadjoint.methods.step_method import StepMethod
+from coadjoint.systems.kinds import System
+from coadjoint.wording import short
+
+NOTHING = Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+
+@dataclass(frozen=True)
+class Claims:
+    """What is declared; None where nothing is said.
+
+    Parameters
+    ----------
+    order : int or None
+        Order of accuracy.
+    symmetric : bool or None
+        Whether a step back undoes a step.
+    properties : Properties or None
+        What is kept on the system.
+    """
+
+    order: int | None
+    symmetric: bool | None
+    properties: Properties | None
+
+
+@dataclass(frozen=True)
+class GivenStep(StepMethod):
+    """A function ``step(x, h)``, or ``step(x, t, h)``, as a scheme.
+
+    Parameters
+    ----------
+    function : callable
+        Returns the state after a step of length h, negative for backward.
+    timed : bool
+        Whether it takes the time.
+    """
+
+    function: Callable[..., Any]
+    timed: bool = False
+
+    order = 1
+    explicit = False
+    symmetric = False
+    offered: ClassVar[bool] = False
+    compiles: ClassVar[bool] = False
+
+    def __str__(self) -> str:
+        """Return the name of the function."""
+        return f"the function {getattr(self.function, '__name__', type(self.function).__name__)}"
+
+    def properties(self, system: System) -> Properties:
+        return NOTHING
+
+    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
+        return np.asarray(self.function(x, t, h) if self.timed else self.function(x, h))
+
+
+def scheme_and_claims(
+    system: System, method: Any, order: int | None, properties: Properties | None, symmetric: bool | None
+) -> tuple[Method, Claims]:
+    """Return what is certified as a scheme, with its claims.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        What moves.
+    method : Method or callable
+        A scheme, which declares itself, or a function.
+    order, properties, symmetric
+        What is declared of a function.
+
+    Returns
+    -------
+    method : Method
+    claims : Claims
+
+    Raises
+    ------
+    TypeError, ValueError
+        It is neither, or the claims do not fit.
+    """
+    said = {"order": order, "properties": properties, "symmetric": symmetric}
+    if isinstance(method, Method):
+        for name, value in said.items():
+            if value is not None:
+                raise TypeError(f"{name} is given, but {type(method).__name__} declares its own; leave {name} out")
+        return method, Claims(method.order, method.symmetric, declared_by(method, system))
+    if isinstance(method, type) or not callable(method):
+        raise TypeError(
+            f"method is {short(method)}; it must be a scheme such as Splitting(order=2), or a function step(x, h)"
+        )
+    if order is not None:
+        order = read_whole(order, "order", 1)
+    if symmetric is not None:
+        symmetric = read_flag(symmetric, "symmetric")
+    if not isinstance(properties, Properties | None):
+        raise TypeError(f"properties is {short(properties)}; give co.methods.Properties(...), or None")
+    if properties is not None and properties.attitude != "none":
+        raise ValueError(
+            f'properties says attitude="{properties.attitude}", but a function step(x, h) moves the momentum alone; '
+            'say attitude="none"'
+        )
+    return GivenStep(method, _takes_time(method)), Claims(order, symmetric, properties)
+
+
+def _takes_time(function: Callable[..., Any]) -> bool:
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return False
+    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    needed = sum(p.kind in kinds and p.default is inspect.Parameter.empty for p in parameters)
+    if needed not in (2, 3):
+        raise TypeError(f"{short(function)} takes {needed} arguments; a step is a function of (x, h), or of (x, t, h)")
+    return needed == 3

@@ -1,0 +1,149 @@
+"""By how much is one frequency of a motion ahead? The phase of its line, window after window."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.analysis.line_fit import hann
+from coadjoint.analysis.phase_drift import ANGLES, drift_of_series
+from coadjoint.analysis.reference_motion import motion_of
+from coadjoint.analysis.sampled import Sampled, sampled
+from coadjoint.analysis.straight_line import FEWEST_SAMPLES
+from coadjoint.given import read_number, read_positive
+from coadjoint.runs.solution import Solution, check_solution
+from coadjoint.systems.batch import Batch
+from coadjoint.wording import short
+
+POWER = 3
+PLACES = 96  # of the window
+PART = 8  # of the span, that the window takes where nothing is said
+FEWEST_IN_WINDOW = 32
+
+
+def line_drift(
+    solution: Any, frequency: float, reference: Any = None, signal: Any = None, width: float | None = None
+) -> Any:
+    """Return how the phase of one frequency of a run grows, against the same line of the right motion.
+
+    Choose it for quasi-periodic motions, which have a phase error in each of their angles; `phase_drift` gives the
+    average lead of the state.
+
+    Parameters
+    ----------
+    solution : Solution
+        A run, whose saved points are even.
+    frequency : float
+        Of the line, in radians per unit of time; from `frequencies` of the right motion.
+    reference : Solution or callable, optional
+        A better run with the same saved times, or a function of times (k,) that returns states (k, n); None is the
+        closed form of the system.
+    signal : None, int, str or callable
+        As for `frequencies`: a component, or a function of the states. Names need a run for the reference.
+    width : float, optional
+        Of the window in which phases are taken, in units of time; an eighth of the span by default. Other lines must
+        be further away than 8 pi / width.
+
+    Returns
+    -------
+    PhaseDrift or list of PhaseDrift
+        The lead in radians at the middles of the windows; positive is early. A list for an ensemble.
+
+    Raises
+    ------
+    ValueError
+        A reference of other times, a window that does not fit, or no such line in the signal.
+    TypeError
+        No closed form is known, and no reference was given.
+
+    Notes
+    -----
+    Both signals are multiplied by exp(-i w t) and averaged under Hann's window (1 + cos)^3; the angle between the
+    averages is the lead, followed over 2 pi.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> sol = co.integrate(body, (1.0, 0.2, 0.5), (0, 1000), 0.1, co.Splitting(order=2), save_every=5)
+    >>> w = co.frequencies(sol, count=1).frequency[0]
+    >>> bool(abs(line_drift(sol, w).slope / w / co.phase_drift(sol).slope - 1) < 1e-3)
+    True
+    """
+    check_solution(solution)
+    w = read_number(frequency, "frequency")
+    if w == 0.0:
+        raise ValueError("frequency is 0.0; what does not oscillate has no phase")
+    run = sampled(solution, signal, FEWEST_IN_WINDOW + FEWEST_SAMPLES)
+    right = _right(solution, run, reference, signal)
+    span = abs(run.t[-1] - run.t[0])
+    wide = span / PART if width is None else read_positive(width, "width")
+    samples = int(round(wide / span * (len(run.t) - 1))) + 1
+    if not FEWEST_IN_WINDOW <= samples <= len(run.t) - FEWEST_SAMPLES:
+        raise ValueError(
+            f"the window takes {samples} of {len(run.t)} samples; it must take {FEWEST_IN_WINDOW} at least and leave "
+            f"{FEWEST_SAMPLES}, so save more often, or give another width"
+        )
+    places = np.unique(np.linspace(0, len(run.t) - samples, PLACES).round().astype(np.int64))
+    weight = hann(np.linspace(-1.0, 1.0, samples), POWER)
+    middles = run.t[places] + 0.5 * (run.t[samples - 1] - run.t[0])
+    found = []
+    for own, exact in zip(run.values, right, strict=True):
+        ahead, true = (demodulated(run.t, values, w, weight, places) for values in (own, exact))
+        products = np.sum(ahead * true.conj(), axis=1)
+        size = float(np.sqrt(np.mean(np.abs(exact) ** 2)))
+        if float(np.min(np.abs(products))) <= (2.0**-40 * size) ** 2:
+            raise ValueError(f"the signal has no line at the frequency {w:g}; take one that frequencies() finds")
+        found.append(drift_of_series(middles, np.copysign(1.0, w) * np.unwrap(np.angle(products)), ANGLES))
+    return found if run.members else found[0]
+
+
+def demodulated(
+    t: NDArray[np.float64], values: NDArray[Any], w: float, weight: NDArray[np.float64], places: NDArray[np.int64]
+) -> NDArray[np.complex128]:
+    """Return the amplitude of a line in each window.
+
+    Parameters
+    ----------
+    t : ndarray, shape (k,)
+        Times.
+    values : ndarray, shape (k, channels)
+        The signal.
+    w : float
+        Frequency of the line.
+    weight : ndarray, shape (samples,)
+        The window, with the sum one.
+    places : ndarray of int
+        Where windows begin.
+
+    Returns
+    -------
+    ndarray, shape (places, channels)
+        Of a real signal half the amplitude.
+    """
+    slow = values * np.exp(-1j * w * t)[:, None]
+    return np.array([weight @ slow[first : first + len(weight)] for first in places])
+
+
+def _right(solution: Solution, run: Sampled, reference: Any, signal: Any) -> NDArray[Any]:
+    """Return the signal of the right motion on the same times, for each member."""
+    if isinstance(reference, Solution):
+        other = sampled(reference, signal, 2)
+        if not np.array_equal(other.t, run.t):
+            raise ValueError("the reference has other saved times than the run; save both at the same times")
+        if other.values.shape[2] != run.values.shape[2] or len(other.values) not in (1, len(run.values)):
+            raise ValueError("the reference has other members or coordinates than the run")
+        return np.broadcast_to(other.values, run.values.shape)
+    if isinstance(signal, str) or (signal is not None and np.ndim(signal)):
+        raise TypeError(f"signal is {short(signal)}; without a run for the reference give a component or a function")
+    found = []
+    for member in range(len(run.values)):
+        x0 = solution.x[0, member] if run.members else solution.x[0]
+        system = solution.system[member] if isinstance(solution.system, Batch) else solution.system
+        start = run.t[0] if reference is None else 0.0
+        states = motion_of(system, reference, x0)(run.t - start)
+        values = states if signal is None else signal(states) if callable(signal) else states[:, signal]
+        found.append(np.asarray(values).reshape(len(run.t), -1))
+    return np.array(found)

@@ -1,0 +1,256 @@
+"""Which lines does a sampled signal consist of? Windowed least squares in frequencies and amplitudes at once."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+Floats = NDArray[np.float64]
+
+WHILE_SEARCHING = 4  # corrections of all lines after each new one
+IN_THE_END = 12
+NEAREST = 2.0  # bins, 2 pi over the span: nearer lines are not told apart
+NEIGHBOURS = 32  # bins on either side of a line whose median power is its noise
+
+
+class Lines(NamedTuple):
+    """Lines of some members, on times that go from -1 to 1.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (members, lines)
+        In radians per unit of that time.
+    amplitude : ndarray, shape (members, lines, channels)
+        Complex; of a real signal f = mean + Re(sum_k a_k exp(i w_k s)).
+    mean : ndarray, shape (members, channels)
+        What does not oscillate.
+    residual : ndarray, shape (members, samples, channels)
+        The rest.
+    present : ndarray of bool, shape (members, lines)
+        Whether the line stands above round-off.
+    """
+
+    frequency: Floats
+    amplitude: NDArray[np.complex128]
+    mean: NDArray[Any]
+    residual: NDArray[Any]
+    present: NDArray[np.bool_]
+
+
+def hann(s: Floats, power: int) -> Floats:
+    """Return the window (1 + cos(pi s))^power at times from -1 to 1, with the sum one.
+
+    Examples
+    --------
+    >>> hann(np.linspace(-1.0, 1.0, 5), 1)
+    array([0.  , 0.25, 0.5 , 0.25, 0.  ])
+    """
+    weight = np.cos(0.5 * math.pi * s) ** (2 * power)
+    weight[np.abs(s) >= 1.0] = 0.0
+    return np.asarray(weight / weight.sum())
+
+
+def find_lines(s: Floats, values: NDArray[Any], count: int, power: int) -> Lines:
+    """Return the strongest lines of signals, found one after the other and then corrected together.
+
+    Parameters
+    ----------
+    s : ndarray, shape (samples,)
+        Times, evenly from -1 to 1.
+    values : ndarray, shape (members, samples, channels)
+        Real or complex. The channels share their frequencies.
+    count : int
+        How many.
+    power : int
+        Of the window.
+
+    Returns
+    -------
+    Lines
+        In the order in which they were found.
+    """
+    weight = hann(s, power)
+    members, _, channels = values.shape
+    found = Lines(
+        np.zeros((members, 0)),
+        np.zeros((members, 0, channels), dtype=np.complex128),
+        mean := np.einsum("s,msc->mc", weight, values),
+        values - mean[:, None],
+        np.zeros((members, 0), dtype=np.bool_),
+    )
+    for _ in range(count):
+        start, height = _highest(s, found, weight)
+        frequency = np.concatenate([found.frequency, start[:, None]], axis=1)
+        strongest = np.max(np.linalg.norm(found.amplitude, axis=2), axis=1, initial=0.0)
+        largest = np.maximum(strongest, height) + np.linalg.norm(found.mean, axis=1)
+        # Rounding moves the arguments of the sines, and the samples themselves.
+        floor = 8.0 * UNIT_ROUNDOFF * (1.0 + np.max(np.abs(frequency), axis=1)) * largest
+        present = np.concatenate([found.present, (height > floor)[:, None]], axis=1)
+        if not np.any(present[:, -1]):
+            break
+        found = correct_lines(s, values, frequency, present, weight, WHILE_SEARCHING)
+    return correct_lines(s, values, found.frequency, found.present, weight, IN_THE_END)
+
+
+def correct_lines(
+    s: Floats, values: NDArray[Any], frequency: Floats, present: NDArray[np.bool_], weight: Floats, iterations: int
+) -> Lines:
+    """Return lines from frequencies that are nearly right, by Gauss-Newton with the amplitudes eliminated.
+
+    Parameters
+    ----------
+    s, values
+        As for `find_lines`.
+    frequency : ndarray, shape (members, lines)
+        To start from.
+    present : ndarray of bool, shape (members, lines)
+        Which of them may move.
+    weight : ndarray, shape (samples,)
+        The window.
+    iterations : int
+        At most so many; it ends before where the corrections no longer fall.
+
+    Returns
+    -------
+    Lines
+
+    Notes
+    -----
+    Variable projection: with the columns B = (1, cos w_k s, sin w_k s), or (1, exp(i w_k s)), and their derivatives by
+    w_k, which lie in the span of s B, all that a step needs is the Gram matrix of (B, s B) and the products of
+    (B, s B) with the residual, however many channels there are.
+    """
+    w = frequency.copy()
+    bin_width, last = math.pi, math.inf
+    lines = w.shape[1]
+    for _ in range(iterations):
+        fit = _amplitudes(s, values, w, weight)
+        moments = np.einsum("msa,msc->mac", fit.columns.conj() * weight[:, None], fit.residual)
+        inner = fit.columns.shape[2] // 2 + 1  # of B; then come the columns s B, without s itself
+        eliminated = np.linalg.solve(fit.gram[:, :inner, :inner], fit.gram[:, :inner])
+        schur = fit.gram - np.swapaxes(eliminated.conj(), 1, 2) @ fit.gram[:, :inner]
+        rest = moments - np.swapaxes(eliminated.conj(), 1, 2) @ moments[:, :inner]
+        schur, rest = schur[:, inner:, inner:], rest[:, inner:]
+        slopes = _slopes(fit.amplitude, real=not np.iscomplexobj(values))
+        matrix = np.einsum("mkac,mab,mlbc->mkl", slopes.conj(), schur, slopes, optimize=True).real
+        right = np.einsum("mkac,mac->mk", slopes.conj(), rest).real
+        matrix = np.where(present[:, :, None] & present[:, None], matrix, np.eye(lines))
+        size = np.sqrt(np.maximum(np.einsum("mkk->mk", matrix), np.finfo(float).tiny))
+        scaled = matrix / size[:, :, None] / size[:, None] + UNIT_ROUNDOFF * np.eye(lines)
+        change = np.linalg.solve(scaled, (np.where(present, right, 0.0) / size)[..., None])[..., 0] / size
+        change = np.where(present, np.clip(change, -0.5 * bin_width, 0.5 * bin_width), 0.0)
+        w += change
+        largest = float(np.max(np.abs(change) / (1.0 + np.abs(w)), initial=0.0))
+        if largest <= UNIT_ROUNDOFF or (largest >= last and largest < 2.0**-36):
+            break
+        last = largest
+    fit = _amplitudes(s, values, w, weight)
+    return Lines(w, fit.amplitude, fit.mean, fit.residual, present)
+
+
+def spread_by_noise(lines: Lines, s: Floats, power: int) -> Floats:
+    """Return the standard error of each frequency that noise around it would cause, shape (members, lines).
+
+    Parameters
+    ----------
+    lines : Lines
+        With their residual.
+    s : ndarray, shape (samples,)
+        Times from -1 to 1.
+    power : int
+        Of the window.
+
+    Returns
+    -------
+    ndarray
+        The noise is the median of the power of the residual near the line, which lines that were not asked for do
+        not raise; for white noise it is right.
+    """
+    weight = hann(s, power)
+    real = not np.iscomplexobj(lines.residual)
+    spectrum = _spectrum(lines.residual, weight)
+    bins = _bins(len(s), real)
+    count = min(2 * NEIGHBOURS + 1, spectrum.shape[1])
+    distance = np.abs(bins - lines.frequency[..., None])
+    near = np.argpartition(distance, count - 1, axis=2)[..., :count]
+    power_near = np.abs(spectrum[np.arange(len(near))[:, None, None], near]) ** 2  # (members, lines, bins, channels)
+    variance = np.median(power_near, axis=2) / math.log(2.0) / np.sum(weight**2)
+    strength = np.abs(lines.amplitude) ** 2
+    total = np.sum(strength, axis=2)
+    spread = np.sum(weight**2 * s**2) / np.sum(weight * s**2) ** 2 * (2.0 if real else 0.5)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.sqrt(spread * np.sum(strength * variance, axis=2)) / total)
+
+
+class _Fit(NamedTuple):
+    columns: NDArray[Any]
+    gram: NDArray[Any]
+    amplitude: NDArray[np.complex128]
+    mean: NDArray[Any]
+    residual: NDArray[Any]
+
+
+def _amplitudes(s: Floats, values: NDArray[Any], w: Floats, weight: Floats) -> _Fit:
+    """Return the best amplitudes of given frequencies, and what is left."""
+    waves = np.exp(1j * s[:, None] * w[:, None, :])
+    real = not np.iscomplexobj(values)
+    turning = np.concatenate([waves.real, waves.imag], axis=2) if real else waves
+    one = np.ones((len(w), len(s), 1))
+    columns = np.concatenate([one, turning, s[:, None] * turning], axis=2)
+    inside = columns[..., : turning.shape[2] + 1]
+    weighted = columns.conj() * weight[:, None]
+    gram = np.swapaxes(weighted, 1, 2) @ columns
+    inner = gram[:, : inside.shape[2], : inside.shape[2]]
+    products = np.swapaxes(weighted[..., : inside.shape[2]], 1, 2)
+    coefficients = np.linalg.solve(inner, products @ values)
+    # Once more, from the residual: the weak lines get the digits that the strong ones took.
+    coefficients = coefficients + np.linalg.solve(inner, products @ (values - inside @ coefficients))
+    k = w.shape[1]
+    turned = coefficients[:, 1:]
+    amplitude = turned[:, :k] - 1j * turned[:, k:] if real else turned
+    return _Fit(columns, gram, np.asarray(amplitude, complex), coefficients[:, 0], values - inside @ coefficients)
+
+
+def _slopes(amplitude: NDArray[np.complex128], real: bool) -> NDArray[Any]:
+    """Return the model's derivative by each frequency, in terms of s B, shape (members, lines, of B, channels)."""
+    lines = np.eye(amplitude.shape[1])[None, :, :, None]
+    if not real:
+        return 1j * lines * amplitude[:, :, None]
+    cosine, sine = amplitude.real[:, :, None], -amplitude.imag[:, :, None]
+    return np.concatenate([lines * sine, -lines * cosine], axis=2)
+
+
+def _spectrum(values: NDArray[Any], weight: Floats) -> NDArray[np.complex128]:
+    weighted = values * weight[:, None]
+    return np.asarray(np.fft.fft(weighted, axis=1) if np.iscomplexobj(values) else np.fft.rfft(weighted, axis=1))
+
+
+def _bins(samples: int, real: bool) -> Floats:
+    """Return the frequencies of the bins: over the span 2 of s the spacing is 2 / (samples - 1)."""
+    found = np.fft.rfftfreq(samples) if real else np.fft.fftfreq(samples)
+    return np.asarray(math.pi * (samples - 1) * found)
+
+
+def _highest(s: Floats, found: Lines, weight: Floats) -> tuple[Floats, Floats]:
+    """Return frequency and amplitude of the highest peak of the residual that is no part of a known line."""
+    real = not np.iscomplexobj(found.residual)
+    power = np.sum(np.abs(_spectrum(found.residual, weight)) ** 2, axis=2)
+    bins = _bins(len(s), real)
+    top = math.pi * (len(s) - 1) / 2
+    taken = np.abs(bins) > top - NEAREST * math.pi
+    near = np.abs(bins - np.concatenate([found.frequency, np.zeros((len(power), 1))], axis=1)[..., None])
+    power = np.where(taken | np.any(near < NEAREST * math.pi, axis=1), 0.0, power)
+    place = np.argmax(power, axis=1)
+    rows = np.arange(len(power))
+    middle, left, right = (np.maximum(power[rows, (place + d) % power.shape[1]], 1e-300) for d in (0, -1, 1))
+    below, above = np.log(left / middle), np.log(right / middle)
+    bend = below + above
+    shift = np.where(bend < 0.0, 0.5 * (below - above) / np.where(bend < 0.0, bend, -1.0), 0.0)
+    spacing = bins[1] - bins[0]
+    height = np.sqrt(middle) * (2.0 if real else 1.0)
+    return bins[place] + np.clip(shift, -0.5, 0.5) * spacing, np.where(middle > 1e-300, height, 0.0)

@@ -1,0 +1,156 @@
+"""After which time does a motion return?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coadjoint.given import read_finite
+from coadjoint.systems.points import QUIET
+from coadjoint.wording import short
+
+Floats = NDArray[np.float64]
+
+RELATIVE, ABSOLUTE = 2.5e-14, 1e-16  # tolerances of the integration; SciPy takes no smaller relative one
+RETURNED = 1e-8  # of the size of the orbit
+NEARLY = 1e-5  # the same, of a crossing that is interpolated
+AT_REST = 2.0**-40  # of the speed that its own derivative would make of the size of the state
+SHORTEST = 1e-6  # over the rate: no period is so short
+STRETCH = 20.0  # over the rate
+MOST_STRETCHES = 400
+MOST_CROSSINGS = 64
+
+
+class Period(NamedTuple):
+    """A periodic motion.
+
+    Parameters
+    ----------
+    time : float
+        After which it returns for the first time.
+    misfit : float
+        How far from the start it is then, relative to the size of its orbit.
+    carried : ndarray, shape (c,)
+        What was integrated beside it, after one period.
+    """
+
+    time: float
+    misfit: float
+    carried: Floats
+
+
+@QUIET
+def period(field: Callable[[Floats], Any], x0: ArrayLike, carried: ArrayLike = ()) -> Period:
+    """Return the period of the motion x' = f(x) through a state, to about 13 digits.
+
+    Choose it where all motions are periodic, as they are where the coadjoint orbits are surfaces and the energy curve
+    is closed: the free rigid body, modified fields of schemes on it, every system of three coordinates with a Casimir.
+
+    Parameters
+    ----------
+    field : callable
+        f of (n + c,): the state and what is carried along; returns the derivative of both.
+    x0 : array_like, shape (n,)
+        Where it starts.
+    carried : array_like, shape (c,), optional
+        Further numbers that are integrated beside the state, and need not return.
+
+    Returns
+    -------
+    Period
+
+    Raises
+    ------
+    ValueError
+        The state is at rest, or does not return.
+
+    Notes
+    -----
+    Returns to the plane through x0 across the field, by Dormand and Prince's method of order 8 (SciPy).
+
+    Examples
+    --------
+    >>> circle = period(lambda x: np.array([x[1], -4.0 * x[0]]), (1.0, 0.0))
+    >>> round(circle.time / np.pi, 11)
+    1.0
+    """
+    start, beside = read_finite(x0, "x0"), read_finite(carried, "carried")
+    if start.ndim != 1 or not start.size or beside.ndim != 1:
+        raise ValueError(f"x0 has the shape {start.shape}; it must be one state, (n,)")
+    motion = _Motion(field, start, beside)
+    y, time, reach, crossings = np.concatenate([start, beside]), 0.0, 0.0, 0
+    for _ in range(MOST_STRETCHES):
+        stretch = motion.run(y, STRETCH / motion.rate, stop=True)
+        reach = max(reach, motion.away(stretch.y))
+        for when, there in zip(stretch.t_events[0], stretch.y_events[0], strict=True):
+            if time + when <= SHORTEST / motion.rate:
+                continue  # the start itself
+            crossings += 1
+            if motion.away(there[:, None]) <= NEARLY * reach:
+                end, late = motion.at_plane(y, float(when))
+                misfit = motion.away(end[:, None]) / reach
+                if misfit <= RETURNED:
+                    return Period(time + float(when) - late, misfit, end[motion.n :])
+        y, time = stretch.y[:, -1], time + float(stretch.t[-1])
+        if crossings > MOST_CROSSINGS:
+            break
+    raise ValueError(f"the motion from x0 = {short(start.tolist())} does not return until t = {time:g}: not periodic")
+
+
+class _Motion:
+    """The motion from a start, and the plane through it across the field."""
+
+    def __init__(self, field: Callable[[Floats], Any], start: Floats, beside: Floats) -> None:
+        self.n, self.start = len(start), start
+        self.field: Callable[[Floats], Floats] = lambda y: np.asarray(field(y), dtype=np.float64)
+        y = np.concatenate([start, beside])
+        first = self.field(y.copy())[: self.n]
+        speed, size = float(np.linalg.norm(first)), float(np.linalg.norm(start)) or 1.0
+        nudge = size * 2.0**-20
+        moved = [self.field(y + nudge * row)[: self.n] - first for row in np.eye(len(y))[: self.n]]
+        rate = float(np.linalg.norm(moved)) / nudge
+        if not np.isfinite(speed + rate):
+            raise ValueError(f"the field at x0 = {short(start.tolist())} is {short(first.tolist())}; it must be finite")
+        if speed <= AT_REST * rate * size:
+            raise ValueError(f"x0 = {short(start.tolist())} is at rest: the field there is {short(first.tolist())}")
+        self.rate, self.across = max(rate, speed / size), first / speed
+        self.tolerance = ABSOLUTE * np.where(np.arange(len(y)) < self.n, size, 1.0)
+
+    def away(self, states: Floats) -> float:
+        """Return the largest distance from the start."""
+        return float(np.max(np.linalg.norm(states[: self.n] - self.start[:, None], axis=0)))
+
+    def plane(self, _: float, y: Floats) -> float:
+        """Return the signed distance from the plane."""
+        return float(self.across @ (y[: self.n] - self.start))
+
+    def run(self, y: Floats, duration: float, stop: bool = False) -> Any:
+        """Integrate, and note the upward crossings of the plane where asked to."""
+        from scipy.integrate import solve_ivp
+
+        def upward(t: float, z: Floats) -> float:
+            return self.plane(t, z)
+
+        upward.direction = 1.0  # type: ignore[attr-defined]
+        found = solve_ivp(
+            lambda _, z: self.field(z),
+            (0.0, duration),
+            y,
+            "DOP853",
+            rtol=RELATIVE,
+            atol=self.tolerance,
+            events=upward if stop else None,
+        )
+        if not found.success or not np.all(np.isfinite(found.y[:, -1])):
+            raise ValueError(f"the motion from x0 = {short(self.start.tolist())} could not be followed: it diverges")
+        return found
+
+    def at_plane(self, y: Floats, when: float) -> tuple[Floats, float]:
+        """Return the state on the plane near a time, and how much earlier it is than the interpolated crossing."""
+        end = self.run(y, when).y[:, -1]
+        slope = self.field(end.copy())
+        late = self.plane(0.0, end) / float(self.across @ slope[: self.n])
+        return end - late * slope, late

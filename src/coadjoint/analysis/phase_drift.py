@@ -1,0 +1,213 @@
+"""Does the phase error of a run grow linearly? Its slope with an uncertainty, and a verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coadjoint.analysis.phase import leads
+from coadjoint.analysis.reference_motion import motion_of
+from coadjoint.analysis.rotations import turns_space, twist
+from coadjoint.analysis.straight_line import FEWEST_SAMPLES, straight_line
+from coadjoint.given import read_choice, read_finite, read_numbers
+from coadjoint.runs.solution import Solution, check_solution
+from coadjoint.systems.batch import Batch
+from coadjoint.wording import short
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+SIGNIFICANT = 4.0  # uncertainties
+SHARE = 1.0 / 128.0  # of the growth of the line; a smaller slow deviation does not spoil it
+WANDERS = 1.0 / 3.0
+ANGLES, TIMES = "radians", "time"
+
+
+@dataclass(frozen=True)
+class PhaseDrift:
+    """A phase error along a run, and the straight line through it.
+
+    Attributes
+    ----------
+    t, lead : ndarray, shape (k,)
+        Times, and by how much the run is ahead.
+    unit : str
+        Of the lead: ``"time"`` or ``"radians"``.
+    slope, uncertainty : float
+        Lead per unit of time, and its standard error, in which the deviations may remember each other.
+    intercept : float
+        The line at time zero.
+    deviation : float
+        Root mean square of what is not the line.
+    slow_deviation : float
+        The same of means over the 64th part of the span, which an oscillation hardly moves.
+    exponent : float
+        The slow deviations grow like time^exponent: 0 for what oscillates, 1/2 for a random walk, 3/2 for what
+        unbiased round-off does to a phase, 2 for a drift of the energy.
+    """
+
+    t: Floats
+    lead: Floats
+    unit: str
+    slope: float
+    uncertainty: float
+    intercept: float
+    deviation: float
+    slow_deviation: float
+    exponent: float
+
+    @property
+    def growth(self) -> str:
+        """``"faster"``, ``"linear"``, ``"wandering"`` or ``"bounded"``; `phase_drift` has the criterion."""
+        line = abs(self.slope) * abs(self.t[-1] - self.t[0])
+        if self.exponent >= 1.0 and self.slow_deviation > SHARE * line:
+            return "faster"
+        if abs(self.slope) > SIGNIFICANT * self.uncertainty:
+            return "linear"
+        return "wandering" if self.exponent > WANDERS else "bounded"
+
+    def plot(self) -> Figure:
+        """Return a figure: the lead with its line, and what is left without it.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Not shown, not saved.
+        """
+        from coadjoint.pictures.phase_drift import draw_phase_drift
+
+        return draw_phase_drift(self)
+
+    def __str__(self) -> str:
+        """Return one line."""
+        per = "rad per unit of time" if self.unit == ANGLES else "per unit of time"
+        return f"{self.growth}: {self.slope:.6g} +- {self.uncertainty:.1g} {per}, exponent {self.exponent:.2f}"
+
+
+def phase_drift(solution: Any, reference: Any = None, of: str = "momentum") -> Any:
+    """Return how the phase error of a run grows, against the closed form or a reference.
+
+    Choose it to say whether a phase error is linear, and how large it will be after a longer time.
+
+    Parameters
+    ----------
+    solution : Solution
+        A run, 16 saved points at least, over several periods.
+    reference : callable or Solution, optional
+        The right motion, as for `phase_error`. None is the closed form of the system. Of the attitude it must be the
+        closed form, or a run from the same start with the same saved times.
+    of : {"momentum", "attitude"}, optional
+        The lead of the momentum on its orbit, in units of time; or the angle in radians by which the attitude of a body
+        is ahead in turning about the constant momentum in space.
+
+    Returns
+    -------
+    PhaseDrift or list of PhaseDrift
+        A list for an ensemble, one for each member. Points without a lead, such as those that lie beyond the end
+        of the reference, are left out.
+
+    Raises
+    ------
+    ValueError
+        Too few points with a lead; a reference of other times; no attitude of a body.
+    TypeError
+        No closed form is known, and no reference was given.
+
+    Notes
+    -----
+    The criterion. A lead is a line in the long run if what is not the line grows more slowly than time: if the
+    `exponent` H of the slow deviations is below 1 (`straight_line`). So ``growth`` is, in this order:
+
+    - "faster": H >= 1, and the slow deviations are more than 1/128 of the growth of the line over the run (those of a
+      parabola are 1/13 of its line). A scheme that loses energy: H = 2; unbiased round-off: H = 3/2.
+    - "linear": the slope is more than four uncertainties.
+    - "wandering": no slope can be told, and H > 1/3.
+    - "bounded": no slope can be told, and the lead does not grow.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> method = co.Splitting(order=2, parts="coordinates")
+    >>> print(phase_drift(co.integrate(body, (1.0, 0.2, 0.5), (0, 500), 0.1, method, save_every=7)))
+    linear: 2.987...e-05 +- 6e-09 per unit of time, exponent -0.09
+    """
+    check_solution(solution)
+    of = read_choice(of, "of", ("momentum", "attitude"))
+    several = solution.failed is not None
+    members = range(solution.x.shape[1]) if several else [None]
+    found = [_of_member(solution, reference, of, member) for member in members]
+    return found if several else found[0]
+
+
+def drift_of_series(t: ArrayLike, lead: ArrayLike, unit: str = TIMES) -> PhaseDrift:
+    """Return how a phase error that is already known grows.
+
+    Parameters
+    ----------
+    t : array_like, shape (k,)
+        Times in order.
+    lead : array_like, shape (k,)
+        By how much the motion is ahead; NaN is left out.
+    unit : {"time", "radians"}
+        Of the lead.
+
+    Returns
+    -------
+    PhaseDrift
+
+    Examples
+    --------
+    >>> t = np.arange(400) * 0.5
+    >>> print(drift_of_series(t, 0.01 * t**2).growth, drift_of_series(t, np.cos(t)).growth)
+    faster bounded
+    """
+    times, series = read_finite(t, "t"), read_numbers(lead, "lead")
+    if times.ndim != 1 or series.shape != times.shape:
+        raise ValueError(f"t and lead have the shapes {times.shape} and {series.shape}; they must both be (k,)")
+    known = np.isfinite(series)
+    times, series = times[known], series[known]
+    if len(times) < FEWEST_SAMPLES:
+        raise ValueError(f"{len(times)} points have a lead; a drift needs {FEWEST_SAMPLES}, so save more often")
+    if not (np.all(np.diff(times) > 0.0) or np.all(np.diff(times) < 0.0)):
+        raise ValueError(f"t is {short(t)}; give times in order")
+    line = straight_line(times, series)
+    return PhaseDrift(times, series, read_choice(unit, "unit", (TIMES, ANGLES)), **line._asdict())
+
+
+def _of_member(run: Solution, reference: Any, of: str, member: int | None) -> PhaseDrift:
+    system = run.system[member or 0] if isinstance(run.system, Batch) else run.system
+    x = run.x if member is None else run.x[:, member]
+    if of == "attitude":
+        return drift_of_series(run.t, _precession(run, system, x, reference, member), ANGLES)
+    if reference is None and run.t[0] != 0.0:
+        start = run.t[0]
+        right = motion_of(system, None, x[0])
+        return drift_of_series(run.t, leads(system, lambda t: right(t - start), run.t, x))
+    return drift_of_series(run.t, leads(system, motion_of(system, reference, x[0], member), run.t, x))
+
+
+def _precession(run: Solution, system: Any, x: Floats, reference: Any, member: int | None) -> Floats:
+    attitude = _attitude(run, member, "the run")
+    if reference is None:
+        right = np.asarray(system.exact(x[0], run.t - run.t[0], attitude=attitude[0])[1])
+    elif isinstance(reference, Solution):
+        right = _attitude(reference, member, "the reference")
+        if not np.array_equal(reference.t, run.t):
+            raise ValueError("the reference has other saved times than the run; save both at the same times")
+    else:
+        raise TypeError(
+            f"reference is {short(reference)}; of the attitude give a Solution, or None for the closed form"
+        )
+    return np.asarray(np.unwrap(twist(attitude, right, attitude[0] @ x[0])))
+
+
+def _attitude(run: Solution, member: int | None, what: str) -> Floats:
+    if run.attitude is None or not turns_space(run.system[0] if isinstance(run.system, Batch) else run.system):
+        raise ValueError(f"{what} has no attitude of a body, 3 x 3; integrate with attitude=True")
+    return run.attitude if member is None or run.attitude.ndim == 3 else run.attitude[:, member]

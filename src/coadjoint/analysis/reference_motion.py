@@ -1,0 +1,131 @@
+"""What is the right motion? A closed form, a function of time, or a better run, read between its saved points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coadjoint.given import array_given, check_finite
+from coadjoint.runs.solution import Solution
+from coadjoint.systems.kinds import System
+from coadjoint.wording import short
+
+Floats = NDArray[np.float64]
+Motion = Callable[[Floats], Floats]
+
+NODES = 8  # saved points around a time: with their slopes a polynomial of degree 15
+FEWER = 6
+TOLERANCE = 2.0**-30  # of the largest state; what two such polynomials may differ by
+
+
+def motion_of(system: System, reference: Any, x0: ArrayLike, member: int | None = None) -> Motion:
+    """Return the right motion as a function of times, shape (k,), to states, shape (k, n).
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        What moves.
+    reference : None, callable or Solution
+        None: the closed form of the system from x0 at time zero. A function of times (k,) that returns states
+        (k, n). A run of the system, by a scheme or a step that is much better.
+    x0 : array_like, shape (n,)
+        For the closed form.
+    member : int, optional
+        Of an ensemble.
+
+    Returns
+    -------
+    callable
+        States are NaN where a run does not reach.
+
+    Raises
+    ------
+    TypeError
+        No closed form is known, or the reference is none of these.
+    ValueError
+        A run with too few or uneven saved points, or points too far apart to be read in between.
+    """
+    if reference is None:
+        if system.algebra is None or getattr(system, "closed_form", None) is None:
+            raise TypeError(
+                f"no closed form is known for {system.name}; give a reference: a better run, or a function of t"
+            )
+        return lambda t: np.asarray(system.exact(x0, t))  # type: ignore[union-attr]
+    if isinstance(reference, Solution):
+        return _between(system, reference, member)
+    if not callable(reference):
+        raise TypeError(
+            f"reference is {short(reference)}; give a Solution, a function of t, or None for the closed form"
+        )
+
+    def given(t: Floats) -> Floats:
+        states = array_given(reference(t), "what reference(t) returned").astype(np.float64)
+        if states.shape != (len(t), system.dim):
+            raise ValueError(f"reference(t) has the shape {states.shape}; it must be ({len(t)}, {system.dim})")
+        check_finite(states, "what reference(t) returned")
+        return states
+
+    return given
+
+
+def field_along(system: System, states: Floats) -> Floats:
+    """Return the vector field at states, shape (k, n)."""
+    return np.array([system.vector_field(state) for state in states]).reshape(states.shape)
+
+
+def _between(system: System, run: Solution, member: int | None) -> Motion:
+    """Return a run as a function of time, by Hermite polynomials through its points and their slopes."""
+    states = run.x if member is None or run.x.ndim == 2 else run.x[:, member]
+    if states.ndim != 2:
+        raise ValueError(
+            f"the reference has states of the shape {run.x.shape}; it must be one run, or members as the run has"
+        )
+    if states.shape[1] != system.dim:
+        raise ValueError(f"the reference has {states.shape[1]} coordinates; the system has {system.dim}")
+    t = run.t
+    if len(t) < NODES:
+        raise ValueError(f"the reference has {len(t)} saved points; {NODES} are needed to read it in between")
+    slopes = field_along(system, states)
+    largest = float(np.max(np.abs(states)))
+    rising = t if t[-1] > t[0] else -t
+
+    def at(times: Floats) -> Floats:
+        where = times if t[-1] > t[0] else -times
+        reach = (rising[-1] - rising[0]) * 2.0**-20
+        inside = (where >= rising[0] - reach) & (where <= rising[-1] + reach)
+        found = np.full((len(times), system.dim), np.nan)
+        found[inside] = _read(times[inside], where[inside])
+        return found
+
+    def _read(times: Floats, where: Floats) -> Floats:
+        place = np.searchsorted(rising, where)
+        fine, coarse = (_hermite(t, states, slopes, times, place, count) for count in (NODES, FEWER))
+        # The polynomial of more points is better by orders of magnitude than what it differs by from the other.
+        off = float(np.max(np.abs(fine - coarse), initial=0.0))
+        if off > TOLERANCE * largest:
+            raise ValueError(
+                f"the saved points of the reference are too far apart to be read in between, with an error of about "
+                f"{off:.1e}; save it more often"
+            )
+        return fine
+
+    return at
+
+
+def _hermite(t: Floats, x: Floats, slopes: Floats, times: Floats, place: NDArray[np.int64], count: int) -> Floats:
+    first = np.clip(place - count // 2, 0, len(t) - count)
+    index = first[:, None] + np.arange(count)
+    unit = abs(t[-1] - t[0]) / (len(t) - 1)
+    s = (t[index] - t[first][:, None]) / unit
+    u = (times - t[first]) / unit
+    apart = s[:, :, None] - s[:, None] + np.eye(count)
+    from_node = u[:, None] - s
+    others = np.where(np.eye(count, dtype=bool), 1.0, from_node[:, None, :] / apart)
+    basis = np.prod(others, axis=2)
+    steepness = np.sum(np.where(np.eye(count, dtype=bool), 0.0, 1.0 / apart), axis=2)
+    values = (1.0 - 2.0 * steepness * from_node) * basis**2
+    turning = from_node * basis**2 * unit
+    return np.asarray(np.einsum("kj,kjn->kn", values, x[index]) + np.einsum("kj,kjn->kn", turning, slopes[index]))

@@ -1,0 +1,48 @@
+"""The reading of a program in formal power series: each exact flow by its Lie series."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.program.actions import Action
+from coadjoint.program.reading import Reading
+from coadjoint.program.table import Program
+
+
+class FormalReading(Reading):
+    """A program in fractions, read in formal numbers.
+
+    Angles are constant along their flow, so that it is exp(sum_a theta_a D_a) x, and the angles start with h.
+    """
+
+    def __init__(self, program: Program) -> None:
+        self.program = program
+
+    def _numbers(self, values: NDArray[Any]) -> NDArray[Any]:
+        return values.copy()
+
+    def _bent(self, part: int, theta: list[Any], turned: Any) -> tuple[list[Any], Any]:
+        base = int(self.program.terms.row[self.program.share[part]])
+        w = self.program.frequency[base : base + len(theta)]
+        return [_arctangent(angle, f) if f else angle for angle, f in zip(theta, w, strict=True)], turned
+
+    def act(self, action: Action, part: int, theta: list[Any], vectors: NDArray[Any]) -> None:
+        power, k = vectors.copy(), 0
+        while k < type(theta[0]).count:
+            k += 1
+            moved = [theta[a] * self._generator_on(part, a, power) for a in range(len(theta))]
+            power = np.add.reduce(moved) / k
+            vectors += power
+
+
+def _arctangent(angle: Any, w: Any) -> Any:
+    """Return 2/w atan(w angle/2), the angle of a rational rotation."""
+    square = (w * w / 4) * angle * angle
+    power, total = angle, angle
+    for k in range(1, angle.count):
+        power = power * square * -1
+        total = total + power / (2 * k + 1)
+    return total

@@ -1,0 +1,44 @@
+"""What a scheme keeps to round-off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from coadjoint.given import read_choice, read_flag
+
+KINDS_OF_CASIMIRS = ("all", "polynomial", "quadratic", "none")
+KINDS_OF_ATTITUDE = ("every representation", "coadjoint", "integrated", "none")
+
+
+@dataclass(frozen=True)
+class Properties:
+    """What a scheme keeps to round-off on a given system.
+
+    Parameters
+    ----------
+    poisson : bool
+        Whether each step is a Poisson map.
+    energy : bool
+        Whether the energy is kept.
+    casimirs : str
+        ``"all"``, ``"polynomial"`` (those that are polynomials), ``"quadratic"`` (of degree at most two) or ``"none"``.
+    attitude : str
+        ``"every representation"``, ``"coadjoint"`` (and representations that are orthogonal for a fixed form and
+        contain the coadjoint one), ``"integrated"`` (as a differential equation, nothing kept) or ``"none"``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        A value is none of these.
+    """
+
+    poisson: bool
+    energy: bool
+    casimirs: str
+    attitude: str
+
+    def __post_init__(self) -> None:
+        for name in ("poisson", "energy"):
+            object.__setattr__(self, name, read_flag(getattr(self, name), name))
+        read_choice(self.casimirs, "kind of Casimirs", KINDS_OF_CASIMIRS)
+        read_choice(self.attitude, "kind of attitude", KINDS_OF_ATTITUDE)

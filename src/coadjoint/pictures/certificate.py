@@ -1,0 +1,132 @@
+"""A certificate as a figure: errors over the step, defects over the step, and invariants over time."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint.extras import need
+from coadjoint.pictures.style import INK, colour, key, plain_axes, symbol
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+GOOD, BAD, OPEN = "#009E73", "#D55E00", "#7F7F7F"
+DEFECTS = {"symmetry": "step back", "reversibility": "reflected step", "poisson": "Poisson bracket"}
+
+
+def draw_certificate(certificate: Any) -> Figure:
+    """Return a figure of a certificate: the convergence, the defects, the invariants, and the verdicts.
+
+    Parameters
+    ----------
+    certificate : Certificate
+        From `coadjoint.certify`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Neither shown nor saved.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> certificate = co.certify(body, co.Splitting(), (0.3, 1.0, 0.2), 0.1, steps=100)
+    >>> [axes.get_title() for axes in draw_certificate(certificate).axes][:2]
+    ['errors against the reference', 'defects']
+    """
+    need("drawing a certificate", "matplotlib")
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 7.6), layout="constrained")
+    grid = figure.add_gridspec(2, 2, height_ratios=[1.0, 1.0])
+    rows = {row.key: row for row in certificate.rows}
+    _draw_errors(figure.add_subplot(grid[0, 0]), rows["order"], certificate.subject["step"])
+    _draw_defects(figure.add_subplot(grid[0, 1]), rows)
+    _draw_invariants(figure.add_subplot(grid[1, 0]), certificate.rows)
+    _draw_verdicts(figure.add_subplot(grid[1, 1]), certificate.rows)
+    subject = certificate.subject
+    said = "passed" if certificate.passed else "not passed"
+    if not certificate.declares:
+        said = "nothing declared"
+    text = f"{subject['system']['name']},  {subject['scheme']['shown']},  step {subject['step']:g}:  {said}"
+    figure.suptitle("\n".join(textwrap.wrap(text.replace("$", r"\$"), 110)), fontsize=10.5)
+    return figure
+
+
+def _draw_errors(axes: Any, row: Any, step: float) -> None:
+    axes.set(xlabel="step $h$", ylabel="relative error", title="errors against the reference")
+    plain_axes(axes)
+    if "steps" not in row.evidence:
+        return _say(axes, row.reason)
+    steps, errors, rounding = (np.asarray(row.evidence[name]) for name in ("steps", "errors", "round-off"))
+    axes.set(xscale="log", yscale="log")
+    axes.plot(steps, errors, "o-", color=colour(0), markersize=4, linewidth=0.9, label="error")
+    axes.plot(steps, rounding, ":", color=OPEN, linewidth=0.9, label="round-off, at most")
+    if "fitted steps" in row.evidence and row.value is not None:
+        h, e = np.asarray(row.evidence["fitted steps"]), np.asarray(row.evidence["fitted errors"])
+        alone = row.evidence["fitted of"] == "of single steps"
+        power = row.value + (1.0 if alone else 0.0)
+        if alone:
+            axes.plot(h, e, "s", color=colour(3), markersize=4, label="error of a step")
+        axes.plot(h, e[-1] * (h / h[-1]) ** power, "--", color=INK, linewidth=0.9, label=f"$h^{{{power:.2f}}}$")
+    axes.axvline(abs(step), color=OPEN, linewidth=0.6)
+    key(axes)
+
+
+def _draw_defects(axes: Any, rows: dict[str, Any]) -> None:
+    axes.set(xlabel="step $h$", ylabel="defect", title="defects")
+    plain_axes(axes)
+    drawn = 0
+    for number, (name, label) in enumerate(DEFECTS.items()):
+        evidence = rows[name].evidence
+        if "steps" not in evidence:
+            continue
+        drawn += 1
+        shown = f"{label}, $h^{{{evidence['slope']:.1f}}}$"
+        line = {"color": colour(number), "markersize": 4, "linewidth": 0.9, "label": shown}
+        axes.plot(evidence["steps"], evidence["defects"], "o-", **line)
+    if not drawn:
+        return _say(axes, "no defect above round-off")
+    axes.set(xscale="log", yscale="log")
+    key(axes)
+
+
+def _draw_invariants(axes: Any, rows: Any) -> None:
+    title = "deviations of the invariants, root mean square"
+    axes.set(xlabel="time since the start", ylabel="absolute deviation", title=title)
+    plain_axes(axes)
+    shown = [row for row in rows if "deviations" in row.evidence]
+    for number, row in enumerate(shown):
+        times = np.abs(np.asarray(row.evidence["times"]))[1:]
+        sizes = np.sqrt(np.mean(np.asarray(row.evidence["deviations"])[1:] ** 2, axis=1))
+        name = symbol(row.key.removeprefix("casimir "))
+        axes.plot(times, np.where(sizes > 0.0, sizes, np.nan), color=colour(number), linewidth=0.9, label=name)
+    if not any(np.any(np.asarray(row.evidence["deviations"])) for row in shown):
+        return _say(axes, "no deviation in any bit" if shown else "no invariant is followed")
+    axes.set(xscale="log", yscale="log")
+    key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def _draw_verdicts(axes: Any, rows: Any) -> None:
+    axes.axis("off")
+    axes.set_title("asked, declared, and found", fontsize=9.5)
+    below = 1.0 / max(1, len(rows))
+    for number, row in enumerate(rows):
+        height = 1.0 - (number + 0.6) * below
+        paint = {"holds": GOOD, "fails": BAD}.get(
+            row.verdict, BAD if row.claimed and "not dec" in row.verdict else OPEN
+        )
+        name = row.what if len(row.what) <= 30 else f"{row.what[:27]}..."
+        axes.text(0.0, height, name.replace("$", r"\$"), fontsize=8.5, color=INK, transform=axes.transAxes)
+        declared = row.declared if len(row.declared) <= 22 else f"{row.declared[:19]}..."
+        axes.text(0.38, height, declared, fontsize=8, color=OPEN, transform=axes.transAxes)
+        axes.text(0.68, height, row.verdict, fontsize=8.5, color=paint, weight="bold", transform=axes.transAxes)
+
+
+def _say(axes: Any, text: str) -> None:
+    axes.set(xticks=[], yticks=[])
+    axes.text(0.5, 0.5, "\n".join(textwrap.wrap(text, 50)), transform=axes.transAxes, ha="center", fontsize=9)

@@ -1,0 +1,86 @@
+"""How a phase error grows: the lead with its line, and what is left without it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint.extras import need
+from coadjoint.pictures.style import colour, key, plain_axes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
+    """Return a figure of a phase error.
+
+    Parameters
+    ----------
+    drift : PhaseDrift
+        From `phase_drift`.
+    predicted : float, optional
+        A slope to be drawn beside the fitted line.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Neither shown nor saved.
+
+    Examples
+    --------
+    >>> from coadjoint.analysis.phase_drift import drift_of_series
+    >>> t = np.arange(400) * 0.5
+    >>> [axes.get_ylabel() for axes in draw_phase_drift(drift_of_series(t, 0.1 * t + np.cos(t))).axes]
+    ['lead [unit of time]', 'lead - line']
+    """
+    need("drawing a phase error", "matplotlib")
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 5.4), layout="constrained")
+    lead, rest = figure.subplots(2, 1, sharex=True)
+    line = drift.intercept + drift.slope * drift.t
+    lead.plot(drift.t, drift.lead, color=colour(0), linewidth=0.9, label="measured")
+    label = f"slope {with_error(drift.slope, drift.uncertainty)}"
+    lead.plot(drift.t, line, color=colour(1), linewidth=1.1, linestyle="--", label=label)
+    if predicted is not None:
+        own = line.mean() + predicted * (drift.t - drift.t.mean())
+        lead.plot(drift.t, own, color=colour(2), linewidth=1.4, linestyle=":", label=f"predicted {predicted:.6g}")
+    unit = "rad" if drift.unit == "radians" else "unit of time"
+    lead.set(ylabel=f"lead [{unit}]")
+    lead.set_title(f"phase error: {drift.growth}")
+    key(lead)
+    rest.plot(drift.t, drift.lead - line, color=colour(0), linewidth=0.7)
+    rest.set(xlabel="time $t$", ylabel="lead - line")
+    rest.set_title(f"what is not the line: rms {drift.deviation:.2g}, growing like $t^{{{drift.exponent:.2f}}}$")
+    for axes in (lead, rest):
+        plain_axes(axes)
+        axes.ticklabel_format(axis="y", style="sci", scilimits=(-3, 4), useMathText=True)
+        axes.yaxis.get_offset_text().set_fontsize(8)
+    return figure
+
+
+def with_error(value: float, error: float) -> str:
+    r"""Return a value with its error in mathematical text, with two digits of the error.
+
+    Parameters
+    ----------
+    value, error : float
+        The error is not negative.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> with_error(-0.00123456, 1.2e-6)
+    '$(-1.2346 \\pm 0.0012) \\times 10^{-3}$'
+    """
+    scale = max(abs(value), error)
+    if not scale > 0.0 or not np.isfinite(scale):
+        return f"${value:.3g}$"
+    power = int(np.floor(np.log10(scale)))
+    digits = power - int(np.floor(np.log10(error))) + 1 if error > 0.0 else 6
+    return rf"$({value / 10.0**power:.{digits}f} \pm {error / 10.0**power:.{digits}f}) \times 10^{{{power}}}$"

@@ -1,0 +1,181 @@
+"""Parts that are functions of Python, as Taylor polynomials at a point."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from fractions import Fraction
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
+from coadjoint.program.term_table import derivative_of
+from coadjoint.systems.terms import FunctionTerm
+
+MOST_EVALUATIONS = 2**15
+"""On one circle, or product of circles, around a point."""
+
+RADII = tuple(2.0**-k for k in range(8))
+"""Of the circles, over the size of the point; the two that agree best are taken."""
+
+WORST = 1e-6
+"""Relative disagreement above which a function counts as one that has no such derivatives."""
+
+
+def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
+    """Return parts with Taylor polynomials at a point in place of functions.
+
+    Parameters
+    ----------
+    parts : Parts
+        Of a Hamiltonian that does not depend on time.
+    x : ndarray, shape (n,)
+        The point.
+    degree : int
+        Of the polynomials: their derivatives up to this one are those of the functions.
+
+    Returns
+    -------
+    Parts
+
+    Raises
+    ------
+    TypeError
+        A function cannot be differentiated so often: neither is its Hessian enough, nor does it take complex numbers.
+    ValueError
+        A function is not analytic near the point, or of too many coordinates.
+    """
+    special: dict[int, PolynomialShare | FunctionShare] = {}
+    for s, share in parts.special.items():
+        if isinstance(share, FunctionShare):
+            where = share.term.coordinates
+            local = taylor_polynomial(share.term, x[where], degree)
+            share = PolynomialShare(tuple(where.tolist()), _placed(local, x, where.tolist()))
+        special[s] = share
+    return Parts(parts.forms, parts.offset, parts.weights, parts.row, special, parts.share, parts.timed)
+
+
+def _placed(local: dict[tuple[int, ...], float], x: NDArray[np.float64], where: Sequence[int]) -> Polynomial:
+    """Return sum c (x - x0)^e as a polynomial in all coordinates, exactly."""
+    n = len(x)
+    distance = [Polynomial.variable(i, n) - Fraction(float(x[i])) for i in where]
+    total = Polynomial({}, dim=n)
+    for exponents, value in local.items():
+        term = Polynomial({(0,) * n: Fraction(value)})
+        for factor, power in zip(distance, exponents, strict=True):
+            term = term * factor**power
+        total = total + term
+    return total
+
+
+def taylor_polynomial(term: FunctionTerm, y: NDArray[np.float64], degree: int) -> dict[tuple[int, ...], float]:
+    """Return the Taylor polynomial of a function, without its constant, from its gradient.
+
+    Up to the second degree by the derivatives that were given; above by the values of the gradient on circles in the
+    complex plane around the point, whose Fourier coefficients are the derivatives (to 1e-10 or so of the largest, where
+    the function is analytic as far as the point is large).
+
+    Parameters
+    ----------
+    term : FunctionTerm
+        The function.
+    y : ndarray, shape (m,)
+        The point.
+    degree : int
+        At least 1.
+
+    Returns
+    -------
+    dict
+        Exponents -> coefficient.
+    """
+    slope = np.asarray(derivative_of(term, 1, y, 0.0), dtype=np.float64)
+    m = len(y)
+    found = {_exponents(m, i): float(slope[i]) for i in range(m)}
+    if degree < 2:
+        return found
+    bent = np.asarray(derivative_of(term, 2, y, 0.0), dtype=np.float64) if term.hessian is not None else None
+    if degree > 2 or bent is None:
+        found |= _by_circles(term, y, degree, slope, bent)
+    else:
+        for i, j in product(range(m), repeat=2):
+            if i <= j:
+                found[_exponents(m, i, j)] = float(bent[i, j]) / (1 + (i == j))
+    return found
+
+
+def _exponents(m: int, *factors: int) -> tuple[int, ...]:
+    return tuple(factors.count(i) for i in range(m))
+
+
+def _by_circles(
+    term: FunctionTerm, y: NDArray[np.float64], degree: int, slope: NDArray[np.float64], bent: Any
+) -> dict[tuple[int, ...], float]:
+    m = len(y)
+    nodes = 2 ** int(np.ceil(np.log2(2 * degree + 2)))
+    if nodes**m > MOST_EVALUATIONS:
+        raise ValueError(
+            f"a function of {m} coordinates would be evaluated at {nodes**m} points for derivatives of order {degree}; "
+            "take a lower order, or give the Hamiltonian as a Polynomial"
+        )
+    size = max(1.0, float(np.max(np.abs(y))))
+    tries = [_coefficients(term, y, degree, nodes, size * radius) for radius in RADII]
+    keys = [e for e in tries[0] if sum(e) > 1]
+    # Coefficients of degree d weigh as much as size^d makes of them.
+    weighted = np.array([[own[e] * size ** sum(e) for e in keys] for own in tries])
+    scale = float(np.max(np.abs(slope), initial=0.0)) * size + np.min(np.max(np.abs(weighted), axis=1, initial=0.0))
+    apart = np.max(np.abs(np.diff(weighted, axis=0)), axis=1, initial=0.0)
+    best = int(np.argmin(np.where(np.isfinite(apart), apart, np.inf)))
+    found = tries[best + 1]
+    wrong = [apart[best], *(abs(found[_exponents(m, i)] - slope[i]) * size for i in range(m))]
+    if bent is not None:
+        wrong += [
+            abs(found[_exponents(m, i, j)] * (1 + (i == j)) - bent[i, j]) * size**2
+            for i, j in product(range(m), repeat=2)
+        ]
+    if not max(wrong) <= WORST * scale:
+        raise ValueError(
+            f"a function of the Hamiltonian has no derivatives of order {degree} that could be found near "
+            f"{y.tolist()}: on circles in the complex plane it is not analytic"
+        )
+    return {e: found[e] for e in keys}
+
+
+def _coefficients(
+    term: FunctionTerm, y: NDArray[np.float64], degree: int, nodes: int, radius: float
+) -> dict[tuple[int, ...], float]:
+    """Return the Taylor coefficients up to a degree from the gradient on a product of circles."""
+    m = len(y)
+    circle = radius * np.exp(2j * np.pi * np.arange(nodes) / nodes)
+    values = np.empty((m,) + (nodes,) * m, dtype=np.complex128)
+    for place in np.ndindex(*values.shape[1:]):
+        values[:, *place] = _complex_slope(term, y + circle[list(place)])
+    spectrum = np.fft.fftn(values, axes=tuple(range(1, m + 1))) / nodes**m
+    found = {}
+    for exponents in product(range(degree + 1), repeat=m):
+        if 0 < sum(exponents) <= degree:
+            # The gradient along i has e_i times the coefficient at one power less of x_i: their mean over i.
+            own = []
+            for i, e in enumerate(exponents):
+                if e:
+                    less = (*exponents[:i], e - 1, *exponents[i + 1 :])
+                    own.append(spectrum[(i, *less)].real / radius ** sum(less) / e)
+            found[exponents] = float(np.mean(own))
+    return found
+
+
+def _complex_slope(term: FunctionTerm, y: NDArray[np.complex128]) -> Any:
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("error")
+            return derivative_of(term, 1, y, 0.0)
+    except Exception as reason:
+        raise TypeError(
+            "a function of the Hamiltonian is to be differentiated more often than it was given derivatives, and its "
+            f"gradient takes no complex numbers ({type(reason).__name__}: {reason}); write it with NumPy's functions, "
+            "or take a lower order"
+        ) from reason

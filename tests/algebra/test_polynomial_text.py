@@ -1,0 +1,53 @@
+"""Polynomials as text, LaTeX and SymPy."""
+
+from __future__ import annotations
+
+import importlib.util
+from fractions import Fraction
+
+import pytest
+
+import coadjoint as co
+from coadjoint.algebra.symbolic_polynomial import SymbolicPolynomial
+from coadjoint.extras import MissingPackageError
+
+
+def test_latex():
+    p = co.Polynomial({(0, 0): -1, (2, 0): Fraction(1, 2), (1, 1): -1.5e-7, (0, 12): 3, (1, 0): -1})
+    assert p.to_latex() == r"-1 - x_{1} + \frac{1}{2} x_{1}^{2} - 1.5 \times 10^{-7} x_{1} x_{2} + 3 x_{2}^{12}"
+    assert p._repr_latex_() == f"${p.to_latex()}$"
+    assert co.Polynomial({}, dim=2).to_latex() == "0"
+
+
+def test_symbols_are_grouped():
+    p = SymbolicPolynomial(
+        co.Polynomial({(1, 0, 1, 0): -1, (0, 2, 1, 1): 2, (0, 2, 0, 2): -3, (0, 0, 0, 1): 1}), ["m1", "m1_2"]
+    )
+    assert repr(p) == "m1_2 - m1*x1 + x2^2*(2*m1*m1_2 - 3*m1_2^2)"
+    assert p.to_latex() == r"m_{1,2} - m_{1} x_{1} + x_{2}^{2} \, (2 m_{1} m_{1,2} - 3 m_{1,2}^{2})"
+    assert p.with_values({"m1": Fraction(1, 2), "m1_2": 0.25}).monomials == {
+        (0, 0): Fraction(1, 4),
+        (1, 0): Fraction(-1, 2),
+        (0, 2): Fraction(1, 16),
+    }
+    assert p.degree == 2 and p == SymbolicPolynomial(p._polynomial, p.symbols) and hash(p) is not None
+
+
+@pytest.mark.skipif(importlib.util.find_spec("sympy") is None, reason="SymPy is not installed")
+def test_sympy():
+    import sympy
+
+    x1, x2, h, m1 = sympy.symbols("x1 x2 h m1")
+    assert co.Polynomial({(2, 0): Fraction(1, 3), (1, 1): -1}).to_sympy() == x1**2 / 3 - x1 * x2
+    line = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0, 0]))
+    method = co.Splitting(parts="coordinates", rotation="rational")
+    assert co.modified_hamiltonian(line, method, 4).to_sympy() == x1**2 / 2 - h**2 * x1**4 / 48
+    symbolic = co.modified_hamiltonian(line, co.Splitting(parts="coordinates"), 4, symbols=True)
+    assert sympy.expand(symbolic.to_sympy() - m1 * x1**2 / 2) == 0
+
+
+def test_without_sympy_the_package_is_named(monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, *more: None if name == "sympy" else find(name, *more))
+    with pytest.raises(MissingPackageError, match="coadjoint.algebra."):
+        co.Polynomial({(1,): 1}).to_sympy()

@@ -1,0 +1,247 @@
+"""Frequencies of sums of lines that are known, of bodies with elliptic integrals, and of runs."""
+
+import numpy as np
+import pytest
+from scipy.special import ellipk
+
+import coadjoint as co
+from coadjoint.analysis.sampled import sampled
+
+U = 2.0**-53
+
+
+def random_lines(seed: int, count: int) -> tuple[np.ndarray, ...]:
+    """Return times, frequencies, amplitudes over six decades, and phases; the lines at least ten bins apart."""
+    rng = np.random.default_rng(seed)
+    samples, span = int(rng.integers(4000, 9000)), rng.uniform(500.0, 1500.0)
+    t = rng.uniform(-50.0, 50.0) + span / samples * np.arange(samples)
+    apart = 10 * 2 * np.pi / span
+    while True:
+        w = rng.uniform(apart, 0.9 * np.pi * samples / span, count)
+        if count == 1 or np.min(np.diff(np.sort(w))) > apart:
+            return t, w, 10.0 ** -np.linspace(0.0, 6.0, count), rng.uniform(0.0, 2 * np.pi, count)
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("count", [1, 2, 4, 6])
+def test_lines_over_six_decades(seed: int, count: int) -> None:
+    t, w, a, phase = random_lines(100 * count + seed, count)
+    found = co.frequencies(t, 0.3 + np.cos(np.multiply.outer(t, w) + phase) @ a, count=count)
+    # Arguments up to w t are rounded, by u w t each; relative to the line, over the span.
+    span = t[-1] - t[0]
+    rounding = 8 * U * (1.0 + np.max(w) * np.max(np.abs(t)))
+    assert np.all(np.abs(found.frequency - w) <= rounding / a / span)
+    assert np.all(np.abs(found.frequency - w) <= 1e-10 * w)
+    assert np.all(np.abs(found.amplitude - a * np.exp(1j * phase)) <= 4 * rounding)
+    assert found.mean == pytest.approx(0.3, abs=rounding)
+    assert np.all(np.abs(found.frequency - w) <= 10 * found.uncertainty)
+    assert np.all(found.uncertainty <= rounding / a / span * 10)
+    assert found(t[:9]) == pytest.approx(0.3 + np.cos(np.multiply.outer(t[:9], w) + phase) @ a, abs=8 * rounding)
+
+
+def test_complex_signals_have_frequencies_of_both_signs() -> None:
+    t = np.arange(3000) * 0.3 - 200.0
+    signal = (2 + 1j) * np.exp(0.7j * t) + 1e-3j * np.exp(-1.3j * t) + 0.25j
+    found = co.frequencies(t, signal, count=2)
+    assert found.frequency == pytest.approx([0.7, -1.3], abs=1e-13)
+    assert found.amplitude == pytest.approx([2 + 1j, 1e-3j], abs=1e-12)
+    assert found.mean == pytest.approx(0.25j, abs=1e-13)
+    assert found(t) == pytest.approx(signal, abs=1e-12)
+
+
+def test_backward_times_give_the_same_lines() -> None:
+    t = np.arange(2000) * 0.4
+    signal = np.cos(0.9 * t + 0.4) + 0.1 * np.cos(2.2 * t)
+    forward, backward = co.frequencies(t, signal, 2), co.frequencies(t[::-1], signal[::-1], 2)
+    assert backward.frequency == pytest.approx(forward.frequency, abs=1e-14)
+    assert backward.amplitude == pytest.approx(forward.amplitude, abs=1e-11)
+
+
+def test_channels_share_their_frequencies() -> None:
+    t = np.arange(4000) * 0.2
+    first = np.cos(t) + 1e-4 * np.cos(np.sqrt(3) * t)
+    second = 1e-4 * np.sin(t) + np.sin(np.sqrt(3) * t + 0.2)
+    found = co.frequencies(t, np.stack([first, second, 5.0 + 0 * t], axis=1), count=2)
+    order = np.argsort(found.frequency)
+    assert found.frequency[order] == pytest.approx([1.0, np.sqrt(3)], abs=1e-13)
+    expected = [[1.0, -1e-4j, 0.0], [1e-4, np.exp(0.2j) / 1j, 0.0]]
+    assert found.amplitude[order] == pytest.approx(np.array(expected), abs=1e-12)
+    assert found.mean == pytest.approx([0.0, 0.0, 5.0], abs=1e-12)
+
+
+def test_members_are_what_they_are_alone() -> None:
+    rng = np.random.default_rng(3)
+    t = np.arange(1500) * 0.3
+    w = rng.uniform(0.4, 4.0, 5)
+    signals = np.cos(np.multiply.outer(t, w))[..., None] + 0.1 * np.sin(np.multiply.outer(t, 2.1 * w))[..., None]
+    together = co.frequencies(t, signals, count=2)
+    assert together.frequency.shape == (5, 2) and together.amplitude.shape == (5, 2, 1)
+    assert together.frequency[:, 0] == pytest.approx(w, abs=1e-13)
+    for member in range(5):
+        alone = co.frequencies(t, signals[:, member, 0], count=2)
+        assert together.frequency[member] == pytest.approx(alone.frequency, abs=1e-13)
+    assert together(t[:7]) == pytest.approx(signals[:7], abs=1e-12)
+
+
+def test_large_ensembles_are_analysed_in_groups(monkeypatch: pytest.MonkeyPatch) -> None:
+    from coadjoint.analysis import frequencies as module
+
+    t = np.arange(400) * 0.3
+    w = np.linspace(0.5, 3.0, 7)
+    monkeypatch.setattr(module, "MOST_NUMBERS", 2 * 400 * (8 + 3))
+    found = co.frequencies(t, np.cos(np.multiply.outer(t, w))[..., None], count=1)
+    assert found.frequency[:, 0] == pytest.approx(w, abs=1e-12)
+
+
+def test_what_is_not_there_is_no_line() -> None:
+    t = np.arange(3000) * 0.25
+    found = co.frequencies(t, np.cos(t) + 1e-3 * np.cos(1.7 * t), count=4)
+    assert np.isfinite(found.frequency).tolist() == [True, True, False, False]
+    assert np.isnan(found.amplitude[2:]).all() and found.residual < 1e-12
+    constant = co.frequencies(t, np.full(3000, 2.5), count=2)
+    assert np.isnan(constant.frequency).all() and constant.mean == pytest.approx(2.5)
+
+
+def test_uncertainty_covers_white_noise() -> None:
+    members, samples = 150, 512
+    rng = np.random.default_rng(5)
+    t = np.arange(samples) * 0.5
+    signal = np.cos(0.8 * t)[:, None] + 0.3 * np.cos(1.9 * t + 0.5)[:, None] + rng.normal(0.0, 0.05, (samples, members))
+    found = co.frequencies(t, signal[..., None], count=2, window=2)
+    z = (found.frequency - [0.8, 1.9]) / found.uncertainty
+    assert np.all(np.abs(np.mean(z, axis=0)) < 4 / np.sqrt(members))
+    # The change to the narrower window is a part of the error, so that the estimate errs to the safe side.
+    assert np.all(np.sqrt(np.mean(z**2, axis=0)) < 1.15) and np.all(np.sqrt(np.mean(z**2, axis=0)) > 0.5)
+    assert np.mean(np.abs(z) < 2) > 0.93
+
+
+def body_period(m: np.ndarray, x0: np.ndarray) -> float:
+    """Return the period of the free body with the inverse inertia m, by a complete elliptic integral."""
+    length2, energy2 = x0 @ x0, (m * x0) @ x0
+    low, b, high = np.argsort(m)
+    c, a = (high, low) if energy2 > m[b] * length2 else (low, high)
+    rate = np.sqrt((m[b] - m[c]) * (m[a] * length2 - energy2))
+    k2 = (m[a] - m[b]) * (energy2 - m[c] * length2) / ((m[b] - m[c]) * (m[a] * length2 - energy2))
+    return float(4.0 * ellipk(k2) / rate)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_bodies_against_elliptic_integrals(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    inertia = np.sort(rng.uniform(1.0, 1.9, 3))
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    M = turn @ np.diag(1.0 / inertia) @ turn.T
+    body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M), sign=-1 if seed % 2 else 1)
+    x0 = rng.normal(size=3)
+    w = 2 * np.pi / body_period(1.0 / inertia, turn.T @ x0)
+    t = np.linspace(0.0, 60.3 * 2 * np.pi / w, 4000)
+    known = co.systems.rigid_body(inertia=tuple(inertia)).exact(turn.T @ x0, -body.sign * t) @ turn.T
+    found = co.frequencies(t, known, count=3)
+    multiple = np.round(found.frequency / w)
+    # Ten digits are asked for; the closed form itself is right to some u w t.
+    assert np.all(np.abs(found.frequency / (multiple * w) - 1.0) < 1e-13)
+    run = co.integrate(
+        body, x0, (0.0, 60 * 2 * np.pi / w), 60 * 2 * np.pi / w / 6000, co.GaussLegendre(6), save_every=2
+    )
+    assert co.frequencies(run, count=1).frequency[0] / w == pytest.approx(multiple[0], abs=1e-12)
+
+
+def test_attitude_has_two_frequencies() -> None:
+    body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), np.array([1.0, 0.2, 0.5])
+    run = co.integrate(body, x0, (0.0, 800.0), 0.1, co.GaussLegendre(6), attitude=True)
+    nutation = 2 * np.pi / body_period(1 / np.array([1.0, 2.0, 3.0]), x0)
+    found = co.frequencies(run, "attitude", count=8)
+    lines = found.combinations([found.frequency[0], nutation])
+    assert np.all(lines.found) and np.max(np.abs(lines.misfit)) < 1e-11
+    free = found.combinations()
+    assert free.basis.shape == (2,) and np.all(free.found)
+
+
+@pytest.mark.parametrize("name", ["so(4)", "e(3)"])
+def test_two_spans_of_a_quasi_periodic_run_agree(name: str) -> None:
+    rng = np.random.default_rng(11)
+    algebra = co.algebras.get(name)
+    # The Manakov body of four dimensions and the Lagrange top are integrable: all motions are quasi-periodic.
+    if name == "so(4)":
+        a = np.array([1.0, 1.7, 2.3, 3.1])
+        pairs = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
+        system = co.LiePoissonSystem(algebra, co.Quadratic([1 / (a[i] + a[j]) for i, j in pairs]), sign=-1)
+        x0 = 8.0 * rng.normal(size=6)
+    else:
+        terms = {(2, 0, 0, 0, 0, 0): 0.5, (0, 2, 0, 0, 0, 0): 0.5, (0, 0, 2, 0, 0, 0): 0.3, (0, 0, 0, 0, 0, 1): 1.0}
+        system = co.LiePoissonSystem(algebra, co.Polynomial(terms), sign=-1)
+        x0 = np.array([0.3, -0.2, 2.5, 0.2, 0.3, 0.9])
+    run = co.integrate(system, x0, (0.0, 6000.0), 0.05, co.GaussLegendre(6), save_every=5)
+    middle = len(run.t) // 2
+    early, late = (co.frequencies(run.t[part], run.x[part], count=4) for part in (slice(0, middle), slice(middle, -1)))
+    order = [int(np.argmin(np.abs(late.frequency - w))) for w in early.frequency]
+    change = late.frequency[order] - early.frequency
+    assert np.max(np.abs(change / early.frequency)) < 1e-10
+    assert np.all(np.abs(change) <= 10 * (early.uncertainty + late.uncertainty[order]) + 1e-13)
+
+
+def test_frequencies_of_a_chaotic_top_diffuse() -> None:
+    """A heavy top without symmetry, between hanging and standing, beside its calm motion near the hanging rest."""
+    masses = {(2, 0, 0, 0, 0, 0): 0.5, (0, 2, 0, 0, 0, 0): 0.35, (0, 0, 2, 0, 0, 0): 0.2}
+    weight = {(0, 0, 0, 1, 0, 0): 0.8, (0, 0, 0, 0, 1, 0): 0.3, (0, 0, 0, 0, 0, 1): 0.6}
+    top = co.LiePoissonSystem(co.algebras.e(3), co.Polynomial({**masses, **weight}), sign=-1)
+    down = -np.array([0.8, 0.3, 0.6]) / np.linalg.norm([0.8, 0.3, 0.6])
+    calm = np.concatenate([[1e-3, 2e-3, -1e-3], down])
+    wild = np.concatenate([[0.9, 1.1, 0.7], -down])
+    run = co.integrate(top, np.array([calm, wild]), (0.0, 2000.0), 0.05, co.Splitting(order=6), save_every=5)
+    found = co.frequencies(run, lambda x: x[..., :3], count=2)
+    relative = np.abs(found.diffusion / found.frequency)
+    assert relative[0, 0] < 1e-9 and relative[1, 0] > 1e-4
+
+
+def test_signals_of_a_run() -> None:
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    run = co.integrate(body, (1.0, 0.2, 0.5), (0.0, 300.0), 0.1, co.Splitting(order=4), save_every=7, attitude=True)
+    w = co.frequencies(run, count=1).frequency[0]
+    assert len(sampled(run).t) == len(run.t) - 1, "the last saved point is off the even grid"
+    assert co.frequencies(run, 2, count=1).amplitude.shape == (1,)
+    assert co.frequencies(run, lambda x: x[:, 1] + 1j * x[:, 2], count=1).frequency[0] == pytest.approx(-w, rel=1e-9)
+    assert co.frequencies(run, run.x[:, 1], count=1).frequency[0] == pytest.approx(w, rel=1e-9)
+    assert co.frequencies(run, "attitude", count=1).amplitude.shape == (1, 9)
+    assert co.frequencies(run, "energy", count=1).frequency.shape == (1,)
+    members = co.integrate(body, [(1.0, 0.2, 0.5), (0.1, 1.0, 0.2)], (0.0, 300.0), 0.1, co.Splitting(order=4))
+    found = co.frequencies(members, 1, count=2)
+    assert found.frequency.shape == (2, 2) and found.frequency[0, 0] == pytest.approx(w, rel=1e-6)
+    assert "members" in str(found) and "uncertainty" in str(co.frequencies(run))
+
+
+def test_integer_combinations() -> None:
+    t = np.arange(8000) * 0.2
+    a, b = 1.0, np.sqrt(2.0)
+    known = [(1, 0), (0, 1), (2, -1), (-3, 4), (1, 2)]
+    signal = sum(0.5**i * np.cos((p * a + q * b) * t + i) for i, (p, q) in enumerate(known))
+    found = co.frequencies(t, signal, count=5)
+    assert [tuple(row) for row in found.combinations([a, b]).integers] == known
+    off = found.combinations([a])
+    assert off.found.tolist() == [True, False, False, False, False]
+    with pytest.raises(ValueError, match="too many combinations"):
+        found.combinations([1.0, 1.1, 1.2, 1.3, 1.4], largest=20)
+
+
+def test_what_is_refused() -> None:
+    t = np.arange(200) * 0.1
+    with pytest.raises(ValueError, match="same distance"):
+        co.frequencies(t**2, t)
+    with pytest.raises(ValueError, match="at least 64"):
+        co.frequencies(t[:20], t[:20])
+    with pytest.raises(ValueError, match=r"signal\[3\] is nan"):
+        co.frequencies(t, np.where(np.arange(200) == 3, np.nan, 1.0))
+    with pytest.raises(ValueError, match="at most 4 lines"):
+        co.frequencies(t, np.sin(t), count=20)
+    with pytest.raises(ValueError, match="it must be"):
+        co.frequencies(t, np.sin(t[:50]))
+    with pytest.raises(TypeError, match="samples as an array"):
+        co.frequencies(t)
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    run = co.integrate(body, (1.0, 0.2, 0.5), (0.0, 30.0), 0.1)
+    with pytest.raises(ValueError, match="attitude=True"):
+        co.frequencies(run, "attitude")
+    with pytest.raises(ValueError, match="'energy'"):
+        co.frequencies(run, "enegy")
+    with pytest.raises(ValueError, match="from 0 to 2"):
+        co.frequencies(run, 3)

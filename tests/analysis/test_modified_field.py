@@ -1,0 +1,441 @@
+"""Modified fields: known series, what they keep, and the steps that they are the flow of."""
+
+from __future__ import annotations
+
+import dataclasses
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+from fields_under_test import ALGEBRAS, along, elementary, field_of, whole
+
+import coadjoint as co
+from coadjoint.methods.power_series import expand
+from coadjoint.methods.stages import linear_solve
+
+NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+C1 = 1 / (2 - 2 ** (1 / 3))
+
+
+@dataclasses.dataclass(frozen=True)
+class Tableau(co.methods.RungeKuttaMethod):
+    """Any tableau with scale = 1."""
+
+    a: tuple
+    b: tuple
+    order: int = 1
+    symmetric: bool = False
+
+    @property
+    def solver(self):
+        return "implicit" if np.any(np.triu(np.array(self.a, dtype=float))) else "explicit"
+
+    @property
+    def explicit(self):
+        return self.solver == "explicit"
+
+    def properties(self, system):
+        return NOTHING
+
+    def coefficients(self, number=float):
+        mix = np.array([[number(v) for v in row] for row in self.a])
+        return co.methods.Coefficients(mix.sum(axis=1), 0 * mix[0] + number(1), mix, np.array([*map(number, self.b)]))
+
+
+EULER = Tableau(((0,),), (1,))
+TRAPEZOID = Tableau(((0, 0), (0.5, 0.5)), (0.5, 0.5), order=2, symmetric=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class Kahan(co.methods.StepMethod):
+    order, explicit, symmetric = 2, False, True
+
+    def properties(self, system):
+        return NOTHING
+
+    def step(self, system, x, t, h):
+        field = system.vector_field(x, t)
+        matrix = np.eye(len(x), dtype=int) - h / 2 * system.jacobian(x, t)
+        return x + linear_solve(matrix, h * field[:, None])[:, 0]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("name", ALGEBRAS)
+def test_midpoint_rule_has_its_known_series(name: str, sign: int) -> None:
+    """f_2 = (f'f'f - f''(f, f)/2)/12; for x' = ax it is the logarithm of (1 + ah/2)/(1 - ah/2), ah + (ah)^3/12."""
+    system = whole(name, sign, linear=True)
+    f = field_of(system)
+    _, inner, bent = elementary(f)
+    found = co.modified_field(system, co.GaussLegendre(1), 4)
+    assert found.exact
+    assert list(found.terms[0]) == f
+    assert list(found.terms[2]) == [
+        (a - b * Fraction(1, 2)) * Fraction(1, 12) for a, b in zip(inner, bent, strict=True)
+    ]
+    for k in (1, 3):
+        assert all(F.degree == 0 and not F.monomials for F in found.terms[k])
+
+
+@pytest.mark.parametrize("name", ["e(3)", "A3,7"])
+def test_tableaux_have_their_known_series(name: str) -> None:
+    """Explicit Euler: -f'f/2 and (f''(f, f) + 4 f'f'f)/12; trapezoidal rule: (f''(f, f) + f'f'f)/12."""
+    system = whole(name, -1, linear=True)
+    first, inner, bent = elementary(field_of(system))
+    euler, trapezoid = (co.modified_field(system, scheme, 3) for scheme in (EULER, TRAPEZOID))
+    assert list(euler.terms[1]) == [F * Fraction(-1, 2) for F in first]
+    assert list(euler.terms[2]) == [(b + a * 4) * Fraction(1, 12) for a, b in zip(inner, bent, strict=True)]
+    assert list(trapezoid.terms[2]) == [(b + a) * Fraction(1, 12) for a, b in zip(inner, bent, strict=True)]
+    assert (euler.first_error, trapezoid.first_error) == (1, 2)
+
+
+@pytest.mark.parametrize("freeze", ["structure", "gradient"])
+@pytest.mark.parametrize("stages", [1, 2, 3])
+def test_lemma_3_1_is_read_off_the_first_term(stages: int, freeze: str) -> None:
+    system = whole("so(3)", -1)
+    for m in range(1, 2 * stages + 2):
+        scheme = co.ModifiedGaussLegendre(stages, iterations=m, freeze=freeze)
+        found = co.modified_field(system, scheme, 2 * stages + 1, way="exact")
+        assert found.first_error == min(m, 2 * stages) == scheme.order
+
+
+@pytest.mark.parametrize("stages", [1, 2, 3])
+def test_iterated_schemes_have_one_order_more_than_iterations(stages: int) -> None:
+    system = whole("A3,7")
+    for m in range(1, 2 * stages + 1):
+        scheme = co.IteratedGaussLegendre(stages, iterations=m)
+        found = co.modified_field(system, scheme, 2 * stages + 1, way="exact")
+        assert found.first_error == min(m + 1, 2 * stages) == scheme.order
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("name", ALGEBRAS)
+def test_gauss_keeps_quadratic_invariants_at_every_order(name: str, sign: int) -> None:
+    system = whole(name, sign)
+    found = co.modified_field(system, co.GaussLegendre(2), 7 if system.dim < 6 else 5, way="exact")
+    assert found.first_error == 4
+    assert found.keeps("energy") is None
+    for C, F in system.casimirs.items():
+        if isinstance(F, co.Invariant):
+            with pytest.raises(TypeError, match="is no polynomial"):
+                found.keeps(C)
+        elif getattr(F, "degree", 2) == 2:
+            assert found.keeps(C) is None
+
+
+@pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "moments"])
+def test_what_is_frozen_is_what_is_kept(name: str) -> None:
+    system = whole(name, -1)
+    structure, gradient = (
+        co.modified_field(system, co.ModifiedGaussLegendre(1, freeze=freeze), 5 if system.dim < 8 else 4)
+        for freeze in ("structure", "gradient")
+    )
+    assert structure.keeps("energy") is None and gradient.keeps("energy") == 2
+    quadratic = [C for C, F in system.casimirs.items() if getattr(F, "degree", 2) == 2]
+    assert quadratic
+    for C in quadratic:
+        assert gradient.keeps(C) is None and structure.keeps(C) is not None
+        assert structure.rate(C)[structure.keeps(C)].degree > 2
+
+
+def skew_systems():
+    """M full, with a linear term, singular, singular with a linear term along its kernel (a heavy top), and J(x)."""
+    from verification.drawn_systems import curl_bracket
+
+    structure, derivative = curl_bracket(5)
+    e3 = co.algebras.e(3)
+    inertia = np.diag([1.0, 0.5, 0.25, 0.0, 0.0, 0.0])
+    flat = inertia.copy()
+    flat[0, 1] = flat[1, 0] = 0.25
+    return {
+        **{f"{name} {sign:+d}": whole(name, sign) for name in ALGEBRAS if name != "moments" for sign in (1, -1)},
+        "linear": whole("so(4)", -1, linear=True),
+        "singular": co.LiePoissonSystem(e3, co.Quadratic(flat), sign=-1),
+        "heavy top": co.LiePoissonSystem(e3, co.Quadratic(inertia, linear=[0, 0, 0, 0.5, 0, 1]), sign=-1),
+        "linear in range": co.LiePoissonSystem(e3, co.Quadratic(flat, linear=[0.5, 0.25, 1, 0, 0, 0])),
+        "J(x)": co.PoissonSystem(structure, co.Quadratic([1.0, 0.5, 0.25]), -1, derivative=derivative),
+    }
+
+
+@pytest.mark.parametrize("which", skew_systems())
+def test_modified_midpoint_is_skew_to_every_order(which: str) -> None:
+    system = skew_systems()[which]
+    found = co.modified_field(system, co.ModifiedGaussLegendre(1), 5 if system.dim < 6 else 4)
+    assert found.exact and found.first_error == 2
+    n, H = system.dim, system.hamiltonian
+    exact = [co.Polynomial({(0,) * n: Fraction(float(v))}, dim=n) for v in H.gradient(np.zeros(n))]
+    slope = [
+        exact[i] + sum(co.Polynomial.variable(j, n) * Fraction(float(v)) for j, v in enumerate(row))
+        for i, row in enumerate(H.hessian(np.zeros(n)))
+    ]
+    zero = co.Polynomial({}, dim=n)
+    for k, K in found.skew_terms.items():
+        for i in range(n):
+            assert all(K[i][j] == -K[j][i] for j in range(n))
+            assert sum((K[i][j] * slope[j] for j in range(n)), zero) * system.sign == found.terms[k][i]
+    states = np.random.default_rng(1).normal(size=(4, n))
+    values = found.skew_matrix(states, 0.125)
+    product = np.einsum("mij,mj->mi", values, [H.gradient(x) for x in states]) * system.sign
+    np.testing.assert_allclose(product, found(states, 0.125), rtol=0, atol=1e-12 * np.abs(values).max() * 10)
+    np.testing.assert_allclose(found.skew_matrix(states[0], 0.0), system.structure_matrix(states[0]), atol=1e-15)
+
+
+def test_a_scheme_that_loses_the_energy_has_no_skew_matrix() -> None:
+    found = co.modified_field(whole("so(3)"), co.ModifiedGaussLegendre(1, freeze="gradient"), 4)
+    with pytest.raises(ValueError, match=r"does not keep the energy .* at h\^2 grad H \. f has a coefficient of 0\."):
+        found.skew_matrix((1, 2, 3), 0.1)
+
+
+def test_splitting_has_the_formula_of_so3() -> None:
+    m = [Fraction(1), Fraction(1, 2), Fraction(5, 4)]
+    m1, m2, m3 = m
+    body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([float(v) for v in m]))
+    found = co.modified_field(body, co.Splitting(order=2, parts=[[0], [1], [2]]), 4)
+    a = m1**2 * m2 - m1**2 * m3 - 2 * m1 * m2**2 + 2 * m1 * m2 * m3 - m2**2 * m3
+    b = -(m1**2) * m2 + m1**2 * m3 + 2 * m1 * m2 * m3 - 2 * m1 * m3**2 + 2 * m2 * m3**2
+    c = 2 * m1 * m2**2 - 4 * m1 * m2 * m3 + 2 * m1 * m3**2 + m2**2 * m3 - 2 * m2 * m3**2
+    H2 = co.Polynomial({(2, 2, 0): a / 24, (2, 0, 2): b / 24, (0, 2, 2): c / 24})
+    x = [co.Polynomial.variable(i, 3) for i in range(3)]
+    J = [[0 * x[0], x[2], -x[1]], [-x[2], 0 * x[0], x[0]], [x[1], -x[0], 0 * x[0]]]
+    slope = [H2.derivative(i) for i in range(3)]
+    assert list(found.terms[2]) == [sum(J[i][j] * slope[j] for j in range(3)) for i in range(3)]
+    difference = found.hamiltonians[2] - H2
+    square = sum(v * v for v in x)
+    factor = difference.monomials.get((4, 0, 0), 0)
+    assert difference == square * square * factor, "up to a Casimir"
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "A3,7", "A4,7"])
+def test_splittings_are_poisson_with_hamiltonians(name: str, sign: int) -> None:
+    from coadjoint.algebra.exact_polynomials import ExactPolynomials
+
+    system = whole(name, sign)
+    found = co.modified_field(system, co.Splitting(order=2), 5 if system.dim < 6 else 3)
+    assert found.first_error == 2 and not found.poisson_defects
+    ring = ExactPolynomials(system.algebra)
+    for k, H in found.hamiltonians.items():
+        assert [ring.polynomial(sign * f) for f in ring.field(ring.of(H))] == list(found.terms[k])
+    for C in system.casimirs:
+        if isinstance(system.casimirs[C], co.Polynomial | co.Quadratic):
+            assert found.keeps(C) is None
+
+
+def test_a_nested_bracket_gives_the_term_of_a_splitting() -> None:
+    """H2 = -{A, {A, D}}/24 + {D, {D, A}}/12, A the outermost part and D the rest, then the same for D."""
+    from coadjoint.algebra.exact_polynomials import ExactPolynomials, rational
+
+    m = np.array([1.0, 0.5, 0.25, 0.75, 1.5, 2.0])
+    for sign in (1, -1):
+        system = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(m), sign=sign)
+        ring = ExactPolynomials(system.algebra)
+        parts = [x * x * rational(v / 2) for x, v in zip(ring.coordinates, m, strict=True)]
+        H2 = ring.zero
+        for p, A in enumerate(parts[:-1]):
+            D = sum(parts[p + 1 :], ring.zero)
+            H2 += ring.bracket(D, ring.bracket(D, A)) / 12 - ring.bracket(A, ring.bracket(A, D)) / 24
+        found = co.modified_field(system, co.Splitting(order=2, parts=[[i] for i in range(6)]), 3)
+        assert [ring.polynomial(sign * f) for f in ring.field(H2)] == list(found.terms[2])
+
+
+def test_gauss_is_no_poisson_map_and_says_where() -> None:
+    found = co.modified_field(whole("e(3)"), co.GaussLegendre(1), 3)
+    assert list(found.poisson_defects) == [2]
+    with pytest.raises(ValueError, match=r"no Poisson map on .*: at h\^2 .* coefficient of"):
+        found.hamiltonians  # noqa: B018
+
+
+SCHEMES = [
+    co.GaussLegendre(1),
+    co.GaussLegendre(3),
+    co.ModifiedGaussLegendre(2, iterations=3),
+    co.ModifiedGaussLegendre(2, freeze="gradient"),
+    co.IteratedGaussLegendre(3, iterations=2),
+    co.ExplicitRungeKutta("rk4"),
+    co.ExplicitRungeKutta("runge2"),
+    co.Splitting(order=1),
+    co.Splitting(order=1, adjoint=True),
+    co.Splitting(order=2),
+    co.Splitting(order=4),
+    co.Splitting(scheme="blanes_casas_murua6"),
+    co.Composition(co.Splitting(order=2), (C1, 1 - 2 * C1, C1)),
+    co.Composition(co.GaussLegendre(1), (C1, 1 - 2 * C1, C1)),
+    co.Taylor(2, projected=False),
+    EULER,
+    TRAPEZOID,
+    Kahan(),
+]
+
+
+def kinds_of_fields():
+    """Fields that no formula was fitted to: a full M, a linear term, a cubic H, no unimodular algebra, both signs."""
+    cubic = co.Polynomial({(3, 0, 0): 0.25, (0, 2, 0): 0.5, (0, 0, 2): 1, (0, 0, 3): 0.5})
+    return [whole("A3,7", -1, seed=8, linear=True), co.LiePoissonSystem(co.algebras.so(3), cubic, sign=-1)]
+
+
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("scheme", SCHEMES, ids=str)
+def test_a_step_is_the_flow_of_its_field(scheme, which: int) -> None:
+    """One step and the flow of the terms below h^r differ by h^(r+1) f_r and less, forward and backward."""
+    system, order = kinds_of_fields()[which], 4
+    try:
+        scheme.properties(system)
+    except ValueError:
+        pytest.skip("the scheme does not serve a cubic H")
+    found = co.modified_field(system, scheme, order)
+    assert found.exact, found.reason
+    first = next((k for k in range(1, order) if any(F.monomials for F in found.terms[k])), order)
+    assert first == min(scheme.order, order)
+    errors = []
+    with mpmath.workdps(80):
+        x = np.array([mpmath.mpf(v) for v in (0.5, -0.75, 0.625)], dtype=object)
+        for h in (mpmath.mpf("1e-3"), mpmath.mpf("5e-4"), mpmath.mpf("-1e-3")):
+
+            def field(y, h=h):
+                values = [[F(y) for F in found.terms[k]] for k in range(order)]
+                return np.array([sum(values[k][i] * h**k for k in range(order)) for i in range(3)], dtype=object)
+
+            end = x + sum(expand(field, x, h, 9))
+            step = scheme.step(system, x, mpmath.mpf(0), h)
+            errors.append(max(abs(a - b) for a, b in zip(step, end, strict=True)))
+        slope = float(mpmath.log(errors[0] / errors[1], 2))
+    # The first term left out, f_4 or, where symmetry or order remove that, one after it.
+    assert slope > order + 1 - 0.05
+    assert errors[2] < 10 * errors[0]
+
+
+@pytest.mark.parametrize("scheme", [s for s in SCHEMES if not isinstance(s, co.Composition)][::2], ids=str)
+def test_the_two_ways_agree(scheme) -> None:
+    system = whole("e(3)", -1, seed=11, linear=True)
+    exact = co.modified_field(system, scheme, 4, way="exact")
+    points = co.modified_field(system, scheme, 4, way="numerical")
+    x = np.random.default_rng(4).normal(size=(2, 6))
+    a, b = exact.values(x), points.values(x)
+    # Polynomials in floats: some thousand products of size |x|^5.
+    np.testing.assert_allclose(a, b, rtol=0, atol=1e-11 * max(1.0, np.abs(a).max()))
+    assert points.first_error == exact.first_error
+    assert points.keeps("energy") == exact.keeps("energy")
+
+
+def test_radau_on_the_energy_surface() -> None:
+    system = whole("so(3)", -1)
+    found = co.modified_field(system, co.RadauEnergy(2), 4)
+    assert not found.exact and "irrational" in found.reason
+    assert found.first_error == 3 and found.keeps("energy") is None
+    assert found.keeps(next(iter(system.casimirs))) == 3
+    x = np.array([0.5, -0.75, 1.0])
+    values, errors = found.at(x)
+    assert np.all(errors < 1e-12)
+    np.testing.assert_allclose(values[0], system.vector_field(x), atol=1e-15)
+    K = found.skew_matrix(x, 0.125)
+    assert np.array_equal(K, -K.T)
+    np.testing.assert_allclose(system.sign * K @ system.hamiltonian.gradient(x), found(x, 0.125), atol=1e-14)
+    np.testing.assert_allclose(found.terms[3](x), values[3], atol=0)
+
+
+def test_projected_series_keep_what_they_restore() -> None:
+    system = whole("so(3)", 1)
+    found = co.modified_field(system, co.Taylor(2), 4)
+    assert not found.exact
+    assert found.keeps("energy") is None and found.keeps(next(iter(system.casimirs))) is None
+    assert found.first_error == 2
+
+
+def test_a_scheme_at_a_wrong_speed_has_another_field() -> None:
+    system = whole("so(3)")
+
+    def slow(x, h):
+        return co.GaussLegendre(1).step(system, x, 0 * h, h / 4)
+
+    for way in ("numerical", "auto"):
+        found = co.modified_field(system, slow, 3, way=way)
+        assert found.first_error == 0 and found.keeps("energy") is None
+    exact = co.modified_field(system, lambda x, h: x + h / 4 * system.vector_field(x), 2)
+    assert exact.exact and exact.first_error == 0
+
+
+def test_a_function_is_a_scheme() -> None:
+    system = whole("A3,7")
+    found = co.modified_field(system, lambda x, h: x + h * system.vector_field(x + h / 2 * system.vector_field(x)), 4)
+    known = co.modified_field(system, co.ExplicitRungeKutta("runge2"), 4)
+    assert found.exact and dict(found.terms) == dict(known.terms)
+
+
+def test_a_step_that_branches_is_not_read_in_series() -> None:
+    system = whole("so(3)")
+
+    def step(x, h):
+        end = x
+        for _ in range(60):
+            new = x + h * system.vector_field((x + end) / 2)
+            if all(abs(v) < 1e-300 for v in (new - end)):
+                break
+            end = new
+        return end
+
+    def stopped(x, h):  # the constant terms of corrections are zero from the first on
+        end = x
+        for _ in range(60):
+            new = x + h * system.vector_field((x + end) / 2)
+            if getattr(new[0] - end[0], "terms", [1])[0] == 0:
+                return new
+            end = new
+        return end
+
+    with pytest.raises(TypeError, match=r"off by .* it branches"):
+        co.modified_field(system, stopped, 4, way="exact")
+    found = co.modified_field(system, step, 4)
+    known = co.modified_field(system, co.GaussLegendre(1), 4)
+    x = np.array([[0.5, 0.25, -1.0]])
+    np.testing.assert_allclose(found.values(x), known.values(x), atol=1e-14)
+
+
+def test_many_states_and_one() -> None:
+    system = whole("so(4)", -1)
+    found = co.modified_field(system, co.ModifiedGaussLegendre(1), 4)
+    states = np.random.default_rng(0).normal(size=(7, 6))
+    for h in (0.25, -0.25):
+        together = found(states, h)
+        assert together.shape == (7, 6)
+        for x, value in zip(states, together, strict=True):
+            exact = sum(h**k * np.array([F(x) for F in found.terms[k]]) for k in range(4))
+            np.testing.assert_allclose(value, exact, rtol=0, atol=1e-12 * np.abs(together).max())
+            np.testing.assert_allclose(found(x, h), value, rtol=0, atol=1e-13 * np.abs(together).max())
+
+
+def test_what_cannot_be_served_is_refused_by_name() -> None:
+    system = whole("so(3)")
+    timed = co.LiePoissonSystem(
+        co.algebras.so(3), co.Hamiltonian(lambda x, t: x[0] * np.cos(t), lambda x, t: np.array([np.cos(t), 0.0, 0.0]))
+    )
+    with pytest.raises(ValueError, match="depends on time"):
+        co.modified_field(timed, co.GaussLegendre(1), 4)
+    with pytest.raises(ValueError, match="order of a modified field"):
+        co.modified_field(system, co.GaussLegendre(1), 0)
+    with pytest.raises(TypeError, match="give a scheme such as"):
+        co.modified_field(system, 3, 4)
+    with pytest.raises(TypeError, match="returned float64"):
+        co.modified_field(system, lambda x, h: np.asarray(x, dtype=float), 3)
+    with pytest.raises(TypeError, match="no exact modified field"):
+        co.modified_field(system, co.RadauEnergy(2), 4, way="exact")
+    found = co.modified_field(system, co.GaussLegendre(1), 3)
+    with pytest.raises(ValueError, match=r"it must be \(3,\) or \(k, 3\)"):
+        found([1.0, 2.0], 0.1)
+    with pytest.raises(ValueError, match="is no invariant of"):
+        found.keeps("mass")
+    with pytest.raises(ValueError, match=r"differs by .* of its size between two sets of steps"):
+        co.modified_field(system, lambda x, h: np.array([type(v)(float(v)) for v in x + h * system.vector_field(x)]), 3)
+
+
+def test_large_orders_are_refused_before_they_are_made() -> None:
+    system = co.LiePoissonSystem(co.algebras.so(10), co.Quadratic(np.arange(1.0, 46.0)), casimirs={})
+    with pytest.raises(TypeError, match=r"modified field of order 20, of degree 21 in 45 coordinates"):
+        co.modified_field(system, co.GaussLegendre(1), 20, way="exact")
+
+
+def test_it_prints_as_mathematics() -> None:
+    found = co.modified_field(co.systems.rigid_body(inertia=(1, 2, 4)), co.GaussLegendre(1), 3)
+    assert r"f_{0} = \left(-\frac{1}{4} x_{2} x_{3}" in found.to_latex()
+    assert "f_{1}" not in found.to_latex() and found._repr_latex_().startswith("$$")
+    assert "exact polynomials" in repr(found)
+    assert along(found.terms[0], co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})).monomials == {}

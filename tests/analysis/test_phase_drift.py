@@ -1,0 +1,210 @@
+"""Phase errors of motions that are shifted by known amounts, of runs against references, and the verdict on them."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.analysis.line_drift import demodulated, line_drift
+from coadjoint.analysis.line_fit import hann
+from coadjoint.analysis.phase import phase_error
+from coadjoint.analysis.phase_drift import drift_of_series
+
+X0 = (1.0, 0.2, 0.5)
+COORDINATES = co.Splitting(order=2, parts="coordinates")
+
+
+@pytest.fixture(scope="module")
+def body() -> co.LiePoissonSystem:
+    return co.systems.rigid_body(inertia=(1, 2, 3))
+
+
+@pytest.fixture(scope="module")
+def run(body: co.LiePoissonSystem) -> co.Solution:
+    return co.integrate(body, X0, (0.0, 500.0), 0.1, COORDINATES, save_every=7, attitude=True)
+
+
+@pytest.fixture(scope="module")
+def reference(body: co.LiePoissonSystem) -> co.Solution:
+    return co.integrate(body, X0, (0.0, 510.0), 0.05, co.GaussLegendre(6), save_every=4)
+
+
+def test_a_lead_of_many_periods_is_followed(body: co.LiePoissonSystem) -> None:
+    t = np.linspace(0.0, 2000.0, 600)
+    lead = 0.05 * t + 0.1 * np.sin(0.3 * t)  # in the end a hundred, some seven periods
+    assert phase_error(body, X0, t, body.exact(X0, t + lead)) == pytest.approx(lead, abs=1e-9)
+    assert phase_error(body, X0, -t, body.exact(X0, lead - t)) == pytest.approx(lead, abs=1e-9)
+
+
+def test_references_of_every_kind_agree(body, run, reference) -> None:
+    by_form = co.phase_drift(run)
+    by_function = co.phase_drift(run, lambda t: body.exact(X0, t))
+    by_run = co.phase_drift(run, reference)
+    # The reference of order 12 has h^12 of error a unit of time, and less round-off than that.
+    assert by_function.lead == pytest.approx(by_form.lead, abs=1e-12)
+    assert by_run.lead == pytest.approx(by_form.lead, abs=1e-11)
+    assert by_run.slope == pytest.approx(by_form.slope, abs=1e-12)
+
+
+def test_a_reference_that_ends_early_leaves_points_out(body, run) -> None:
+    short = co.integrate(body, X0, (0.0, 300.0), 0.05, co.GaussLegendre(6), save_every=4)
+    drift = co.phase_drift(run, short)
+    assert drift.t[-1] == pytest.approx(300.0, abs=0.8) and len(drift.t) == len(drift.lead)
+
+
+def test_a_coarse_reference_is_refused(body, run) -> None:
+    coarse = co.integrate(body, X0, (0.0, 510.0), 0.1, co.GaussLegendre(4), save_every=25)
+    with pytest.raises(ValueError, match="too far apart"):
+        co.phase_drift(run, coarse)
+
+
+def test_the_splitting_drifts_linearly_and_with_the_square_of_the_step(body) -> None:
+    slopes = []
+    for step in (0.2, 0.1, 0.05):
+        drift = co.phase_drift(co.integrate(body, X0, (0.0, 500.0), step, COORDINATES, save_every=3))
+        assert drift.growth == "linear" and drift.exponent < 0.3
+        slopes.append(drift.slope)
+    # h^2 (c + O(h^2)); the relative h^2 term is of the size of (h w)^2.
+    assert np.log2(np.array(slopes[:-1]) / slopes[1:]) == pytest.approx([2.0, 2.0], abs=0.02)
+
+
+def test_a_scheme_that_loses_energy_drifts_faster(body) -> None:
+    drift = co.phase_drift(
+        co.integrate(body, X0, (0.0, 400.0), 0.1, co.ModifiedGaussLegendre(1, freeze="gradient"), save_every=4)
+    )
+    assert drift.growth == "faster" and drift.exponent == pytest.approx(2.0, abs=0.35)
+
+
+def test_backward_runs_and_other_start_times(body, run) -> None:
+    late = co.integrate(body, X0, (30.0, 530.0), 0.1, COORDINATES, save_every=7)
+    assert abs(co.phase_drift(late).lead[0]) < 1e-12
+    assert co.phase_drift(late).slope == pytest.approx(co.phase_drift(run).slope, rel=1e-9)
+    # A symmetric scheme goes back as it goes: ahead in the direction it goes is behind in time.
+    back = co.phase_drift(co.integrate(body, X0, (0.0, -500.0), 0.1, COORDINATES, save_every=7))
+    assert back.slope == pytest.approx(co.phase_drift(run).slope, rel=2e-3) and back.growth == "linear"
+
+
+def test_ensembles_and_batches_give_a_drift_each(body) -> None:
+    states = np.array([X0, (0.2, 1.0, 0.3), (0.2, 0.3, 1.0)])
+    together = co.phase_drift(co.integrate(body, states, (0.0, 300.0), 0.1, COORDINATES, save_every=4))
+    other = co.systems.rigid_body(inertia=(1, 2, 2.5))
+    mixed = co.phase_drift(
+        co.integrate(co.batch([body, other]), states[:2], (0.0, 300.0), 0.1, COORDINATES, save_every=4)
+    )
+    for member, drift in enumerate(together):
+        alone = co.phase_drift(co.integrate(body, states[member], (0.0, 300.0), 0.1, COORDINATES, save_every=4))
+        assert drift.slope == alone.slope
+    assert mixed[0].slope == together[0].slope and mixed[1].slope != together[1].slope
+
+
+def test_other_algebras_by_a_reference() -> None:
+    """On sl(2) nothing has a closed form; the clock of the second run is wrong by a known factor."""
+    algebra = co.algebras.get("A3,8")
+    system, slow = (
+        co.LiePoissonSystem(algebra, co.Quadratic(f * np.array([1.0, 0.4, 1.3]))) for f in (1.0, 1.0 - 1e-4)
+    )
+    x0 = np.array([0.3, 0.8, 1.2])
+    right = co.integrate(system, x0, (0.0, 60.0), 0.01, co.GaussLegendre(6), save_every=5)
+    late = co.integrate(slow, x0, (0.0, 60.0), 0.01, co.GaussLegendre(6), save_every=5)
+    drift = drift_of_series(late.t, phase_error(system, x0, late.t, late.x, right))
+    assert drift.growth == "linear" and drift.slope == pytest.approx(-1e-4, abs=1e-10)
+    with pytest.raises(TypeError, match="no closed form is known"):
+        co.phase_drift(late)
+
+
+def test_attitudes_ahead_by_a_known_angle(body, run) -> None:
+    drift = co.phase_drift(run, of="attitude")
+    assert drift.unit == "radians" and drift.growth == "linear"
+    good = co.integrate(body, X0, (0.0, 500.0), 0.1, co.GaussLegendre(6), save_every=7, attitude=True)
+    assert co.phase_drift(run, good, of="attitude").slope == pytest.approx(drift.slope, rel=1e-7)
+    # A body that also turns about its momentum: H - c |x|^2 / 2 has the same motion of x.
+    c = 0.02
+    m = 1.0 / np.array([1.0, 2.0, 3.0])
+    turning = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(m + c), sign=-1)
+    ahead = co.integrate(turning, X0, (0.0, 500.0), 0.1, co.GaussLegendre(6), save_every=7, attitude=True)
+    found = co.phase_drift(ahead, good, of="attitude")
+    assert found.slope == pytest.approx(c * np.linalg.norm(X0), abs=1e-9), "several turns, followed"
+    with pytest.raises(ValueError, match="attitude=True"):
+        co.phase_drift(co.integrate(body, X0, (0.0, 50.0), 0.1), of="attitude")
+    spiral = co.integrate(co.systems.paper_a37(), (1.0, 1.0, 1.0), (0.0, 5.0), 0.1, attitude=True)
+    with pytest.raises(ValueError, match="no attitude of a body"):
+        co.phase_drift(spiral, spiral, of="attitude")
+
+
+@pytest.mark.parametrize(
+    ("series", "growth"),
+    [
+        (lambda t: 1e-3 * t + 0.1 * np.cos(2 * t), "linear"),
+        (lambda t: 0.1 * np.cos(2 * t) + 5.0, "bounded"),
+        (lambda t: 1e-5 * t**2 + 1e-3 * np.cos(2 * t), "faster"),
+        (lambda t: 1e-5 * t**2 + 1.0 * t, "linear"),
+        (lambda t: 0.01 * t**1.5, "faster"),
+        (lambda t: 0.0 * t, "bounded"),
+    ],
+)
+def test_verdicts(series, growth) -> None:
+    t = np.arange(2000) * 0.25
+    drift = drift_of_series(t, series(t))
+    assert drift.growth == growth
+    assert str(drift).startswith(growth)
+
+
+def test_verdicts_on_random_walks() -> None:
+    t = np.arange(2000) * 0.25
+    steps = np.random.default_rng(7).normal(size=(2000, 100))
+    walks = [drift_of_series(t, walk).growth for walk in np.cumsum(steps, axis=0).T]
+    phases = [drift_of_series(t, walk).growth for walk in np.cumsum(np.cumsum(steps, axis=0), axis=0).T]
+    assert walks.count("faster") == 0 and walks.count("linear") < 15 and walks.count("wandering") > 60
+    # A walk that happens to go nearly straight cannot be told from a line.
+    assert phases.count("faster") > 75 and phases.count("bounded") == 0
+
+
+def test_each_line_has_its_phase() -> None:
+    t = np.arange(4000) * 0.25
+    first, second = 1.0, np.sqrt(2.0)
+    right = np.cos(first * t) + 0.01 * np.cos(second * t)
+    moved = np.cos((first + 2e-4) * t) + 0.01 * np.cos((second - 3e-4) * t)
+    places, weight = np.arange(0, 3499, 50), hann(np.linspace(-1.0, 1.0, 501), 3)
+    for frequency, slope in ((first, 2e-4), (second, -3e-4)):
+        ahead, true = (demodulated(t, s[:, None], frequency, weight, places)[:, 0] for s in (moved, right))
+        phase = np.unwrap(np.angle(ahead * true.conj()))
+        assert np.polyfit(t[places], phase, 1)[0] == pytest.approx(slope, rel=1e-4)
+
+
+def test_lines_of_a_top_against_a_better_run() -> None:
+    """On e(3) the lines of the symmetric top drift each at its own rate, which is the change of their frequencies."""
+    terms = {(2, 0, 0, 0, 0, 0): 0.5, (0, 2, 0, 0, 0, 0): 0.5, (0, 0, 2, 0, 0, 0): 0.3, (0, 0, 0, 0, 0, 1): 1.0}
+    top = co.LiePoissonSystem(co.algebras.e(3), co.Polynomial(terms), sign=-1)
+    x0 = np.array([0.3, -0.2, 2.5, 0.2, 0.3, 0.9])
+    span = (0.0, 1000.0)
+    right = co.integrate(top, x0, span, 0.05, co.GaussLegendre(6), save_every=5)
+    rough = co.integrate(top, x0, span, 0.05, co.Splitting(order=2), save_every=5)
+    exact, computed = co.frequencies(right, count=3), co.frequencies(rough, count=3)
+    for line in range(3):
+        w = exact.frequency[line]
+        drift = line_drift(rough, w, right)
+        change = computed.frequency[np.argmin(np.abs(computed.frequency - w))] - w
+        assert drift.growth == "linear"
+        assert drift.slope == pytest.approx(change, rel=1e-4, abs=1e-10)
+    rates = [line_drift(rough, w, right).slope / w for w in exact.frequency]
+    assert np.ptp(rates) > 0.1 * np.max(np.abs(rates)), "no common clock"
+
+
+def test_what_is_refused(body, run) -> None:
+    with pytest.raises(ValueError, match="16"):
+        drift_of_series([0.0, 1.0], [0.0, 1.0])
+    with pytest.raises(ValueError, match="in order"):
+        drift_of_series(np.r_[np.arange(20.0), 0.0], np.zeros(21))
+    with pytest.raises(TypeError, match="give a Solution"):
+        co.phase_drift(run, 3.0)
+    with pytest.raises(ValueError, match="must be \\("):
+        co.phase_drift(run, lambda t: np.zeros(3))
+    with pytest.raises(ValueError, match="'momentum'"):
+        co.phase_drift(run, of="momenta")
+    with pytest.raises(ValueError, match="has no phase"):
+        line_drift(run, 0.0)
+    with pytest.raises(ValueError, match="no line"):
+        line_drift(run, 0.5, signal=lambda x: 0.0 * x)
+    with pytest.raises(ValueError, match="other saved times"):
+        line_drift(run, 0.5, co.integrate(body, X0, (0.0, 500.0), 0.1, save_every=5))
+    with pytest.raises(ValueError, match="window takes"):
+        line_drift(run, 0.5, width=1e-3)

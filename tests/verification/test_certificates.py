@@ -1,0 +1,202 @@
+"""Certificates agree with what every scheme declares, on eleven systems; and what is broken does not get one."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import product
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.methods import Properties
+
+from .schemes_under_test import schemes, serves
+from .systems_under_test import Case, cases, full_matrix, without_jacobi
+
+STEP, STEPS = 0.05, 100
+
+
+def moments() -> Case:
+    """Return the moments of degrees 2 and 4: [x_ij, x_kl] = (i l - j k) x_(i+k-1, j+l-1)."""
+    pairs = [(i, d - i) for d in (2, 4) for i in range(d, -1, -1)]
+    rows = [
+        (a, b, pairs.index(found), float(i * l - j * k))
+        for (a, (i, j)), (b, (k, l)) in product(enumerate(pairs), repeat=2)
+        if a < b and (found := (i + k - 1, j + l - 1)) in pairs and i * l != j * k
+    ]
+    algebra = co.LieAlgebra(rows, dim=len(pairs), name="moments {2, 4}")
+    # <pp>/2 + <pp>^2/8 + <qq>/2.5 + 0.15 <qq>^2 + <qqqq>/10
+    H = co.Quadratic([0.3, 0, 0.25, 0, 0, 0, 0, 0], linear=[0.4, 0, 0.5, 0.1, 0, 0, 0, 0])
+    return Case(co.LiePoissonSystem(algebra, H), np.array([1.0, 0.2, 0.9, 0.6, 0.1, 0.4, -0.1, 0.7]))
+
+
+def spins() -> Case:
+    """Return three spins with an exchange that is not isotropic, in a field."""
+    M = np.zeros((9, 9))
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        for axis, strength in enumerate((1.0, 0.7, 0.4)):
+            M[3 * a + axis, 3 * b + axis] = M[3 * b + axis, 3 * a + axis] = strength
+    field = np.tile([0.1, 0.0, 0.3], 3)
+    x0 = np.array([0.6, 0.0, 0.8, -0.5, 0.7, 0.5, 0.1, -0.9, 0.4])
+    return Case(co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 3), co.Quadratic(M, linear=field)), x0)
+
+
+@cache
+def eleven() -> dict[str, Case]:
+    taken = ("so(3), diagonal", "so(3), full, axes turned", "e(3), heavy top", "so(4), diagonal", "A3,7, full")
+    su3 = co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(0.5 * full_matrix(8, 8)), sign=-1)
+    return {name: cases()[name] for name in (*taken, "so(4), separable", "sl(2), driven")} | {
+        "moments {2, 4}": moments(),
+        "three spins": spins(),
+        "su(3)": Case(su3, np.array([0.6, -0.3, 0.5, 0.2, -0.7, 0.4, 0.1, -0.5])),
+        "skew J": without_jacobi(),
+    }
+
+
+PAIRS = [(s, c) for c, case in eleven().items() for s, method in schemes().items() if serves(method, case.system)]
+
+
+@pytest.mark.parametrize(("scheme", "case"), PAIRS)
+def test_every_declared_property_holds(scheme, case):
+    system, x0, _ = eleven()[case]
+    # Of implicit Euler the stage does not converge at larger steps.
+    step = 0.01 if scheme == "RadauEnergy 1" else STEP
+    found = co.certify(system, schemes()[scheme], x0, step, steps=STEPS)
+    assert found.passed and found.declares, str(found)
+
+
+def test_every_scheme_and_every_property_is_there():
+    assert {type(schemes()[s]).__name__ for s, _ in PAIRS} == set(co.methods.names())
+    assert len(eleven()) == 11
+
+
+SPLIT = Properties(poisson=True, energy=False, casimirs="all", attitude="none")
+EVERYTHING = Properties(poisson=True, energy=True, casimirs="all", attitude="none")
+GAUSS = Properties(poisson=False, energy=True, casimirs="quadratic", attitude="none")
+
+
+def strang(system):
+    made: dict[float, co.stepper] = {}
+
+    def step(x, h):
+        if h not in made:
+            made[h] = co.stepper(system, co.Splitting(order=2), h)
+        return made[h](x)
+
+    return step
+
+
+def midpoint(system, tolerance=0.0):
+    def step(x, h):
+        y = x
+        for _ in range(60):
+            before, y = y, x + h * system.vector_field((x + y) / 2)
+            if np.max(np.abs(y - before)) <= tolerance:
+                break
+        return y
+
+    return step
+
+
+def runge_kutta(system, weights=(1.0, 2.0, 2.0, 1.0)):
+    def step(x, h):
+        f = system.vector_field
+        k1 = f(x)
+        k2 = f(x + h / 2 * k1)
+        k3 = f(x + h / 2 * k2)
+        k4 = f(x + h * k3)
+        return x + h / 6 * (weights[0] * k1 + weights[1] * k2 + weights[2] * k3 + weights[3] * k4)
+
+    return step
+
+
+def wrong_sign_of_one_flow(system):
+    """A splitting into single coordinates, the flow of the second one backward."""
+    parts = [system.algebra.coadjoint(unit) for unit in np.eye(system.dim)]
+    M = system.hamiltonian.hessian(np.zeros(system.dim))
+
+    def step(x, h):
+        for i, D in enumerate(parts):
+            turn = -1 if i == 1 else 1
+            angle = turn * system.sign * h * M[i, i] * x[i]
+            x = x + np.sin(angle) * (D @ x) + (1 - np.cos(angle)) * (D @ (D @ x))  # D^3 = -D
+        return x
+
+    return step
+
+
+BROKEN = {
+    "time four times too slow": (lambda s: lambda x, h: strang(s)(x, h / 4), 2, True, SPLIT, "reference"),
+    "backward": (lambda s: lambda x, h: strang(s)(x, -h), 2, True, SPLIT, "reference"),
+    "a clock off by a thousandth": (lambda s: lambda x, h: strang(s)(x, 1.001 * h), 2, True, SPLIT, "reference"),
+    "a wrong coefficient": (lambda s: runge_kutta(s, (1.0, 2.001, 2.0, 0.999)), 4, None, None, "order"),
+    "coefficients that do not add up": (lambda s: runge_kutta(s, (1.0, 2.01, 2.0, 1.0)), 4, None, None, "reference"),
+    "a wrong sign of a flow": (wrong_sign_of_one_flow, 1, False, SPLIT, "reference"),
+    "an order too many": (lambda s: runge_kutta(s), 5, None, None, "order"),
+    "not symmetric": (lambda s: runge_kutta(s), 4, True, None, "symmetry"),
+    "not Poisson": (lambda s: midpoint(s), 2, True, EVERYTHING, "poisson"),
+    "loses the energy": (lambda s: strang(s), 2, True, EVERYTHING, "energy"),
+    "an iteration that stops early": (lambda s: midpoint(s, 1e-9), 2, True, GAUSS, "energy"),
+}
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_what_is_broken_fails_in_its_row(what):
+    made, order, symmetric, properties, row = BROKEN[what]
+    system, x0, _ = eleven()["so(4), diagonal" if row in ("poisson", "energy", "order") else "so(3), diagonal"]
+    found = co.certify(
+        system, made(system), x0, STEP, steps=40, order=order, symmetric=symmetric, properties=properties
+    )
+    assert not found.passed
+    assert found[row].verdict == "fails", str(found)
+
+
+@pytest.mark.parametrize("case", ["so(3), diagonal", "so(4), diagonal"])
+def test_the_same_functions_unbroken_pass(case):
+    system, x0, _ = eleven()[case]
+    right = [
+        (strang(system), 2, True, SPLIT),
+        (runge_kutta(system), 4, False, Properties(poisson=False, energy=False, casimirs="none", attitude="none")),
+        (midpoint(system), 2, True, GAUSS),
+    ]
+    for step, order, symmetric, properties in right:
+        found = co.certify(system, step, x0, STEP, steps=40, order=order, symmetric=symmetric, properties=properties)
+        assert found.passed, str(found)
+
+
+class FalseTaylor(co.Taylor):
+    """Declares everything: its order hides that at the given step, and a larger one tells."""
+
+    def properties(self, system):
+        return EVERYTHING
+
+
+class Slow(co.GaussLegendre):
+    """Runs the motion, and the element, at a quarter of the speed."""
+
+    def coefficients(self, number=float):
+        found = super().coefficients(number)
+        return found._replace(scale=found.scale / 4)
+
+
+class SaidSymmetric(co.ModifiedGaussLegendre):
+    symmetric = True
+
+
+@pytest.mark.parametrize("case", ["so(3), full, axes turned", "e(3), heavy top"])
+@pytest.mark.parametrize(
+    ("method", "failing"),
+    [
+        (FalseTaylor(12, projected=False), {"poisson", "energy"}),
+        (Slow(2), {"order", "reference", "attitude"}),
+        (SaidSymmetric(2, freeze="gradient"), {"symmetry"}),
+    ],
+    ids=["false Taylor", "slow Gauss", "said symmetric"],
+)
+def test_a_scheme_that_declares_falsely_fails(method, failing, case):
+    system, x0, _ = eleven()[case]
+    for step in (0.01, -0.05):
+        found = co.certify(system, method, x0, step, steps=40)
+        assert failing <= {row.key for row in found.failures}, str(found)
+        assert all(row.verdict == "fails" for row in found.failures), str(found)
