@@ -45,18 +45,18 @@ def test_a_polynomial_as_functions_is_the_polynomial(order, sign):
         assert order < 3 or method.order > 1 or not np.allclose(expected, plain.energy(x[0]))
 
 
-@pytest.mark.parametrize("order", [2, 4, 6])
+@pytest.mark.parametrize("order", [2, 4])
 def test_kept_on_so4(order):
     kinds = {i: WELL if i in (0, 3) else WAVE for i in range(6)}
     system = co.LiePoissonSystem(co.algebras.so(4), co.Separable(kinds), sign=-1)
     kept = co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), order)
     defects = []
     states = np.array([SIX, SIX[::-1]])
-    for h in (0.1, 0.05):
+    for h in (0.04, 0.02):
         step = co.stepper(system, co.Splitting(parts="coordinates"), h)
         after = np.array([step(x) for x in states])
         defects.append(np.max(np.abs(kept(after, h) - kept(states, h))))
-    assert defects[0] > 1e-9 and math.log2(defects[0] / defects[1]) > order + 0.4
+    assert defects[0] > 1e-11 and math.log2(defects[0] / defects[1]) > order + 0.4
 
 
 def test_coupled_coordinates():
@@ -83,7 +83,7 @@ def test_what_cannot_be_differentiated_is_refused():
     system = co.LiePoissonSystem(co.algebras.so(3), co.Separable(functions))
     x = [0.5, 0.4, 0.3]
     assert isinstance(co.modified_hamiltonian(system, co.Splitting(), 4)(x, 0.1), float)
-    with pytest.raises(TypeError, match="gradient takes no complex numbers.*take a lower order"):
+    with pytest.raises(TypeError, match=r"gradient takes no complex numbers.*take a lower order"):
         co.modified_hamiltonian(system, co.Splitting(), 6)(x, 0.1)
     kink = (lambda y: y * abs(y) ** 3 / 4, lambda y: abs(y) ** 3, lambda y: 3 * y * abs(y))
     system = co.LiePoissonSystem(co.algebras.so(3), co.Separable(dict.fromkeys(range(3), kink)))
