@@ -34,6 +34,7 @@ MEMBERS_OF = (
     ("A certificate", co.Certificate),
     ("A row of a certificate", Row),
     ("A modified field", co.ModifiedField),
+    ("A corrector", co.Corrector),
 )
 USED = {
     "analysis.checks.growth": ("growth", "Growth"),

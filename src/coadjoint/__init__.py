@@ -22,17 +22,17 @@ TYPE_CHECKING = False
 __version__ = "0.1.0"
 
 _HOME = {
-    "Hamiltonian": "coadjoint.systems.hamiltonian",
     "IntegrationError": "coadjoint.errors",
     "Invariant": "coadjoint.algebra.invariant",
-    "LyapunovExponents": "coadjoint.analysis.lyapunov",
     "LieAlgebra": "coadjoint.algebra.lie_algebra",
+    "Polynomial": "coadjoint.algebra.polynomial",
+    "Hamiltonian": "coadjoint.systems.hamiltonian",
     "LiePoissonSystem": "coadjoint.systems.lie_poisson",
     "PoissonSystem": "coadjoint.systems.poisson",
-    "Polynomial": "coadjoint.algebra.polynomial",
     "Quadratic": "coadjoint.systems.quadratic",
     "Separable": "coadjoint.systems.separable",
     "SplitHamiltonian": "coadjoint.systems.split_hamiltonian",
+    "batch": "coadjoint.systems.batch",
     "Composition": "coadjoint.methods.composition",
     "ExplicitRungeKutta": "coadjoint.methods.explicit_runge_kutta",
     "GaussLegendre": "coadjoint.methods.gauss_legendre",
@@ -41,26 +41,29 @@ _HOME = {
     "RadauEnergy": "coadjoint.methods.radau_energy",
     "Splitting": "coadjoint.methods.splitting",
     "Taylor": "coadjoint.methods.taylor",
-    "Frequencies": "coadjoint.analysis.frequencies",
-    "PhaseDrift": "coadjoint.analysis.phase_drift",
     "PreparedRun": "coadjoint.runs.prepared_run",
     "Solution": "coadjoint.runs.solution",
-    "batch": "coadjoint.systems.batch",
-    "Certificate": "coadjoint.analysis.certificate",
-    "certify": "coadjoint.analysis.certify",
-    "Choice": "coadjoint.choosing.accuracy",
-    "choose": "coadjoint.choosing.accuracy",
-    "frequencies": "coadjoint.analysis.frequencies",
-    "phase_drift": "coadjoint.analysis.phase_drift",
-    "predicted_drift": "coadjoint.analysis.predicted_drift",
-    "ModifiedHamiltonian": "coadjoint.analysis.modified_hamiltonian",
     "integrate": "coadjoint.runs.integrate",
-    "lyapunov": "coadjoint.analysis.lyapunov",
-    "modified_hamiltonian": "coadjoint.analysis.modified_hamiltonian",
-    "ModifiedField": "coadjoint.analysis.modified_fields",
-    "modified_field": "coadjoint.analysis.modified_field",
     "prepare": "coadjoint.runs.prepared_run",
     "stepper": "coadjoint.runs.stepper",
+    "Choice": "coadjoint.choosing.accuracy",
+    "choose": "coadjoint.choosing.accuracy",
+    "Certificate": "coadjoint.analysis.certificate",
+    "Corrector": "coadjoint.analysis.corrector",
+    "Frequencies": "coadjoint.analysis.frequencies",
+    "LyapunovExponents": "coadjoint.analysis.lyapunov",
+    "ModifiedField": "coadjoint.analysis.modified_fields",
+    "ModifiedHamiltonian": "coadjoint.analysis.modified_hamiltonian",
+    "PhaseDrift": "coadjoint.analysis.phase_drift",
+    "certify": "coadjoint.analysis.certify",
+    "corrector": "coadjoint.analysis.corrector",
+    "frequencies": "coadjoint.analysis.frequencies",
+    "lyapunov": "coadjoint.analysis.lyapunov",
+    "modified_field": "coadjoint.analysis.modified_field",
+    "modified_hamiltonian": "coadjoint.analysis.modified_hamiltonian",
+    "phase_drift": "coadjoint.analysis.phase_drift",
+    "predicted_drift": "coadjoint.analysis.predicted_drift",
+    "suggest_step": "coadjoint.analysis.suggested_step",
 }
 _MODULES = {
     "algebras": "coadjoint.algebra.catalogue",
@@ -81,6 +84,8 @@ if TYPE_CHECKING:
     from coadjoint.algebra.polynomial import Polynomial as Polynomial
     from coadjoint.analysis.certificate import Certificate as Certificate
     from coadjoint.analysis.certify import certify as certify
+    from coadjoint.analysis.corrector import Corrector as Corrector
+    from coadjoint.analysis.corrector import corrector as corrector
     from coadjoint.analysis.frequencies import Frequencies as Frequencies
     from coadjoint.analysis.frequencies import frequencies as frequencies
     from coadjoint.analysis.lyapunov import LyapunovExponents as LyapunovExponents
@@ -92,6 +97,7 @@ if TYPE_CHECKING:
     from coadjoint.analysis.phase_drift import PhaseDrift as PhaseDrift
     from coadjoint.analysis.phase_drift import phase_drift as phase_drift
     from coadjoint.analysis.predicted_drift import predicted_drift as predicted_drift
+    from coadjoint.analysis.suggested_step import suggest_step as suggest_step
     from coadjoint.choosing.accuracy import Choice as Choice
     from coadjoint.choosing.accuracy import choose as choose
     from coadjoint.errors import IntegrationError as IntegrationError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -52,11 +52,29 @@ def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) 
 
     given = read_list(orders, "orders", "give whole numbers such as (4, 6)")
     wanted = [read_whole(order, "an order") for order in given]
-    series = {"energy $H$": solution.energy}
-    series |= {rf"$\tilde H$ of order {order}": solution.modified_energy(order) for order in wanted}
-    every = max(1, -(-len(solution.t) // MOST_POINTS))
     figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.add_subplot()
+    draw_deviations(axes, solution, wanted)
+    axes.set_title(f"{solution.system.name}, {solution.method}, step {solution.step:g}".replace("$", r"\$"))
+    key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+def draw_deviations(axes: Any, solution: Solution, orders: Sequence[int]) -> None:
+    """Draw how far energy and modified energies stray from their start, into axes.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Where.
+    solution : Solution
+        By a splitting; of an ensemble the first member is drawn.
+    orders : sequence of int
+        Of the modified Hamiltonians.
+    """
+    series = {"energy $H$": solution.energy}
+    series |= {rf"$\tilde H$ of order {order}": solution.modified_energy(order) for order in orders}
+    every = max(1, -(-len(solution.t) // MOST_POINTS))
     for place, (label, values) in enumerate(series.items()):
         own = values.reshape(len(values), -1)[:, 0]
         deviation = np.abs(own - own[0])[::every]
@@ -64,7 +82,4 @@ def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) 
         visible = np.where(deviation > 0.0, deviation, np.nan)
         axes.plot(solution.t[::every], visible, color=colour(place), linewidth=0.9, label=label)
     axes.set(yscale="log", xlabel="time $t$", ylabel="absolute deviation from start")
-    axes.set_title(f"{solution.system.name}, {solution.method}, step {solution.step:g}".replace("$", r"\$"))
     plain_axes(axes)
-    key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return figure

@@ -97,7 +97,9 @@ def decompose_all(systems: Sequence[LiePoissonSystem]) -> None:
 _FOUND: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
 
 
-class _Candidate(NamedTuple):
+class Candidate(NamedTuple):
+    """Casimirs taken off, and the parts of what is left."""
+
     shift: Shift
     parts: Parts
 
@@ -141,24 +143,24 @@ def best_decompositions(
     list of Decomposition
         Each one the same as for its system alone.
     """
-    candidates = [_candidates(system, len(points) > 0) for system in systems]
-    pairs = [(system, one.parts) for system, own in zip(systems, candidates, strict=True) for one in own]
+    found = [candidates(system, len(points) > 0) for system in systems]
+    pairs = [(system, one.parts) for system, own in zip(systems, found, strict=True) for one in own]
     orders = iter(best_orders(pairs, points, t))
     result = []
-    for system, own in zip(systems, candidates, strict=True):
+    for system, own in zip(systems, found, strict=True):
         best, (order, least) = own[0], next(orders)
         for candidate in own[1:]:
-            found, size = next(orders)
+            other, size = next(orders)
             if size < least * CLEARLY:
-                best, order, least = candidate, found, size
+                best, order, least = candidate, other, size
         result.append(_decomposition(best.parts, quadratic_casimirs(system), ChosenParts(order, best.shift)))
     return result
 
 
-def _candidates(system: LiePoissonSystem, comparing: bool) -> list[_Candidate]:
+def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candidate]:
     """Return the parts after every shift that leaves the fewest of them; of the first one where nothing is compared."""
     terms, casimirs = system.hamiltonian.terms(), quadratic_casimirs(system)
-    found = [_Candidate((), split(system, "auto", terms))]
+    found = [Candidate((), split(system, "auto", terms))]
     fewest = len(found[0].parts)
     shifts = list(candidate_shifts(system, found[0].parts, casimirs)) if fewest > 1 else []
     # For many shifts of a large system the number of parts is known without making them.
@@ -170,7 +172,7 @@ def _candidates(system: LiePoissonSystem, comparing: bool) -> list[_Candidate]:
         if len(parts) < fewest:
             found, fewest = [], len(parts)
         if not found or (comparing and len(parts) == fewest):
-            found.append(_Candidate(shift, parts))
+            found.append(Candidate(shift, parts))
     return found
 
 

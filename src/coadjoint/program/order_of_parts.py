@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from itertools import permutations
 
 import numpy as np
@@ -73,9 +73,38 @@ def _least(samples: Samples, natural: tuple[int, ...]) -> list[tuple[tuple[int, 
     if len(natural) > MOST_ORDERED:
         return [(natural, float(size)) for size in samples.sizes([natural])[:, 0]]
     if len(natural) > MOST_PERMUTED:
-        return [_moved(samples, natural)]
+        return [least_of_orders(natural, lambda orders: samples.sizes(orders)[0].tolist())]
     orders = list(permutations(natural))
     return [_first_clearly_least(orders, sizes) for sizes in samples.sizes(orders).tolist()]
+
+
+def least_of_orders(
+    natural: tuple[int, ...], sizes: Callable[[Sequence[tuple[int, ...]]], Sequence[float]]
+) -> tuple[tuple[int, ...], float]:
+    """Return the order of few parts that is least by a measure, and how much that is.
+
+    Parameters
+    ----------
+    natural : tuple of int
+        Numbers of the parts: the order to begin with, which is kept unless another one is clearly less.
+    sizes : callable
+        The measure of several orders.
+
+    Returns
+    -------
+    order : tuple of int
+    size : float
+    """
+    if len(natural) <= MOST_PERMUTED:
+        orders = list(permutations(natural))
+        return _first_clearly_least(orders, sizes(orders))
+    best = natural
+    while True:
+        orders = [best, *_neighbours(best)]
+        found, size = _first_clearly_least(orders, sizes(orders))
+        if found == best:
+            return best, size
+        best = found
 
 
 def _first_clearly_least(orders: Sequence[tuple[int, ...]], sizes: Sequence[float]) -> tuple[tuple[int, ...], float]:
@@ -84,17 +113,6 @@ def _first_clearly_least(orders: Sequence[tuple[int, ...]], sizes: Sequence[floa
         if size < least * CLEARLY:
             best, least = order, size
     return best, least
-
-
-def _moved(samples: Samples, natural: tuple[int, ...]) -> tuple[tuple[int, ...], float]:
-    """Move the parts of one set one by one, while that helps."""
-    best = natural
-    while True:
-        orders = [best, *_neighbours(best)]
-        found, size = _first_clearly_least(orders, samples.sizes(orders)[0].tolist())
-        if found == best:
-            return best, size
-        best = found
 
 
 def _neighbours(order: tuple[int, ...]) -> list[tuple[int, ...]]:

@@ -150,6 +150,18 @@ class Samples:
             squares += terms[..., k] ** 2
         return np.asarray(np.sqrt(squares / terms.shape[2]))
 
+    def nested_brackets(self, j: NDArray[np.int64], k: NDArray[np.int64]) -> Floats:
+        """Return {H_i, {H_j, H_k}} of the first set for all its parts i and pairs (j, k), shape (parts, pairs, k)."""
+        inner = self._bracket_gradient(
+            self._gradients[:1, j], self._hessians[:1, j], self._gradients[:1, k], self._hessians[:1, k]
+        )
+        turned = self._turned(inner)[0]
+        found = np.zeros((len(self._gradients[0]), *turned.shape[:2]))
+        for i, gradient in enumerate(self._gradients[0]):
+            for a in range(gradient.shape[-1]):
+                found[i] += gradient[:, a] * turned[..., a]
+        return found
+
     def _turned(self, u: Floats) -> Floats:
         return _applied(self._structure, u)
 

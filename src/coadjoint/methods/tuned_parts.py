@@ -1,0 +1,163 @@
+"""Which parts for a state? Those whose h^2 term, carried along a short motion from there, makes the smallest error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from math import comb
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.methods.flow_method import FlowMethod
+from coadjoint.methods.short_orbit import ShortOrbit, short_orbit
+from coadjoint.program.chosen_parts import ChosenParts
+from coadjoint.program.decompose import best_decomposition, candidates, decompose
+from coadjoint.program.leading_term import leading_term
+from coadjoint.program.nested_brackets import NestedBrackets
+from coadjoint.program.order_of_parts import CLEARLY, MOST_ORDERED, least_of_orders
+from coadjoint.program.parts import Parts
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.polynomial_form import polynomial_of
+
+Floats = NDArray[np.float64]
+
+# Larger systems are compared at the given states alone: the brackets of a motion cost n^3 for each of its points.
+LARGEST_FOLLOWED = 64
+# Choices that are compared by the own first term of a scheme of higher order.
+MOST_TRIED = 12
+# Such a term may have so many monomials; where there are more, the choice of order two is taken.
+MOST_MONOMIALS = 4000
+
+
+def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], starts: Floats) -> ChosenParts:
+    """Return shift and order of the automatic parts with the smallest error along short motions from some states.
+
+    The field of a scheme differs from the motion's by J times the gradient of the first term of its modified
+    Hamiltonian, and the tangent map carries what this adds at one point to all later ones. Of order two every order of
+    the parts is compared; of a higher one those that are best at order two, which is a good guess of them.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        The system.
+    scheme : callable
+        Returns the scheme with a choice of parts.
+    starts : ndarray, shape (members, n)
+        The states.
+
+    Returns
+    -------
+    ChosenParts
+        The choice of ``parts="auto"``, unless another one is better.
+    """
+    method = scheme("auto")
+    own, terms = decompose(system, "auto").choice, system.hamiltonian.terms()
+    if system.dim > LARGEST_FOLLOWED or not all(term.differentiable for term in terms):
+        return best_decomposition(system, starts).choice
+    orbits = [short_orbit(method, system, start) for start in starts]
+    # Any number of parts is the same for all of them: the fewest.
+    if not 1 < len(own.order) <= MOST_ORDERED:
+        return best_decomposition(system, np.concatenate([orbit.points for orbit in orbits])).choice
+    ranked: list[tuple[float, ChosenParts]] = []
+    for shift, parts in candidates(system):
+        errors = ErrorsOfOrders(system, parts, orbits)
+        natural = own.order if shift == own.shift else tuple(range(len(parts)))
+        tried: dict[tuple[int, ...], float] = {}
+        least_of_orders(natural, partial(_remembered, errors, tried))
+        ranked += [(size, ChosenParts(order, shift)) for order, size in tried.items()]
+    ranked.sort(key=lambda one: (one[0], one[1] != own))
+    if method.order == 2 or _monomials(system, method.order) > MOST_MONOMIALS:
+        return _least(ranked, own)
+    some = [own, *(choice for _, choice in ranked if choice != own)][:MOST_TRIED]
+    return _least([(_error_of_scheme(system, scheme(choice), orbits), choice) for choice in some], own)
+
+
+def _monomials(system: LiePoissonSystem, order: int) -> float:
+    """Return a bound of the monomials of the first term: brackets of order + 1 pieces of H, each takes a degree."""
+    H = polynomial_of(system.hamiltonian)
+    return np.inf if H is None else comb(system.dim + (order + 1) * (H.degree - 1) + 1, system.dim)
+
+
+def _remembered(
+    errors: ErrorsOfOrders, kept: dict[tuple[int, ...], float], orders: Sequence[tuple[int, ...]]
+) -> list[float]:
+    kept.update(zip(orders, errors.sizes(orders), strict=True))
+    return [kept[order] for order in orders]
+
+
+def _least(sizes: Sequence[tuple[float, ChosenParts]], own: ChosenParts) -> ChosenParts:
+    """Return the least, but the own choice where nothing is clearly less."""
+    least, best = min(sizes, key=lambda one: one[0])
+    return best if all(choice != own or least < size * CLEARLY for size, choice in sizes) else own
+
+
+def _error_of_scheme(system: LiePoissonSystem, method: FlowMethod, orbits: Sequence[ShortOrbit]) -> float:
+    """Return the error of a scheme, divided by h^order; see `ErrorsOfOrders.sizes`."""
+    term = leading_term(system, method, method.order)
+    total = 0.0
+    for orbit in orbits:
+        slopes = term.gradient(orbit.points)
+        fields = np.array([_turned(system, x, slope[:, None]) for x, slope in zip(orbit.points, slopes, strict=True)])
+        total += np.max(np.sum(orbit.carried(fields)[:, :, 0] ** 2, axis=1)) / orbit.square
+    return float(np.sqrt(total / len(orbits)))
+
+
+class ErrorsOfOrders:
+    """What the brackets in the h^2 term of one set of parts make of some orbits; with them, the error of every order.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        The system.
+    parts : Parts
+        Those of its Hamiltonian, or of the Hamiltonian less a Casimir.
+    orbits : sequence of ShortOrbit
+        Its motions.
+    """
+
+    def __init__(self, system: LiePoissonSystem, parts: Parts, orbits: Sequence[ShortOrbit]) -> None:
+        self._brackets = NestedBrackets(system.algebra, parts)
+        self._carried, self._square = [], [orbit.square for orbit in orbits]
+        for orbit in orbits:
+            slopes = np.moveaxis(self._brackets.gradients(orbit.points), (2, 3), (0, 1))
+            slopes = slopes.reshape(*slopes.shape[:2], -1)
+            fields = np.array([_turned(system, x, slope) for x, slope in zip(orbit.points, slopes, strict=True)])
+            self._carried.append(orbit.carried(fields))
+
+    def sizes(self, orders: Sequence[tuple[int, ...]]) -> list[float]:
+        """Return for orders of the parts the root mean square over the orbits of the largest error, a part of x."""
+        weights = np.array([self._brackets.weights(order).ravel() for order in orders])
+        total = np.zeros(len(orders))
+        for carried, square in zip(self._carried, self._square, strict=True):
+            squares = np.zeros((len(carried), len(orders)))
+            for i in range(carried.shape[1]):
+                squares += _summed(carried[:, i], weights) ** 2
+            total += np.max(squares, axis=0) / square
+        return np.sqrt(total / len(self._carried)).tolist()
+
+    def along(self, order: tuple[int, ...]) -> list[Floats]:
+        """Return the error of one order at the points of each orbit, (k + 1, n), divided by h^2."""
+        weights = self._brackets.weights(order).ravel()[None]
+        return [
+            np.stack([_summed(carried[:, i], weights)[:, 0] for i in range(carried.shape[1])], axis=1)
+            for carried in self._carried
+        ]
+
+
+def _summed(carried: Floats, weights: Floats) -> Floats:
+    """Return (k, m) times the transpose of (orders, m), summed in order."""
+    total = np.zeros((len(carried), len(weights)))
+    for m in range(carried.shape[1]):
+        total += carried[:, m, None] * weights[:, m]
+    return total
+
+
+def _turned(system: LiePoissonSystem, x: Floats, slopes: Floats) -> Floats:
+    """Return sign J(x) times columns, summed in order."""
+    structure = system.sign * system.algebra.structure_matrix(x)
+    found = np.zeros_like(slopes)
+    for j, slope in enumerate(slopes):
+        found += structure[:, j : j + 1] * slope
+    return found

@@ -1,0 +1,78 @@
+"""Every order of the parts at once: the h^2 term of each is a sum of the same brackets {A, {B, C}}."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.program.parts import Parts
+from coadjoint.program.second_order import Floats, Samples
+
+# Differences of the brackets, which are smooth, over this part of the size of a point: (2^-14)^2 is what they neglect.
+NUDGE = 2.0**-14
+
+
+class NestedBrackets:
+    """The brackets {H_i, {H_j, H_k}}, j < k, of the pieces that belong to parts.
+
+    Parameters
+    ----------
+    algebra : LieAlgebra
+        The bracket is {F, G} = (grad F)^T J(x) grad G.
+    parts : Parts
+        The pieces; at least two.
+    """
+
+    def __init__(self, algebra: LieAlgebra, parts: Parts) -> None:
+        self.algebra, self.parts = algebra, parts
+        self.pairs = list(combinations(range(len(parts)), 2))
+
+    def values(self, points: Floats, t: float = 0.0) -> Floats:
+        """Return the brackets at points (k, n), shape (parts, pairs, k)."""
+        samples = Samples([self.algebra], [self.parts], points, t)
+        j, k = np.array(self.pairs).T
+        return samples.nested_brackets(j, k)
+
+    def gradients(self, points: Floats, t: float = 0.0) -> Floats:
+        """Return their gradients at points (k, n), shape (parts, pairs, k, n), by central differences."""
+        size = np.max(np.abs(points), axis=1, keepdims=True)
+        nudge = NUDGE * np.where(size > 0.0, size, 1.0)
+        columns = []
+        for i in range(points.shape[1]):
+            ahead, behind = points.copy(), points.copy()
+            ahead[:, i : i + 1] += nudge
+            behind[:, i : i + 1] -= nudge
+            columns.append((self.values(ahead, t) - self.values(behind, t)) / (ahead - behind)[:, i])
+        return np.stack(columns, axis=-1)
+
+    def weights(self, order: Sequence[int]) -> Floats:
+        """Return the factors of the brackets in H2, shape (parts, pairs), of parts in this order of a forward sweep.
+
+        A part A with all later ones, D, contributes -{A, {A, D}}/24 + {D, {D, A}}/12.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> from coadjoint.program.split import split
+        >>> body = co.systems.paper_rigid_body()
+        >>> brackets = NestedBrackets(body.algebra, split(body, [[0], [1], [2]]).take(np.array([0, 1])))
+        >>> 24 * brackets.weights([0, 1])
+        array([[-1.],
+               [-2.]])
+        """
+        place = {pair: number for number, pair in enumerate(self.pairs)}
+        found = np.zeros((len(self.parts), len(self.pairs)))
+
+        def add(i: int, j: int, k: int, factor: float) -> None:
+            found[i, place[min(j, k), max(j, k)]] += factor if j < k else -factor
+
+        for first, a in enumerate(order):
+            later = order[first + 1 :]
+            for d in later:
+                add(a, a, d, -1.0 / 24.0)
+                for e in later:
+                    add(e, d, a, 1.0 / 12.0)
+        return found
