@@ -12,12 +12,11 @@ import numpy.typing as npt
 from coadjoint.algebra.exact_polynomials import ExactPolynomials
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian, modified_hamiltonian
+from coadjoint.analysis.short_motion import short_motion
 from coadjoint.given import read_finite, read_number
 from coadjoint.memory import check_room
 from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
-from coadjoint.methods.short_orbit import PART, short_orbit
-from coadjoint.methods.splitting import Splitting
 from coadjoint.runs.integrate import integrate
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.polynomial_form import polynomial_of
@@ -145,8 +144,7 @@ def corrector(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike) -> Co
     basis = _monomials(system.dim, max(term.degree - H.degree + 1, 1))
     count = max(POINTS_EACH * len(basis) // len(starts), 64)
     check_room(8 * 3 * len(basis) * count * len(starts), f"{len(basis)} monomials at {count * len(starts)} states")
-    orbits = [short_orbit(Splitting(order=4), system, start, steps=count) for start in starts]
-    motions = [orbit.points for orbit in orbits]
+    motions, rates = zip(*(short_motion(system, start, count) for start in starts), strict=True)
     ring = ExactPolynomials(system.algebra)
     energy = ring.of(H)
     brackets = [ring.polynomial(ring.bracket(ring.of(one), energy)) for one in basis]
@@ -156,7 +154,7 @@ def corrector(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike) -> Co
     if size == 0.0:
         return Corrector(system, Polynomial({}, dim=system.dim), method.order, 0.0)
     every = np.concatenate(motions)
-    bound = LARGEST * _moved_by(system, term, every) / min(PART / abs(orbit.spacing) for orbit in orbits)
+    bound = LARGEST * _moved_by(system, term, every) / min(rates)
     left, right, across = np.linalg.svd(columns, full_matrices=False)
     for part in PARTS:
         taken = right > part * right[0]
