@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from coadjoint.algebra.exact_polynomials import ExactPolynomials
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian, modified_hamiltonian
+from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian, check_subject, modified_hamiltonian
 from coadjoint.analysis.short_motion import short_motion
-from coadjoint.given import read_finite, read_number
+from coadjoint.given import check_power, read_finite, read_number
 from coadjoint.memory import check_room
 from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
@@ -93,7 +93,9 @@ class Corrector:
         states, n = read_finite(x, "x"), self._flow.dim
         if states.ndim == 0 or states.shape[-1] != n:
             raise ValueError(f"x has the shape {states.shape}; its last axis must have {n} coordinates")
-        duration = direction * read_number(h, "h") ** self.order
+        step = read_number(h, "h")
+        check_power(step, self.order, "h")
+        duration = direction * step**self.order
         if duration == 0.0 or states.size == 0 or not self.generator.monomials:
             return states
         rows = states.reshape(-1, n)
@@ -134,6 +136,7 @@ def corrector(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike) -> Co
     S. Blanes, F. Casas and A. Murua, Composition methods for differential equations with processing, SIAM J. Sci.
     Comput. 27 (2006), for correctors of compositions.
     """
+    check_subject(system, method)
     found, H = modified_hamiltonian(system, method, method.order), polynomial_of(system.hamiltonian)
     if H is None or not isinstance(found, ModifiedHamiltonian):
         raise ValueError(f"the Hamiltonian of {system.name} is no polynomial; a corrector is a polynomial's flow")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian
+from coadjoint.analysis.modified_hamiltonian import check_subject, modified_hamiltonian
 from coadjoint.analysis.short_motion import short_motion
 from coadjoint.given import read_finite, read_positive
 from coadjoint.methods.base import Method
@@ -51,6 +51,7 @@ def suggest_step(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike, en
     >>> 0.9e-5 < run.drift()["energy"] < 1.1e-5
     True
     """
+    check_subject(system, method)
     wanted = read_positive(energy, "energy")
     points = np.atleast_2d(read_finite(x0, "x0"))
     if points.ndim != 2 or points.shape[1] != system.dim:

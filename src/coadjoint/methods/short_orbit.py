@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Method
 from coadjoint.systems.kinds import System
+from coadjoint.systems.points import QUIET
 from coadjoint.wording import short
 
 Floats = NDArray[np.float64]
@@ -70,6 +71,7 @@ def _product(matrix: Floats, columns: Floats) -> Floats:
     return total
 
 
+@QUIET
 def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, steps: int = STEPS) -> ShortOrbit:
     """Return the motion from a state over some dozens of the times in which it turns by one.
 
