@@ -11,6 +11,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Method
 from coadjoint.systems.kinds import System
 from coadjoint.systems.points import QUIET
+from coadjoint.systems.points import QUIET
 from coadjoint.wording import short
 
 Floats = NDArray[np.float64]
@@ -122,6 +123,7 @@ def cannot_follow(x0: Floats, spacing: float) -> ValueError:
     )
 
 
+@QUIET
 def rate_at(system: System, x0: Floats, t: float = 0.0) -> float:
     """Return how fast the motion turns or grows at a state, per unit of time.
 
