@@ -11,7 +11,6 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Method
 from coadjoint.systems.kinds import System
 from coadjoint.systems.points import QUIET
-from coadjoint.systems.points import QUIET
 from coadjoint.wording import short
 
 Floats = NDArray[np.float64]
