@@ -438,4 +438,6 @@ def test_it_prints_as_mathematics() -> None:
     assert r"f_{0} = \left(-\frac{1}{4} x_{2} x_{3}" in found.to_latex()
     assert "f_{1}" not in found.to_latex() and found._repr_latex_().startswith("$$")
     assert "exact polynomials" in repr(found)
+    long = co.modified_field(co.systems.rigid_body(inertia=(1, 2, 3)), co.GaussLegendre(1), 1)
+    assert r"-0.166667 x_{2} x_{3}" in long._repr_latex_() and r"\frac{3002399751580331}" in long.to_latex()
     assert along(found.terms[0], co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})).monomials == {}

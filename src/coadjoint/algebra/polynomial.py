@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from functools import cached_property
 from numbers import Integral, Rational
@@ -270,6 +270,20 @@ class Polynomial:
     def _hessian_sum(self) -> ProductSum:
         twice = differentiated(differentiated(self._factors, self._dim), self._dim)
         return ProductSum(twice, self._dim**2)
+
+    @staticmethod
+    def side_by_side(polynomials: Sequence[Polynomial]) -> ProductSum:
+        """Return the values of polynomials in the same coordinates as one function of states, `ProductSum.along`.
+
+        Examples
+        --------
+        >>> both = Polynomial.side_by_side([Polynomial({(2, 1): 3}), Polynomial({(0, 0): 1})])
+        >>> both.along(np.array([[1.0, 2.0], [2.0, 0.5]]))
+        array([[6., 1.],
+               [6., 1.]])
+        """
+        terms = ((k, value, factors) for k, one in enumerate(polynomials) for _, value, factors in one._factors)
+        return ProductSum(terms, len(polynomials))
 
     def _point(self, x: Any, several: bool = False) -> NDArray[Any]:
         point = array_given(x, "x", "iufc")

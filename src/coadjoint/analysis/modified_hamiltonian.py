@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.algebra.polynomial_text import coordinate_names, latex, plain, rounded_if_long
+from coadjoint.algebra.polynomial_text import coordinate_names, readable, readable_latex
 from coadjoint.algebra.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.analysis.modified_energy_at_points import ModifiedEnergyAtPoints
 from coadjoint.analysis.symbols_of_hamiltonian import Symbols, no_symbols, symbols_of
@@ -33,8 +33,6 @@ from coadjoint.wording import short
 
 HIGHEST = 12
 """Terms below h^12: beyond, the words in the free algebra alone take minutes."""
-
-MOST_SHOWN = 30  # monomials of a term, where it is printed
 
 Term = Polynomial | SymbolicPolynomial
 
@@ -183,14 +181,17 @@ class ModifiedHamiltonian:
         return ModifiedHamiltonian(terms, self.order, radius=self.radius, neglected=self.neglected)
 
     def __repr__(self) -> str:
-        return self._written(repr, _plain, "*")
+        return self._written(repr, lambda term: readable(term.monomials, coordinate_names(term.dim)), "*")
 
     def to_latex(self) -> str:
         """Return it as LaTeX, without dollars, all digits."""
         return self._written(lambda term: term.to_latex(), lambda term: term.to_latex(), r"\,", "h^{{{0}}}")
 
     def _repr_latex_(self) -> str:
-        written = self._written(lambda term: term.to_latex(), _readable_latex, r"\,", "h^{{{0}}}")
+        def numeric(term: Polynomial) -> str:
+            return readable_latex(term.monomials, coordinate_names(term.dim))
+
+        written = self._written(lambda term: term.to_latex(), numeric, r"\,", "h^{{{0}}}")
         return f"${written}$"
 
     def to_sympy(self) -> Any:
@@ -208,18 +209,6 @@ class ModifiedHamiltonian:
             step = "h" if k == 1 else power.format(k)
             text += f" + {step}{between}({own})" if k else own
         return text
-
-
-def _plain(term: Polynomial) -> str:
-    if len(term.monomials) > MOST_SHOWN:
-        return f"<{len(term.monomials)} monomials of degree {term.degree} and less>"
-    return plain(rounded_if_long(term.monomials), coordinate_names(term.dim))
-
-
-def _readable_latex(term: Polynomial) -> str:
-    if len(term.monomials) > MOST_SHOWN:
-        return rf"\text{{{len(term.monomials)} monomials}}"
-    return latex(rounded_if_long(term.monomials), coordinate_names(term.dim))
 
 
 def _step(h: Any) -> Any:
