@@ -223,7 +223,8 @@ def test_splittings_are_poisson_with_hamiltonians(name: str, sign: int) -> None:
 
 def test_a_nested_bracket_gives_the_term_of_a_splitting() -> None:
     """H2 = -{A, {A, D}}/24 + {D, {D, A}}/12, A the outermost part and D the rest, then the same for D."""
-    from coadjoint.algebra.exact_polynomials import ExactPolynomials, rational
+    from coadjoint.algebra.exact import rational
+    from coadjoint.algebra.exact_polynomials import ExactPolynomials
 
     m = np.array([1.0, 0.5, 0.25, 0.75, 1.5, 2.0])
     for sign in (1, -1):
