@@ -45,7 +45,7 @@ class Part:
 
 
 class Parts(Sequence[Part]):
-    """Parts stored by columns, since there may be very many, or very many angles. An item, a `Part`, is made when asked for.
+    """Parts stored by columns, since there may be very many. An item is a `Part`, which is made when it is asked for.
 
     Part p has the shares share[p] to share[p + 1], share s the angles row[s] to row[s + 1], and every angle one form.
 
