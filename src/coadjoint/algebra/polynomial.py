@@ -21,7 +21,7 @@ from coadjoint.wording import short
 
 Exponents = tuple[int, ...]
 
-QUIET = np.errstate(over="ignore", invalid="ignore")  # a value that leaves float64 is infinite, which says it
+QUIET = np.errstate(over="ignore", invalid="ignore")  # a value that leaves float64 is infinite; no warning is needed
 
 MOST_DEGREE = 1024
 TOO_HIGH = "from there on even powers of 2 leave float64"
@@ -58,7 +58,7 @@ class Polynomial:
     x2*x3
     """
 
-    # An array does not multiply a polynomial entry by entry.
+    # So that an array does not multiply a polynomial entry by entry.
     __array_ufunc__ = None
 
     def __init__(self, monomials: Mapping[Exponents, Coefficient], dim: int | None = None) -> None:
