@@ -20,7 +20,7 @@ from coadjoint.given import array_given, read_whole
 from coadjoint.memory import check_room
 from coadjoint.wording import short
 
-QUIET = np.errstate(over="ignore", invalid="ignore")  # a value that leaves float64 is infinite, which says it
+QUIET = np.errstate(over="ignore", invalid="ignore")  # a value that leaves float64 is infinite; no warning is needed
 
 MOST_DEGREE = 1024
 TOO_HIGH = "from there on even powers of 2 leave float64"
@@ -57,7 +57,7 @@ class Polynomial:
     x2*x3
     """
 
-    # An array does not multiply a polynomial entry by entry.
+    # So that an array does not multiply a polynomial entry by entry.
     __array_ufunc__ = None
 
     def __init__(self, monomials: Mapping[Exponents, Coefficient], dim: int | None = None) -> None:

@@ -20,9 +20,9 @@ class SymbolicPolynomial:
     Parameters
     ----------
     polynomial : Polynomial
-        In the coordinates and then the symbols.
+        The polynomial in the coordinates, followed by the symbols.
     symbols : sequence of str
-        Names of the last coordinates.
+        Names of the symbols.
 
     Examples
     --------

@@ -61,7 +61,8 @@ def predicted_drift(
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        Whose motion from x0 is periodic: the free rigid body, and whatever has closed energy curves on surfaces.
+        The system. Its motion from x0 must be periodic, as for the free rigid body, and wherever coadjoint orbits are
+        surfaces with closed energy curves.
     x0 : array_like, shape (n,)
         Where the run starts.
     modified : ModifiedHamiltonian or ModifiedField
@@ -71,29 +72,30 @@ def predicted_drift(
     gradient : callable
         Or, of your own, the gradient of H~ at a state, for one step.
     field : callable
-        Or the modified field at a state, for one step. One of the three is given.
+        Or the modified field at a state, for one step. Give one of the three.
     attitude : bool
         Also for the attitude of a body, 3 x 3; needs a Hamiltonian, or its gradient.
 
     Returns
     -------
     PredictedDrift
-        The slope is right to O(h^r) where H~, or the field, is; a measured one (`phase_drift`) differs from it by that.
+        Where H~, or the field, is right to O(h^r), so is the slope; a measured one (`phase_drift`) differs from it by
+        that.
 
     Raises
     ------
     ValueError
         A state at rest, or a motion that does not return.
     TypeError
-        Not one of modified, gradient and field, or a system without an attitude of a body.
+        None or several of modified, gradient and field were given, or the system has no attitude of a body.
 
     Notes
     -----
-    The numbers move along x' = f~(x) on the orbit of x0, on the energy curve H~(x) = H~(x0), and go round in the time
-    P~, the exact motion in P. After n rounds they are where the exact motion was n (P~ - P) earlier, so the lead grows
-    by P - P~ in the time P~. To lowest order, with the integral I(E) of H2 over one period and the frequency
-    w(E) = 2 pi / P, P/P~ - 1 = h^2 (H2(x0) d(log w)/dE + I'(E) / P): the first term is there since the energy that
-    sets the period is that of H at which H~ is H~(x0), on average.
+    The numbers move along x' = f~(x) on the orbit of x0, on the energy curve H~(x) = H~(x0). They go round in the time
+    P~, and the exact motion in the time P. After n rounds they are where the exact motion was n (P~ - P) earlier, so
+    the lead grows by P - P~ in the time P~. To lowest order, with the integral I(E) of H2 over one period and the
+    frequency w(E) = 2 pi / P, P/P~ - 1 = h^2 (H2(x0) d(log w)/dE + I'(E) / P). The first term comes from the energy:
+    the numbers move at the energy E at which H + h^2 H2 is H~(x0) on average, and not at H(x0).
 
     In one period the attitude turns about the momentum by psi (a dynamic and a geometric phase: Montgomery, How much
     does the rigid body rotate?, 1991). At equal times the computed attitude is ahead by n (psi~ - psi) for n rounds,

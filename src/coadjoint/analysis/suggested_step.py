@@ -6,10 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.analysis.modified_hamiltonian import check_subject, modified_hamiltonian
+from coadjoint.analysis.short_motion import short_motion
 from coadjoint.given import read_finite, read_positive
 from coadjoint.methods.base import Method
-from coadjoint.methods.short_orbit import PART, short_orbit
-from coadjoint.methods.splitting import Splitting
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 HALVINGS = 40
@@ -18,8 +17,8 @@ HALVINGS = 40
 def suggest_step(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike, energy: float) -> float:
     """Return the largest step at which the energy stays within a bound, from the modified Hamiltonian.
 
-    A run keeps H + h^p H_p + ..., so its energy wanders as h^p H_p does along the motion: for as long as one runs.
-    Choose it where the energy is what matters; `choose` finds scheme and step for an error of the momentum over a span.
+    A run keeps H + h^p H_p + .... So its energy wanders as h^p H_p does along the motion, however long the run. Choose
+    it where the energy is what matters. `choose` finds scheme and step for an error of the momentum over a span.
 
     Parameters
     ----------
@@ -28,20 +27,20 @@ def suggest_step(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike, en
     method : Method
         A splitting or a composition of splittings.
     x0 : array_like, shape (n,) or (k, n)
-        The state, or a sample of states: the smallest step of all.
+        The state, or a sample of states, for which the smallest of their steps is returned.
     energy : float
         The largest change of the energy wanted, in units of H.
 
     Returns
     -------
     float
-        A positive step, from the first two terms along a motion of 128 steps, some 30 radians; never longer than the
-        time in which the motion turns by one radian, beyond which the series in h says nothing.
+        A positive step, from the first two terms along a motion of 128 steps, some 30 radians. It is never longer than
+        the time in which the motion turns by one radian; beyond that the series in h says nothing.
 
     Raises
     ------
     TypeError, ValueError
-        The scheme has no modified Hamiltonian on this system, as `modified_hamiltonian` says; a motion that overflows.
+        The scheme has no modified Hamiltonian on this system, as `modified_hamiltonian` says; or a motion overflows.
 
     Examples
     --------
@@ -62,14 +61,14 @@ def suggest_step(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike, en
 
 def _step_from(system: LiePoissonSystem, method: Method, start: npt.NDArray[np.float64], wanted: float) -> float:
     H = modified_hamiltonian(system, method, method.order + 3)
-    orbit = short_orbit(Splitting(), system, start)
-    plain = H(orbit.points, 0.0)
+    points, rate = short_motion(system, start)
+    plain = H(points, 0.0)
 
     def change(h: float) -> float:
-        added = H(orbit.points, h) - plain
+        added = H(points, h) - plain
         return float(np.max(np.abs(added - added[0])))
 
-    low, high = 0.0, orbit.spacing / PART
+    low, high = 0.0, 1.0 / rate
     if change(high) <= wanted:
         return high
     for _ in range(HALVINGS):

@@ -1,4 +1,4 @@
-"""A short motion from a state, with its tangent map: what an error made along it has become at its end."""
+"""A short motion from a state, with its tangent map: what has an error that was made along it become at its end?"""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from coadjoint.wording import short
 
 Floats = NDArray[np.float64]
 
-# Steps of an orbit, and their length: a part of the time in which the motion turns, or grows, by one.
+# Number of steps of an orbit. Their length is a part of the time in which the motion turns by one radian, or grows by a
+# factor e.
 STEPS = 128
 PART = 0.25
 FEWEST = 8
@@ -40,16 +41,16 @@ class ShortOrbit(NamedTuple):
 
     @property
     def square(self) -> float:
-        """The square of the largest momentum; 1 where there is none."""
+        """The square of the largest momentum; 1 where all are zero."""
         return float(np.max(np.sum(self.points**2, axis=1))) or 1.0
 
     def carried(self, fields: Floats) -> Floats:
-        """Return what errors have become that a perturbed field makes along the way, to first order.
+        """Return the errors that a perturbed field has made up to each point, to first order.
 
         Parameters
         ----------
         fields : ndarray, shape (k + 1, n, m)
-            What is added to the vector field at the points; m of them.
+            What is added to the vector field at the points, for each of m perturbations.
 
         Returns
         -------
@@ -73,12 +74,12 @@ def _product(matrix: Floats, columns: Floats) -> Floats:
 
 @QUIET
 def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, steps: int = STEPS) -> ShortOrbit:
-    """Return the motion from a state over some dozens of the times in which it turns by one.
+    """Return the motion from a state over some dozens of radians, with its tangents.
 
     Parameters
     ----------
     method : Method
-        What takes the steps, read in Python; of order two at least.
+        The scheme that takes the steps, read in Python; of order two at least.
     system : LiePoissonSystem or PoissonSystem
         The system.
     x0 : ndarray, shape (n,)
@@ -91,17 +92,14 @@ def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, step
     Returns
     -------
     ShortOrbit
-        Shorter, where the motion leaves float64.
+        It is shorter where the motion leaves float64.
 
     Raises
     ------
     ValueError
-        It leaves float64 within a few steps.
+        The motion leaves float64 within a few steps.
     """
-    rate = _rate(system, x0, t)
-    if not np.isfinite(rate):
-        raise ValueError(f"the motion from x0 = {short(x0.tolist())} cannot be followed: its field overflows")
-    spacing = PART / rate
+    spacing = PART / rate_at(system, x0, t)
     points, tangents = [x0], []
     for k in range(steps):
         try:
@@ -113,16 +111,45 @@ def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, step
         points.append(after)
         tangents.append(tangent)
     if len(tangents) < FEWEST:
-        raise ValueError(
-            f"the motion from x0 = {short(x0.tolist())} cannot be followed: it overflows within {FEWEST} steps of "
-            f"{spacing:g}; take another state"
-        )
+        raise cannot_follow(x0, spacing)
     return ShortOrbit(np.array(points), np.array(tangents), spacing)
 
 
-def _rate(system: System, x0: Floats, t: float) -> float:
-    """Return how fast the motion turns or grows at a state: of the field, and of what is near it."""
+def cannot_follow(x0: Floats, spacing: float) -> ValueError:
+    """Return the error for a motion that leaves float64 at once."""
+    return ValueError(
+        f"the motion from x0 = {short(x0.tolist())} cannot be followed: it overflows within {FEWEST} steps of "
+        f"{spacing:g}; take another state"
+    )
+
+
+@QUIET
+def rate_at(system: System, x0: Floats, t: float = 0.0) -> float:
+    """Return how fast the motion turns or grows at a state, per unit of time.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    x0 : ndarray, shape (n,)
+        The state.
+    t : float
+        The time.
+
+    Returns
+    -------
+    float
+        The larger of |f|/|x| and of |(Df)^2|^(1/2), f the vector field; 1 where nothing moves.
+
+    Raises
+    ------
+    ValueError
+        The field overflows there.
+    """
     size, near = float(np.linalg.norm(x0)), system.jacobian(x0, t)
     turning = float(np.linalg.norm(near @ near)) ** 0.5
     speed = float(np.linalg.norm(system.vector_field(x0, t))) / size if size > 0.0 else 0.0
-    return max(turning, speed) or 1.0
+    rate = max(turning, speed) or 1.0
+    if not np.isfinite(rate):
+        raise ValueError(f"the motion from x0 = {short(x0.tolist())} cannot be followed: its field overflows")
+    return rate

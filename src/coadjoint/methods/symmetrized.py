@@ -28,11 +28,11 @@ JUMPS = {"triple": 1, "suzuki": 2}
 def even_order(base: Method, order: int, jump: str = "triple") -> Method:
     """Return a symmetric scheme of an even order from one of any order, such as 1.
 
-    A base that is not symmetric is followed by its adjoint, each over half a step, which is symmetric and of order 2.
-    A symmetric scheme of order 2 k is composed with itself, ``c h, (1 - 2 c) h, c h`` with c = 1 / (2 - 2^(1/(2k+1))),
-    or by Suzuki's five steps ``c h, c h, (1 - 4 c) h, c h, c h`` with c = 1 / (4 - 4^(1/(2k+1))), and then is of order
-    2 k + 2. What the base keeps, the result keeps. Choose it for a base of your own; `Splitting` has better
-    compositions of orders 4 to 10 by name.
+    A base that is not symmetric is followed by its adjoint, each over half a step. The result is symmetric and of even
+    order, 2 for a base of order 1. A symmetric scheme of order 2 k is composed with itself, ``c h, (1 - 2 c) h, c h``
+    with c = 1 / (2 - 2^(1/(2k+1))), or by Suzuki's five steps ``c h, c h, (1 - 4 c) h, c h, c h`` with c = 1 / (4 -
+    4^(1/(2k+1))). The result is of order 2 k + 2. What the base keeps, the result keeps. Choose it for a base of your
+    own; `Splitting` has better compositions of orders 4 to 10 by name.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
     order : int
         2, 4, ..., 12, at least the order of the symmetric base.
     jump : {"triple", "suzuki"}
-        Three steps for each two orders, or five: more work, and mostly a smaller error.
+        Three steps for each two orders, or five. Five are more work, mostly with a smaller error.
 
     Returns
     -------
@@ -51,12 +51,12 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
     Raises
     ------
     TypeError, ValueError
-        The base has no adjoint that is known; an order that is odd, too small or too large.
+        The adjoint of the base is not known, or the order is odd, too small or too large.
 
     Notes
     -----
-    S. Reich 1993, Remark 6.1, which leaves out the adjoint: without it the composition of a first-order scheme has the
-    wrong error terms. H. Yoshida, Phys. Lett. A 150 (1990) 262; M. Suzuki, Phys. Lett. A 146 (1990) 319.
+    S. Reich 1993, Remark 6.1. The remark leaves out the adjoint; without it the composition of a first-order scheme has
+    the wrong error terms. H. Yoshida, Phys. Lett. A 150 (1990) 262; M. Suzuki, Phys. Lett. A 146 (1990) 319.
 
     Examples
     --------
@@ -132,7 +132,7 @@ class PairOfFlows(FlowMethod):
         """Return the sweeps of the base and their mirror images; times are mirrored too."""
         there = list(self.base.sweeps(number))
         forth = [Sweep(forward, c / 2, moment / 2, turn) for forward, c, moment, turn in there]
-        # A turn belongs to the second sweep of a pair, which is the first of its image.
+        # A `turn` stands at the second sweep of a pair, which in the mirror image is the first.
         turns = [there[-1].forward, *(sweep.turn for sweep in reversed(there[1:]))]
         back = [
             Sweep(not forward, c / 2, 1 - moment / 2, turn)

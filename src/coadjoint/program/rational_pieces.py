@@ -35,7 +35,7 @@ def rational_pieces(
     Returns
     -------
     list of dict
-        For each part: j -> what h^j has beside the piece itself, j = 3, 5, ...
+        For each part j -> the coefficient of h^j that is added to the piece, j = 3, 5, ...
     """
     found: list[dict[int, Exact]] = [{} for _ in range(len(parts))]
     of_share = {

@@ -15,7 +15,8 @@ from coadjoint.analysis.poisson_defect import defect_of_tangent
 from coadjoint.errors import IntegrationError
 
 SLOPES = 4
-# Of a step that is a function nobody counts the roundings: as many as this many evaluations of the field have.
+# The roundings of a step that is a function are not counted. They are taken as those of so many evaluations of the
+# field.
 UNCOUNTED = 64
 
 
@@ -44,7 +45,7 @@ def poisson_row(subject: Subject, telling: float) -> Row:
         return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=why)
     worst: tuple[float, float, float, str] | None = None
     reason = ""
-    # Where nothing is declared, one state and step tell.
+    # Where nothing is declared, one state and one step are enough.
     states = subject.states if claimed else subject.states[:1]
     for h in dict.fromkeys((subject.h, telling) if claimed else (telling,)):
         for x in states:

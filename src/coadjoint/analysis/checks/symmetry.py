@@ -21,7 +21,8 @@ There = Callable[[Floats, float], Floats]
 MOST_COORDINATES = 10
 """Up to so many, all reflections of coordinates are tried; beyond, x -> -x alone."""
 SLOPES = 6
-# A step that is a function of the user may iterate; what that leaves is in its measured noise, but not more than this.
+# A step that is a function of the user may iterate. What the iteration leaves is measured as noise, and allowed up to
+# this size.
 MOST_NOISE = 1e-6
 
 
@@ -75,7 +76,7 @@ def reversibility_row(subject: Subject, telling: float) -> Row:
 
 
 def reversing(subject: Subject) -> Floats | None:
-    """Return signs R with R f(R x) = -f(x) at every state, x -> -x first; None where none of those tried has it."""
+    """Return signs R with R f(R x) = -f(x) at every state, x -> -x tried first; None where none of those tried fits."""
     n, field = subject.system.dim, subject.system.vector_field
     tried: Any = [(-1.0,) * n]
     if n <= MOST_COORDINATES:
