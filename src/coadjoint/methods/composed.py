@@ -77,14 +77,10 @@ class Composed(Method):
         return self.base.restored(system)
 
 
-@dataclass(frozen=True)
-class ComposedFlows(Composed, FlowMethod):
-    """The flows of all substeps, as one table."""
-
-    offered = False
+class FlowsOfBase(FlowMethod):
+    """Flows of the parts of another scheme."""
 
     base: FlowMethod
-    coefficients: tuple[float, ...]
 
     @property
     def parts(self) -> Any:
@@ -100,6 +96,16 @@ class ComposedFlows(Composed, FlowMethod):
     def rotation(self) -> str:
         """As the base."""
         return self.base.rotation
+
+
+@dataclass(frozen=True)
+class ComposedFlows(Composed, FlowsOfBase):
+    """The flows of all substeps, as one table."""
+
+    offered = False
+
+    base: FlowMethod
+    coefficients: tuple[float, ...]
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
         """Return the sweeps of the base, scaled and shifted."""
