@@ -41,7 +41,22 @@ def J(x):
     return np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 
 
+def euler(x, h):
+    return x + h * BODY.vector_field(x)
+
+
 H = co.Hamiltonian(square, twice)
+KEPT = co.modified_hamiltonian(BODY, co.Splitting())
+WITH_SYMBOLS = co.modified_hamiltonian(BODY, co.Splitting(parts="coordinates"), symbols=True)
+WAVY = co.LiePoissonSystem(SO3, co.Separable({0: (np.sin, np.cos), 1: (np.cos, lambda y: -np.sin(y))}))
+AT_POINTS = co.modified_hamiltonian(WAVY, co.Splitting())
+FIELD = co.modified_field(BODY, co.GaussLegendre(1), 3)
+SAMPLED = co.modified_field(BODY, co.GaussLegendre(1), 3, way="numerical")
+BETTER = co.corrector(BODY, co.Splitting(), X)
+TIMES = np.arange(128) * 0.1
+LINES = co.frequencies(TIMES, np.cos(TIMES), 1)
+LONG = co.integrate(BODY, X, (0, 20), 0.1)
+ALONG = co.integrate(BODY, X, (0, 20), 0.5, attitude=True)
 EYE = np.eye(3)
 
 # what is called, and right arguments: each of them is then made wrong
@@ -148,6 +163,37 @@ CALLS = {
                 "methods": co.GaussLegendre(2), "processed": False}),
     "lyapunov": (co.lyapunov, {"system": BODY, "x0": X, "t_span": (0, 1), "step": 0.1, "method": None,
                  "exponents": None, "renormalize_every": 10, "transient": 0.0, "save_every": None, "threads": None}),
+    "certify": (co.certify, {"system": BODY, "method": co.Splitting(), "x0": X, "step": 0.1, "steps": 10, "order": None,
+                "properties": None, "symmetric": None}),
+    "certify a function": (lambda order, properties, symmetric: co.certify(BODY, euler, X, 0.1, steps=10,
+                           order=order, properties=properties, symmetric=symmetric),
+                           {"order": 1, "properties": None, "symmetric": False}),
+    "frequencies": (co.frequencies, {"given": TIMES, "signal": np.cos(TIMES), "count": 1, "window": 5}),
+    "the signal of a run": (lambda signal: co.frequencies(LONG, signal, 1), {"signal": None}),
+    "a sum of lines": (LINES, {"t": TIMES}),
+    "combinations": (LINES.combinations, {"basis": None, "largest": 8}),
+    "phase_drift": (co.phase_drift, {"solution": ALONG, "reference": None, "of": "momentum"}),
+    "predicted_drift": (co.predicted_drift, {"system": BODY, "x0": X, "gradient": lambda x: KEPT.gradient(x, 0.1),
+                        "field": None, "attitude": True}),
+    "modified_hamiltonian": (co.modified_hamiltonian, {"system": BODY, "method": co.Splitting(), "order": 4,
+                             "symbols": False}),
+    "a modified Hamiltonian": (KEPT, {"x": X, "h": 0.1}),
+    "its gradient": (KEPT.gradient, {"x": X, "h": 0.1}),
+    "with_values": (WITH_SYMBOLS.with_values, {"values": None}),
+    "a value of a symbol": (lambda m1: WITH_SYMBOLS.with_values({"m1": m1}), {"m1": 1.0}),
+    "modified energies at points": (AT_POINTS, {"x": X, "h": 0.1}),
+    "modified_energy": (ALONG.modified_energy, {"order": 4}),
+    "modified_field": (co.modified_field, {"system": BODY, "method": co.GaussLegendre(1), "order": 3, "way": "auto"}),
+    "a modified field": (FIELD, {"x": X, "h": 0.1}),
+    "skew_matrix": (FIELD.skew_matrix, {"x": X, "h": 0.1}),
+    "keeps": (FIELD.keeps, {"invariant": "energy"}),
+    "rate": (FIELD.rate, {"invariant": "energy"}),
+    "a modified field at points": (SAMPLED, {"x": X, "h": 0.1}),
+    "what is kept at points": (SAMPLED.keeps, {"invariant": "energy"}),
+    "suggest_step": (co.suggest_step, {"system": BODY, "method": co.Splitting(), "x0": X, "energy": 1e-3}),
+    "corrector": (co.corrector, {"system": BODY, "method": co.Splitting(), "x0": X}),
+    "a corrector": (BETTER, {"x": X, "h": 0.1}),
+    "inverse": (BETTER.inverse, {"x": X, "h": 0.1}),
     "stepper": (co.stepper, {"system": BODY, "method": co.Splitting(), "h": 0.1}),
     "a step": (STEP, {"x": X, "t": 0.0}),
     "group": (STEP.group, {"x": X, "t": 0.0, "attitude": None}),
@@ -166,7 +212,8 @@ CALLS = {
 }  # fmt: skip
 
 # Made by the library, or called with nothing.
-NOT_CALLED = {"IntegrationError", "Choice", "LyapunovExponents", "PreparedRun", "Solution"}
+NOT_CALLED = {"Certificate", "Choice", "Corrector", "Frequencies", "IntegrationError", "LyapunovExponents",
+              "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun", "Solution"}  # fmt: skip
 BY_OTHER_NAMES = {"LieAlgebra", "Polynomial"}
 
 

@@ -200,6 +200,17 @@ def read_positive(value: Any, what: str) -> float:
     return number
 
 
+def check_power(number: float, power: int, what: str) -> None:
+    """Refuse a number whose power leaves float64.
+
+    Examples
+    --------
+    >>> check_power(1e30, 10, "step")
+    """
+    if power * math.log2(max(abs(number), 1.0)) >= 1024.0:
+        raise ValueError(f"{what} is {number!r}, and its power {power} leaves float64; give a smaller number")
+
+
 def read_whole(
     value: Any, what: str, least: int = 1, most: int | None = None, *, floats: bool = False, why: str = ""
 ) -> int:
@@ -225,7 +236,8 @@ def read_whole(
     """
     whole = type(value) is int or (isinstance(value, numbers.Integral) and not isinstance(value, bool))
     if floats and not whole and isinstance(value, float | np.floating):
-        whole = float(value).is_integer()
+        value = float(value)  # a small kind of float does not hold the bounds
+        whole = value.is_integer()
     if not whole or value < least or (most is not None and value > most and not why):
         bounds = f"from {least} up" if most is None or why else f"from {least} to {most}"
         raise ValueError(f"{what} must be a whole number {bounds}, not {short(value)}")

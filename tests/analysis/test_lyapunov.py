@@ -316,3 +316,12 @@ def test_memory_is_estimated_first(monkeypatch):
         co.lyapunov(BODY, np.ones(3), (0, 10**6), 1.0, save_every=1)
     with pytest.raises(ValueError, match=r"states of 100000 steps.* needs about"):
         co.lyapunov(BODY, np.ones(3), (0, 1000), 0.01, co.Taylor(4))
+
+
+def test_they_show_themselves_in_one_line():
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    alone = co.lyapunov(body, (0.1, 1.0, 0.1), (0, 20), 0.1)
+    assert repr(alone).startswith("<Lyapunov exponents until t = 20: ") and repr(alone).count("+-") == 3
+    crowd = co.lyapunov(body, [(0.1, 1.0, 0.1), (1.0, 0.1, 0.2)], (0, 20), 0.1)
+    assert repr(crowd).startswith("<Lyapunov exponents of 2 members until t = 20: the largest of each from ")
+    assert max(len(repr(alone)), len(repr(crowd))) < 140

@@ -26,6 +26,8 @@ from coadjoint.systems.kinds import System, check_one_system
 
 STEPS = 2000
 MOST_STEPS = 10**7
+SIZES = (1e-75, 1e75)
+"""Of the largest entry of a state."""
 
 
 def certify(
@@ -102,6 +104,12 @@ def certify(
     count = read_whole(steps, "steps", 1, MOST_STEPS, floats=True)
     scheme, claims = scheme_and_claims(system, method, order, properties, symmetric)
     states, _ = momenta_of(system, x0)
+    size = float(np.max(np.abs(states), initial=0.0))
+    if size != 0.0 and not SIZES[0] <= size <= SIZES[1]:
+        raise ValueError(
+            f"x0 has entries up to {size!r}; products of defects of them leave float64, so take units in which they "
+            f"are from {SIZES[0]} to {SIZES[1]}"
+        )
     with np.errstate(all="ignore"):
         subject = Subject(system, scheme, claims, h, states, count, compiled=isinstance(method, Method))
         return Certificate(_rows(subject), _described(subject))

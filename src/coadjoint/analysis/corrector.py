@@ -11,13 +11,12 @@ import numpy.typing as npt
 
 from coadjoint.algebra.exact_polynomials import ExactPolynomials
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian, modified_hamiltonian
-from coadjoint.given import read_finite, read_number
+from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian, check_subject, modified_hamiltonian
+from coadjoint.analysis.short_motion import short_motion
+from coadjoint.given import check_power, read_finite, read_number
 from coadjoint.memory import check_room
 from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
-from coadjoint.methods.short_orbit import PART, short_orbit
-from coadjoint.methods.splitting import Splitting
 from coadjoint.runs.integrate import integrate
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.polynomial_form import polynomial_of
@@ -95,7 +94,9 @@ class Corrector:
         states, n = read_finite(x, "x"), self._flow.dim
         if states.ndim == 0 or states.shape[-1] != n:
             raise ValueError(f"x has the shape {states.shape}; its last axis must have {n} coordinates")
-        duration = direction * read_number(h, "h") ** self.order
+        step = read_number(h, "h")
+        check_power(step, self.order, "h")
+        duration = direction * step**self.order
         if duration == 0.0 or states.size == 0 or not self.generator.monomials:
             return states
         rows = states.reshape(-1, n)
@@ -136,6 +137,7 @@ def corrector(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike) -> Co
     S. Blanes, F. Casas and A. Murua, Composition methods for differential equations with processing, SIAM J. Sci.
     Comput. 27 (2006), for correctors of compositions.
     """
+    check_subject(system, method)
     found, H = modified_hamiltonian(system, method, method.order), polynomial_of(system.hamiltonian)
     if H is None or not isinstance(found, ModifiedHamiltonian):
         raise ValueError(f"the Hamiltonian of {system.name} is no polynomial; a corrector is a polynomial's flow")
@@ -146,8 +148,7 @@ def corrector(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike) -> Co
     basis = _monomials(system.dim, max(term.degree - H.degree + 1, 1))
     count = max(POINTS_EACH * len(basis) // len(starts), 64)
     check_room(8 * 3 * len(basis) * count * len(starts), f"{len(basis)} monomials at {count * len(starts)} states")
-    orbits = [short_orbit(Splitting(order=4), system, start, steps=count) for start in starts]
-    motions = [orbit.points for orbit in orbits]
+    motions, rates = zip(*(short_motion(system, start, count) for start in starts), strict=True)
     ring = ExactPolynomials(system.algebra)
     energy = ring.of(H)
     brackets = [ring.polynomial(ring.bracket(ring.of(one), energy)) for one in basis]
@@ -157,7 +158,7 @@ def corrector(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike) -> Co
     if size == 0.0:
         return Corrector(system, Polynomial({}, dim=system.dim), method.order, 0.0)
     every = np.concatenate(motions)
-    bound = LARGEST * _moved_by(system, term, every) / min(PART / abs(orbit.spacing) for orbit in orbits)
+    bound = LARGEST * _moved_by(system, term, every) / min(rates)
     left, right, across = np.linalg.svd(columns, full_matrices=False)
     for part in PARTS:
         taken = right > part * right[0]

@@ -129,6 +129,8 @@ class Frequencies:
         )
         if basis is not None:
             axes = np.atleast_1d(read_finite(basis, "basis"))
+            if axes.ndim != 1 or largest * axes.size * float(np.max(np.abs(axes), initial=0.0)) == np.inf:
+                raise ValueError(f"basis is {short(basis)}; give a few frequencies, (d,), whose sums fit float64")
             return _combined(axes, np.zeros(len(axes)), w, known, largest)
         chosen: list[int] = []
         for k in range(len(w)):
@@ -260,7 +262,7 @@ def _combined(basis: Floats, basis_known: Floats, w: Floats, known: Floats, larg
     d = len(basis)
     if (2 * largest + 1) ** d > MOST_COMBINATIONS:
         raise ValueError(
-            f"{d} frequencies with integers up to {largest} have too many combinations; "
+            f"{d} frequencies with integers up to {short(largest)} have too many combinations; "
             f"give fewer, or a smaller largest; basis = {short(basis.tolist())}"
         )
     grid = np.array(list(product(range(-largest, largest + 1), repeat=d)))

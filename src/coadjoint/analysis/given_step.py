@@ -17,6 +17,7 @@ from coadjoint.systems.kinds import System
 from coadjoint.wording import short
 
 NOTHING = Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+MOST_ORDER = 256
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ def scheme_and_claims(
             f"method is {short(method)}; it must be a scheme such as Splitting(order=2), or a function step(x, h)"
         )
     if order is not None:
-        order = read_whole(order, "order", 1)
+        order = read_whole(order, "order", 1, MOST_ORDER)
     if symmetric is not None:
         symmetric = read_flag(symmetric, "symmetric")
     if not isinstance(properties, Properties | None):

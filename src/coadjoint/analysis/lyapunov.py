@@ -26,7 +26,7 @@ BLOCKS = 10  # of the time; the scatter of their exponents is the uncertainty
 MOST_STEPS = 2**53  # of a run
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LyapunovExponents:
     """Exponents of a run, or of each of its members, per unit of time; from `lyapunov`.
 
@@ -46,6 +46,17 @@ class LyapunovExponents:
     stretches: NDArray[np.float64]
     dim: int
     by: str
+
+    def __repr__(self) -> str:
+        if self.exponents.ndim > 1:
+            largest = np.max(self.exponents, axis=1)
+            return (
+                f"<Lyapunov exponents of {len(largest)} members until t = {self.t[-1]:g}: the largest of each from "
+                f"{np.min(largest):.4g} to {np.max(largest):.4g}>"
+            )
+        pairs = zip(self.exponents, self.uncertainty, strict=True)
+        values = ", ".join(f"{value:.4g} +- {spread:.1g}" for value, spread in pairs)
+        return f"<Lyapunov exponents until t = {self.t[-1]:g}: {values}>"
 
     @property
     def exponents(self) -> NDArray[np.float64]:

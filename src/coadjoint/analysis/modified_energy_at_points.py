@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.jet_polynomials import JetPolynomials
-from coadjoint.given import read_finite, read_number
+from coadjoint.given import check_power, read_finite, read_number
 from coadjoint.program.composition_logarithm import Coordinates
 from coadjoint.program.modified_series import Balls, ModifiedSeries
 from coadjoint.program.part_polynomials import part_polynomials
@@ -72,6 +72,8 @@ class ModifiedEnergyAtPoints:
         states, step = read_finite(x, "x"), read_number(h, "h")
         if states.ndim == 0 or states.shape[-1] != self.dim:
             raise ValueError(f"x has the shape {states.shape}; it must be (..., {self.dim})")
+        check_power(step, self.order, "h")
+        check_power(float(np.max(np.abs(states), initial=0.0)), 2 * self.order, "the largest entry of x")
         values = np.array([self._at(point, step) for point in states.reshape(-1, self.dim)])
         return values.reshape(states.shape[:-1]) if states.ndim > 1 else float(values[0])
 

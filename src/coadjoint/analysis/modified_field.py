@@ -16,6 +16,7 @@ from coadjoint.given import read_choice, read_whole
 from coadjoint.methods.base import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.user_functions import check_arguments
 from coadjoint.wording import short
 
 MOST = 64
@@ -81,6 +82,8 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
         method.properties(system)
     elif not callable(method):
         raise TypeError(f"method is {short(method)}; give a scheme such as GaussLegendre(2), or a function step(x, h)")
+    else:
+        check_arguments(method, "method", "x, h")
     step = _step_of(system, method)
     reason = "numerical was asked for"
     if way != "numerical":

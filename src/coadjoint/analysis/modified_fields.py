@@ -23,6 +23,7 @@ from coadjoint.given import read_finite, read_number
 from coadjoint.methods.formal_numbers import vector
 from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.kinds import System
+from coadjoint.systems.points import QUIET
 from coadjoint.systems.user_functions import sample_points
 from coadjoint.wording import short
 
@@ -83,6 +84,7 @@ class ModifiedField(ABC):
         It is 0 where f_0 is another field, that of a scheme with a wrong coefficient or at a wrong speed.
         """
 
+    @QUIET
     def __call__(self, x: npt.ArrayLike, h: float) -> Floats:
         """Return f_0(x) + h f_1(x) + ... at one state or many.
 
@@ -104,6 +106,7 @@ class ModifiedField(ABC):
             total = total * step + term
         return total.reshape(given)
 
+    @QUIET
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
         """Return the skew matrix K(x, h) = J(x) + O(h^p) of a scheme that keeps the energy: the field is sign K grad H.
 
@@ -167,8 +170,10 @@ class ModifiedField(ABC):
                 return self.system.hamiltonian
             if given not in self.system.casimirs:
                 known = ", ".join(["energy", *self.system.casimirs])
-                raise ValueError(f"{given!r} is no invariant of {self.system.name}; it has {known}")
-            given = self.system.casimirs[given]
+                raise ValueError(f"{short(given)} is no invariant of {self.system.name}; it has {known}")
+            return self.system.casimirs[given]
+        if isinstance(given, type) or not hasattr(given, "gradient"):
+            raise TypeError(f"{short(given)} is no function with a gradient; give a Polynomial, a Quadratic or a name")
         return given
 
     def __repr__(self) -> str:
@@ -277,6 +282,7 @@ class ExactField(ModifiedField):
     def _skew_table(self) -> ManyStates:
         return ManyStates([F for K in self.skew_terms.values() for row in K for F in row])
 
+    @QUIET
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
         if self._given.energy.total_degree() > 2:
             return super().skew_matrix(x, h)
@@ -449,7 +455,7 @@ class FieldAtPoints(ModifiedField):
     def keeps(self, invariant: Any) -> int | None:
         """Return the first power of h whose term does not keep a function at sample points; None where all keep it."""
         given = self._invariant(invariant)
-        gradient = as_hamiltonian(given, self.system.dim).gradient if hasattr(given, "monomials") else given.gradient
+        gradient = (as_hamiltonian(given, self.system.dim) if hasattr(given, "monomials") else given).gradient
         lost = [self.order]
         for state, values, _ in map(self._sampled, SAMPLES):
             slope = np.asarray(gradient(state))

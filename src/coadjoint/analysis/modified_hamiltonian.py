@@ -150,8 +150,11 @@ class ModifiedHamiltonian:
         terms = self._numeric()
         # The small terms are added up first.
         total: Any = 0
-        for k in sorted(terms, reverse=True):
-            total = total + h**k * at(terms[k]) if k else total + at(terms[k])
+        try:
+            for k in sorted(terms, reverse=True):
+                total = total + h**k * at(terms[k]) if k else total + at(terms[k])
+        except OverflowError:
+            raise ValueError(f"the terms of the modified Hamiltonian at h = {short(h)} leave float64 there") from None
         return total
 
     def with_values(self, values: Mapping[str, Any] | None = None) -> ModifiedHamiltonian:
@@ -166,6 +169,8 @@ class ModifiedHamiltonian:
         -------
         ModifiedHamiltonian
         """
+        if not isinstance(values, Mapping | None):
+            raise TypeError(f"values is {short(values)}; it must map names of symbols to numbers")
         unknown = [name for name in values or {} if name not in self.values]
         if unknown:
             known = f"the symbols are {', '.join(self.values)}" if self.values else "there are no symbols"
@@ -346,10 +351,7 @@ def modified_hamiltonian(
     >>> float(max(abs(kept - kept[0])) / run.drift()["energy"]) < 0.01
     True
     """
-    if not isinstance(method, Method):
-        raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=4)")
-    if not isinstance(system, LiePoissonSystem):
-        raise TypeError(f"the system is {short(system)}; a modified Hamiltonian is for one LiePoissonSystem")
+    system = check_subject(system, method)
     order = read_whole(order, "order", 1, HIGHEST, why="the words in the free algebra double in number with each power")
     program = method.program(system)
     if system.hamiltonian.timed:
@@ -371,6 +373,15 @@ def modified_hamiltonian(
         return ModifiedEnergyAtPoints(system, program, coordinates, order)
     chosen = symbols_of(H, symbols, program) if symbols is not False else no_symbols(H)
     return _Source(system, program, sweeps, after, method.order, chosen).found(order)
+
+
+def check_subject(system: System, method: Any) -> LiePoissonSystem:
+    """Return the system; refuse what is not one system on a Lie algebra, and what is no scheme."""
+    if not isinstance(method, Method):
+        raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=4)")
+    if not isinstance(system, LiePoissonSystem):
+        raise TypeError(f"the system is {short(system)}; a modified Hamiltonian is for one LiePoissonSystem")
+    return system
 
 
 def coordinates_of(program: Program, sweeps: list[Sweep], after: list[Sweep], highest: int, order: int) -> Coordinates:

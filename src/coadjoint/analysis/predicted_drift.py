@@ -13,7 +13,8 @@ from coadjoint.analysis.rotations import turns_space, twist
 from coadjoint.given import read_finite, read_flag
 from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.wording import short
+from coadjoint.systems.points import QUIET
+from coadjoint.systems.user_functions import check_arguments
 
 Floats = NDArray[np.float64]
 Function = Callable[[Floats], Any]
@@ -39,6 +40,7 @@ class PredictedDrift(NamedTuple):
     modified_period: float
 
 
+@QUIET
 def predicted_drift(
     system: Any,
     x0: ArrayLike,
@@ -104,9 +106,8 @@ def predicted_drift(
     check_one_system(system)
     if (gradient is None) == (field is None):
         raise TypeError("give one of gradient and field, the modified one of the scheme at its step")
-    chosen = gradient if field is None else field
-    if not callable(chosen):
-        raise TypeError(f"{'gradient' if field is None else 'field'} is {short(chosen)}; give a function of a state")
+    chosen: Any = gradient if field is None else field
+    check_arguments(chosen, "gradient" if field is None else "field", "x")
     start = read_finite(x0, "x0")
     if start.shape != (system.dim,):
         raise ValueError(f"x0 has the shape {start.shape}; it must be ({system.dim},)")

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.given import array_given, check_finite
+from coadjoint.given import check_finite, read_numbers
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.kinds import System
+from coadjoint.systems.user_functions import check_arguments
 from coadjoint.wording import short
 
 Floats = NDArray[np.float64]
@@ -61,8 +62,10 @@ def motion_of(system: System, reference: Any, x0: ArrayLike, member: int | None 
             f"reference is {short(reference)}; give a Solution, a function of t, or None for the closed form"
         )
 
+    check_arguments(reference, "reference", "t")
+
     def given(t: Floats) -> Floats:
-        states = array_given(reference(t), "what reference(t) returned").astype(np.float64)
+        states = read_numbers(reference(t), "what reference(t) returned")
         if states.shape != (len(t), system.dim):
             raise ValueError(f"reference(t) has the shape {states.shape}; it must be ({len(t)}, {system.dim})")
         check_finite(states, "what reference(t) returned")

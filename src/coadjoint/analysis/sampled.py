@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import array_given, check_finite, read_finite, read_whole
+from coadjoint.given import array_given, check_finite, read_finite, read_numbers, read_whole
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.solution import Solution
+from coadjoint.systems.user_functions import check_arguments
 from coadjoint.wording import short
 
 
@@ -72,7 +73,7 @@ def sampled(given: Any, signal: Any = None, least: int = 2) -> Sampled:
         values = array_given(signal, "signal", "iufc")
         several = values.ndim == 3
     kept = _even(t, least)
-    values = np.asarray(values, dtype=np.complex128 if values.dtype.kind == "c" else np.float64)
+    values = values.astype(np.complex128) if values.dtype.kind == "c" else read_numbers(values, "signal")
     shapes = ((2, 3) if several else (1, 2)) if isinstance(given, Solution) else (1, 2, 3)
     if values.ndim not in shapes or len(values) != len(t):
         wanted = (
@@ -107,15 +108,17 @@ def _of_run(run: Solution, signal: Any) -> NDArray[Any]:
             return run.energy
         if signal not in run.observed:
             known = ", ".join(map(repr, ("attitude", "energy", *run.observed)))
-            raise ValueError(f"signal is {signal!r}; a run has {known}, and its components by number")
+            raise ValueError(f"signal is {short(signal)}; a run has {known}, and its components by number")
         return np.asarray(run.observed[signal])
     if callable(signal):
+        check_arguments(signal, "signal", "x")
         chosen: Callable[..., Any] = signal
         return array_given(chosen(run.x), "what signal(sol.x) returned", "iufc")
-    if np.ndim(signal) == 0:
+    samples = array_given(signal, "signal", "iufc")
+    if samples.ndim == 0:
         components = _flat(run.x, several)
         return np.asarray(components[..., read_whole(signal, "signal", 0, components.shape[-1] - 1)])
-    return array_given(signal, "signal", "iufc")
+    return samples
 
 
 def _flat(values: NDArray[Any], several: bool) -> NDArray[Any]:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian
+from coadjoint.analysis.modified_hamiltonian import check_subject, modified_hamiltonian
+from coadjoint.analysis.short_motion import short_motion
 from coadjoint.given import read_finite, read_positive
 from coadjoint.methods.base import Method
-from coadjoint.methods.short_orbit import PART, short_orbit
-from coadjoint.methods.splitting import Splitting
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 HALVINGS = 40
@@ -52,6 +51,7 @@ def suggest_step(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike, en
     >>> 0.9e-5 < run.drift()["energy"] < 1.1e-5
     True
     """
+    check_subject(system, method)
     wanted = read_positive(energy, "energy")
     points = np.atleast_2d(read_finite(x0, "x0"))
     if points.ndim != 2 or points.shape[1] != system.dim:
@@ -61,14 +61,14 @@ def suggest_step(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike, en
 
 def _step_from(system: LiePoissonSystem, method: Method, start: npt.NDArray[np.float64], wanted: float) -> float:
     H = modified_hamiltonian(system, method, method.order + 3)
-    orbit = short_orbit(Splitting(), system, start)
-    plain = H(orbit.points, 0.0)
+    points, rate = short_motion(system, start)
+    plain = H(points, 0.0)
 
     def change(h: float) -> float:
-        added = H(orbit.points, h) - plain
+        added = H(points, h) - plain
         return float(np.max(np.abs(added - added[0])))
 
-    low, high = 0.0, orbit.spacing / PART
+    low, high = 0.0, 1.0 / rate
     if change(high) <= wanted:
         return high
     for _ in range(HALVINGS):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.stages import linear_solve
-from coadjoint.program.numbers import Number, roundoff
+from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.systems.hamiltonian import HamiltonianLike
 
 
@@ -58,7 +58,8 @@ def project(
         raise TypeError("a projection solves equations that exact fractions do not settle: take projected=False")
     wanted = [C.value(x) for C in invariants]
     sizes = [sum(abs(x * C.gradient(x))) for C in invariants]
-    gradients = np.array([C.gradient(z) for C in invariants])
+    # Constant slopes are fractions, which mpmath before 1.4 does not subtract from.
+    gradients = np.array([array_of(number, C.gradient(z)) for C in invariants])
     free = independent(gradients)
     directions = gradients[free]
     multipliers = directions @ z * 0

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Method
 from coadjoint.systems.kinds import System
+from coadjoint.systems.points import QUIET
 from coadjoint.wording import short
 
 Floats = NDArray[np.float64]
@@ -71,6 +72,7 @@ def _product(matrix: Floats, columns: Floats) -> Floats:
     return total
 
 
+@QUIET
 def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, steps: int = STEPS) -> ShortOrbit:
     """Return the motion from a state over some dozens of radians, with its tangents.
 
@@ -97,10 +99,7 @@ def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, step
     ValueError
         The motion leaves float64 within a few steps.
     """
-    rate = _rate(system, x0, t)
-    if not np.isfinite(rate):
-        raise ValueError(f"the motion from x0 = {short(x0.tolist())} cannot be followed: its field overflows")
-    spacing = PART / rate
+    spacing = PART / rate_at(system, x0, t)
     points, tangents = [x0], []
     for k in range(steps):
         try:
@@ -112,16 +111,45 @@ def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, step
         points.append(after)
         tangents.append(tangent)
     if len(tangents) < FEWEST:
-        raise ValueError(
-            f"the motion from x0 = {short(x0.tolist())} cannot be followed: it overflows within {FEWEST} steps of "
-            f"{spacing:g}; take another state"
-        )
+        raise cannot_follow(x0, spacing)
     return ShortOrbit(np.array(points), np.array(tangents), spacing)
 
 
-def _rate(system: System, x0: Floats, t: float) -> float:
-    """Return how fast the motion turns or grows at a state, by the field there and nearby."""
+def cannot_follow(x0: Floats, spacing: float) -> ValueError:
+    """Return the error for a motion that leaves float64 at once."""
+    return ValueError(
+        f"the motion from x0 = {short(x0.tolist())} cannot be followed: it overflows within {FEWEST} steps of "
+        f"{spacing:g}; take another state"
+    )
+
+
+@QUIET
+def rate_at(system: System, x0: Floats, t: float = 0.0) -> float:
+    """Return how fast the motion turns or grows at a state, per unit of time.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    x0 : ndarray, shape (n,)
+        The state.
+    t : float
+        The time.
+
+    Returns
+    -------
+    float
+        The larger of |f|/|x| and of |(Df)^2|^(1/2), f the vector field; 1 where nothing moves.
+
+    Raises
+    ------
+    ValueError
+        The field overflows there.
+    """
     size, near = float(np.linalg.norm(x0)), system.jacobian(x0, t)
     turning = float(np.linalg.norm(near @ near)) ** 0.5
     speed = float(np.linalg.norm(system.vector_field(x0, t))) / size if size > 0.0 else 0.0
-    return max(turning, speed) or 1.0
+    rate = max(turning, speed) or 1.0
+    if not np.isfinite(rate):
+        raise ValueError(f"the motion from x0 = {short(x0.tolist())} cannot be followed: its field overflows")
+    return rate

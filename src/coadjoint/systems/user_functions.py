@@ -47,6 +47,23 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
     return count == 2
 
 
+def check_arguments(function: Callable[..., Any], name: str, arguments: str) -> None:
+    """Refuse what cannot be called with so many arguments, such as ``"x, h"``; what has no signature is believed.
+
+    Examples
+    --------
+    >>> check_arguments(np.sin, "signal", "x")
+    """
+    try:
+        if isinstance(function, type) or not callable(function):
+            raise TypeError
+        inspect.signature(function).bind(*arguments.split(", "))
+    except TypeError:
+        raise TypeError(f"{name} is {short(function)}; it must be a function of ({arguments})") from None
+    except ValueError:
+        pass
+
+
 def all_take_time(functions: dict[str, Callable[..., Any] | None]) -> bool:
     """Return whether all the named functions (None is left out) take the time; refuse a mixture."""
     timed = {name: takes_time(function, name) for name, function in functions.items() if function is not None}

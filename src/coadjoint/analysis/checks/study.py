@@ -96,7 +96,8 @@ def study(subject: Subject) -> Study | None:
     for halving in range(SHORTER):
         wanted = NATURAL_TIMES / 2.0**halving * subject.span_time
         # Where the given step is tiny, the order is measured with larger ones; where it is huge, with smaller ones.
-        given = round(wanted / abs(subject.h)) if halving else max(1, round(wanted / abs(subject.h)))
+        given = round(min(wanted / abs(subject.h), 2.0 * MOST_GIVEN))
+        given = given if halving else max(1, given)
         given = 0 if given > MOST_GIVEN else given
         span, first = (given * subject.h, given) if given else (math.copysign(wanted, subject.h), FEW)
         reference = motion(subject.system, subject.states, span)

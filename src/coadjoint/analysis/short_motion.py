@@ -1,0 +1,49 @@
+"""A short motion from a state: what a function of the state does along it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError
+from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.short_orbit import FEWEST, PART, STEPS, cannot_follow, rate_at
+from coadjoint.runs.integrate import integrate
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+Floats = NDArray[np.float64]
+
+
+def short_motion(system: LiePoissonSystem, start: Floats, count: int = STEPS) -> tuple[Floats, float]:
+    """Return states along the motion from a state, a quarter of a radian apart, and how fast it turns there.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        Its Hamiltonian does not depend on time.
+    start : ndarray, shape (n,)
+        The state.
+    count : int
+        Number of steps.
+
+    Returns
+    -------
+    points : ndarray, shape (count + 1, n)
+        Fewer, where the motion leaves float64.
+    rate : float
+        In radians per unit of time.
+
+    Raises
+    ------
+    ValueError
+        The motion leaves float64 within a few steps.
+    """
+    rate = rate_at(system, start)
+    spacing = PART / rate
+    try:
+        found = integrate(system, start, (0.0, count * spacing), spacing, GaussLegendre(3), watch=False).x
+    except IntegrationError as error:
+        if error.partial is None or len(error.partial.x) <= FEWEST:
+            raise cannot_follow(start, spacing) from None
+        found = error.partial.x
+    return np.asarray(found), rate
