@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.exact import fraction as fraction
-from coadjoint.algebra.exact import rational as rational
+from coadjoint.algebra.exact import fraction, rational
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
 

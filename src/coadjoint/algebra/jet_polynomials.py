@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 
-from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, rational
+from coadjoint.algebra.exact import rational
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.algebra.lie_algebra import LieAlgebra
 
 

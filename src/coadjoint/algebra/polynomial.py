@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import operator
-from collections.abc import Mapping
-from fractions import Fraction
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from numbers import Integral, Rational
+from numbers import Rational
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.exact import exact_number, is_finite
 from coadjoint.algebra.polynomial_text import coordinate_names, latex, plain, sympy_of
 from coadjoint.algebra.product_sums import Coefficient, ProductSum, differentiated
 from coadjoint.given import array_given, read_whole
@@ -95,7 +94,7 @@ class Polynomial:
     def _of(cls, monomials: Mapping[Exponents, Coefficient], dim: int) -> Polynomial:
         """Build from valid monomials; only overflow can make a coefficient wrong."""
         for exponents, value in monomials.items():
-            if not _fits(value):
+            if not is_finite(value):
                 raise ValueError(f"the coefficient of {short(exponents)} overflows; it must stay within float64")
         result = cls.__new__(cls)
         result._fill(monomials, dim)
@@ -271,6 +270,20 @@ class Polynomial:
         twice = differentiated(differentiated(self._factors, self._dim), self._dim)
         return ProductSum(twice, self._dim**2)
 
+    @staticmethod
+    def side_by_side(polynomials: Sequence[Polynomial]) -> ProductSum:
+        """Return the values of polynomials in the same coordinates as one function of states, `ProductSum.along`.
+
+        Examples
+        --------
+        >>> both = Polynomial.side_by_side([Polynomial({(2, 1): 3}), Polynomial({(0, 0): 1})])
+        >>> both.along(np.array([[1.0, 2.0], [2.0, 0.5]]))
+        array([[6., 1.],
+               [6., 1.]])
+        """
+        terms = ((k, value, factors) for k, one in enumerate(polynomials) for _, value, factors in one._factors)
+        return ProductSum(terms, len(polynomials))
+
     def _point(self, x: Any, several: bool = False) -> NDArray[Any]:
         point = array_given(x, "x", "iufc")
         if point.shape != (self._dim,) and not (several and point.shape[-1:] == (self._dim,)):
@@ -331,20 +344,7 @@ def _read_exponents(given: Any) -> Exponents:
 def _read_coefficient(value: Any, what: str) -> Coefficient:
     if isinstance(value, bool) or not isinstance(value, Rational | float | np.floating):
         raise TypeError(f"{what} must be an int, float or Fraction, not {short(value)}")
-    if isinstance(value, Integral):
-        number: Coefficient = int(value)
-    elif isinstance(value, Rational):
-        number = Fraction(int(value.numerator), int(value.denominator))
-    else:
-        number = float(value)
-    if not _fits(number):
+    number: Coefficient = float(value) if isinstance(value, float | np.floating) else exact_number(value)
+    if not is_finite(number):
         raise ValueError(f"{what} is {short(value)}; it must be finite and within float64")
     return number
-
-
-def _fits(value: Coefficient) -> bool:
-    """Say whether a coefficient is a finite number in float64, exact as it may be."""
-    try:
-        return math.isfinite(value)
-    except OverflowError:
-        return False

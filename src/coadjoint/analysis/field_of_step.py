@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, fraction
+from coadjoint.algebra.exact import fraction
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 
 Field = list[Exact]
 """The n polynomials of a vector field."""

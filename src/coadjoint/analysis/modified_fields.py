@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.exact_polynomials import Exact
-from coadjoint.algebra.latex import latex_of
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.polynomial_text import coordinate_names, readable_latex
+from coadjoint.algebra.product_sums import ProductSum
 from coadjoint.analysis.field_of_step import Field, field_at, size_of
 from coadjoint.analysis.hamiltonian_fields import bracket_change, hamiltonian_of
-from coadjoint.analysis.many_states import ManyStates
 from coadjoint.analysis.skew_fields import Matrix, skew_factor
 from coadjoint.analysis.step_series import ExactSystem
 from coadjoint.given import read_finite, read_number
@@ -210,11 +210,11 @@ class ExactField(ModifiedField):
         return MappingProxyType({k: tuple(map(polynomial, f)) for k, f in enumerate(self._fields)})
 
     @cached_property
-    def _table(self) -> ManyStates:
-        return ManyStates([F for term in self.terms.values() for F in term])
+    def _table(self) -> ProductSum:
+        return Polynomial.side_by_side([F for term in self.terms.values() for F in term])
 
     def values(self, x: Floats) -> npt.NDArray[np.float64]:
-        return self._table(x).reshape(len(x), self.order, -1).transpose(1, 0, 2)
+        return self._table.along(x).reshape(len(x), self.order, -1).transpose(1, 0, 2)
 
     @property
     def first_error(self) -> int | None:
@@ -279,8 +279,8 @@ class ExactField(ModifiedField):
         return MappingProxyType(found)
 
     @cached_property
-    def _skew_table(self) -> ManyStates:
-        return ManyStates([F for K in self.skew_terms.values() for row in K for F in row])
+    def _skew_table(self) -> ProductSum:
+        return Polynomial.side_by_side([F for K in self.skew_terms.values() for row in K for F in row])
 
     @QUIET
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
@@ -288,7 +288,7 @@ class ExactField(ModifiedField):
             return super().skew_matrix(x, h)
         states, given = self._states(x)
         n, step = self.system.dim, read_number(h, "h")
-        values = self._skew_table(states).reshape(len(states), self.order, n, n)
+        values = self._skew_table.along(states).reshape(len(states), self.order, n, n)
         return np.einsum("mkij,k->mij", values, step ** np.arange(self.order)).reshape(*given, n)
 
     @cached_property
@@ -336,16 +336,19 @@ class ExactField(ModifiedField):
         return MappingProxyType({k: ring.polynomial(H) for k, H in found.items()})
 
     def to_latex(self) -> str:
-        """Return the terms that are not zero, as lines of LaTeX ``f_{k} = ...``, transposed."""
+        """Return the terms that are not zero, as lines of LaTeX ``f_{k} = ...``, transposed, all digits."""
+        return self._lines(Polynomial.to_latex)
+
+    def _repr_latex_(self) -> str:
+        return f"$${self._lines(lambda F: readable_latex(F.monomials, coordinate_names(F.dim)))}$$"
+
+    def _lines(self, written: Callable[[Polynomial], str]) -> str:
         lines = [
-            rf"f_{{{k}}} = \left({', '.join(map(latex_of, term))}\right)^T"
+            rf"f_{{{k}}} = \left({', '.join(map(written, term))}\right)^T"
             for k, term in self.terms.items()
             if any(F.monomials for F in term)
         ]
         return " \\\\\n".join(lines)
-
-    def _repr_latex_(self) -> str:
-        return f"$${self.to_latex()}$$"
 
 
 class FieldAtPoints(ModifiedField):

@@ -10,20 +10,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
+from coadjoint.algebra.exact_polynomials import ExactPolynomials
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.algebra.polynomial_text import coordinate_names, latex, plain, rounded_if_long
+from coadjoint.algebra.polynomial_text import coordinate_names, readable, readable_latex
 from coadjoint.algebra.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.analysis.modified_energy_at_points import ModifiedEnergyAtPoints
 from coadjoint.analysis.symbols_of_hamiltonian import Symbols, no_symbols, symbols_of
 from coadjoint.extras import need
 from coadjoint.given import is_of_a_ring, read_whole
 from coadjoint.methods.base import Method
-from coadjoint.program.composition_logarithm import Coordinates, composition_logarithm, swept_exactly
-from coadjoint.program.modified_series import Balls, ModifiedSeries
+from coadjoint.program.composition_logarithm import Coordinates, swept_exactly
+from coadjoint.program.modified_terms import coordinates_of, modified_terms
 from coadjoint.program.part_polynomials import part_polynomials, with_given_coefficients
-from coadjoint.program.rational_pieces import rational_pieces
-from coadjoint.program.sweep_logarithm import Commutators
 from coadjoint.program.sweeps import Sweep
 from coadjoint.program.table import Program
 from coadjoint.systems.kinds import System
@@ -33,8 +31,6 @@ from coadjoint.wording import short
 
 HIGHEST = 12
 """Terms below h^12: beyond, the words in the free algebra alone take minutes."""
-
-MOST_SHOWN = 30  # monomials of a term, where it is printed
 
 Term = Polynomial | SymbolicPolynomial
 
@@ -183,14 +179,17 @@ class ModifiedHamiltonian:
         return ModifiedHamiltonian(terms, self.order, radius=self.radius, neglected=self.neglected)
 
     def __repr__(self) -> str:
-        return self._written(repr, _plain, "*")
+        return self._written(repr, lambda term: readable(term.monomials, coordinate_names(term.dim)), "*")
 
     def to_latex(self) -> str:
         """Return it as LaTeX, without dollars, all digits."""
         return self._written(lambda term: term.to_latex(), lambda term: term.to_latex(), r"\,", "h^{{{0}}}")
 
     def _repr_latex_(self) -> str:
-        written = self._written(lambda term: term.to_latex(), _readable_latex, r"\,", "h^{{{0}}}")
+        def numeric(term: Polynomial) -> str:
+            return readable_latex(term.monomials, coordinate_names(term.dim))
+
+        written = self._written(lambda term: term.to_latex(), numeric, r"\,", "h^{{{0}}}")
         return f"${written}$"
 
     def to_sympy(self) -> Any:
@@ -208,18 +207,6 @@ class ModifiedHamiltonian:
             step = "h" if k == 1 else power.format(k)
             text += f" + {step}{between}({own})" if k else own
         return text
-
-
-def _plain(term: Polynomial) -> str:
-    if len(term.monomials) > MOST_SHOWN:
-        return f"<{len(term.monomials)} monomials of degree {term.degree} and less>"
-    return plain(rounded_if_long(term.monomials), coordinate_names(term.dim))
-
-
-def _readable_latex(term: Polynomial) -> str:
-    if len(term.monomials) > MOST_SHOWN:
-        return rf"\text{{{len(term.monomials)} monomials}}"
-    return latex(rounded_if_long(term.monomials), coordinate_names(term.dim))
 
 
 def _step(h: Any) -> Any:
@@ -275,29 +262,14 @@ class _Source:
 
     def _terms(self, coordinates: Coordinates, weights: Any) -> tuple[dict[int, Term], float, float]:
         ring = ExactPolynomials(self._system.algebra, tuple(self._symbols.values))
-        weights = [weight for weight in weights if coordinates.of_weight[weight]]
-        highest = max(weights, default=1)
-        series = ModifiedSeries(Commutators(ring, self._system.sign), self._flows(ring, highest), highest)
-        found: dict[int, Term] = {}
-        radius, neglected = 0.0, coordinates.neglected
-        for weight in weights:
-            term = series.term(coordinates, weight)
-            if isinstance(term, Balls):
-                radius, neglected = max(radius, term.radius), max(neglected, term.neglected)
-                polynomial = Polynomial(term.coefficients, dim=ring.dim + len(ring.symbols))
-            else:
-                polynomial = ring.with_symbols(term)
-            if polynomial.monomials:
-                found[weight - 1] = self._symbols.written(polynomial)
-        return found, radius, neglected
-
-    def _flows(self, ring: ExactPolynomials, highest: int) -> list[dict[int, Exact]]:
-        parts = self._program.parts
-        pieces = part_polynomials(ring, parts)
+        pieces = None
         if not self._program.shift:
-            pieces = with_given_coefficients(ring, parts, pieces, self._symbols.given, self._symbols.factors(ring))
-        turned = rational_pieces(ring, parts, self._program.frequency, highest)
-        return [{1: piece, **more} for piece, more in zip(pieces, turned, strict=True)]
+            parts = self._program.parts
+            own, factors = part_polynomials(ring, parts), self._symbols.factors(ring)
+            pieces = with_given_coefficients(ring, parts, own, self._symbols.given, factors)
+        found = modified_terms(ring, self._system, self._program, coordinates, weights, pieces)
+        terms = {power: self._symbols.written(term) for power, term in found.of_power.items()}
+        return terms, found.radius, found.neglected
 
 
 def modified_hamiltonian(
@@ -382,9 +354,3 @@ def check_subject(system: System, method: Any) -> LiePoissonSystem:
     if not isinstance(system, LiePoissonSystem):
         raise TypeError(f"the system is {short(system)}; a modified Hamiltonian is for one LiePoissonSystem")
     return system
-
-
-def coordinates_of(program: Program, sweeps: list[Sweep], after: list[Sweep], highest: int, order: int) -> Coordinates:
-    """Return the Lie series of a step by a program; parameters are those of `composition_logarithm`."""
-    rational = bool(np.any(program.frequency != 0))
-    return composition_logarithm(sweeps, after, highest, order=order, parts=len(program.parts), rational=rational)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact_polynomials import Exact, rational
+from coadjoint.algebra.exact import rational
+from coadjoint.algebra.exact_polynomials import Exact
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.analysis.field_of_step import Field, plain_ring, size_of
 from coadjoint.memory import check_room

@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, rational
+from coadjoint.algebra.exact import rational
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 
 NODE = "c"
 """The name of the symbol that stands for the node of a stage: a collocation method is the same at each of them."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact_polynomials import rational
+from coadjoint.algebra.exact import rational
 from coadjoint.methods.formal_numbers import NODE, FormalNumber, is_short, vector
 from coadjoint.methods.stages import Coefficients
 from coadjoint.rounding import UNIT_ROUNDOFF

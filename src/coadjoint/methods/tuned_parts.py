@@ -14,7 +14,7 @@ from coadjoint.methods.flow_method import FlowMethod
 from coadjoint.methods.short_orbit import ShortOrbit, short_orbit
 from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.program.decompose import best_decomposition, candidates, decompose
-from coadjoint.program.leading_term import leading_term
+from coadjoint.program.modified_terms import leading_term
 from coadjoint.program.nested_brackets import NestedBrackets
 from coadjoint.program.order_of_parts import CLEARLY, MOST_ORDERED, least_of_orders
 from coadjoint.program.parts import Parts

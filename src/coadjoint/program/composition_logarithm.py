@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from coadjoint.algebra.exact_polynomials import rational as rational_number
+from coadjoint.algebra.exact import rational as rational_number
 from coadjoint.algebra.free_algebra import (
     Series,
     Word,

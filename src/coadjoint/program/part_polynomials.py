@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.exact import exact_number
-from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, fraction, rational
+from coadjoint.algebra.exact import exact_number, fraction, rational
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.algebra.polynomial import Exponents, Polynomial
 from coadjoint.program.parts import FunctionShare, Parts
 

@@ -6,7 +6,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, rational
+from coadjoint.algebra.exact import rational
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.program.part_polynomials import form_of, number_of, row_of
 from coadjoint.program.parts import Parts, PolynomialShare
 

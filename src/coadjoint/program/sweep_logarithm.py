@@ -12,7 +12,8 @@ from fractions import Fraction
 from functools import cache
 from math import comb
 
-from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, rational
+from coadjoint.algebra.exact import rational
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.memory import check_room
 
 MOST_PRODUCTS = 10**8
