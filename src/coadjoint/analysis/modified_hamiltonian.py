@@ -5,50 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact_polynomials import ExactPolynomials
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.polynomial_text import coordinate_names, readable, readable_latex
 from coadjoint.algebra.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.analysis.modified_energy_at_points import ModifiedEnergyAtPoints
-from coadjoint.analysis.symbols_of_hamiltonian import Symbols, no_symbols, symbols_of
+from coadjoint.analysis.scheme_terms import HIGHEST, ErrorTerm, SchemeTerms, Term
+from coadjoint.analysis.symbols_of_hamiltonian import no_symbols, symbols_of
 from coadjoint.extras import need
 from coadjoint.given import is_of_a_ring, read_whole
 from coadjoint.methods.base import Method
-from coadjoint.program.composition_logarithm import Coordinates, swept_exactly
-from coadjoint.program.modified_terms import coordinates_of, modified_terms
-from coadjoint.program.part_polynomials import part_polynomials, with_given_coefficients
-from coadjoint.program.sweeps import Sweep
-from coadjoint.program.table import Program
+from coadjoint.program.composition_logarithm import swept_exactly
+from coadjoint.program.modified_terms import coordinates_of
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.polynomial_form import polynomial_of
 from coadjoint.wording import short
-
-HIGHEST = 12
-"""Terms below h^12: beyond, the words in the free algebra alone take minutes."""
-
-Term = Polynomial | SymbolicPolynomial
-
-
-class ErrorTerm(NamedTuple):
-    """The first term that a scheme adds to the Hamiltonian: h^power times a function.
-
-    Parameters
-    ----------
-    power : int or None
-        The power of h, which is the order of the scheme. None where H has a single part, so that a step is the flow of
-        H itself.
-    term : Polynomial or SymbolicPolynomial
-        The function. It is zero where the parts of a system commute more than they do in general.
-    """
-
-    power: int | None
-    term: Term
 
 
 class ModifiedHamiltonian:
@@ -91,7 +67,7 @@ class ModifiedHamiltonian:
         radius: float = 0.0,
         neglected: float = 0.0,
         values: Mapping[str, Any] | None = None,
-        source: _Source | None = None,
+        source: SchemeTerms | None = None,
     ) -> None:
         self.terms: Mapping[int, Term] = MappingProxyType(dict(terms))
         self.order, self.radius, self.neglected = order, radius, neglected
@@ -115,7 +91,7 @@ class ModifiedHamiltonian:
         """The modified Hamiltonian of the kernel K of a processed scheme P K P^-1; of other schemes the same one."""
         if self._source is None:
             raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; ask the symbolic one")
-        return self._source.kernel().found(self.order)
+        return _made_of(self._source.kernel(), self.order)
 
     def _numeric(self) -> Mapping[int, Polynomial]:
         if self.values:
@@ -216,63 +192,6 @@ def _step(h: Any) -> Any:
     return h
 
 
-class _Source:
-    """What the terms are made from: a program, and the sweeps of its scheme."""
-
-    def __init__(
-        self,
-        system: LiePoissonSystem,
-        program: Program,
-        sweeps: list[Sweep],
-        after: list[Sweep],
-        order: int,
-        symbols: Symbols,
-    ) -> None:
-        self._system, self._program, self._symbols = system, program, symbols
-        self._sweeps, self._after, self._order = sweeps, after, order
-
-    def kernel(self) -> _Source:
-        """Return the source of the kernel alone."""
-        return _Source(self._system, self._program, self._sweeps, [], self._order, self._symbols)
-
-    def found(self, order: int) -> ModifiedHamiltonian:
-        """Return the terms below h^order."""
-        terms, radius, neglected = self._terms(self._coordinates(order), range(2, order + 1))
-        return ModifiedHamiltonian(
-            {0: self._symbols.hamiltonian, **terms},
-            order,
-            radius=radius,
-            neglected=neglected,
-            values=self._symbols.values,
-            source=self,
-        )
-
-    def error_term(self) -> ErrorTerm:
-        """Return the term at the first power above h^0 at which the scheme has one on systems in general."""
-        if len(self._program.parts) > 1 or np.any(self._program.frequency != 0):
-            for highest in range(min(self._order + 1, HIGHEST + 1), HIGHEST + 2):
-                coordinates = self._coordinates(highest)
-                weight = coordinates.leading
-                if weight is not None:
-                    terms, _, _ = self._terms(coordinates, [weight])
-                    return ErrorTerm(weight - 1, terms.get(weight - 1, self._symbols.zero))
-        return ErrorTerm(None, self._symbols.zero)
-
-    def _coordinates(self, highest: int) -> Coordinates:
-        return coordinates_of(self._program, self._sweeps, self._after, highest, self._order)
-
-    def _terms(self, coordinates: Coordinates, weights: Any) -> tuple[dict[int, Term], float, float]:
-        ring = ExactPolynomials(self._system.algebra, tuple(self._symbols.values))
-        pieces = None
-        if not self._program.shift:
-            parts = self._program.parts
-            own, factors = part_polynomials(ring, parts), self._symbols.factors(ring)
-            pieces = with_given_coefficients(ring, parts, own, self._symbols.given, factors)
-        found = modified_terms(ring, self._system, self._program, coordinates, weights, pieces)
-        terms = {power: self._symbols.written(term) for power, term in found.of_power.items()}
-        return terms, found.radius, found.neglected
-
-
 def modified_hamiltonian(
     system: System, method: Method, order: int = 4, *, symbols: Any = False
 ) -> ModifiedHamiltonian | ModifiedEnergyAtPoints:
@@ -345,7 +264,13 @@ def modified_hamiltonian(
         coordinates = coordinates_of(program, sweeps, after, order, method.order)
         return ModifiedEnergyAtPoints(system, program, coordinates, order)
     chosen = symbols_of(H, symbols, program) if symbols is not False else no_symbols(H)
-    return _Source(system, program, sweeps, after, method.order, chosen).found(order)
+    return _made_of(SchemeTerms(system, program, sweeps, after, method.order, chosen), order)
+
+
+def _made_of(source: SchemeTerms, order: int) -> ModifiedHamiltonian:
+    terms, radius, neglected = source.below(order)
+    values = source.symbols.values
+    return ModifiedHamiltonian(terms, order, radius=radius, neglected=neglected, values=values, source=source)
 
 
 def check_subject(system: System, method: Any) -> LiePoissonSystem:
