@@ -13,7 +13,8 @@ from fractions import Fraction
 from typing import Any, ClassVar, NamedTuple
 
 from coadjoint.algebra.logarithmic import LogarithmicSum
-from coadjoint.algebra.polynomial import MOST_DEGREE, TOO_HIGH, Exponents, Polynomial
+from coadjoint.algebra.monomials import Exponents
+from coadjoint.algebra.polynomial import MOST_DEGREE, TOO_HIGH, Polynomial
 from coadjoint.algebra.written_numbers import MOST_DIGITS, NUMBER, Constant, checked, read_constant, too_large
 from coadjoint.memory import check_room
 from coadjoint.wording import short

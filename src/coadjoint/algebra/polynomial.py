@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact import exact_number, is_finite
+from coadjoint.algebra.exact import is_finite
+from coadjoint.algebra.monomials import Exponents, read_coefficient, read_exponents
 from coadjoint.algebra.polynomial_text import coordinate_names, latex, plain, sympy_of
 from coadjoint.algebra.product_sums import Coefficient, ProductSum, differentiated
 from coadjoint.given import array_given, read_whole
 from coadjoint.memory import check_room
 from coadjoint.wording import short
-
-Exponents = tuple[int, ...]
 
 QUIET = np.errstate(over="ignore", invalid="ignore")  # a value that leaves float64 is infinite; no warning is needed
 
@@ -70,14 +69,14 @@ class Polynomial:
             raise ValueError("dim must be given for a Polynomial without monomials")
         collected: dict[Exponents, Coefficient] = {}
         for given, value in monomials.items():
-            exponents = _read_exponents(given)
+            exponents = read_exponents(given)
             if dim is None:
                 dim = len(exponents)
             if len(exponents) != dim:
                 raise ValueError(
                     f"exponents {short(given)} have length {len(exponents)}; this Polynomial has dimension {short(dim)}"
                 )
-            collected[exponents] = _read_coefficient(value, f"the coefficient of {short(given)}")
+            collected[exponents] = read_coefficient(value, f"the coefficient of {short(given)}")
         if dim is None or dim < 1:
             raise ValueError("a Polynomial needs at least one coordinate; its exponents are empty")
         self._fill(collected, int(dim))
@@ -177,7 +176,7 @@ class Polynomial:
                 raise ValueError(f"polynomials in {self._dim} and in {other._dim} coordinates cannot be combined")
             return other
         if isinstance(other, Rational | float) and not isinstance(other, bool):
-            return Polynomial({(0,) * self._dim: _read_coefficient(other, "constant")})
+            return Polynomial({(0,) * self._dim: read_coefficient(other, "constant")})
         return None
 
     def __add__(self, other: Polynomial | Coefficient) -> Polynomial:
@@ -326,25 +325,3 @@ class Polynomial:
         """
         check_room(8 * self._dim**2, f"a matrix of second derivatives in {self._dim} coordinates")
         return self._hessian_sum(self._point(x)).reshape(self._dim, self._dim)
-
-
-def _read_exponents(given: Any) -> Exponents:
-    if not isinstance(given, tuple | list):
-        raise TypeError(f"exponents must be a tuple of whole numbers, one for each coordinate, not {short(given)}")
-    if set(map(type, given)) <= {int} and min(given, default=0) >= 0:  # the same checks, fast for many coordinates
-        return tuple(given)
-    for exponent in given:
-        if isinstance(exponent, bool) or not isinstance(exponent, int | np.integer):
-            raise TypeError(f"exponents {short(given)} must be whole numbers; {short(exponent)} is not")
-        if exponent < 0:
-            raise ValueError(f"exponents {short(given)} must not be negative")
-    return tuple(map(int, given))
-
-
-def _read_coefficient(value: Any, what: str) -> Coefficient:
-    if isinstance(value, bool) or not isinstance(value, Rational | float | np.floating):
-        raise TypeError(f"{what} must be an int, float or Fraction, not {short(value)}")
-    number: Coefficient = float(value) if isinstance(value, float | np.floating) else exact_number(value)
-    if not is_finite(number):
-        raise ValueError(f"{what} is {short(value)}; it must be finite and within float64")
-    return number

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.analysis.exact_field import ExactField
+from coadjoint.analysis.field_at_points import FieldAtPoints
 from coadjoint.analysis.field_of_step import field_of_series, size_of
-from coadjoint.analysis.modified_fields import ExactField, FieldAtPoints, ModifiedField
+from coadjoint.analysis.modified_fields import ModifiedField
 from coadjoint.analysis.step_series import ExactSystem, check_at_a_point, scale_of_motion
 from coadjoint.extras import need
 from coadjoint.given import read_choice, read_whole

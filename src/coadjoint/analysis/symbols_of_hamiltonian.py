@@ -8,7 +8,8 @@ from fractions import Fraction
 from typing import Any
 
 from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
-from coadjoint.algebra.polynomial import Exponents, Polynomial
+from coadjoint.algebra.monomials import Exponents
+from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.errors import unknown_name
 from coadjoint.given import read_list

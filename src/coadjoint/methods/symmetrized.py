@@ -10,6 +10,7 @@ import numpy as np
 
 from coadjoint.given import read_choice, read_whole
 from coadjoint.methods.base import Method
+from coadjoint.methods.composed import FlowsOfBase
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.flow_method import FlowMethod
 from coadjoint.methods.order_conditions import HIGHEST_ORDER
@@ -85,7 +86,7 @@ def _order_of_pair(base: Method) -> int:
 
 
 @dataclass(frozen=True)
-class PairOfFlows(FlowMethod):
+class PairOfFlows(FlowsOfBase):
     """The sweeps of a scheme over half a step, then in reverse over the other half.
 
     Parameters
@@ -108,21 +109,6 @@ class PairOfFlows(FlowMethod):
     def order(self) -> int:
         """The even number from the order of the base on."""
         return _order_of_pair(self.base)
-
-    @property
-    def parts(self) -> Any:
-        """Those of the base."""
-        return self.base.parts
-
-    @property
-    def compensated(self) -> bool | None:
-        """As the base."""
-        return self.base.compensated
-
-    @property
-    def rotation(self) -> str:
-        """As the base."""
-        return self.base.rotation
 
     def properties(self, system: System) -> Properties:
         """Return what the base keeps."""

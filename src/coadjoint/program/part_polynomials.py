@@ -10,7 +10,8 @@ import numpy as np
 
 from coadjoint.algebra.exact import exact_number, fraction, rational
 from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
-from coadjoint.algebra.polynomial import Exponents, Polynomial
+from coadjoint.algebra.monomials import Exponents
+from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.program.parts import FunctionShare, Parts
 
 # A completed square may have numerators of thousands of digits. Then the floats are taken, as in a run.

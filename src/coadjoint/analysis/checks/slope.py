@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError
 
 MOST_POINTS = 5
 FEWEST_POINTS = 3
@@ -79,6 +82,36 @@ def slope(steps: list[float], errors: list[float], floors: list[float]) -> Slope
     ratio = math.exp(float(np.mean(np.log(h[:width])) - np.mean(np.log(h[-width:]))))
     rounded = float(floor[-1] / e[-1]) / math.log(h[-width] / h[-1])
     return Slope(small, abs(small - large) / (ratio - 1.0) + rounded, small - large, h, e)
+
+
+def slope_of_defects(largest: float, count: int, look: Callable[[float], tuple[float, float]]) -> Slope | None:
+    """Return the power of the step that a defect follows, from the largest step down by roots of two.
+
+    Parameters
+    ----------
+    largest : float
+        Step, with its sign.
+    count : int
+        Of steps.
+    look : callable
+        Of a step: the defect and its floor. Steps at which it fails are left out.
+
+    Returns
+    -------
+    Slope or None
+        As `slope`.
+    """
+    steps, defects, floors = [], [], []
+    for k in range(count):
+        h = largest / 2.0 ** (k / 2)
+        try:
+            defect, floor = look(h)
+        except (IntegrationError, TypeError, ValueError):
+            continue
+        steps.append(abs(h))
+        defects.append(defect)
+        floors.append(floor)
+    return slope(steps, defects, floors)
 
 
 def _slope(h: NDArray[np.float64], e: NDArray[np.float64]) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.analysis.certificate import INAPPLICABLE, Row, verdict
-from coadjoint.analysis.checks.slope import Slope, slope
+from coadjoint.analysis.checks.slope import Slope, slope_of_defects
 from coadjoint.analysis.checks.subject import LARGEST_DENSE, Subject
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -141,14 +141,9 @@ def _bound(subject: Subject, x: Floats, h: float) -> float:
 
 
 def _defect_slope(subject: Subject, there: There, largest: float) -> Slope | None:
-    steps, defects, floors = [], [], []
-    for k in range(SLOPES):
-        h = largest / 2.0 ** (k / 2)
-        try:
-            moved = there(subject.states, h) - subject.states
-        except IntegrationError:
-            continue
-        steps.append(abs(h))
-        defects.append(float(np.linalg.norm(moved)))
-        floors.append(subject.rounding(h) * float(np.linalg.norm(subject.states)) + subject.noise)
-    return slope(steps, defects, floors)
+    def look(h: float) -> tuple[float, float]:
+        moved = there(subject.states, h) - subject.states
+        floor = subject.rounding(h) * float(np.linalg.norm(subject.states)) + subject.noise
+        return float(np.linalg.norm(moved)), floor
+
+    return slope_of_defects(largest, SLOPES, look)
