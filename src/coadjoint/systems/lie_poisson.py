@@ -15,6 +15,7 @@ from coadjoint.memory import check_room
 from coadjoint.systems.closed_form import checked_exact, checked_parameters, solution_of
 from coadjoint.systems.followed_casimirs import casimirs_of, checked_casimirs
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
+from coadjoint.systems.known_integrals import checked_integrals
 from coadjoint.systems.points import QUIET, checked_name, checked_sign, matching, point, scatter
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
 
@@ -49,6 +50,9 @@ class LiePoissonSystem:
         With these ``co.systems.get(name, **parameters)`` makes this system again.
     exact : callable, optional
         Closed form ``exact(x0, t, attitude)``, if one is known.
+    integrals : mapping, optional
+        What else this Hamiltonian keeps: name to `Polynomial`, `Quadratic`, `Invariant` or function of x. Runs follow
+        them with ``observe=system.integrals``.
 
     Attributes
     ----------
@@ -63,8 +67,8 @@ class LiePoissonSystem:
     ------
     TypeError, ValueError
         Wrong kinds; a sign that is not +1 or -1; a Hamiltonian of another dimension; coordinates of a piece of a
-        `SplitHamiltonian` that do not commute; a "Casimir" that is none (where its gradient is known); a representation
-        with other commutators.
+        `SplitHamiltonian` that do not commute; a "Casimir" or an "integral" that is none (where its gradient is known);
+        a representation with other commutators.
 
     Notes
     -----
@@ -89,6 +93,7 @@ class LiePoissonSystem:
     _casimirs: dict[str, Any] | None
     _parameters: dict[str, Any] | None
     _exact: Callable[..., Any] | None
+    _integrals: dict[str, Any]
     _rows: npt.NDArray[np.int64]
     _factors: npt.NDArray[np.int64]
     _states: npt.NDArray[np.int64]
@@ -104,6 +109,7 @@ class LiePoissonSystem:
         name: str | None = None,
         parameters: Mapping[str, Any] | None = None,
         exact: Callable[..., Any] | None = None,
+        integrals: Mapping[str, Any] | None = None,
     ) -> None:
         if not isinstance(algebra, LieAlgebra):
             raise TypeError(f"algebra is a {type(algebra).__name__}; give a LieAlgebra, such as co.algebras.so(3)")
@@ -123,6 +129,9 @@ class LiePoissonSystem:
             keep(self, "_casimirs", None)
         else:
             keep(self, "_casimirs", checked_casimirs(casimirs, algebra.dim, self._product, self._absolute_product))
+        sums = self._product, self._absolute_product
+        known = {} if integrals is None else integrals
+        keep(self, "_integrals", checked_integrals(known, self.hamiltonian, algebra.dim, *sums))
         if representation is None:
             keep(self, "representation", algebra.representation)
         else:
@@ -158,6 +167,11 @@ class LiePoissonSystem:
         if self._casimirs is None:
             object.__setattr__(self, "_casimirs", dict(casimirs_of(self.algebra)))
         return dict(self._casimirs or {})
+
+    @property
+    def integrals(self) -> dict[str, Any]:
+        """Name to `Polynomial`, `Quadratic` or `Invariant`: what is kept beside energy and Casimirs (a copy)."""
+        return dict(self._integrals)
 
     @property
     def parameters(self) -> dict[str, Any] | None:
