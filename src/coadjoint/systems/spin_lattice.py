@@ -24,7 +24,7 @@ from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
 
-BYTES_PER_SPIN, BYTES_PER_EDGE = 1500, 1000  # while the system is made
+BYTES_PER_SPIN, BYTES_PER_EDGE = 1000, 500  # while the system is made
 MOST_KEPT = 2**16  # numbers that a system keeps as its parameters
 LARGEST = 1e100
 MOST_FOLLOWED = 682  # spins whose lengths are followed one by one, as `copies` says
