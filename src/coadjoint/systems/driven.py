@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -92,7 +93,7 @@ class Driven:
             need("a force in time, a Python function,", "numba")
             import numba
 
-            compiled = numba.njit(self._force) if not hasattr(self._force, "py_func") else self._force
+            compiled = numba.njit(self._force) if inspect.isfunction(self._force) else self._force
             own = [
                 _term(compiled, np.arange(axis, self.dim or 0, self._axes), axis, self.uniform)
                 for axis in range(self._axes)
