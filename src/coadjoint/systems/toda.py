@@ -137,6 +137,7 @@ def _lattice(n: int, ring: bool) -> LiePoissonSystem:
         name=name,
         parameters={"sites": n},
         exact=None if ring else partial(open_lattice, n),
+        integrals=traces(n, ring),
     )
 
 
