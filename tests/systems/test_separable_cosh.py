@@ -69,6 +69,7 @@ def test_hessian_and_small_momenta():
         ({"algebra": "A3,7"}, ValueError, "'a'"),
         ({"algebra": "so(3)", "constants": {"a": 1.0}}, ValueError, "a"),
         ({"constants": 1.0}, TypeError, "constants is 1.0"),
+        ({"constants": {1: 1.0}}, TypeError, "constants is"),
         ({"masses": (1.0, 2.0)}, ValueError, r"masses has shape \(2,\); give 3"),
         ({"masses": (0.0, 0.0, 0.0)}, ValueError, "masses are all zero"),
         ({"masses": (1.0, np.inf, 0.0)}, ValueError, "masses"),
