@@ -305,7 +305,9 @@ def test_a_step_is_the_flow_of_its_field(scheme, which: int) -> None:
     assert errors[2] < 10 * errors[0]
 
 
-@pytest.mark.parametrize("scheme", [s for s in SCHEMES if not isinstance(s, co.Composition)][::2], ids=str)
+@pytest.mark.parametrize(
+    "scheme", [s for s in SCHEMES if not isinstance(s, co.Composition) and s != co.Splitting(order=4)][::2], ids=str
+)
 def test_the_two_ways_agree(scheme) -> None:
     system = whole("e(3)", -1, seed=11, linear=True)
     exact = co.modified_field(system, scheme, 4, way="exact")

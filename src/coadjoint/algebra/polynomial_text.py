@@ -69,7 +69,7 @@ def sympy_of(monomials: Monomials, names: Sequence[str]) -> Any:
 
 
 def readable(monomials: Monomials, names: Sequence[str]) -> str:
-    """Return a polynomial for a line of a terminal: coefficients that are easy to read; of many monomials the number.
+    """Return a polynomial for one line: coefficients that are easy to read; of many monomials their number.
 
     Examples
     --------
@@ -95,7 +95,7 @@ def readable_latex(monomials: Monomials, names: Sequence[str]) -> str:
 
 
 def rounded_if_long(monomials: Monomials) -> dict[tuple[int, ...], Coefficient]:
-    """Return coefficients that are easy to read: six digits of those that have more, and short fractions as they are.
+    """Return coefficients that are easy to read: six digits where there are more, and short fractions as they are.
 
     Examples
     --------

@@ -78,8 +78,8 @@ class ProductSum:
     def along(self, x: NDArray[Any]) -> NDArray[Any]:
         """Return the sums at many points (..., n), shape (..., places), in their kind of number.
 
-        Powers, and products that several sums have in them, are made once, so that it is much faster than point after
-        point; the same up to rounding.
+        Powers, and products that occur in several sums, are made once. So it is much faster than point after point, and
+        the same up to rounding.
         """
         points = x.reshape(-1, x.shape[-1])
         result = np.zeros((len(points), self._places), dtype=x.dtype)
@@ -127,7 +127,7 @@ class _Shared(NamedTuple):
     """The different products of all sums, and the terms in the order of their places."""
 
     different: int
-    factors: list[tuple[NDArray[np.int64], ...]]  # for the first factor of products, the second, ...
+    factors: list[tuple[NDArray[np.int64], ...]]  # for the first factor of each product, then the second, and so on
     order: NDArray[np.int64]
     product: NDArray[np.int64]
     places: NDArray[np.int64]

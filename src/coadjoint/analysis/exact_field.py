@@ -32,8 +32,8 @@ class ExactField(ModifiedField):
     Attributes
     ----------
     known_to : float
-        Relative error of the scheme's own coefficients. Where they are rounded, what the scheme keeps is still kept
-        exactly by each term; terms below its order that are no more than that rounding are zero.
+        Relative error of the scheme's own coefficients. Where they are rounded, each term still keeps exactly what the
+        scheme keeps. Terms below its order that are no larger than that rounding are zero.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class ExactField(ModifiedField):
         return next((k for k, (f, due) in enumerate(zip(self._fields, motion, strict=True)) if f != due), None)
 
     def rate(self, invariant: Any) -> dict[int, Polynomial]:
-        """Return what is not zero of grad F . f_k: how fast a function changes, by power of h.
+        """Return how fast a function F changes: the grad F . f_k that are not zero, by power of h.
 
         Parameters
         ----------
@@ -107,12 +107,12 @@ class ExactField(ModifiedField):
 
     @cached_property
     def skew_terms(self) -> Mapping[int, tuple[tuple[Polynomial, ...], ...]]:
-        """Power k -> the skew K_k of polynomials with f_k = sign K_k grad H, K_0 = J, where H is quadratic.
+        """Power k -> the skew matrix K_k of polynomials with f_k = sign K_k grad H, K_0 = J, for a quadratic H.
 
         Raises
         ------
         ValueError
-            The scheme does not keep the energy, with the power of h and the size; or H is not quadratic.
+            The scheme does not keep the energy (the message has the power of h and the size), or H is not quadratic.
         """
         self._check_energy()
         ring, sign, found = self._given.ring, self.system.sign, {}
@@ -138,7 +138,7 @@ class ExactField(ModifiedField):
 
     @cached_property
     def poisson_defects(self) -> Mapping[int, float]:
-        """Power k -> the largest coefficient of L_f J for f = f_k, the change of the bracket; only those not zero.
+        """Power k -> the largest coefficient of the change of the bracket, L_f J for f = f_k, where it is not zero.
 
         Where there are none, the scheme is a Poisson map to this order.
         """
@@ -156,8 +156,8 @@ class ExactField(ModifiedField):
         Raises
         ------
         ValueError
-            The scheme is no Poisson map, with the power of h and the size; or the field is Poisson without being
-            Hamiltonian: it moves a Casimir, or belongs to no polynomial.
+            The scheme is no Poisson map (the message has the power of h and the size). Or the field is Poisson without
+            being Hamiltonian: it moves a Casimir, or belongs to no polynomial.
         """
         for k, size in self.poisson_defects.items():
             raise ValueError(

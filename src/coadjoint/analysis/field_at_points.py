@@ -18,9 +18,9 @@ from coadjoint.systems.user_functions import sample_points
 from coadjoint.wording import short
 
 SLIGHT = 53  # the steps of the numerical way move by about 2^-53 of the state
-WORTH = 1e-6  # relative disagreement of two sets of steps that is still a result
-SAMPLES = (0, 1)  # the sample points of a system at which a term is looked at
-SEEN = 1e-9  # relative size from which a change that was computed at points is one
+WORTH = 1e-6  # relative disagreement of two sets of steps up to which there is a result
+SAMPLES = (0, 1)  # the sample points of a system at which invariants are tested
+SEEN = 1e-9  # relative size from which a change that was computed at points counts as a change
 
 
 class FieldAtPoints(ModifiedField):
@@ -41,7 +41,7 @@ class FieldAtPoints(ModifiedField):
 
     @property
     def terms(self) -> Mapping[int, Callable[[npt.ArrayLike], Floats]]:
-        """Power k -> a function of a state."""
+        """Power k -> f_k as a function of a state."""
 
         def term(k: int) -> Callable[[npt.ArrayLike], Floats]:
             return lambda x: self.values(self._states(x)[0])[k].reshape(np.shape(x))
@@ -67,7 +67,7 @@ class FieldAtPoints(ModifiedField):
         Raises
         ------
         TypeError
-            The step does not keep the digits of mpmath's numbers.
+            The step rounds mpmath's numbers to fewer digits.
         ValueError
             The two sets disagree: the step is no power series in h there.
         """
@@ -128,7 +128,7 @@ class FieldAtPoints(ModifiedField):
         return None
 
     def keeps(self, invariant: Any) -> int | None:
-        """Return the first power of h whose term does not keep a function at sample points; None where all keep it."""
+        """Return the first power of h whose term loses a function at sample points; None where every term keeps it."""
         given = self._invariant(invariant)
         gradient = (as_hamiltonian(given, self.system.dim) if hasattr(given, "monomials") else given).gradient
         lost = [self.order]

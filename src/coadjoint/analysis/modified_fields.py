@@ -1,4 +1,4 @@
-"""What a modified field is: terms by power of the step, exact or computed at points, and what they keep."""
+"""What is a modified field? Terms by power of the step, exact or computed at points, and what they keep."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class ModifiedField(ABC):
     Attributes
     ----------
     system, method
-        Whose it is.
+        The system and the scheme.
     order : int
-        The terms f_k h^k with k < order are there.
+        The field has the terms f_k h^k with k < order.
     exact : bool
         Whether the terms are polynomials from exact series; otherwise they are computed at each point.
     reason : str
-        Why they are not polynomials; empty where they are.
+        Why the terms are not polynomials; empty where they are.
     """
 
     def __init__(self, system: System, method: Any, order: int, reason: str) -> None:
@@ -47,12 +47,12 @@ class ModifiedField(ABC):
 
     @abstractmethod
     def keeps(self, invariant: Any) -> int | None:
-        """Return the first power of h whose term does not keep a function; None where all of them keep it.
+        """Return the first power of h whose term loses a function; None where every term keeps it.
 
         Parameters
         ----------
         invariant : str, Polynomial, Quadratic or Invariant
-            "energy", the name of a Casimir, or a function. Polynomials are asked exactly where the field is exact.
+            "energy", the name of a Casimir, or a function. Where the field is exact, polynomials are tested exactly.
 
         Returns
         -------
@@ -62,9 +62,10 @@ class ModifiedField(ABC):
     @property
     @abstractmethod
     def first_error(self) -> int | None:
-        """The first power of h whose term is not that of the motion, the order of the scheme; None where all are.
+        """The first power of h whose term differs from the exact motion's; None where no term does.
 
-        It is 0 where f_0 is another field, that of a scheme with a wrong coefficient or at a wrong speed.
+        It is the order of the scheme; 0 where f_0 is not the field of the system, by a wrong coefficient or a wrong
+        speed.
         """
 
     @QUIET
@@ -91,10 +92,10 @@ class ModifiedField(ABC):
 
     @QUIET
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
-        """Return the skew matrix K(x, h) = J(x) + O(h^p) of a scheme that keeps the energy: the field is sign K grad H.
+        """Return the skew K(x, h) = J(x) + O(h^p) with the field sign K grad H, of a scheme that keeps the energy.
 
-        Where the terms are polynomials and H is quadratic, K is of polynomials, `skew_terms`. Elsewhere it is
-        K = J + sign (d g^T - g d^T) / |g|^2 with g = grad H and d the field less f_0, where g is not zero.
+        Where the terms are polynomials and H is quadratic, the entries of K are polynomials, `skew_terms`. Elsewhere K
+        = J + sign (d g^T - g d^T) / |g|^2 with g = grad H, where g is not zero, and d the field less f_0.
 
         Parameters
         ----------
@@ -110,7 +111,7 @@ class ModifiedField(ABC):
         Raises
         ------
         ValueError
-            The scheme does not keep the energy; with the power of h and the size.
+            The scheme does not keep the energy; the message has the power of h and the size.
         """
         states, given = self._states(x)
         step = read_number(h, "h")
@@ -138,7 +139,7 @@ class ModifiedField(ABC):
 
     @abstractmethod
     def _loss(self, k: int) -> str:
-        """Return how grad H . f_k is not zero."""
+        """Return how large grad H . f_k is, for a message."""
 
     def _states(self, x: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
         states = read_finite(x, "x")

@@ -1,4 +1,4 @@
-"""Which Hamiltonian does a splitting keep? That of the nearby system which its steps solve, power by power of h."""
+"""Which Hamiltonian does a splitting keep? That of the nearby system that its steps solve, power by power of h."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ from coadjoint.wording import short
 class ModifiedHamiltonian:
     """The function H + h^2 H2 + ... that a splitting keeps: a step is its flow over h, up to O(h^(order + 1)).
 
-    `modified_hamiltonian` makes it. Call it as ``H(x, h)``, h negative for runs backward in time; along a run it is
-    kept to O(h^order).
+    `modified_hamiltonian` makes it. Call it as ``H(x, h)``, with h negative for runs backward in time. Along a run its
+    value is kept to O(h^order).
 
     Attributes
     ----------
     terms : mapping of int to Polynomial
-        Power of h -> its factor, where that is not zero; a `SymbolicPolynomial` where symbols were asked for. Fractions
-        where the coefficients of the scheme are rational, else floats.
+        Power of h -> its factor, where that is not zero; a `SymbolicPolynomial` where symbols were asked for.
+        Coefficients are fractions where those of the scheme are rational, else floats.
     order : int
         The terms are those below h^order.
     radius : float
         The largest relative error of a coefficient before it was rounded to float64; 0 where all are exact.
     neglected : float
-        What was taken as zero is not larger: what the rounding of the scheme's own coefficients leaves of its order
-        conditions, and coefficients that are zero up to that rounding.
+        Bound of the coefficients that were taken as zero, because only rounding of the scheme's own coefficients keeps
+        them from being zero.
     values : mapping of str to number
         Name of a symbol -> the coefficient of H that it stands for; empty where no symbols were asked for.
 
@@ -88,7 +88,7 @@ class ModifiedHamiltonian:
 
     @cached_property
     def kernel(self) -> ModifiedHamiltonian:
-        """That of the kernel K alone of a processed scheme P K P^-1; the same of other schemes."""
+        """The modified Hamiltonian of the kernel K of a processed scheme P K P^-1; of other schemes the same one."""
         if self._source is None:
             raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; ask the symbolic one")
         return _made_of(self._source.kernel(), self.order)
@@ -121,7 +121,7 @@ class ModifiedHamiltonian:
 
     def _sum(self, at: Callable[[Polynomial], Any], h: Any) -> Any:
         terms = self._numeric()
-        # The small terms are added up first.
+        # Small terms are added first.
         total: Any = 0
         try:
             for k in sorted(terms, reverse=True):
@@ -131,12 +131,12 @@ class ModifiedHamiltonian:
         return total
 
     def with_values(self, values: Mapping[str, Any] | None = None) -> ModifiedHamiltonian:
-        """Return it with numbers for the symbols.
+        """Return the function with numbers in place of the symbols.
 
         Parameters
         ----------
         values : mapping, optional
-            Name -> number; symbols that are not named take the coefficients of the system's own H.
+            Name -> number. Symbols that are not named take the coefficients of the system's H.
 
         Returns
         -------
@@ -197,13 +197,13 @@ def modified_hamiltonian(
 ) -> ModifiedHamiltonian | ModifiedEnergyAtPoints:
     """Return the modified Hamiltonian of a splitting or a composition: the terms below h^order.
 
-    A step is the flow over h of H + h^2 H2 + h^4 H4 + ... (asymptotic in h). What a run keeps can be read off that
-    function; schemes of one order compare as the sizes of their first terms.
+    A step is the flow over h of H + h^2 H2 + h^4 H4 + ... (asymptotic in h). Choose it to see what a run keeps, and to
+    compare schemes of one order by the sizes of their first terms.
 
     Parameters
     ----------
     system : LiePoissonSystem
-        With a Hamiltonian that splits and does not depend on time.
+        The system. Its Hamiltonian splits and does not depend on time.
     method : Method
         `Splitting` of any order, scheme and parts, a `Composition` of them, or a flow method of your own.
     order : int
@@ -215,13 +215,13 @@ def modified_hamiltonian(
     Returns
     -------
     ModifiedHamiltonian
-        Exact where the coefficients of the scheme are rational, floats of H being the rational numbers that they are.
-        Where H is no polynomial, a `ModifiedEnergyAtPoints`, which can only be evaluated.
+        It is exact where the coefficients of the scheme are rational; floats of H are taken as the rational numbers
+        that they are. Where H is no polynomial, a `ModifiedEnergyAtPoints`, which can only be evaluated.
 
     Raises
     ------
     TypeError
-        The scheme is not made of flows, or the system is none on a Lie algebra.
+        The scheme is not made of flows, or the system has no Lie algebra.
     ValueError
         The system cannot be served: its Hamiltonian depends on time or does not split; symbols where a Casimir was
         taken off H, squares were completed, or H is no polynomial; or terms too large for this machine.
@@ -274,7 +274,7 @@ def _made_of(source: SchemeTerms, order: int) -> ModifiedHamiltonian:
 
 
 def check_subject(system: System, method: Any) -> LiePoissonSystem:
-    """Return the system; refuse what is not one system on a Lie algebra, and what is no scheme."""
+    """Return the system. Refuse anything but one system on a Lie algebra, with a scheme."""
     if not isinstance(method, Method):
         raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=4)")
     if not isinstance(system, LiePoissonSystem):

@@ -66,9 +66,9 @@ def predicted_drift(
     x0 : array_like, shape (n,)
         Where the run starts.
     modified : ModifiedHamiltonian or ModifiedField
-        What the numbers of the scheme move by, of this system: H~ = H + h^2 H2 + ..., or a field.
+        What the numbers of the scheme move by on this system: H~ = H + h^2 H2 + ..., or a modified field.
     step : float
-        Its step h, with `modified`; negative for backward.
+        The step h, given with `modified`; negative for backward.
     gradient : callable
         Or, of your own, the gradient of H~ at a state, for one step.
     field : callable

@@ -30,9 +30,10 @@ class ErrorTerm(NamedTuple):
     Parameters
     ----------
     power : int or None
-        Of h: the order of the scheme. None where a step is the flow of H itself, of a single part.
+        The power of h, which is the order of the scheme. None where H has a single part, so that a step is the flow of
+        H itself.
     term : Polynomial or SymbolicPolynomial
-        The function; it may be zero for a system whose parts commute more than they must.
+        The function. It is zero where the parts of a system commute more than they do in general.
     """
 
     power: int | None
@@ -45,15 +46,15 @@ class SchemeTerms:
     Parameters
     ----------
     system : LiePoissonSystem
-        With a polynomial Hamiltonian.
+        The system, with a polynomial Hamiltonian.
     program : Program
-        Its table.
+        The table of the splitting.
     sweeps, after : list of Sweep
-        Of the kernel, and of the processor, in exact numbers.
+        The sweeps of the kernel and of the processor, in exact numbers.
     order : int
-        Of the scheme.
+        Order of the scheme.
     symbols : Symbols
-        What stands for coefficients of H.
+        The symbols that stand for coefficients of H.
     """
 
     def __init__(
@@ -69,16 +70,16 @@ class SchemeTerms:
         self._sweeps, self._after, self._order = sweeps, after, order
 
     def kernel(self) -> SchemeTerms:
-        """Return that of the kernel alone."""
+        """Return the terms of the kernel alone."""
         return SchemeTerms(self._system, self._program, self._sweeps, [], self._order, self.symbols)
 
     def below(self, order: int) -> tuple[dict[int, Term], float, float]:
-        """Return the terms below h^order by their powers, their radius, and what was neglected."""
+        """Return the terms below h^order by power, their radius, and the bound of what was neglected."""
         terms, radius, neglected = self._terms(self._coordinates(order), range(2, order + 1))
         return {0: self.symbols.hamiltonian, **terms}, radius, neglected
 
     def error_term(self) -> ErrorTerm:
-        """Return the first term above h^0 that the scheme has whatever the system."""
+        """Return the term at the first power above h^0 at which the scheme has one on systems in general."""
         if len(self._program.parts) > 1 or np.any(self._program.frequency != 0):
             for highest in range(min(self._order + 1, HIGHEST + 1), HIGHEST + 2):
                 coordinates = self._coordinates(highest)

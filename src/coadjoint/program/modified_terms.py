@@ -29,7 +29,7 @@ class ModifiedTerms(NamedTuple):
     radius : float
         The largest relative error of a coefficient before it was rounded to float64; 0 where all are exact.
     neglected : float
-        What was taken as zero is not larger.
+        Bound of the coefficients that were taken as zero.
     """
 
     of_power: dict[int, Polynomial]
@@ -51,7 +51,7 @@ def modified_terms(
     weights: Iterable[int],
     pieces: Sequence[Exact] | None = None,
 ) -> ModifiedTerms:
-    """Return the terms of some weights, the power of h that is one less.
+    """Return the terms of some weights. The power of h is the weight less one.
 
     Parameters
     ----------
@@ -60,13 +60,13 @@ def modified_terms(
     system : LiePoissonSystem
         With a polynomial Hamiltonian.
     program : Program
-        Its table.
+        The table of the splitting of the system.
     coordinates : Coordinates
         The Lie series of a step.
     weights : iterable of int
-        From 2.
+        The weights, from 2.
     pieces : sequence of fmpq_mpoly, optional
-        The polynomials of the parts; None are those of the table.
+        The polynomials of the parts; by default those of the table.
 
     Returns
     -------
