@@ -14,6 +14,7 @@ import coadjoint as co
 from coadjoint.analysis import order, phase, poisson_defect, rotations, round_off
 from coadjoint.methods import registry
 from coadjoint.pictures.level_surface import level_surface
+from coadjoint.systems.ready_made import ready_made_systems
 from hostile_values import HOSTILE
 
 SOURCE = str(Path(co.__file__).parent)
@@ -118,7 +119,8 @@ CALLS = {
     "Hamiltonian": (co.Hamiltonian, {"value": square, "gradient": twice, "hessian": None}),
     "Hamiltonian.bind": (H.bind, {"n": 3}),
     "LiePoissonSystem": (co.LiePoissonSystem, {"algebra": SO3, "hamiltonian": P, "sign": 1, "casimirs": None,
-                         "representation": None, "name": None, "parameters": None, "exact": None}),
+                         "representation": None, "name": None, "parameters": None, "exact": None,
+                         "integrals": None}),
     "PoissonSystem": (co.PoissonSystem, {"structure_matrix": J, "hamiltonian": co.Quadratic(1.0), "sign": 1, "dim": 3,
                       "derivative": None, "casimirs": None, "name": None}),
     "what J returns": (lambda value: co.PoissonSystem(lambda x: value, co.Quadratic(X)), {"value": J(X)}),
@@ -128,9 +130,8 @@ CALLS = {
     "exact": (BODY.exact, {"x0": X, "t": 1.0, "attitude": True}),
     "batch": (co.batch, {"systems": [BODY, BODY]}),
     "systems.get": (co.systems.get, {"name": "rigid_body"}),
-    "rigid_body": (co.systems.rigid_body, {"inertia": (1, 2, 3)}),
-    "paper_rigid_body": (co.systems.paper_rigid_body, {"masses": (1, 2, 3)}),
-    "paper_a37": (co.systems.paper_a37, {"a": 2.0, "masses": (1, 2, 3)}),
+    **{name: (make, {key: given.default for key, given in inspect.signature(make).parameters.items()})
+       for name, make in ready_made_systems().items()},
     "methods.get": (lambda name: registry.get(name), {"name": "Taylor"}),
     "from_description": (registry.from_description, {"description": {"name": "Taylor"}}),
     "description_of": (registry.description_of, {"method": co.Splitting()}),

@@ -115,5 +115,5 @@ def looks_at(casimir, x):
 def seen_of(system):
     rho = None if system.representation is None else system.representation.tolist()
     hamiltonian = seen_of_hamiltonian(system.hamiltonian)
-    casimirs = seen_of_casimirs(system.casimirs)
+    casimirs = seen_of_casimirs(system.casimirs), seen_of_casimirs(system.integrals)
     return system.sign, system.name, system.parameters, rho, casimirs, seen_of_algebra(system.algebra), hamiltonian

@@ -206,6 +206,7 @@ def system_with(dataset, change):
         ("polynomial", lambda r: r["hamiltonian"].update(monomials=[[1, [10**10, 0, 0]]]), "system.hamiltonian.mon"),
         ("polynomial", lambda r: r["hamiltonian"].update(monomials=[["1e999", [0, 0, 0]]]), "system.hamiltonian.mon"),
         ("polynomial", lambda r: r["casimirs"].update(energy=[]), "system: a Casimir is called 'energy'"),
+        ("polynomial", lambda r: r.update(integrals={"x": [[1, [0, 1, 0]]]}), "system: 'x' is not an integral"),
         ("split", lambda r: r["hamiltonian"].update(pieces=[r["hamiltonian"]["pieces"]] * 2), "system.hamiltonian.pie"),
         ("exact", lambda r: r["algebra"]["representation"].update(size=10**9), "system.algebra.representation: "),
         ("tuned", lambda r: r["parameters"].update(inertia=None), "system.parameters: "),

@@ -17,7 +17,7 @@ from coadjoint.errors import in_one_line
 from coadjoint.wording import short
 
 # What may be missing in a record, since nothing moves by it.
-CASIMIR, EXACT = "casimir: ", "exact solution: "
+CASIMIR, EXACT, INTEGRAL = "casimir: ", "exact solution: ", "integral: "
 DEEPEST = 32
 MOST_LETTERS = 2000
 LARGEST_WHOLE = 2**62

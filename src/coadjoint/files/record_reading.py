@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import MOST_DEGREE, Polynomial
-from coadjoint.files.record_entries import CASIMIR, EXACT, Entry, made_of
+from coadjoint.files.record_entries import CASIMIR, EXACT, INTEGRAL, Entry, made_of
 from coadjoint.memory import check_room
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System
@@ -36,7 +36,7 @@ def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> Syst
     Returns
     -------
     LiePoissonSystem, PoissonSystem or Batch
-        Without Casimirs that are functions, and without a closed form.
+        Without Casimirs and integrals that are functions, and without a closed form.
 
     Raises
     ------
@@ -72,21 +72,28 @@ def _member_of(record: Entry, dim: int | None) -> System:
         _check_dimension(record, system.dim, dim)
         return system
     missing = [entry.text() for entry in record["not_stored"].entries()] if "not_stored" in record else []
-    lost = [what for what in missing if not what.startswith((CASIMIR, EXACT))]
+    lost = [what for what in missing if not what.startswith((CASIMIR, EXACT, INTEGRAL))]
     if lost:
         raise ValueError(
             f"{short(name)[1:-1]} cannot be made again from its record: functions are not stored "
             f"({short(', '.join(lost), 200)[1:-1]}); make the system in Python and integrate it there"
         )
-    record.only("name", "sign", "algebra", "hamiltonian", "casimirs", "representation", "not_stored")
+    record.only("name", "sign", "algebra", "hamiltonian", "casimirs", "integrals", "representation", "not_stored")
     algebra = _algebra_of(record["algebra"], dim)
     hamiltonian = _hamiltonian_of(record["hamiltonian"], algebra.dim)
-    casimirs = _casimirs_of(record["casimirs"], algebra.dim)
+    casimirs = _invariants_of(record["casimirs"], algebra.dim)
+    integrals = _invariants_of(record["integrals"], algebra.dim) if "integrals" in record else None
     representation = _matrices_of(record["representation"], algebra.dim) if "representation" in record else None
     sign = record["sign"].whole(-1, 1)
     with made_of(record):
         return LiePoissonSystem(
-            algebra, hamiltonian, sign=sign, casimirs=casimirs, representation=representation, name=name
+            algebra,
+            hamiltonian,
+            sign=sign,
+            casimirs=casimirs,
+            representation=representation,
+            name=name,
+            integrals=integrals,
         )
 
 
@@ -105,7 +112,7 @@ def _algebra_of(record: Entry, wanted: int | None) -> LieAlgebra:
     constants = record["constants"].rows(dim, dim, dim)
     name = None if record["name"].value is None else record["name"].text()
     representation = _matrices_of(record["representation"], dim) if "representation" in record else None
-    casimirs = _casimirs_of(record["casimirs"], dim) if "casimirs" in record else None
+    casimirs = _invariants_of(record["casimirs"], dim) if "casimirs" in record else None
     with made_of(record):
         return LieAlgebra(
             constants,
@@ -127,7 +134,7 @@ def _matrices_of(record: Entry, dim: int) -> NDArray[np.float64]:
     return matrices
 
 
-def _casimirs_of(record: Entry, dim: int) -> dict[str, Polynomial | Quadratic]:
+def _invariants_of(record: Entry, dim: int) -> dict[str, Polynomial | Quadratic]:
     return {
         name: _form_of(entry, dim) if isinstance(entry.value, dict) else _polynomial_of(entry, dim)
         for name, entry in record.table().items()

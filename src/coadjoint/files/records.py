@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.files.record_entries import CASIMIR, EXACT
+from coadjoint.files.record_entries import CASIMIR, EXACT, INTEGRAL
 from coadjoint.files.record_reading import system_of
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.hamiltonian import HamiltonianLike, PolynomialHamiltonian
@@ -32,8 +32,9 @@ def record_of(system: System | Batch) -> dict[str, Any]:
     """Return a system as plain numbers, lists and text.
 
     A ready-made system is its name and parameters. Any other is its structure constants (i, j, k, c), its Hamiltonian,
-    sign, Casimirs that are polynomials and representation, and the name, basis, Casimirs and representation of its
-    algebra; functions cannot be stored, and are named under ``"not_stored"``. A batch is the list of its members.
+    sign, Casimirs and integrals that are polynomials and representation, and the name, basis, Casimirs and
+    representation of its algebra; functions cannot be stored, and are named under ``"not_stored"``. A batch is the list
+    of its members.
 
     Parameters
     ----------
@@ -65,16 +66,19 @@ def record_of(system: System | Batch) -> dict[str, Any]:
     followed, known = system.casimirs, system.algebra.casimirs_known
     lost = [name for name, value in (*followed.items(), *known.items()) if not isinstance(value, STORED)]
     missing += [f"{CASIMIR}{name}" for name in dict.fromkeys(lost)]
+    missing += [f"{INTEGRAL}{name}" for name, value in system.integrals.items() if not isinstance(value, STORED)]
     missing += [] if system.closed_form is None else [f"{EXACT}{_function_name(system.closed_form)}"]
     record: dict[str, Any] = {
         "name": system.name,
         "sign": system.sign,
         "algebra": _algebra_record(system.algebra),
         "hamiltonian": hamiltonian,
-        "casimirs": _casimirs_record(followed),
+        "casimirs": _invariants_record(followed),
     }
     if system.representation is not None and system.representation is not system.algebra.representation:
         record["representation"] = _matrices_record(system.representation)
+    if system.integrals:
+        record["integrals"] = _invariants_record(system.integrals)
     if missing:
         record["not_stored"] = missing
     return record
@@ -91,7 +95,7 @@ def _algebra_record(algebra: LieAlgebra) -> dict[str, Any]:
     if algebra.representation is not None:
         record["representation"] = _matrices_record(algebra.representation)
     if algebra.casimirs_known:
-        record["casimirs"] = _casimirs_record(algebra.casimirs_known)
+        record["casimirs"] = _invariants_record(algebra.casimirs_known)
     return record
 
 
@@ -101,7 +105,7 @@ def _matrices_record(matrices: NDArray[np.float64]) -> dict[str, Any]:
     return {"size": matrices.shape[1], "entries": [list(row) for row in zip(*columns, strict=True)]}
 
 
-def _casimirs_record(casimirs: Mapping[str, Any]) -> dict[str, Any]:
+def _invariants_record(casimirs: Mapping[str, Any]) -> dict[str, Any]:
     """Return polynomials as monomials, quadratic forms as those of a Hamiltonian; functions are left out."""
     return {
         name: _monomials(value) if isinstance(value, Polynomial) else _form_record(value)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -59,29 +59,50 @@ def checked_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size
     The tolerance is u times the number of operations, times the sum of the absolute products, for a polynomial.
     The gradient of an `Invariant` is a function of unknown rounding: it may lose 20 bits.
     """
-    if not isinstance(casimirs, Mapping):
-        raise TypeError(f"casimirs is a {type(casimirs).__name__}; give a mapping from name to Polynomial or Invariant")
+    result = read_invariants(casimirs, n, "Casimir")
+    for name, casimir in result.items():
+        if casimir.gradient is not None:
+            _check(name, casimir, n, product, size)
+    return result
+
+
+def read_invariants(given: Any, n: int, kind: str) -> dict[str, Any]:
+    """Return invariants by name, plain functions wrapped; refuse what is none by its kind and name.
+
+    Parameters
+    ----------
+    given : mapping
+        Name to `Polynomial`, `Quadratic`, `Invariant` or function of x.
+    n : int
+        Dimension of the system.
+    kind : str
+        What one of them is called in a message.
+
+    Returns
+    -------
+    dict
+        Name to `Polynomial`, `Quadratic` or `Invariant`.
+    """
+    if not isinstance(given, Mapping):
+        raise TypeError(
+            f"{kind.lower()}s is a {type(given).__name__}; give a mapping from name to Polynomial or Invariant"
+        )
     result: dict[str, Any] = {}
-    casimir: Polynomial | Quadratic | Invariant
-    for name, given in casimirs.items():
+    for name, one in given.items():
         if name == "energy":
-            raise ValueError("a Casimir is called 'energy', which is the name of the Hamiltonian; give it another")
-        if isinstance(given, Polynomial | Invariant):
-            casimir = given
-        elif isinstance(given, Quadratic):
-            casimir = given.bind(n)
-        elif callable(given):
-            casimir = Invariant(given)
-        else:
+            article = "an" if kind[0] in "aeiou" else "a"
+            raise ValueError(
+                f"{article} {kind} is called 'energy', which is the name of the Hamiltonian; give it another"
+            )
+        if not isinstance(one, Polynomial | Quadratic | Invariant) and not callable(one):
             raise TypeError(
-                f"the Casimir {short(name)} is {short(given)}; "
+                f"the {kind} {short(name)} is {short(one)}; "
                 "give a Polynomial, a Quadratic, an Invariant or a function of x"
             )
-        if isinstance(casimir, Polynomial) and casimir.dim != n:
-            raise ValueError(f"the Casimir {short(name)} has {casimir.dim} variables but the system has dimension {n}")
-        if casimir.gradient is not None:
-            _check(str(name), casimir, n, product, size)
-        result[str(name)] = casimir
+        if isinstance(one, Polynomial) and one.dim != n:
+            raise ValueError(f"the {kind} {short(name)} has {one.dim} variables but the system has dimension {n}")
+        known = isinstance(one, Polynomial | Invariant)
+        result[str(name)] = one if known else one.bind(n) if isinstance(one, Quadratic) else Invariant(one)
     return result
 
 
@@ -133,27 +154,53 @@ def _search_size(dim: int, degree: int, constants: int) -> float:
     return math.comb(dim + degree - 1, degree) * max(1.0, constants / dim)
 
 
+def slope_and_size(
+    name: str, invariant: Polynomial | Quadratic | Invariant, x: npt.NDArray[np.float64], kind: str = "Casimir"
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], int] | None:
+    """Return the gradient at a point, sums of the absolute products in it, and their number; None if it is not finite.
+
+    Parameters
+    ----------
+    name : str
+        For messages.
+    invariant : Polynomial, Quadratic or Invariant
+        With a gradient. That of an `Invariant` may lose 20 bits.
+    x : (n,)
+        The point.
+    kind : str, optional
+        For messages.
+
+    Returns
+    -------
+    slope, size : (n,) arrays
+    operations : int
+    """
+    n, gradient = x.size, cast(Any, invariant.gradient)
+    with np.errstate(all="ignore"):
+        slope = np.asarray(gradient(x), dtype=np.float64)
+    if slope.shape != (n,):
+        raise ValueError(f"the gradient of the {kind} {short(name)} has shape {slope.shape}; it must have ({n},)")
+    if not np.all(np.isfinite(slope)):
+        return None
+    if isinstance(invariant, Polynomial):
+        monomials: dict[tuple[int, ...], Any] = {e: abs(c) for e, c in invariant.monomials.items()}
+        absolute = Polynomial(monomials, dim=n)
+        size = np.asarray(absolute.gradient(np.abs(x)), dtype=np.float64)
+        return slope, size, 64 + 2 * n + len(invariant.monomials) + invariant.degree
+    if isinstance(invariant, Quadratic):
+        (term,) = invariant.terms()
+        assert isinstance(term, QuadraticTerm)
+        size = scatter(term.rows, np.abs(term.values * x[term.indices]), n) + np.abs(term.linear)
+        return slope, size, 64 + 2 * n + len(term.values)
+    return slope, np.abs(slope), 2**20
+
+
 def _check(name: str, casimir: Polynomial | Quadratic | Invariant, n: int, product: Product, size: Product) -> None:
-    gradient: Any = casimir.gradient
     for x in sample_points(n):
-        with np.errstate(all="ignore"):
-            slope = np.asarray(gradient(x), dtype=np.float64)
-        if slope.shape != (n,):
-            raise ValueError(f"the gradient of the Casimir {short(name)} has shape {slope.shape}; it must have ({n},)")
-        if not np.all(np.isfinite(slope)):
+        found = slope_and_size(name, casimir, x)
+        if found is None:
             continue
-        if isinstance(casimir, Polynomial):
-            monomials: dict[tuple[int, ...], Any] = {e: abs(c) for e, c in casimir.monomials.items()}
-            absolute = Polynomial(monomials, dim=n)
-            bound = np.asarray(absolute.gradient(np.abs(x)), dtype=np.float64)
-            operations = 64 + 2 * n + len(casimir.monomials) + casimir.degree
-        elif isinstance(casimir, Quadratic):
-            (term,) = casimir.terms()
-            assert isinstance(term, QuadraticTerm)
-            bound = scatter(term.rows, np.abs(term.values * x[term.indices]), n) + np.abs(term.linear)
-            operations = 64 + 2 * n + len(term.values)
-        else:
-            bound, operations = np.abs(slope), 2**20
+        slope, bound, operations = found
         defect = np.abs(product(x, slope))
         tolerance = operations * UNIT_ROUNDOFF * size(x, bound).max(initial=0.0)
         if defect.max(initial=0.0) > tolerance:

@@ -12,11 +12,12 @@ import numpy.typing as npt
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.representation import check_representation
 from coadjoint.memory import check_room
+from coadjoint.systems.closed_form import checked_exact, checked_parameters, solution_of
 from coadjoint.systems.followed_casimirs import casimirs_of, checked_casimirs
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
+from coadjoint.systems.known_integrals import checked_integrals
 from coadjoint.systems.points import QUIET, checked_name, checked_sign, matching, point, scatter
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
-from coadjoint.wording import short
 
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and what J(x) u needs
 
@@ -49,6 +50,9 @@ class LiePoissonSystem:
         With these ``co.systems.get(name, **parameters)`` makes this system again.
     exact : callable, optional
         Closed form ``exact(x0, t, attitude)``, if one is known.
+    integrals : mapping, optional
+        What else this Hamiltonian keeps: name to `Polynomial`, `Quadratic`, `Invariant` or function of x. Runs follow
+        them with ``observe=system.integrals``.
 
     Attributes
     ----------
@@ -63,8 +67,8 @@ class LiePoissonSystem:
     ------
     TypeError, ValueError
         Wrong kinds; a sign that is not +1 or -1; a Hamiltonian of another dimension; coordinates of a piece of a
-        `SplitHamiltonian` that do not commute; a "Casimir" that is none (where its gradient is known); a representation
-        with other commutators.
+        `SplitHamiltonian` that do not commute; a "Casimir" or an "integral" that is none (where its gradient is known);
+        a representation with other commutators.
 
     Notes
     -----
@@ -89,6 +93,7 @@ class LiePoissonSystem:
     _casimirs: dict[str, Any] | None
     _parameters: dict[str, Any] | None
     _exact: Callable[..., Any] | None
+    _integrals: dict[str, Any]
     _rows: npt.NDArray[np.int64]
     _factors: npt.NDArray[np.int64]
     _states: npt.NDArray[np.int64]
@@ -104,6 +109,7 @@ class LiePoissonSystem:
         name: str | None = None,
         parameters: Mapping[str, Any] | None = None,
         exact: Callable[..., Any] | None = None,
+        integrals: Mapping[str, Any] | None = None,
     ) -> None:
         if not isinstance(algebra, LieAlgebra):
             raise TypeError(f"algebra is a {type(algebra).__name__}; give a LieAlgebra, such as co.algebras.so(3)")
@@ -123,18 +129,17 @@ class LiePoissonSystem:
             keep(self, "_casimirs", None)
         else:
             keep(self, "_casimirs", checked_casimirs(casimirs, algebra.dim, self._product, self._absolute_product))
+        sums = self._product, self._absolute_product
+        known = {} if integrals is None else integrals
+        keep(self, "_integrals", checked_integrals(known, self.hamiltonian, algebra.dim, *sums))
         if representation is None:
             keep(self, "representation", algebra.representation)
         else:
             checked = check_representation(representation, algebra.triples, algebra.dim, algebra.basis)
             keep(self, "representation", checked)
         keep(self, "name", checked_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
-        if not isinstance(parameters, Mapping | None):
-            raise TypeError(f"parameters is {short(parameters)}; give a mapping from names to values, or None")
-        if exact is not None and not callable(exact):
-            raise TypeError(f"exact is {short(exact)}; give a function of (x0, t, attitude), or None")
-        keep(self, "_parameters", None if parameters is None else dict(parameters))
-        keep(self, "_exact", exact)
+        keep(self, "_parameters", checked_parameters(parameters))
+        keep(self, "_exact", checked_exact(exact))
 
     def _check_pieces(self) -> None:
         if not isinstance(self.hamiltonian, SplitHamiltonian):
@@ -162,6 +167,11 @@ class LiePoissonSystem:
         if self._casimirs is None:
             object.__setattr__(self, "_casimirs", dict(casimirs_of(self.algebra)))
         return dict(self._casimirs or {})
+
+    @property
+    def integrals(self) -> dict[str, Any]:
+        """Name to `Polynomial`, `Quadratic` or `Invariant`: what is kept beside energy and Casimirs (a copy)."""
+        return dict(self._integrals)
 
     @property
     def parameters(self) -> dict[str, Any] | None:
@@ -275,9 +285,7 @@ class LiePoissonSystem:
         TypeError
             No closed form is known.
         """
-        if self._exact is None:
-            raise TypeError(f"no closed form is known for {self.name}; integrate it")
-        return self._exact(x0, t, attitude)
+        return solution_of(self._exact, self.name)(x0, t, attitude)
 
     def __repr__(self) -> str:
         where = self.algebra.name or f"an algebra of dimension {self.dim}"

@@ -1,0 +1,71 @@
+"""Which integrals beside energy and Casimirs does a motion keep? Those given, checked to be constant."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.followed_casimirs import Product, read_invariants, slope_and_size
+from coadjoint.systems.hamiltonian import HamiltonianLike, PolynomialHamiltonian
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.user_functions import evaluate, sample_points
+from coadjoint.wording import short
+
+TIMES = (0.0, 1.0)
+
+
+def checked_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product, size: Product) -> dict[str, Any]:
+    """Return the integrals by name, each one checked where its gradient is known.
+
+    Parameters
+    ----------
+    integrals : mapping
+        Name to `Polynomial`, `Quadratic`, `Invariant` or function of x.
+    H : HamiltonianLike
+        The energy, bound to n coordinates.
+    n : int
+        Dimension of the system.
+    product, size : callable
+        ``product(x, u)`` is J(x) u, ``size(x, u)`` the sum of the absolute products in each component of it.
+
+    Returns
+    -------
+    dict
+        Name to `Polynomial`, `Quadratic` or `Invariant`.
+
+    Raises
+    ------
+    TypeError
+        Not a mapping, or an entry is neither polynomial nor function.
+    ValueError
+        ``grad F(x) . J(x) grad H(x)`` is not zero at a sample point; the integral is named.
+
+    Notes
+    -----
+    The tolerance is u times the number of operations, times the sum of the absolute products, for polynomials.
+    """
+    result = read_invariants(integrals, n, "integral")
+    polynomial = H.polynomial if isinstance(H, PolynomialHamiltonian) else H if isinstance(H, Quadratic) else None
+    points = sample_points(n) if any(F.gradient is not None for F in result.values()) else []
+    for x in points:
+        for t in TIMES if H.timed else TIMES[:1]:
+            force = evaluate(lambda y, t=t: H.gradient(y, t), x, False)
+            if isinstance(force, Exception) or not np.all(np.isfinite(force)):
+                continue
+            bound, work = np.abs(force), 2**20
+            if polynomial is not None:
+                _, bound, work = slope_and_size("energy", polynomial, x) or (force, bound, work)
+            field, sizes = product(x, force), size(x, bound)
+            for name, F in result.items():
+                found = None if F.gradient is None else slope_and_size(name, F, x, "integral")
+                if found is None:
+                    continue
+                rate = abs(float(found[0] @ field))
+                if rate > (work + found[2]) * UNIT_ROUNDOFF * float(found[1] @ sizes):
+                    raise ValueError(
+                        f"{short(name)} is not an integral: it changes at the rate {rate:.3g} at a sample point, and "
+                        "its bracket with the Hamiltonian must vanish everywhere"
+                    )
+    return result
