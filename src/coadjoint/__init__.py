@@ -37,6 +37,7 @@ _HOME = {
     "ExplicitRungeKutta": "coadjoint.methods.explicit_runge_kutta",
     "GaussLegendre": "coadjoint.methods.gauss_legendre",
     "IteratedGaussLegendre": "coadjoint.methods.iterated_gauss_legendre",
+    "Kahan": "coadjoint.methods.kahan",
     "ModifiedGaussLegendre": "coadjoint.methods.modified_gauss_legendre",
     "RadauEnergy": "coadjoint.methods.radau_energy",
     "Splitting": "coadjoint.methods.splitting",
@@ -105,6 +106,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta as ExplicitRungeKutta
     from coadjoint.methods.gauss_legendre import GaussLegendre as GaussLegendre
     from coadjoint.methods.iterated_gauss_legendre import IteratedGaussLegendre as IteratedGaussLegendre
+    from coadjoint.methods.kahan import Kahan as Kahan
     from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
     from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy
     from coadjoint.methods.splitting import Splitting as Splitting
