@@ -33,6 +33,7 @@ _HOME = {
     "Separable": "coadjoint.systems.separable",
     "SplitHamiltonian": "coadjoint.systems.split_hamiltonian",
     "batch": "coadjoint.systems.batch",
+    "CommutatorFree": "coadjoint.methods.commutator_free",
     "Composition": "coadjoint.methods.composition",
     "ExplicitRungeKutta": "coadjoint.methods.explicit_runge_kutta",
     "GaussLegendre": "coadjoint.methods.gauss_legendre",
@@ -102,6 +103,7 @@ if TYPE_CHECKING:
     from coadjoint.choosing.accuracy import Choice as Choice
     from coadjoint.choosing.accuracy import choose as choose
     from coadjoint.errors import IntegrationError as IntegrationError
+    from coadjoint.methods.commutator_free import CommutatorFree as CommutatorFree
     from coadjoint.methods.composition import Composition as Composition
     from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta as ExplicitRungeKutta
     from coadjoint.methods.gauss_legendre import GaussLegendre as GaussLegendre
