@@ -41,6 +41,7 @@ _HOME = {
     "Kahan": "coadjoint.methods.kahan",
     "ModifiedGaussLegendre": "coadjoint.methods.modified_gauss_legendre",
     "RadauEnergy": "coadjoint.methods.radau_energy",
+    "SphericalMidpoint": "coadjoint.methods.spherical_midpoint",
     "Splitting": "coadjoint.methods.splitting",
     "Taylor": "coadjoint.methods.taylor",
     "PreparedRun": "coadjoint.runs.prepared_run",
@@ -111,6 +112,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.kahan import Kahan as Kahan
     from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
     from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy
+    from coadjoint.methods.spherical_midpoint import SphericalMidpoint as SphericalMidpoint
     from coadjoint.methods.splitting import Splitting as Splitting
     from coadjoint.methods.taylor import Taylor as Taylor
     from coadjoint.runs.integrate import integrate as integrate
