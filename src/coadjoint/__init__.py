@@ -40,6 +40,7 @@ _HOME = {
     "IteratedGaussLegendre": "coadjoint.methods.iterated_gauss_legendre",
     "Kahan": "coadjoint.methods.kahan",
     "ModifiedGaussLegendre": "coadjoint.methods.modified_gauss_legendre",
+    "Projected": "coadjoint.methods.projected",
     "RadauEnergy": "coadjoint.methods.radau_energy",
     "SphericalMidpoint": "coadjoint.methods.spherical_midpoint",
     "Splitting": "coadjoint.methods.splitting",
@@ -111,6 +112,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.iterated_gauss_legendre import IteratedGaussLegendre as IteratedGaussLegendre
     from coadjoint.methods.kahan import Kahan as Kahan
     from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
+    from coadjoint.methods.projected import Projected as Projected
     from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy
     from coadjoint.methods.spherical_midpoint import SphericalMidpoint as SphericalMidpoint
     from coadjoint.methods.splitting import Splitting as Splitting
