@@ -63,7 +63,9 @@ def draw() -> Any:
     _arrow(axes, (3.0 - 0.12, -HIGH / 2), (3.0 - 0.12, -1.5 + HIGH / 2))
     _arrow(axes, (3.0 + 0.12, -1.5 + HIGH / 2), (3.0 + 0.12, -HIGH / 2))
     _box(axes, "cli.py", "the command\ncoadjoint", 7.4, 0.65, "white")
-    _arrow(axes, (6.2 + WIDE / 2, 0.65), (7.4 - WIDE / 2, 0.65))
+    for y, end in ((0.65, 0.65), (-0.5, 0.5)):
+        _arrow(axes, (6.2 + WIDE / 2, y), (7.4 - WIDE / 2, end))
+    _arrow(axes, (7.4, -1.3 + HIGH / 2), (7.4, 0.65 - HIGH / 2))
     notes = ("algebra, energy, state go in at the left", "solid: what a room makes goes to the right")
     for line, said in enumerate((*notes, "dashed: opened only when asked")):
         axes.text(-0.43, 2.2 - 0.3 * line, said, ha="left", va="center", color=INK, size=11, style="italic")

@@ -62,6 +62,26 @@ def test_floats_agree_with_fractions(p, x):
     assert p.gradient(f).dtype == p.hessian(f).dtype == np.float64
 
 
+@settings(deadline=None)
+@given(st.lists(POLYNOMIALS, min_size=1, max_size=4), st.lists(POINTS, min_size=1, max_size=5))
+def test_many_states_at_once_are_those_one_by_one(polynomials, points):
+    x = np.array([points, points[::-1]])
+    together = Polynomial.side_by_side(polynomials).along(x)
+    assert together.shape == (2, len(points), len(polynomials))
+    for k, p in enumerate(polynomials):
+        assert together[..., k].tolist() == p(x).tolist() == [[by_definition(p, y) for y in row] for row in x]
+        assert p.gradient(x).tolist() == [[p.gradient(y).tolist() for y in row] for row in x]
+        # as in the test above
+        assert np.abs(p(x.astype(float)) - p(x).astype(float)).max() <= 64 * 2.0**-53 * 6 * 9 * 72 * 3.0**9
+
+
+def test_more_states_than_are_held_at_once(monkeypatch):
+    monkeypatch.setattr("coadjoint.algebra.product_sums.MOST_NUMBERS", 10)
+    p = Polynomial({(2, 1): 0.5, (0, 3): 0.25, (2, 0): 1})
+    x = np.arange(20.0).reshape(10, 2)
+    assert p.gradient(x).tolist() == [p.gradient(y).tolist() for y in x]
+
+
 def test_multiprecision_and_float_coefficients():
     p = Polynomial({(2, 1): 0.5, (0, 3): 0.1, (0, 0): 1})
     with mpmath.workdps(60):

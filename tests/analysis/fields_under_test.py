@@ -7,20 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 import coadjoint as co
-
-
-def moments() -> co.LieAlgebra:
-    """Return the moments x_ij of q^i p^j with i + j in {2, 4}: [x_ij, x_kl] = (i l - j k) x_(i+k-1)(j+l-1)."""
-    names = [(d - j, j) for d in (2, 4) for j in range(d + 1)]
-    place = {name: a for a, name in enumerate(names)}
-    rows = []
-    for a, (i, j) in enumerate(names):
-        for b, (k, m) in enumerate(names[:a]):
-            target = place.get((i + k - 1, j + m - 1))
-            if target is not None and i * m - j * k:
-                rows.append((a, b, target, float(i * m - j * k)))
-    return co.LieAlgebra(rows, dim=len(names), name="moments {2, 4}")
-
+from moments import moments
 
 ALGEBRAS = {
     "so(3)": lambda: co.algebras.so(3),

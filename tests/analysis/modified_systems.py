@@ -5,21 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import coadjoint as co
-
-MOMENTS = [(2, 0), (1, 1), (0, 2), (4, 0), (3, 1), (2, 2), (1, 3), (0, 4)]
-"""x_ij, the integral of q^i p^j, of degree two and four."""
-
-
-def moments() -> co.LieAlgebra:
-    """Return the moments of Vlasov and Poisson of degrees 2 and 4, those of degree 6 being zero."""
-    place = {pair: number for number, pair in enumerate(MOMENTS)}
-    brackets: dict[tuple[int, int], dict[int, int]] = {}
-    for (i, j), a in place.items():
-        for (k, m), b in place.items():
-            image = (i + k - 1, j + m - 1)
-            if a < b and image in place and i * m != j * k:
-                brackets[a, b] = {place[image]: i * m - j * k}
-    return co.LieAlgebra.from_brackets(8, brackets, name="moments {2, 4}")
+from moments import moments
 
 
 def full(seed: int, n: int) -> np.ndarray:

@@ -12,6 +12,7 @@ from heavy_top import ONE, Top, fixed
 
 import coadjoint as co
 from coadjoint.analysis.lyapunov import frame_of
+from random_runs.hamiltonians import driven, driven_curvature, driven_slope
 
 INERTIA, CENTRE = (1.0, 1.75, 2.5), (0.5, 0.25, 1.0)
 UPRIGHT = np.array([1.0, 0.5, -0.75, 0.6, 0.0, 0.8])  # of the chaotic region: its exponent is some 0.12
@@ -186,18 +187,6 @@ def test_uncertainty_is_the_scatter_or_the_trend():
     parting = LyapunovExponents(t, np.log1p(t)[:, None], 1, "compiled")
     assert parting.uncertainty[0] >= parting.history[499, 0] - parting.exponents[0] > 0.004
     assert np.isnan(LyapunovExponents(t[[0, 1]], noise[[0, 1], None], 1, "compiled").uncertainty).all()
-
-
-def driven(y, t):
-    return 0.5 * y * y + math.sin(3.0 * t) * y
-
-
-def driven_slope(y, t):
-    return y + math.sin(3.0 * t)
-
-
-def driven_curvature(y, t):
-    return 1.0 + 0.0 * y * t
 
 
 def test_functions_need_their_second_derivatives():

@@ -223,7 +223,8 @@ def test_splittings_are_poisson_with_hamiltonians(name: str, sign: int) -> None:
 
 def test_a_nested_bracket_gives_the_term_of_a_splitting() -> None:
     """H2 = -{A, {A, D}}/24 + {D, {D, A}}/12, A the outermost part and D the rest, then the same for D."""
-    from coadjoint.algebra.exact_polynomials import ExactPolynomials, rational
+    from coadjoint.algebra.exact import rational
+    from coadjoint.algebra.exact_polynomials import ExactPolynomials
 
     m = np.array([1.0, 0.5, 0.25, 0.75, 1.5, 2.0])
     for sign in (1, -1):
@@ -304,7 +305,9 @@ def test_a_step_is_the_flow_of_its_field(scheme, which: int) -> None:
     assert errors[2] < 10 * errors[0]
 
 
-@pytest.mark.parametrize("scheme", [s for s in SCHEMES if not isinstance(s, co.Composition)][::2], ids=str)
+@pytest.mark.parametrize(
+    "scheme", [s for s in SCHEMES if not isinstance(s, co.Composition) and s != co.Splitting(order=4)][::2], ids=str
+)
 def test_the_two_ways_agree(scheme) -> None:
     system = whole("e(3)", -1, seed=11, linear=True)
     exact = co.modified_field(system, scheme, 4, way="exact")
@@ -438,4 +441,6 @@ def test_it_prints_as_mathematics() -> None:
     assert r"f_{0} = \left(-\frac{1}{4} x_{2} x_{3}" in found.to_latex()
     assert "f_{1}" not in found.to_latex() and found._repr_latex_().startswith("$$")
     assert "exact polynomials" in repr(found)
+    long = co.modified_field(co.systems.rigid_body(inertia=(1, 2, 3)), co.GaussLegendre(1), 1)
+    assert r"-0.166667 x_{2} x_{3}" in long._repr_latex_() and r"\frac{3002399751580331}" in long.to_latex()
     assert along(found.terms[0], co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})).monomials == {}

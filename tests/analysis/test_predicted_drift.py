@@ -48,8 +48,11 @@ def gradient_of(system: co.LiePoissonSystem, parts: str, step: float) -> Callabl
     return gradient
 
 
-@pytest.mark.parametrize("name", BODIES)
-@pytest.mark.parametrize("x0", STATES)
+# Each body, and each state on either side of the separatrix, twice at least.
+CASES = [(name, STATES[k % len(STATES)]) for k, name in enumerate([*BODIES, *BODIES][: len(BODIES) + 1])]
+
+
+@pytest.mark.parametrize(("name", "x0"), CASES)
 def test_measured_minus_predicted_is_of_fourth_order(name: str, x0: tuple[float, ...]) -> None:
     system, parts = BODIES[name], "coordinates" if name in ("1, 2, 3", "paper's sign") else "auto"
     differences, slopes = [], []
@@ -68,6 +71,50 @@ def test_measured_minus_predicted_is_of_fourth_order(name: str, x0: tuple[float,
     assert order == pytest.approx(2.0, abs=0.1)
     if min(differences) > 20 * measured.uncertainty:
         assert np.polyfit(np.log(STEPS), np.log(differences), 1)[0] == pytest.approx(4.0, abs=0.4)
+
+
+@pytest.mark.parametrize(("name", "x0", "attitude"), [("1, 2, 3", STATES[0], False), ("full tensor", STATES[2], True)])
+def test_from_the_modified_hamiltonian(name: str, x0: tuple[float, ...], attitude: bool) -> None:
+    """The same as from the H2 of brackets at points, and what the next term changes is h^4."""
+    system, method, differences = BODIES[name], co.Splitting(order=2), []
+    H4, H6 = (co.modified_hamiltonian(system, method, order) for order in (4, 6))
+    for h in STEPS[::2]:
+        found, better = (predicted_drift(system, x0, modified=H, step=h, attitude=attitude) for H in (H4, H6))
+        own = predicted_drift(system, x0, gradient=gradient_of(system, "auto", h), attitude=attitude)
+        assert found.slope == pytest.approx(own.slope, abs=1e-11)
+        assert not attitude or found.precession == pytest.approx(own.precession, abs=1e-11)
+        differences.append(abs(better.slope - found.slope))
+    assert np.polyfit(np.log(STEPS[::2]), np.log(differences), 1)[0] == pytest.approx(4.0, abs=0.3)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_measured_minus_that_of_the_modified_hamiltonian_or_field_is_of_fourth_order(direction: int) -> None:
+    system, x0 = BODIES["1, 2, 3"], STATES[0]
+    strang, midpoint = co.Splitting(order=2, parts="coordinates"), co.GaussLegendre(1)
+    for method, modified in (
+        (strang, co.modified_hamiltonian(system, strang, order=4)),
+        (strang, co.modified_field(system, strang, order=4)),
+        (midpoint, co.modified_field(system, midpoint, order=4)),
+    ):
+        differences = []
+        for h in STEPS:
+            drift = co.phase_drift(co.integrate(system, x0, (0.0, direction * 1200.0), h, method, save_every=5))
+            differences.append(
+                abs(drift.slope - predicted_drift(system, x0, modified=modified, step=direction * h).slope)
+            )
+            assert differences[-1] > 3 * drift.uncertainty
+        assert np.polyfit(np.log(STEPS), np.log(differences), 1)[0] == pytest.approx(4.0, abs=0.1)
+
+
+def test_a_scheme_that_is_not_symmetric_goes_backward_by_another_field() -> None:
+    """Lie and Trotter's splitting of order one; backward its H~ has -h."""
+    system, x0, h = BODIES["1, 2, 3"], STATES[1], 0.02
+    method = co.Splitting(order=1, parts="coordinates")
+    H = co.modified_hamiltonian(system, method, order=4)
+    ahead, behind = (predicted_drift(system, x0, modified=H, step=step) for step in (h, -h))
+    for predicted, end in ((ahead, 400.0), (behind, -400.0)):
+        drift = co.phase_drift(co.integrate(system, x0, (0.0, end), h, method, save_every=5))
+        assert abs(drift.slope - predicted.slope) < 0.1 * abs(ahead.slope - behind.slope)
 
 
 def test_some_differences_can_be_told_from_nothing() -> None:
@@ -184,10 +231,21 @@ def test_wrong_input_is_refused() -> None:
         predicted_drift(body, STATES[0])
     with pytest.raises(TypeError, match="give one of"):
         predicted_drift(body, STATES[0], gradient=body.hamiltonian.gradient, field=body.vector_field)
-    with pytest.raises(TypeError, match="function of a state"):
+    with pytest.raises(TypeError, match=r"function of \(x\)"):
         predicted_drift(body, STATES[0], field=3.0)
     with pytest.raises(TypeError, match="give gradient"):
         predicted_drift(body, STATES[0], field=body.vector_field, attitude=True)
+    H = co.modified_hamiltonian(body, co.Splitting())
+    with pytest.raises(TypeError, match="give one of"):
+        predicted_drift(body, STATES[0], modified=H, step=0.1, field=body.vector_field)
+    with pytest.raises(TypeError, match="step is missing"):
+        predicted_drift(body, STATES[0], modified=H)
+    with pytest.raises(TypeError, match="step belongs to modified"):
+        predicted_drift(body, STATES[0], gradient=body.hamiltonian.gradient, step=0.1)
+    with pytest.raises(TypeError, match="give gradient"):
+        predicted_drift(body, STATES[0], modified=co.modified_field(body, co.Splitting(), 3), step=0.1, attitude=True)
+    with pytest.raises(ValueError, match="in 3 coordinates"):
+        predicted_drift(co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(1.0)), np.ones(6), modified=H, step=0.1)
     with pytest.raises(ValueError, match=r"must be \(3,\)"):
         predicted_drift(body, (1.0, 2.0), field=body.vector_field)
     spiral = co.systems.paper_a37()

@@ -10,6 +10,7 @@ from scipy.linalg import expm
 import coadjoint as co
 from coadjoint.methods.commutator_free import SCHEMES
 from coadjoint.rounding import UNIT_ROUNDOFF
+from moments import moments
 
 RNG = np.random.default_rng(4)
 
@@ -17,17 +18,6 @@ RNG = np.random.default_rng(4)
 def full(n, seed=0):
     B = np.random.default_rng(seed).uniform(-0.5, 0.5, (n, n))
     return np.diag(np.linspace(0.6, 1.4, n)) + 0.2 * (B + B.T)
-
-
-def moments():
-    pairs = [(i, d - i) for d in (2, 4) for i in range(d, -1, -1)]
-    rows = [
-        (a, b, pairs.index((i + k - 1, j + m - 1)), float(i * m - j * k))
-        for a, (i, j) in enumerate(pairs)
-        for b, (k, m) in enumerate(pairs)
-        if a < b and (i + k - 1, j + m - 1) in pairs and i * m != j * k
-    ]
-    return co.LieAlgebra(rows, dim=8, name="moments {2, 4}")
 
 
 ALGEBRAS = [co.algebras.e(3), co.algebras.sl(3), co.algebras.get("A5,3"), co.algebras.A3_7(0.7), moments()]

@@ -9,7 +9,7 @@ import coadjoint as co
 from coadjoint.methods.short_orbit import short_orbit
 from coadjoint.methods.tuned_parts import ErrorsOfOrders
 from coadjoint.program.decompose import decompose
-from coadjoint.program.leading_term import leading_term
+from coadjoint.program.modified_terms import leading_term
 from coadjoint.program.nested_brackets import NestedBrackets
 from coadjoint.program.second_order import Samples
 from coadjoint.program.split import split

@@ -21,8 +21,8 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.rational_constants import cleared, rational_constants
 from coadjoint.given import read_whole
 
-MONOMIALS = 40_000  # of one degree in one summand: a minute at most
-TERMS = 10_000_000  # of their derivatives, before like ones are collected: 1 GB
+MONOMIALS = 40_000  # monomials of one degree in one summand: a minute at most
+TERMS = 10_000_000  # terms of their derivatives, before like ones are collected: 1 GB
 EXACT_BLOCK, FLOAT_BLOCK = 3000, 1000  # coupled unknowns, solved as a dense matrix: a minute at most
 EXPONENTS = 50_000_000  # of all Casimirs together: a Polynomial stores one for each coordinate; 400 MB
 
@@ -95,7 +95,7 @@ def products(generators: Sequence[Polynomial], degree: int) -> Iterator[Polynomi
 def _of_degree(
     triples: Triples, arithmetic: _Arithmetic, dim: int, degree: int, lower: Sequence[Polynomial]
 ) -> list[Polynomial]:
-    """Return the Casimirs of a degree that products of lower ones do not give."""
+    """Return the Casimirs of a degree that are no sums of products of lower ones."""
     basis = monomials(dim, degree)
     space = arithmetic.kernel(equations(triples, arithmetic.constants, basis, dim), arithmetic.largest)
     # in a reduced row echelon basis the coordinates of an element are its coefficients at the leading monomials
@@ -139,7 +139,7 @@ def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> list[Polyno
     for degree in range(1, max_degree + 1):
         check_size(dim, degree, triples.c.size)
         found += _of_degree(triples, arithmetic, dim, degree, found)
-        # Casimirs are closed under roots and factors, so where two are never independent all are powers of the lowest
+        # Roots and factors of Casimirs are Casimirs. So where no two can be independent, all are powers of the lowest
         if found and independent == 1:
             break
     return found

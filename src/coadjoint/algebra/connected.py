@@ -11,9 +11,9 @@ from coadjoint.algebra.joins import Integers, groups
 
 
 def connected(size: int, first: Integers, second: Integers) -> Integers:
-    """Return for each of `size` things the smallest number that first[m] -- second[m] connect it to.
+    """Return for each of `size` things the smallest number that the pairs first[m], second[m] connect it to.
 
-    Every round joins each part to the smallest neighbouring one and shortens the chains.
+    Each round joins every part to its smallest neighbour, and shortens the chains.
 
     Examples
     --------

@@ -66,14 +66,14 @@ def check_room_of_algebra(name: str, dim: int, constants: int) -> None:
     Parameters
     ----------
     name : str
-        What it is called in the message.
+        Name of the algebra, for the message.
     dim, constants : int
         Dimension, and about how many constants c_ij^k with i < j are not zero.
 
     Raises
     ------
     ValueError
-        With the estimate, and with what is free.
+        It does not fit; the message has the estimate, and what is free.
 
     Examples
     --------
@@ -103,7 +103,8 @@ def read_constants(constants: Any, dim: int | None) -> tuple[int, Triples, bool]
     Raises
     ------
     TypeError, ValueError
-        Named: not numbers, wrong shape, not finite, index not an integer or out of range, dimension unknown.
+        What is wrong is named: not numbers, a wrong shape, not finite, an index that is no integer or out of range, an
+        unknown dimension.
 
     Examples
     --------

@@ -148,9 +148,9 @@ def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int)
 def blocks(given: Equations) -> Iterator[tuple[Integers, Equations]]:
     """Yield the independent blocks: their unknowns, and their equations, numbered from 0.
 
-    An equation with one unknown says that it is zero: it is left out, which may leave others with one. What is left
-    falls apart into blocks without common equations. This finds every grading that the basis shows: the weights of
-    diagonal elements, and the signs under reflections of so(n).
+    An equation with one unknown says that the unknown is zero. The unknown is left out, which may leave other equations
+    with one. The rest falls apart into blocks without common equations. So every grading that the basis shows is found:
+    the weights of diagonal elements, and the signs under reflections of so(n).
 
     Parameters
     ----------

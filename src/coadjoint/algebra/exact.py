@@ -86,15 +86,26 @@ def exact_numbers(values: Iterable[Any]) -> NDArray[Any]:
     return result
 
 
-def fits(value: int | float | Fraction) -> bool:
-    """Say whether a number is finite in float64 and, where it is exact, has so many digits as one can work with.
+def is_finite(value: int | float | Fraction) -> bool:
+    """Say whether a number is finite in float64, exact as it may be.
 
     Examples
     --------
-    >>> fits(10**308), fits(10**309), fits(float("inf")), fits(Fraction(1, 10**2000))
-    (True, False, False, False)
+    >>> is_finite(10**308), is_finite(10**309), is_finite(float("inf")), is_finite(Fraction(1, 10**2000))
+    (True, False, False, True)
     """
     try:
-        return math.isfinite(value) and not (isinstance(value, Fraction) and value.denominator.bit_length() > 4096)
+        return math.isfinite(value)
     except OverflowError:
         return False
+
+
+def fits(value: int | float | Fraction) -> bool:
+    """Say whether a number is finite in float64 and, where it is exact, has so many digits as one would write.
+
+    Examples
+    --------
+    >>> fits(10**308), fits(Fraction(1, 10**2000))
+    (True, False)
+    """
+    return is_finite(value) and not (isinstance(value, Fraction) and value.denominator.bit_length() > 4096)

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.exact import fraction as fraction
-from coadjoint.algebra.exact import rational as rational
+from coadjoint.algebra.exact import fraction, rational
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
 
@@ -21,13 +20,13 @@ Exact = Any
 class ExactPolynomials:
     """The ring Q[x1, ..., xn, s1, ..., sm] on the dual of a Lie algebra; the symbols s commute with everything.
 
-    Floats are taken as the rational numbers that they are. Choose it for many brackets of polynomials;
-    `Polynomial` is what they are given and returned as.
+    Floats are taken as the rational numbers that they are. Choose it for many brackets of polynomials. They are given
+    and returned as `Polynomial`.
 
     Parameters
     ----------
     algebra : LieAlgebra
-        Whose bracket it is.
+        The algebra whose bracket is taken.
     symbols : sequence of str
         Names of further symbols, such as masses.
 
@@ -90,7 +89,7 @@ class ExactPolynomials:
         return fraction(exact[(0,) * (self.dim + len(self.symbols))])
 
     def reduced(self, F: Exact) -> Exact:
-        """Return what is kept of a polynomial: here all of it."""
+        """Return the part of a polynomial that the ring keeps; here all of it."""
         return F
 
     def gradient(self, F: Exact) -> list[Exact]:

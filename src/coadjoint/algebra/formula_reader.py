@@ -1,7 +1,7 @@
 """The grammar of formulas: sums, products, powers, brackets and functions, evaluated while they are read.
 
-The time grows with the length of the text alone. What a short text could blow up is bounded: degrees, digits, terms
-that are multiplied out, and how deeply brackets are nested.
+The time grows with the length of the text alone. A short text cannot make large things: degrees, digits, terms that are
+multiplied out, and the depth of brackets are bounded.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from fractions import Fraction
 from typing import Any, ClassVar, NamedTuple
 
 from coadjoint.algebra.logarithmic import LogarithmicSum
-from coadjoint.algebra.polynomial import MOST_DEGREE, TOO_HIGH, Exponents, Polynomial
+from coadjoint.algebra.monomials import Exponents
+from coadjoint.algebra.polynomial import MOST_DEGREE, TOO_HIGH, Polynomial
 from coadjoint.algebra.written_numbers import MOST_DIGITS, NUMBER, Constant, checked, read_constant, too_large
 from coadjoint.memory import check_room
 from coadjoint.wording import short
@@ -42,7 +43,7 @@ def too_high(what: str, degree: int) -> ValueError:
 
 
 class Monomials:
-    """A polynomial while its terms are added, in the order in which they come; memory is asked for as they do."""
+    """A polynomial while its terms are added, in the order of the text; memory is checked as they come."""
 
     def __init__(self, dim: int) -> None:
         self.dim = dim
@@ -69,7 +70,7 @@ class Power(NamedTuple):
 
 
 class Product:
-    """A product while it is read: a number, times powers of coordinates, times what else there is."""
+    """A product while it is read: a number, times powers of coordinates, times other factors."""
 
     def __init__(self, reader: Reader) -> None:
         self.reader = reader

@@ -100,7 +100,7 @@ def lyndon_words(weights: Mapping[Any, int], weight: int) -> list[Word]:
     weights : mapping
         Letter -> its weight, at least 1; letters can be compared.
     weight : int
-        Of the words.
+        Weight of the words.
 
     Examples
     --------
@@ -133,7 +133,7 @@ def factors(word: Word) -> tuple[Word, Word]:
 
 @lru_cache(maxsize=4096)
 def bracketed(word: Word) -> Mapping[Word, int]:
-    """Return the nested brackets of a Lyndon word, multiplied out: the word itself, and larger ones.
+    """Return the nested brackets of a Lyndon word, multiplied out. They hold the word itself, and larger ones.
 
     Examples
     --------
@@ -166,7 +166,7 @@ def lie_coordinates(element: Mapping[Word, Any], words: Sequence[Word]) -> tuple
     coordinates : dict
         Lyndon word -> factor of its bracket.
     rest : dict
-        What is left of the coefficients: zero, or as far from it as rounding made it, if the element is a Lie element.
+        What is left of the coefficients. For a Lie element it is zero up to rounding.
 
     Examples
     --------

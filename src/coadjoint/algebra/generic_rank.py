@@ -11,9 +11,9 @@ from coadjoint.algebra.rational_constants import dyadic_constants, rational_cons
 def generic_rank(triples: Triples, dim: int) -> int:
     """Return the rank of J(x) at a generic x: behind `LieAlgebra.generic_rank`, which documents it.
 
-    Constants that are rounded must not be taken for exact: they are those of no Lie algebra, and of larger rank. So
-    they are read as simple fractions, or as exact floats, where the Jacobi identity then holds exactly; otherwise the
-    rank is that of the singular values.
+    Rounded constants must not be taken for exact. Taken so, they belong to no Lie algebra, and have a larger rank. They
+    are read as simple fractions, or as exact floats, where the Jacobi identity then holds exactly. Elsewhere singular
+    values decide the rank.
 
     Parameters
     ----------

@@ -5,23 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 
-from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, rational
+from coadjoint.algebra.exact import rational
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.algebra.lie_algebra import LieAlgebra
 
 
 class JetPolynomials(ExactPolynomials):
-    """The ring of polynomials in the distance from a point x0, those above a degree being left out.
+    """The ring of polynomials in the distance from a point x0; terms above a degree are left out.
 
-    A value at x0 after so many brackets depends on no higher derivatives.
+    The value at x0 of so many nested brackets depends on no higher derivatives.
 
     Parameters
     ----------
     algebra : LieAlgebra
-        Whose bracket it is.
+        The algebra whose bracket is taken.
     point : sequence of float
         x0, of n finite numbers.
     degree : int
-        The highest that is kept.
+        The highest degree that is kept.
 
     Examples
     --------

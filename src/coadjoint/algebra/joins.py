@@ -130,16 +130,17 @@ def violated(
 ) -> tuple[int, float] | None:
     """Find the sum of products that is farthest from zero, relative to the sizes of its factors.
 
-    The products of the two factors with equal keys are added up; a sum counts as zero when it is below 64 u times the
-    sum of the products of their sizes (u = 2^-53). A factor is as exact as the largest number of the row or bracket
-    that it was rounded with: its size. Mantissas and exponents are kept apart: no product over- or underflows.
+    Products of the two factors with equal keys are added up. A sum counts as zero when it is below 64 u times the sum
+    of the products of their sizes (u = 2^-53). The size of a factor is the largest number of the row or bracket that it
+    was rounded with; the factor is known to a part of that. Mantissas and exponents are kept apart, so no product over-
+    or underflows.
 
     Parameters
     ----------
     keys : tuple of (m,) integer arrays
         Rows with equal keys belong to one identity.
     factors : two (m,) float arrays
-        What is multiplied.
+        The factors of the products.
     sizes : two (m,) float arrays
         At least the absolute values of the factors.
 

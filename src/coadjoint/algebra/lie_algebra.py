@@ -197,15 +197,15 @@ class LieAlgebra(Structure):
     def casimirs(self, max_degree: int = 4) -> dict[str, Polynomial]:
         """Find the polynomial Casimirs C, J(x) grad C(x) = 0, up to a degree, from the structure constants alone.
 
-        The homogeneous solutions of each degree form a linear space; returned is a basis of it modulo the products of
-        Casimirs of lower degree. So every polynomial Casimir up to `max_degree` is a polynomial in the ones returned.
+        The homogeneous solutions of each degree form a linear space. A basis of it modulo the products of Casimirs of
+        lower degree is returned. So every polynomial Casimir up to `max_degree` is a polynomial in the ones returned.
         There can be more than ``dim - generic_rank()`` of them, with relations between them (A5,2 has C1 ... C4 for
         three independent ones), or fewer, since Casimirs need not be polynomials (A3,7).
 
         Constants that stand for simple fractions (`coadjoint.algebra.rational_constants`) are solved exactly, and every
-        solution is proved in exact arithmetic. Otherwise singular values decide, where they leave a clear gap
-        (`coadjoint.algebra.numerical_kernel`), and the coefficients are floats. Summands of a direct sum that the basis
-        shows are solved one by one, equal ones once.
+        solution is proved in exact arithmetic. For other constants singular values decide, where they leave a clear gap
+        (`coadjoint.algebra.numerical_kernel`), and the coefficients are floats. Where the basis shows a direct sum, its
+        summands are solved one by one, and equal ones once.
 
         Parameters
         ----------
@@ -215,9 +215,10 @@ class LieAlgebra(Structure):
         Returns
         -------
         dict of str to Polynomial
-            ``"C2"`` is the only one of degree 2, ``"C2_1", "C2_2"`` are two; by degree and leading monomial. Those of
-            one degree are rows of a reduced row echelon form over the monomials in the order of `Polynomial.monomials`,
-            scaled to whole numbers without common factor, the leading one positive; in floats the leading one is 1.
+            By degree and leading monomial. ``"C2"`` is the name of a single one of degree 2, ``"C2_1", "C2_2"`` are
+            those of two. Those of one degree are the rows of a reduced row echelon form over the monomials in the order
+            of `Polynomial.monomials`. They are scaled to whole numbers without common factor, the leading one positive;
+            in floats the leading coefficient is 1.
 
         Raises
         ------

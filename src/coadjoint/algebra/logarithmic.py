@@ -51,9 +51,9 @@ class Term(NamedTuple):
 class LogarithmicSum:
     """A function sum of w p/q + sum of w log|p| + sum of w atan2(p, q) with polynomials p, q and numbers w.
 
-    Every invariant of the real Lie algebras of dimension 2 to 5 is a polynomial or of this form: a product of powers
-    |p|^w with the exponential of an angle or of a rational function becomes it by taking the logarithm. The gradient is
-    a rational function.
+    Every invariant of the real Lie algebras of dimension 2 to 5 is a polynomial or of this form. A product of powers
+    |p|^w with the exponential of an angle or of a rational function takes this form by its logarithm. The gradient is a
+    rational function.
 
     Parameters
     ----------
@@ -136,8 +136,8 @@ class LogarithmicSum:
     def period(self) -> float | None:
         """The value is known up to multiples of it; 0 for a single-valued function.
 
-        None where two angles have weights whose ratio is no fraction with denominator up to 1000: the values at one
-        point are dense, and no continuation along a run can be told from another.
+        None where the weights of two angles have a ratio that is no fraction with denominator up to 1000. The values at
+        one point are then dense, and continuations along a run cannot be told apart.
         """
         weights = [abs(Fraction(term.weight)) for term in self.terms if term.kind == ANGLE]
         if not weights:

@@ -29,7 +29,7 @@ Constants = dict[tuple[int, int], Polynomial]
 
 @functools.cache
 def entries() -> Mapping[str, Mapping[str, Any]]:
-    """Return what the catalogue says, by name: dim, parameters and range, brackets, invariants; in the published order.
+    """Return what the catalogue says, by name and in the published order: dim, parameters, range, brackets, invariants.
 
     Examples
     --------
@@ -111,9 +111,9 @@ def exact_constants(name: str, parameters: Mapping[str, Number]) -> Constants:
 def formulas(name: str, parameters: Mapping[str, Number]) -> dict[str, Polynomial | LogarithmicSum]:
     """Return the invariants by name, in exact arithmetic.
 
-    The name is the formula, log|p| with bars. Where a parameter makes one the logarithm of one polynomial, it is this
-    polynomial. An invariant whose values at one point are dense (two angles with an irrational ratio: A5_17 with
-    p = q = 0, whose orbits wind densely on a torus) is no function and is left out.
+    The name is the formula, log|p| with bars. Where parameters make an invariant the logarithm of one polynomial, this
+    polynomial is returned. An invariant whose values at one point are dense is no function, and is left out: two angles
+    with an irrational ratio, as of A5_17 with p = q = 0, whose orbits wind densely on a torus.
 
     Examples
     --------
@@ -180,10 +180,11 @@ def low_dimensional(name: str, **parameters: Any) -> LieAlgebra:
     Returns
     -------
     LieAlgebra
-        With all its independent invariants, dim - rank of them, by formula: `Polynomial` where they are polynomials,
-        else `Invariant` with the logarithm of the published one: NaN where that is undefined, `period` > 0 where it has
-        an angle, values in floats. (A5_17 with p = q = 0 and irrational s: one less, see `formulas`.) Its
-        representation is affine where e1 ... e_(n-1) commute, else adjoint where there is no centre, else None.
+        With all its independent invariants, dim - rank of them, by formula. They are `Polynomial` where possible.
+        Elsewhere they are `Invariant` with the logarithm of the published one: values in floats, NaN where it is
+        undefined, `period` > 0 where it has an angle. (A5_17 with p = q = 0 and irrational s has one less, see
+        `formulas`.) The representation is affine where e1 ... e_(n-1) commute, else adjoint where there is no centre,
+        else None.
 
     Raises
     ------

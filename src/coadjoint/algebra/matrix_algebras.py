@@ -67,7 +67,8 @@ def commutator_constants(basis: Sparse, coordinates: Sparse, size: int) -> Tripl
     by_column, _ = groups(basis.column, basis.number)
     dim = int(basis.number.max(initial=0)) + 1
     joins: list[tuple[Integers, Integers]] = []
-    # X_a X_b and X_b X_a for b > a: the other factor begins where X_a ends, or ends where it begins.
+    # X_a X_b and X_b X_a for b > a. In X_a X_b the rows of X_b meet the columns of X_a, in X_b X_a its columns the rows
+    # of X_a.
     for order, own, middle in ((by_row, basis.row, basis.column), (by_column, basis.column, basis.row)):
         key = (own * dim + basis.number)[order]
         start = np.searchsorted(key, middle * dim + basis.number, side="right")
@@ -174,7 +175,7 @@ def matrix_algebra(
     if within(sum(map(len, forms.values())), dim):
         casimirs = {key: linear(dict.fromkeys(indices, 1), dim) for key, indices in (sums or {}).items()}
         casimirs |= {key: quadratic(form, dim) for key, form in forms.items()}
-    # Matrices have a Lie algebra for a bracket, and are a representation of it: nothing is left to check.
+    # Commutators of matrices obey all identities, and the matrices are a representation. Nothing is left to check.
     constants = commutator_constants(given, Sparse(coordinates), size)
     return LieAlgebra._proved(constants, dim, read_basis(None, dim), name, matrices(given, dim, size), casimirs)
 

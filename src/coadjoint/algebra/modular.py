@@ -97,10 +97,10 @@ def structure_rank(
 ) -> int:
     """Return the largest rank of J(x), J_ij = sum_k c_ij^k x_k, at random points, each modulo its own random prime.
 
-    J is taken apart into its connected blocks. At one point the rank is too small where the prime divides a largest
-    minor, or the point is a root of it: probability n/2^61 for the point (Schwartz and Zippel) and, for a minor with
-    coefficients below 2^b, b/61 out of more than 2^55 primes for the prime. Two independent points fail together with
-    probability below 2^-60 for every n < 2^30 and every b < 2^30. Never too large.
+    J is taken apart into its connected blocks. At one point the rank is too small where the point is a root of a
+    largest minor, or the prime divides it. For the point the probability is n/2^61 (Schwartz and Zippel). For the prime
+    it is b/61 out of more than 2^55 primes, if the coefficients of the minor are below 2^b. Two independent points fail
+    together with probability below 2^-60 for every n < 2^30 and every b < 2^30. The rank is never too large.
 
     Parameters
     ----------

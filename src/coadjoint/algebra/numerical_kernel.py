@@ -43,7 +43,7 @@ def _leading_form(basis: Floats, error: float) -> tuple[list[int], Floats, float
 
 
 def _cleaned(row: Floats, error: float) -> Floats:
-    """Return coefficients with those within their error of a whole number (often zero) put there."""
+    """Return coefficients; those within their error of a whole number (often zero) are rounded to it."""
     whole = np.round(row)
     return np.where(np.abs(row - whole) <= error * np.maximum(1.0, np.abs(whole)), whole, row)
 
@@ -84,8 +84,8 @@ def kernel(given: Equations, largest: int) -> list[Vector]:
 
     Entries are taken to be known to 64 u times the largest one (u = 2^-53). With the Frobenius norm F of such errors,
     singular values up to F are zero and all others must exceed 2^10 F; the pivots of the echelon form must be above
-    2^-20 or round-off. Coefficients within their error of a whole number are put there, so that zeros are exact; every
-    vector is then checked against the equations.
+    2^-20 or round-off. Coefficients within their error of a whole number are rounded to it, so that zeros are exact.
+    Then every vector is checked against the equations.
 
     Parameters
     ----------

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import math
 import operator
-from collections.abc import Mapping
-from fractions import Fraction
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from numbers import Integral, Rational
+from numbers import Rational
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.exact import is_finite
+from coadjoint.algebra.monomials import Exponents, read_coefficient, read_exponents
 from coadjoint.algebra.polynomial_text import coordinate_names, latex, plain, sympy_of
 from coadjoint.algebra.product_sums import Coefficient, ProductSum, differentiated
 from coadjoint.given import array_given, read_whole
 from coadjoint.memory import check_room
 from coadjoint.wording import short
 
-Exponents = tuple[int, ...]
-
-QUIET = np.errstate(over="ignore", invalid="ignore")  # a value that leaves float64 is infinite, which says it
+QUIET = np.errstate(over="ignore", invalid="ignore")  # a value that leaves float64 is infinite; no warning is needed
 
 MOST_DEGREE = 1024
 TOO_HIGH = "from there on even powers of 2 leave float64"
@@ -59,7 +57,7 @@ class Polynomial:
     x2*x3
     """
 
-    # An array does not multiply a polynomial entry by entry.
+    # So that an array does not multiply a polynomial entry by entry.
     __array_ufunc__ = None
 
     def __init__(self, monomials: Mapping[Exponents, Coefficient], dim: int | None = None) -> None:
@@ -71,14 +69,14 @@ class Polynomial:
             raise ValueError("dim must be given for a Polynomial without monomials")
         collected: dict[Exponents, Coefficient] = {}
         for given, value in monomials.items():
-            exponents = _read_exponents(given)
+            exponents = read_exponents(given)
             if dim is None:
                 dim = len(exponents)
             if len(exponents) != dim:
                 raise ValueError(
                     f"exponents {short(given)} have length {len(exponents)}; this Polynomial has dimension {short(dim)}"
                 )
-            collected[exponents] = _read_coefficient(value, f"the coefficient of {short(given)}")
+            collected[exponents] = read_coefficient(value, f"the coefficient of {short(given)}")
         if dim is None or dim < 1:
             raise ValueError("a Polynomial needs at least one coordinate; its exponents are empty")
         self._fill(collected, int(dim))
@@ -95,7 +93,7 @@ class Polynomial:
     def _of(cls, monomials: Mapping[Exponents, Coefficient], dim: int) -> Polynomial:
         """Build from valid monomials; only overflow can make a coefficient wrong."""
         for exponents, value in monomials.items():
-            if not _fits(value):
+            if not is_finite(value):
                 raise ValueError(f"the coefficient of {short(exponents)} overflows; it must stay within float64")
         result = cls.__new__(cls)
         result._fill(monomials, dim)
@@ -178,7 +176,7 @@ class Polynomial:
                 raise ValueError(f"polynomials in {self._dim} and in {other._dim} coordinates cannot be combined")
             return other
         if isinstance(other, Rational | float) and not isinstance(other, bool):
-            return Polynomial({(0,) * self._dim: _read_coefficient(other, "constant")})
+            return Polynomial({(0,) * self._dim: read_coefficient(other, "constant")})
         return None
 
     def __add__(self, other: Polynomial | Coefficient) -> Polynomial:
@@ -271,6 +269,20 @@ class Polynomial:
         twice = differentiated(differentiated(self._factors, self._dim), self._dim)
         return ProductSum(twice, self._dim**2)
 
+    @staticmethod
+    def side_by_side(polynomials: Sequence[Polynomial]) -> ProductSum:
+        """Return the values of polynomials in the same coordinates as one function of states, `ProductSum.along`.
+
+        Examples
+        --------
+        >>> both = Polynomial.side_by_side([Polynomial({(2, 1): 3}), Polynomial({(0, 0): 1})])
+        >>> both.along(np.array([[1.0, 2.0], [2.0, 0.5]]))
+        array([[6., 1.],
+               [6., 1.]])
+        """
+        terms = ((k, value, factors) for k, one in enumerate(polynomials) for _, value, factors in one._factors)
+        return ProductSum(terms, len(polynomials))
+
     def _point(self, x: Any, several: bool = False) -> NDArray[Any]:
         point = array_given(x, "x", "iufc")
         if point.shape != (self._dim,) and not (several and point.shape[-1:] == (self._dim,)):
@@ -313,38 +325,3 @@ class Polynomial:
         """
         check_room(8 * self._dim**2, f"a matrix of second derivatives in {self._dim} coordinates")
         return self._hessian_sum(self._point(x)).reshape(self._dim, self._dim)
-
-
-def _read_exponents(given: Any) -> Exponents:
-    if not isinstance(given, tuple | list):
-        raise TypeError(f"exponents must be a tuple of whole numbers, one for each coordinate, not {short(given)}")
-    if set(map(type, given)) <= {int} and min(given, default=0) >= 0:  # the same checks, fast for many coordinates
-        return tuple(given)
-    for exponent in given:
-        if isinstance(exponent, bool) or not isinstance(exponent, int | np.integer):
-            raise TypeError(f"exponents {short(given)} must be whole numbers; {short(exponent)} is not")
-        if exponent < 0:
-            raise ValueError(f"exponents {short(given)} must not be negative")
-    return tuple(map(int, given))
-
-
-def _read_coefficient(value: Any, what: str) -> Coefficient:
-    if isinstance(value, bool) or not isinstance(value, Rational | float | np.floating):
-        raise TypeError(f"{what} must be an int, float or Fraction, not {short(value)}")
-    if isinstance(value, Integral):
-        number: Coefficient = int(value)
-    elif isinstance(value, Rational):
-        number = Fraction(int(value.numerator), int(value.denominator))
-    else:
-        number = float(value)
-    if not _fits(number):
-        raise ValueError(f"{what} is {short(value)}; it must be finite and within float64")
-    return number
-
-
-def _fits(value: Coefficient) -> bool:
-    """Say whether a coefficient is a finite number in float64, exact as it may be."""
-    try:
-        return math.isfinite(value)
-    except OverflowError:
-        return False

@@ -12,6 +12,7 @@ from coadjoint.extras import need
 
 Monomials = Mapping[tuple[int, ...], Coefficient]
 MOST_DIGITS = 6
+MOST_SHOWN = 30  # monomials that are printed one by one
 
 
 def coordinate_names(dim: int) -> list[str]:
@@ -67,8 +68,34 @@ def sympy_of(monomials: Monomials, names: Sequence[str]) -> Any:
     return total
 
 
+def readable(monomials: Monomials, names: Sequence[str]) -> str:
+    """Return a polynomial for one line: coefficients that are easy to read; of many monomials their number.
+
+    Examples
+    --------
+    >>> readable({(2,): 0.1 + 0.2}, ["x"]), readable({(k,): 1 for k in range(31)}, ["x"])
+    ('0.3*x^2', '<31 monomials of degree 30 and less>')
+    """
+    if len(monomials) > MOST_SHOWN:
+        return f"<{len(monomials)} monomials of degree {max(map(sum, monomials))} and less>"
+    return plain(rounded_if_long(monomials), names)
+
+
+def readable_latex(monomials: Monomials, names: Sequence[str]) -> str:
+    r"""Return the same as LaTeX, without dollars.
+
+    Examples
+    --------
+    >>> print(readable_latex({(2,): 0.1 + 0.2}, ["x1"]))
+    0.3 x_{1}^{2}
+    """
+    if len(monomials) > MOST_SHOWN:
+        return rf"\text{{{len(monomials)} monomials}}"
+    return latex(rounded_if_long(monomials), names)
+
+
 def rounded_if_long(monomials: Monomials) -> dict[tuple[int, ...], Coefficient]:
-    """Return coefficients that are easy to read: six digits of those that have more, and short fractions as they are.
+    """Return coefficients that are easy to read: six digits where there are more, and short fractions as they are.
 
     Examples
     --------

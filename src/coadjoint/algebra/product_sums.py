@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from fractions import Fraction
-from typing import Any
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +15,8 @@ from coadjoint.algebra.exact import exact_numbers
 
 Coefficient = int | float | Fraction
 
-MOST_NUMBERS = 2**20
-"""Factors that are held at once where there are many points: more do not fit a cache."""
+MOST_NUMBERS = 2**18
+"""Products that are held at once where there are many points: more do not fit a cache."""
 
 
 def differentiated(
@@ -76,32 +78,57 @@ class ProductSum:
     def along(self, x: NDArray[Any]) -> NDArray[Any]:
         """Return the sums at many points (..., n), shape (..., places), in their kind of number.
 
-        Powers are made once for all terms, so that it is much faster than point after point; the same up to rounding.
+        Powers, and products that occur in several sums, are made once. So it is much faster than point after point, and
+        the same up to rounding.
         """
         points = x.reshape(-1, x.shape[-1])
         result = np.zeros((len(points), self._places), dtype=x.dtype)
-        together = max(1, MOST_NUMBERS // max(1, self._index.size + len(self._to)))
-        for first in range(0, len(points), together):
-            some = slice(first, first + together)
-            self._add(points[some].T, result[some].T)
+        if len(self._to):
+            together = max(1, MOST_NUMBERS // (len(self._to) + self._shared.different))
+            for first in range(0, len(points), together):
+                some = slice(first, first + together)
+                result[some, self._shared.places] = self._at(np.ascontiguousarray(points[some].T)).T
         return result.reshape(*x.shape[:-1], self._places)
 
-    def _add(self, x: NDArray[Any], result: NDArray[Any]) -> None:
-        """Add the sums at points (n, k) to a result (places, k)."""
-        count = x.shape[1]
-        exact = x.dtype == object
-        coefficients = self._exact if exact else self._coefficients.astype(x.dtype)
-        terms = np.repeat(coefficients[:, None], count, axis=1)
-        if self._starts.size:
-            powers = [x]
-            while len(powers) < int(self._power.max()):
-                powers.append(powers[-1] * x)
-            factors = np.empty((len(self._index), count), dtype=x.dtype)
-            for e, power in enumerate(powers, 1):
-                own = self._power == e
-                factors[own] = power[self._index[own]]
-            terms[: self._starts.size] = terms[: self._starts.size] * np.multiply.reduceat(factors, self._starts)
-        for place in range(self._places):
-            own = np.flatnonzero(self._to == place)
-            if len(own):
-                result[place] += np.add.reduce(terms[own], axis=0)
+    def _at(self, x: NDArray[Any]) -> NDArray[Any]:
+        """Return the sums at points (n, k) that have terms, shape (places with terms, k)."""
+        shared, exact = self._shared, x.dtype == object
+        powers = [x]
+        while len(powers) < int(self._power.max(initial=1)):
+            powers.append(powers[-1] * x)
+        table = np.stack(powers)
+        products = np.ones((shared.different, x.shape[1]), dtype=x.dtype)
+        for which, index, power in shared.factors:
+            products[which] = products[which] * table[power - 1, index]
+        coefficients = (self._exact if exact else self._coefficients.astype(x.dtype))[shared.order]
+        return np.add.reduceat(products[shared.product] * coefficients[:, None], shared.starts, axis=0)
+
+    @cached_property
+    def _shared(self) -> _Shared:
+        of_rows: list[tuple[tuple[int, int], ...]] = [()] * len(self._to)
+        ends = np.append(self._starts, len(self._index))
+        for row, (first, last) in enumerate(pairwise(ends.tolist())):
+            of_rows[row] = tuple(
+                sorted(zip(self._index[first:last].tolist(), self._power[first:last].tolist(), strict=True))
+            )
+        place = {factors: k for k, factors in enumerate(dict.fromkeys(of_rows))}
+        steps: list[list[tuple[int, int, int]]] = [[] for _ in range(max(map(len, place), default=0))]
+        for factors, k in place.items():
+            for step, (i, e) in zip(steps, factors, strict=False):
+                step.append((k, i, e))
+        order = np.argsort(self._to, kind="stable")
+        places, starts = np.unique(self._to[order], return_index=True)
+        product = np.array([place[factors] for factors in of_rows], dtype=np.int64)[order]
+        columns = [tuple(np.array(step, dtype=np.int64).T) for step in steps]
+        return _Shared(len(place), columns, order, product, places, starts)
+
+
+class _Shared(NamedTuple):
+    """The different products of all sums, and the terms in the order of their places."""
+
+    different: int
+    factors: list[tuple[NDArray[np.int64], ...]]  # for the first factor of each product, then the second, and so on
+    order: NDArray[np.int64]
+    product: NDArray[np.int64]
+    places: NDArray[np.int64]
+    starts: NDArray[np.int64]

@@ -203,7 +203,7 @@ def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | No
     LieAlgebra
         The space has the basis p1 ... pd (v1 ... vd where g uses these names), or that of `ideal`. Where the space is
         abelian and the result within 128 MB, its representation is by affine (d + 1) x (d + 1) matrices. No Casimirs
-        are known: those of g are none of the product; ``casimirs(max_degree)`` finds the polynomial ones.
+        are known, since those of g are no Casimirs of the product. ``casimirs(max_degree)`` finds the polynomial ones.
 
     Raises
     ------
@@ -245,7 +245,7 @@ def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | No
     acted = f"R^{d}" if ideal is None else ideal.name or "h"
     constants = joined(parts)
     name = title(f"{g.name or 'g'} ⋉ {acted}")
-    if ideal is not None:  # whether the matrices are derivations of it is left to check
+    if ideal is not None:  # it is left to check whether the matrices are derivations of it
         return LieAlgebra(constants, dim=n + d, basis=names + space, name=name)
     constants = constants.rows(groups(constants.i, constants.j, constants.k)[0])
     return LieAlgebra._proved(constants, n + d, tuple(names + space), name, affine, {})

@@ -14,7 +14,8 @@ from coadjoint.algebra.exact import exact_numbers
 
 DENOMINATOR = 10**6
 # p/q is believed where p q <= 2^45. About 0.3 * 2^45 / 2^52 such fractions round to the same float as a number drawn at
-# random, so that one in 400 is taken for a fraction by mistake; the Jacobi identity must confirm all of them together.
+# random. So one random number in 400 is taken for a fraction by mistake. The Jacobi identity must confirm all fractions
+# together.
 SIZE = 2**45
 
 

@@ -28,14 +28,14 @@ def _leading_form(rows: nmod_mat) -> tuple[tuple[int, ...], list[list[int]]]:
 
 
 def _kernel_modulo(given: Equations, prime: int) -> tuple[tuple[int, ...], list[list[int]]]:
-    """Return the kernel modulo a prime in reduced row echelon form: one derivation after the other cuts it down."""
+    """Return the kernel modulo a prime in reduced row echelon form, cut down by one derivation after the other."""
     from flint import nmod_mat
 
     size, values = given.unknowns, residues(given.values, prime)
     order, starts = groups(given.along)
     cuts = np.split(order, starts[1:]) if order.size else []
     kernel: Any = None
-    for at in sorted(cuts, key=len, reverse=True):  # the longest first: it leaves least
+    for at in sorted(cuts, key=len, reverse=True):  # the longest first, since it cuts off most
         names, row = np.unique(given.target[at], return_inverse=True)
         flat = [0] * (names.size * size)
         for place, value in zip((row * size + given.columns[at]).tolist(), values[at].tolist(), strict=True):
@@ -95,9 +95,9 @@ def annihilated(given: Equations, vector: Vector) -> bool:
 def _block_kernel(given: Equations, rng: np.random.Generator) -> list[Vector]:
     """Return the kernel of one block in reduced row echelon form.
 
-    Modulo a prime the kernel can only be larger than over the rational numbers. So when as many vectors as that are
-    reconstructed and fulfil the equations exactly, they span it: nothing is left to probability. Primes are multiplied
-    up until that happens; one that shows a larger kernel or later pivots is thrown away.
+    Modulo a prime the kernel is at least as large as over the rational numbers. When as many vectors as it has there
+    are reconstructed and fulfil the equations exactly, they span the kernel, and nothing is left to probability. Primes
+    are multiplied up until that happens. A prime that shows a larger kernel or later pivots is dropped.
     """
     pivots: tuple[int, ...] = ()
     columns: list[list[int]] = []

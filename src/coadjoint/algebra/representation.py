@@ -41,7 +41,7 @@ def read_representation(representation: Any, dim: int | None = None) -> Floats:
 def check_representation(representation: Any, triples: Triples, dim: int, names: Sequence[str]) -> Floats:
     """Check [rho_i, rho_j] = sum_k c_ij^k rho_k for every pair, entry by entry, from the nonzero entries only.
 
-    Each entry is held against 64 u times the sum of the absolute values of the products in it.
+    Each entry must be below 64 u times the sum of the absolute values of the products in it.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def check_representation(representation: Any, triples: Triples, dim: int, names:
     by_row, _ = groups(a, i)
     by_column, _ = groups(b, i)
     row_key, column_key = (a * dim + i)[by_row], (b * dim + i)[by_column]
-    # for i < j: rho_i rho_j joins on the column of rho_i, rho_j rho_i on its row, c_ij^k rho_k on k
+    # for i < j: rho_i rho_j is joined by the columns of rho_i, rho_j rho_i by its rows, c_ij^k rho_k by k
     joins: list[tuple[Integers, Integers]] = []
     for key, middle in ((row_key, b), (column_key, a)):
         start = np.searchsorted(key, middle * dim + i, side="right")

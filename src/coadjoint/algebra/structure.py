@@ -238,11 +238,10 @@ class Structure:
     def generic_rank(self) -> int:
         """Return the rank of J(x) at a generic x; ``dim - rank`` is the number of independent Casimirs.
 
-        Constants that stand for simple fractions (q <= 10^6), or that are exact as floats, and then fulfil the Jacobi
-        identity exactly, give an exact rank: the larger of two, modulo random 62-bit primes at random points (seeded:
-        the same answer every time). It is never too large, and too small with probability below 2^-60 (Schwartz and
-        Zippel; `coadjoint.algebra.modular`). Constants that are known to round-off only give the rank of the singular
-        values.
+        Constants are read as simple fractions (q <= 10^6), or as exact floats. Where they then fulfil the Jacobi
+        identity exactly, the rank is the larger of two, modulo random 62-bit primes at random points (seeded: the same
+        answer every time). It is never too large, and too small with probability below 2^-60 (Schwartz and Zippel;
+        `coadjoint.algebra.modular`). For constants that are known to round-off only, singular values decide the rank.
 
         Returns
         -------

@@ -99,7 +99,8 @@ def _combined(g: LieAlgebra, vectors: Sequence[Vector]) -> Floats | None:
 def _casimirs(g: LieAlgebra, rows: Sequence[Mapping[int, Number]], dim: int, exact: bool) -> dict[str, Any]:
     """Return the known Casimirs in new coordinates, x_i = sum_j rows[i][j] y_j; those that vanish are left out.
 
-    Where the new constants are rounded, so are the coefficients: Casimirs are then no more exact than the algebra.
+    Where the new constants are rounded, the coefficients are rounded too. Casimirs are then no more exact than the
+    algebra.
     """
 
     def changed(p: Polynomial) -> Polynomial:
@@ -173,7 +174,7 @@ def change_of_basis(g: LieAlgebra, matrix: Any, basis: Sequence[str] | None = No
     for number, vector in enumerate(new):
         for j in vector:
             having[j].append(number)
-    # Each old constant goes to so many new ones at most, and there are no more than all.
+    # Each old constant contributes to so many new ones at most, and there are at most all of them.
     spread, joined = np.array([len(numbers) for numbers in having]), np.array([len(vector) for vector in inverse])
     most = 2 * int((spread[g.triples.i] * spread[g.triples.j] * joined[g.triples.k]).sum())
     constants = min(most, g.dim**2 * (g.dim - 1) // 2)

@@ -7,7 +7,8 @@ from fractions import Fraction
 from typing import Any
 
 from coadjoint.algebra.exact import exact_number
-from coadjoint.algebra.polynomial import Exponents, Polynomial
+from coadjoint.algebra.monomials import Exponents
+from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.polynomial_text import coordinate_names, latex, plain, sympy_of
 from coadjoint.algebra.product_sums import Coefficient
 from coadjoint.given import read_number
@@ -19,9 +20,9 @@ class SymbolicPolynomial:
     Parameters
     ----------
     polynomial : Polynomial
-        In the coordinates and then the symbols.
+        The polynomial in the coordinates, followed by the symbols.
     symbols : sequence of str
-        Names of the last coordinates.
+        Names of the symbols.
 
     Examples
     --------

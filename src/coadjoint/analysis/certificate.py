@@ -48,11 +48,11 @@ class Row:
     claimed : bool
         Whether the scheme declares something that must hold for the certificate to be passed.
     value, bound : float or None
-        The number that decided, and what it was held against.
+        The number that decided, and the bound that it was compared with.
     source : str
         Where the bound comes from.
     reason : str
-        Why it is not applicable or not decidable; what else is to be known.
+        Why the check is not applicable or not decidable, or what else the reader should know.
     evidence : mapping
         Name -> array or number: all that was measured.
     """
@@ -131,7 +131,7 @@ class Certificate:
 
     @property
     def passed(self) -> bool:
-        """Whether every declared property holds; one that cannot be decided does not."""
+        """Whether every declared property holds. A property that cannot be decided counts as one that does not hold."""
         return all(row.verdict in (HOLDS, INAPPLICABLE) for row in self.rows if row.claimed)
 
     @property
@@ -146,7 +146,7 @@ class Certificate:
 
     @property
     def failures(self) -> tuple[Row, ...]:
-        """The rows of declared properties that do not hold, or of which that cannot be told."""
+        """The rows of declared properties that do not hold, or that cannot be decided."""
         return tuple(row for row in self.rows if row.claimed and row.verdict not in (HOLDS, INAPPLICABLE))
 
     def __getitem__(self, key: str) -> Row:

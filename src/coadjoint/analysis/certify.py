@@ -41,12 +41,12 @@ def certify(
     properties: Properties | None = None,
     symmetric: bool | None = None,
 ) -> Certificate:
-    """Measure what a scheme keeps on a system, and hold it against what the scheme declares.
+    """Measure what a scheme keeps on a system, and compare it with what the scheme declares.
 
-    For the first run of a new system, a new scheme or an unusual step, and for every scheme of your own. Measured are
-    the order and the limit of small steps, against a closed form or an independent code (a flow at the wrong speed
-    keeps every invariant); the symmetry; the Poisson bracket, by the tangent of the step; energy and Casimirs, in a
-    step and over a long run; and what the group element keeps, where the scheme carries one.
+    Choose it for the first run of a new system, a new scheme or an unusual step, and for every scheme of your own.
+    These are measured: the order and the limit of small steps, against a closed form or an independent code (a flow at
+    the wrong speed keeps every invariant); the symmetry; the Poisson bracket, by the tangent of the step; energy and
+    Casimirs, in a step and over a long run; and what the group element keeps, where the scheme carries one.
 
     Parameters
     ----------
@@ -54,21 +54,21 @@ def certify(
         What moves.
     method : Method or callable
         A scheme, or a function ``step(x, h)`` (``step(x, t, h)`` where the Hamiltonian depends on time) that returns
-        the state after a step of length h, negative for backward. Of a function say what it declares by the last three
-        parameters; what is not said is measured, and cannot fail.
+        the state after a step of length h, negative for backward. What a function declares is said by the last three
+        parameters. What is not said is measured, and cannot fail.
     x0 : array_like, shape (n,) or (k, n)
-        A state, from which further ones along the motion are taken, or a sample of four or more, of which the first
-        eight are looked at.
+        A state, or a sample of states. To fewer than four states others along the motion are added; of more than eight
+        the first eight are taken.
     step : float
         The step; negative for backward. Order, symmetry and defects are also looked at with other steps.
     steps : int, optional
-        Of the long run.
+        Number of steps of the long run.
     order : int, optional
-        Order of accuracy of a function.
+        Order of accuracy that a function declares.
     properties : Properties, optional
-        What a function keeps, ``co.methods.Properties(poisson=, energy=, casimirs=, attitude="none")``.
+        What a function declares to keep, ``co.methods.Properties(poisson=, energy=, casimirs=, attitude="none")``.
     symmetric : bool, optional
-        Whether a step back of a function undoes a step.
+        Whether a function declares that a step back undoes a step.
 
     Returns
     -------

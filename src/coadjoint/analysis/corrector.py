@@ -25,8 +25,8 @@ Floats = npt.NDArray[np.float64]
 
 MOST_MONOMIALS = 1500
 POINTS_EACH = 4  # points of the motion for each monomial that is fitted
-# Combinations of monomials that change the energy along the motion by less than a part of the most are left alone: as
-# many of them as keep what the corrector moves below this multiple of what the term to be undone moves in one radian.
+# The fit leaves out combinations of monomials that hardly change the energy along the motion. It leaves out as many as
+# make the corrector move states by less than this multiple of what the term to be undone moves them in one radian.
 LARGEST = 4.0
 PARTS = tuple(10.0**-k for k in range(10, 0, -1))
 
@@ -34,9 +34,9 @@ PARTS = tuple(10.0**-k for k in range(10, 0, -1))
 class Corrector:
     """The flow of h^p G, which takes computed states to better ones; `corrector` makes it.
 
-    With a kernel K of order p, a step of which is the flow of H + h^p H_p, the steps P K P^-1 with this map P are those
-    of H + h^p (H_p + sign {G, H}). G is chosen so that the second term hardly changes along the motion. The kernel runs
-    as ever; P is applied to what is looked at.
+    A step of a kernel K of order p is the flow of H + h^p H_p + .... With this map P, the step P K P^-1 is the flow of
+    H + h^p (H_p + sign {G, H}) + .... G is chosen so that the second term hardly changes along the motion. The kernel
+    runs as ever; P is applied to the states that are looked at.
 
     Attributes
     ----------
@@ -45,8 +45,9 @@ class Corrector:
     order : int
         The order p of the kernel.
     remaining : float
-        Largest change of H_p + sign {G, H} along the motion over that of H_p: by this factor the energy of the output
-        wanders less, as long as h is small. At round-off the effective order is p + 2.
+        Largest change of H_p + sign {G, H} along the motion, divided by that of H_p. For small h the energy of the
+        output wanders by this part of what the energy of the kernel does. Where it is zero up to round-off, the energy
+        error of the output falls with h^(p + 2).
 
     Examples
     --------
@@ -77,7 +78,7 @@ class Corrector:
         x : array_like, shape (..., n)
             States of the kernel.
         h : float
-            Its step, with its sign.
+            The step of the kernel, with its sign.
 
         Returns
         -------
@@ -86,7 +87,7 @@ class Corrector:
         return self._moved(x, h, 1.0)
 
     def inverse(self, x: npt.ArrayLike, h: float) -> Floats:
-        """Return where the kernel starts, for a state that is given; parameters are those of a call."""
+        """Return the state from which the kernel starts, for a given first output; parameters as for a call."""
         return self._moved(x, h, -1.0)
 
     def _moved(self, x: npt.ArrayLike, h: float, direction: float) -> Floats:
@@ -107,9 +108,9 @@ class Corrector:
 def corrector(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike) -> Corrector:
     """Return a map for output under which the energy of a splitting wanders less near a motion.
 
-    Processing without a new scheme: the map comes from the modified Hamiltonian of the system at hand. Choose it where
-    energies or other smooth functions of the output are compared at a step that is not small; the phase errors of long
-    runs are those of the kernel.
+    This is processing without a new scheme: the map comes from the modified Hamiltonian of the system at hand. Choose
+    it where energies or other smooth functions of the output are compared, at a step that is not small. It does nothing
+    for the phase errors of long runs, which stay those of the kernel.
 
     Parameters
     ----------
@@ -197,6 +198,6 @@ def _monomials(n: int, degree: int) -> list[Polynomial]:
 
 
 def _changes(functions: list[Polynomial], points: Floats) -> Any:
-    """Return functions at the points of a motion less their means, shape (k, functions)."""
+    """Return the values of functions at the points of a motion, less their means, shape (k, functions)."""
     values = np.stack([np.asarray(f(points)) for f in functions], axis=1)
     return values - values.mean(axis=0)

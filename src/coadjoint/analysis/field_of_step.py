@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, fraction
+from coadjoint.algebra.exact import fraction
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 
 Field = list[Exact]
 """The n polynomials of a vector field."""
@@ -19,20 +20,21 @@ Field = list[Exact]
 def field_of_series(ring: ExactPolynomials, series: Sequence[Field]) -> list[Field]:
     """Return f_0, f_1, ... with exp(h (f_0 + h f_1 + ...)) = the series of a step.
 
-    Each term is what the flow of those before leaves of the series: with D the derivative along h f_0 + h^2 f_1 + ...,
-    the flow is sum_m D^m x / m!, and f_k first occurs in the coefficient of h^(k+1), as itself.
+    The terms are found one after the other. With D the derivative along h f_0 + h^2 f_1 + ..., the flow is sum_m D^m x
+    / m!, in which f_k first occurs in the coefficient of h^(k+1), with the factor one. So f_k is this coefficient of
+    the series, less that of the flow of the terms before.
 
     Parameters
     ----------
     ring : ExactPolynomials
-        What the coefficients belong to.
+        The ring of the coefficients.
     series : sequence
         The coefficients of h^0 (the coordinates), h^1, ... of the step, n polynomials each.
 
     Returns
     -------
     list
-        n polynomials for each power of h, one fewer than of the series.
+        For each power of h n polynomials; one power fewer than the series has.
 
     Notes
     -----
@@ -91,8 +93,9 @@ def size_of(polynomial: Exact) -> float:
 def field_at(step: Callable[[NDArray[Any], Any], Any], x: NDArray[Any], steps: Sequence[Any]) -> NDArray[Any]:
     """Return f_0(x), ..., f_(r-1)(x), from r steps of r different lengths.
 
-    X(h) = (1/h) sum_(m=1)^r (-1)^(m+1)/m (step - 1)^m x = f_0 + h f_1 + ... + O(h^r), powers of the operator that
-    composes with the step, and the polynomial in h through the r values.
+    X(h) = (1/h) sum_(m=1)^r (-1)^(m+1)/m (step - 1)^m x is f_0 + h f_1 + ... + O(h^r), where powers are those of the
+    operator that composes with the step. The terms are the coefficients of the polynomial in h through the r values of
+    X.
 
     Parameters
     ----------

@@ -19,9 +19,9 @@ Floats = NDArray[np.float64]
 
 WINDOW = 5
 FEWEST_SAMPLES = 64
-MOST_NUMBERS = 2**23  # held at once: ensembles are analysed in groups
+MOST_NUMBERS = 2**23  # that are held at once; ensembles are analysed in groups
 MOST_COMBINATIONS = 2**21
-NARROWER = 2  # the second window, whose difference says how much lines disturb each other
+NARROWER = 2  # power of the second window; the change between the two windows says how much lines disturb each other
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,10 @@ class Combinations:
     integers : ndarray of int, shape (lines, d)
         Line k has nearly the frequency ``integers[k] @ basis``.
     misfit : ndarray, shape (lines,)
-        What is left, in radians per unit of time.
+        Frequency of the line less that of the combination, in radians per unit of time.
     found : ndarray of bool, shape (lines,)
-        Whether the misfit is within what the frequencies are known to; the others are the nearest combination only.
+        Whether the misfit is within the uncertainty of the frequencies. Where not, the integers are those of the
+        nearest combination.
     """
 
     basis: Floats
@@ -53,17 +54,17 @@ class Frequencies:
     Attributes
     ----------
     frequency : ndarray, shape (lines,)
-        In radians per unit of time. Of a real signal they are positive. NaN where fewer lines stand above round-off.
+        In radians per unit of time; positive for a real signal. NaN where fewer lines stand above round-off.
     amplitude : ndarray, shape (lines,) or (lines, channels)
         Complex, at time zero: a real signal is mean + Re(sum_k a_k exp(i w_k t)), a complex one without Re.
     uncertainty : ndarray, shape (lines,)
         Standard error of the frequency: what a narrower window changes, what noise near the line would do, and
         round-off, together.
     diffusion : ndarray, shape (lines,)
-        Frequency in the second half of the span minus that in the first. Of a quasi-periodic motion it is small, and
-        falls like a high power of the span; of a chaotic one it does not.
+        Frequency in the second half of the span minus that in the first. For a quasi-periodic motion it is small and
+        falls like a high power of the span. For a chaotic motion it does not fall.
     mean : complex or float, or ndarray, shape (channels,)
-        What does not oscillate.
+        The constant part of the signal.
     residual : float or ndarray, shape (members,)
         Root mean square of the signal, in the middle of the span (under the window), without these lines.
     """
@@ -103,12 +104,13 @@ class Frequencies:
         Returns
         -------
         Combinations
-            Of all combinations within the uncertainty that with the smallest integers.
+            Among all combinations within the uncertainty, the one with the smallest integers.
 
         Raises
         ------
         ValueError
-            An ensemble; or more than two million combinations, with so many frequencies of that size.
+            An ensemble was given; or there are more than two million combinations of so many frequencies with integers
+            of that size.
 
         Examples
         --------
@@ -226,7 +228,7 @@ def _analysed(t: Floats, values: NDArray[Any], count: int, power: int) -> tuple[
     diffusion = _halves(s, values, lines, power)
     w = lines.frequency / half
     a = lines.amplitude * np.exp(-1j * w * middle)[..., None]
-    mirrored = (w < 0.0) & (not np.iscomplexobj(values))  # backward in time, or corrected beyond zero
+    mirrored = (w < 0.0) & (not np.iscomplexobj(values))  # in runs backward, or corrected beyond zero
     w, a = np.where(mirrored, -w, w), np.where(mirrored[..., None], a.conj(), a)
     diffusion = np.where(mirrored, -diffusion, diffusion)
     size = np.where(lines.present, np.linalg.norm(a, axis=2), -1.0)

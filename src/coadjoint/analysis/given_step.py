@@ -22,7 +22,7 @@ MOST_ORDER = 256
 
 @dataclass(frozen=True)
 class Claims:
-    """What is declared; None where nothing is said.
+    """What is declared of a step; None where nothing is said.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def scheme_and_claims(
     Raises
     ------
     TypeError, ValueError
-        It is neither, or the claims do not fit.
+        It is neither a scheme nor a function, or the claims do not fit.
     """
     said = {"order": order, "properties": properties, "symmetric": symmetric}
     if isinstance(method, Method):

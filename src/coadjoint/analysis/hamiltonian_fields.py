@@ -9,7 +9,7 @@ from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.analysis.field_of_step import Field, size_of
 from coadjoint.memory import check_room
 
-BYTES_PER_ENTRY = 40  # of a matrix of fractions while it is reduced
+BYTES_PER_ENTRY = 40  # for each entry of a matrix of fractions while it is reduced
 
 
 def bracket_change(ring: ExactPolynomials, J: list[Field], field: Field) -> float:
@@ -55,7 +55,7 @@ def bracket_change(ring: ExactPolynomials, J: list[Field], field: Field) -> floa
 def hamiltonian_of(ring: ExactPolynomials, J: list[Field], field: Field) -> Exact | None:
     """Return a polynomial H with J grad H = field, or None where there is none.
 
-    It is unique up to Casimirs; what those leave open is zero.
+    H is unique up to Casimirs. Coefficients that Casimirs leave open are zero.
 
     Parameters
     ----------

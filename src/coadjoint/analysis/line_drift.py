@@ -18,8 +18,8 @@ from coadjoint.systems.batch import Batch
 from coadjoint.wording import short
 
 POWER = 3
-PLACES = 96  # of the window
-PART = 8  # of the span, that the window takes where nothing is said
+PLACES = 96  # at which the window is put along the span
+PART = 8  # the window takes 1/8 of the span where no width is given
 FEWEST_IN_WINDOW = 32
 
 
@@ -36,15 +36,15 @@ def line_drift(
     solution : Solution
         A run, whose saved points are even.
     frequency : float
-        Of the line, in radians per unit of time; from `frequencies` of the right motion.
+        Frequency of the line in radians per unit of time, from `frequencies` of the right motion.
     reference : Solution or callable, optional
         A better run with the same saved times, or a function of times (k,) that returns states (k, n); None is the
         closed form of the system.
     signal : None, int, str or callable
         As for `frequencies`: a component, or a function of the states. Names need a run for the reference.
     width : float, optional
-        Of the window in which phases are taken, in units of time; an eighth of the span by default. Other lines must
-        be further away than 8 pi / width.
+        Width of the window in which phases are taken, in units of time; an eighth of the span by default. Other lines
+        must be further away than 8 pi / width.
 
     Returns
     -------
@@ -121,7 +121,7 @@ def demodulated(
     Returns
     -------
     ndarray, shape (places, channels)
-        Of a real signal half the amplitude.
+        The amplitudes; for a real signal half of them.
     """
     slow = values * np.exp(-1j * w * t)[:, None]
     return np.array([weight @ slow[first : first + len(weight)] for first in places])

@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 WHILE_SEARCHING = 4  # corrections of all lines after each new one
 IN_THE_END = 12
-NEAREST = 2.0  # bins, 2 pi over the span: nearer lines are not told apart
+NEAREST = 2.0  # bins of 2 pi over the span; nearer lines are not told apart
 NEIGHBOURS = 32  # bins on either side of a line whose median power is its noise
 
 
@@ -30,7 +30,7 @@ class Lines(NamedTuple):
     mean : ndarray, shape (members, channels)
         What does not oscillate.
     residual : ndarray, shape (members, samples, channels)
-        The rest.
+        The signal less mean and lines.
     present : ndarray of bool, shape (members, lines)
         Whether the line stands above round-off.
     """
@@ -109,11 +109,11 @@ def correct_lines(
     frequency : ndarray, shape (members, lines)
         To start from.
     present : ndarray of bool, shape (members, lines)
-        Which of them may move.
+        Which of the frequencies may move.
     weight : ndarray, shape (samples,)
         The window.
     iterations : int
-        At most so many; it ends before where the corrections no longer fall.
+        Largest number of iterations; they end earlier where the corrections no longer fall.
 
     Returns
     -------
@@ -131,7 +131,7 @@ def correct_lines(
     for _ in range(iterations):
         fit = _amplitudes(s, values, w, weight)
         moments = np.einsum("msa,msc->mac", fit.columns.conj() * weight[:, None], fit.residual)
-        inner = fit.columns.shape[2] // 2 + 1  # of B; then come the columns s B, without s itself
+        inner = fit.columns.shape[2] // 2 + 1  # columns of B; the columns s B follow, without s itself
         eliminated = np.linalg.solve(fit.gram[:, :inner, :inner], fit.gram[:, :inner])
         schur = fit.gram - np.swapaxes(eliminated.conj(), 1, 2) @ fit.gram[:, :inner]
         rest = moments - np.swapaxes(eliminated.conj(), 1, 2) @ moments[:, :inner]
@@ -168,8 +168,8 @@ def spread_by_noise(lines: Lines, s: Floats, power: int) -> Floats:
     Returns
     -------
     ndarray
-        The noise is the median of the power of the residual near the line, which lines that were not asked for do
-        not raise; for white noise it is right.
+        The standard errors. The noise is the median of the power of the residual near the line. Lines that were not
+        asked for do not raise a median. For white noise the error is right.
     """
     weight = hann(s, power)
     real = not np.iscomplexobj(lines.residual)
@@ -208,7 +208,7 @@ def _amplitudes(s: Floats, values: NDArray[Any], w: Floats, weight: Floats) -> _
     inner = gram[:, : inside.shape[2], : inside.shape[2]]
     products = np.swapaxes(weighted[..., : inside.shape[2]], 1, 2)
     coefficients = np.linalg.solve(inner, products @ values)
-    # Once more, from the residual: the weak lines get the digits that the strong ones took.
+    # Once more, from the residual: so weak lines are as accurate as strong ones.
     coefficients = coefficients + np.linalg.solve(inner, products @ (values - inside @ coefficients))
     k = w.shape[1]
     turned = coefficients[:, 1:]

@@ -21,8 +21,8 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System, check_system
 from coadjoint.wording import short
 
-POINTS = 200  # saved times, where nobody says how many
-BLOCKS = 10  # of the time, whose exponents scatter
+POINTS = 200  # saved times, where no number is given
+BLOCKS = 10  # of the time; the scatter of their exponents is the uncertainty
 MOST_STEPS = 2**53  # of a run
 
 
@@ -35,7 +35,7 @@ class LyapunovExponents:
     t : ndarray, shape (points + 1,)
         The end of the transient, and the saved times after it.
     stretches : ndarray, shape (points + 1, k) or (points + 1, members, k)
-        Logarithms of by how much each vector was stretched since the transient.
+        Logarithm of the factor by which each vector was stretched since the transient.
     dim : int
         The dimension of the system.
     by : str
@@ -60,21 +60,21 @@ class LyapunovExponents:
 
     @property
     def exponents(self) -> NDArray[np.float64]:
-        """The estimates over all of the time, shape (k,) or (members, k): the largest comes first in the limit."""
+        """The estimates over all of the time, shape (k,) or (members, k); in the limit the largest comes first."""
         return np.asarray(self.history[-1])
 
     @property
     def history(self) -> NDArray[np.float64]:
-        """The estimates until each of t[1:], shape (points, k) or (points, members, k)."""
+        """The estimates up to each time t[1:], shape (points, k) or (points, members, k)."""
         return np.asarray(self.stretches[1:] / self._elapsed[1:])
 
     @property
     def uncertainty(self) -> NDArray[np.float64]:
-        """What the estimates may be wrong by, of the shape of `exponents`.
+        """How wrong the estimates may be, in the shape of `exponents`.
 
-        The larger of two: the standard error of the mean of ten blocks of the time (fewer where fewer times are saved),
-        and how far the estimate moved within the last half. The first holds for chaotic motion; the second is what
-        remains of an exponent that falls like log(t)/t. NaN where no two times are saved.
+        The larger of two numbers. One is the standard error of the mean of ten blocks of the time (fewer where fewer
+        times are saved); it holds for chaotic motion. The other is how far the estimate moved within the last half of
+        the time; it is what remains of an exponent that falls like log(t)/t. NaN where no two times are saved.
         """
         edges = np.unique(np.linspace(0, len(self.t) - 1, BLOCKS + 1).round().astype(int))
         if len(edges) < 3:
@@ -86,7 +86,7 @@ class LyapunovExponents:
 
     @property
     def sum(self) -> NDArray[np.float64]:
-        """The sum of the exponents: of all of them, how fast volumes grow, zero on a unimodular algebra."""
+        """The sum of the exponents. With all n it says how fast volumes grow: zero on a unimodular algebra."""
         return np.asarray(np.sum(self.exponents, axis=-1))
 
     @property
@@ -238,7 +238,7 @@ def frame_of(count: int, size: int) -> NDArray[np.float64]:
         for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB), (31, 1)):
             mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
     vectors = ((mixed >> np.uint64(11)).astype(np.float64) * 2.0**-53 - 0.5).reshape(count, size).T.copy()
-    for _ in range(2):  # the second time for the digits that the first one lost
+    for _ in range(2):  # twice, since the first time loses digits
         if make_orthonormal(vectors) is None:
             raise AssertionError("the mixed bits are not independent")
     return np.ascontiguousarray(vectors.T)

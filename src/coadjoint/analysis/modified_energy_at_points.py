@@ -22,9 +22,9 @@ class ModifiedEnergyAtPoints:
     """The function H + h^2 H2 + ... where H has functions of Python in it: it is evaluated, not written down.
 
     At each point the parts are expanded in Taylor polynomials, whose brackets are exact. Derivatives up to the second
-    are those that were given, so that H + h^2 H2 of a symmetric scheme is as accurate as they are; above, functions
-    are differentiated on circles in the complex plane, to some ten digits, or refused where less than six are found.
-    A point takes milliseconds at order 4, and a second at order 6 in six dimensions. `modified_hamiltonian` makes it.
+    are those that were given. So H + h^2 H2 of a symmetric scheme is as accurate as they are. For higher derivatives
+    functions are evaluated on circles in the complex plane, which gives some ten digits; less than six are refused. A
+    point takes milliseconds at order 4, and a second at order 6 in six dimensions. `modified_hamiltonian` makes it.
 
     Attributes
     ----------

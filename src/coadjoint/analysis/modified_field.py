@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.analysis.exact_field import ExactField
+from coadjoint.analysis.field_at_points import FieldAtPoints
 from coadjoint.analysis.field_of_step import field_of_series, size_of
-from coadjoint.analysis.modified_fields import ExactField, FieldAtPoints, ModifiedField
+from coadjoint.analysis.modified_fields import ModifiedField
 from coadjoint.analysis.step_series import ExactSystem, check_at_a_point, scale_of_motion
 from coadjoint.extras import need
 from coadjoint.given import read_choice, read_whole
@@ -20,7 +22,7 @@ from coadjoint.systems.user_functions import check_arguments
 from coadjoint.wording import short
 
 MOST = 64
-MARGIN = 1000  # a term below the order of a scheme that is fewer roundings of its coefficients than that is zero
+MARGIN = 1000  # below the order of a scheme, a term smaller than so many roundings of its coefficients is zero
 WAYS = ("auto", "exact", "numerical")
 
 
@@ -28,8 +30,9 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     """Return the field X = f_0 + h f_1 + h^2 f_2 + ... whose flow over a time h is the step of a scheme (Lemma 6.1).
 
     A scheme of order p solves x' = X(x, h) far more accurately than x' = f(x): f_0 = f, f_1 = ... = f_(p-1) = 0, and
-    f_p is its leading error. What each f_k keeps, the scheme keeps to that power of h over times that are long. Choose
-    it to see what a scheme does to your own system; for a splitting `Splitting` has a modified Hamiltonian as well.
+    f_p is its leading error. What every f_k keeps, the scheme keeps; what f_k is the first to lose, it loses at the
+    power h^k. Choose it to see what a scheme does to your own system. For splittings `coadjoint.modified_hamiltonian`
+    says more.
 
     Parameters
     ----------
@@ -40,11 +43,11 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     order : int
         The terms f_k h^k with k < order are kept.
     way : {"auto", "exact", "numerical"}
-        ``"exact"``: polynomials with rational coefficients, from the step read in power series. For Runge-Kutta,
-        modified and splitting schemes, series and their compositions, and steps of your own made of sums, products and
-        quotients, on systems whose field is a polynomial. ``"numerical"``: the terms are computed at each point from
-        steps in many digits; for any step that accepts mpmath numbers. ``"auto"``: the first where it can be had; the
-        field says in ``reason`` why it could not.
+        ``"exact"``: polynomials with rational coefficients, from the step read in power series. It serves Runge-Kutta,
+        modified and splitting schemes, Taylor series, compositions of these, and steps of your own made of sums,
+        products and quotients, on systems whose field is a polynomial. ``"numerical"``: the terms are computed at each
+        point from steps in many digits, for any step that takes mpmath numbers. ``"auto"``: the exact way where it is
+        possible; elsewhere ``reason`` of the field says why it is not.
 
     Returns
     -------
@@ -53,7 +56,7 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     Raises
     ------
     TypeError, ValueError
-        The Hamiltonian depends on time; the scheme does not serve the system; neither way can be had.
+        The Hamiltonian depends on time; the scheme does not serve the system; neither way is possible.
 
     References
     ----------

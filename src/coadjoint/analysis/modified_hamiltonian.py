@@ -1,77 +1,50 @@
-"""Which Hamiltonian does a splitting keep? That of the nearby system which its steps solve, power by power of h."""
+"""Which Hamiltonian does a splitting keep? That of the nearby system that its steps solve, power by power of h."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.algebra.polynomial_text import coordinate_names, latex, plain, rounded_if_long
+from coadjoint.algebra.polynomial_text import coordinate_names, readable, readable_latex
 from coadjoint.algebra.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.analysis.modified_energy_at_points import ModifiedEnergyAtPoints
-from coadjoint.analysis.symbols_of_hamiltonian import Symbols, no_symbols, symbols_of
+from coadjoint.analysis.scheme_terms import HIGHEST, ErrorTerm, SchemeTerms, Term
+from coadjoint.analysis.symbols_of_hamiltonian import no_symbols, symbols_of
 from coadjoint.extras import need
 from coadjoint.given import is_of_a_ring, read_whole
 from coadjoint.methods.base import Method
-from coadjoint.program.composition_logarithm import Coordinates, composition_logarithm, swept_exactly
-from coadjoint.program.modified_series import Balls, ModifiedSeries
-from coadjoint.program.part_polynomials import part_polynomials, with_given_coefficients
-from coadjoint.program.rational_pieces import rational_pieces
-from coadjoint.program.sweep_logarithm import Commutators
-from coadjoint.program.sweeps import Sweep
-from coadjoint.program.table import Program
+from coadjoint.program.composition_logarithm import swept_exactly
+from coadjoint.program.modified_terms import coordinates_of
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.polynomial_form import polynomial_of
 from coadjoint.wording import short
 
-HIGHEST = 12
-"""Terms below h^12: beyond, the words in the free algebra alone take minutes."""
-
-MOST_SHOWN = 30  # monomials of a term, where it is printed
-
-Term = Polynomial | SymbolicPolynomial
-
-
-class ErrorTerm(NamedTuple):
-    """The first term that a scheme adds to the Hamiltonian: h^power times a function.
-
-    Parameters
-    ----------
-    power : int or None
-        Of h: the order of the scheme. None where a step is the flow of H itself, of a single part.
-    term : Polynomial or SymbolicPolynomial
-        The function; it may be zero for a system whose parts commute more than they must.
-    """
-
-    power: int | None
-    term: Term
-
 
 class ModifiedHamiltonian:
     """The function H + h^2 H2 + ... that a splitting keeps: a step is its flow over h, up to O(h^(order + 1)).
 
-    `modified_hamiltonian` makes it. Call it as ``H(x, h)``, h negative for runs backward in time; along a run it is
-    kept to O(h^order).
+    `modified_hamiltonian` makes it. Call it as ``H(x, h)``, with h negative for runs backward in time. Along a run its
+    value is kept to O(h^order).
 
     Attributes
     ----------
     terms : mapping of int to Polynomial
-        Power of h -> its factor, where that is not zero; a `SymbolicPolynomial` where symbols were asked for. Fractions
-        where the coefficients of the scheme are rational, else floats.
+        Power of h -> its factor, where that is not zero; a `SymbolicPolynomial` where symbols were asked for.
+        Coefficients are fractions where those of the scheme are rational, else floats.
     order : int
         The terms are those below h^order.
     radius : float
         The largest relative error of a coefficient before it was rounded to float64; 0 where all are exact.
     neglected : float
-        What was taken as zero is not larger: what the rounding of the scheme's own coefficients leaves of its order
-        conditions, and coefficients that are zero up to that rounding.
+        Bound of the coefficients that were taken as zero, because only rounding of the scheme's own coefficients keeps
+        them from being zero.
     values : mapping of str to number
         Name of a symbol -> the coefficient of H that it stands for; empty where no symbols were asked for.
 
@@ -94,7 +67,7 @@ class ModifiedHamiltonian:
         radius: float = 0.0,
         neglected: float = 0.0,
         values: Mapping[str, Any] | None = None,
-        source: _Source | None = None,
+        source: SchemeTerms | None = None,
     ) -> None:
         self.terms: Mapping[int, Term] = MappingProxyType(dict(terms))
         self.order, self.radius, self.neglected = order, radius, neglected
@@ -115,10 +88,10 @@ class ModifiedHamiltonian:
 
     @cached_property
     def kernel(self) -> ModifiedHamiltonian:
-        """That of the kernel K alone of a processed scheme P K P^-1; the same of other schemes."""
+        """The modified Hamiltonian of the kernel K of a processed scheme P K P^-1; of other schemes the same one."""
         if self._source is None:
             raise TypeError("a modified Hamiltonian with values for its symbols has no scheme; ask the symbolic one")
-        return self._source.kernel().found(self.order)
+        return _made_of(self._source.kernel(), self.order)
 
     def _numeric(self) -> Mapping[int, Polynomial]:
         if self.values:
@@ -148,7 +121,7 @@ class ModifiedHamiltonian:
 
     def _sum(self, at: Callable[[Polynomial], Any], h: Any) -> Any:
         terms = self._numeric()
-        # The small terms are added up first.
+        # Small terms are added first.
         total: Any = 0
         try:
             for k in sorted(terms, reverse=True):
@@ -158,12 +131,12 @@ class ModifiedHamiltonian:
         return total
 
     def with_values(self, values: Mapping[str, Any] | None = None) -> ModifiedHamiltonian:
-        """Return it with numbers for the symbols.
+        """Return the function with numbers in place of the symbols.
 
         Parameters
         ----------
         values : mapping, optional
-            Name -> number; symbols that are not named take the coefficients of the system's own H.
+            Name -> number. Symbols that are not named take the coefficients of the system's H.
 
         Returns
         -------
@@ -183,14 +156,17 @@ class ModifiedHamiltonian:
         return ModifiedHamiltonian(terms, self.order, radius=self.radius, neglected=self.neglected)
 
     def __repr__(self) -> str:
-        return self._written(repr, _plain, "*")
+        return self._written(repr, lambda term: readable(term.monomials, coordinate_names(term.dim)), "*")
 
     def to_latex(self) -> str:
         """Return it as LaTeX, without dollars, all digits."""
         return self._written(lambda term: term.to_latex(), lambda term: term.to_latex(), r"\,", "h^{{{0}}}")
 
     def _repr_latex_(self) -> str:
-        written = self._written(lambda term: term.to_latex(), _readable_latex, r"\,", "h^{{{0}}}")
+        def numeric(term: Polynomial) -> str:
+            return readable_latex(term.monomials, coordinate_names(term.dim))
+
+        written = self._written(lambda term: term.to_latex(), numeric, r"\,", "h^{{{0}}}")
         return f"${written}$"
 
     def to_sympy(self) -> Any:
@@ -210,94 +186,10 @@ class ModifiedHamiltonian:
         return text
 
 
-def _plain(term: Polynomial) -> str:
-    if len(term.monomials) > MOST_SHOWN:
-        return f"<{len(term.monomials)} monomials of degree {term.degree} and less>"
-    return plain(rounded_if_long(term.monomials), coordinate_names(term.dim))
-
-
-def _readable_latex(term: Polynomial) -> str:
-    if len(term.monomials) > MOST_SHOWN:
-        return rf"\text{{{len(term.monomials)} monomials}}"
-    return latex(rounded_if_long(term.monomials), coordinate_names(term.dim))
-
-
 def _step(h: Any) -> Any:
     if isinstance(h, bool) or not is_of_a_ring(h) or np.ndim(h):
         raise TypeError(f"the step h is {short(h)}; it must be a number")
     return h
-
-
-class _Source:
-    """What terms are made from: a program, and the sweeps of its scheme."""
-
-    def __init__(
-        self,
-        system: LiePoissonSystem,
-        program: Program,
-        sweeps: list[Sweep],
-        after: list[Sweep],
-        order: int,
-        symbols: Symbols,
-    ) -> None:
-        self._system, self._program, self._symbols = system, program, symbols
-        self._sweeps, self._after, self._order = sweeps, after, order
-
-    def kernel(self) -> _Source:
-        """Return that of the kernel alone."""
-        return _Source(self._system, self._program, self._sweeps, [], self._order, self._symbols)
-
-    def found(self, order: int) -> ModifiedHamiltonian:
-        """Return the terms below h^order."""
-        terms, radius, neglected = self._terms(self._coordinates(order), range(2, order + 1))
-        return ModifiedHamiltonian(
-            {0: self._symbols.hamiltonian, **terms},
-            order,
-            radius=radius,
-            neglected=neglected,
-            values=self._symbols.values,
-            source=self,
-        )
-
-    def error_term(self) -> ErrorTerm:
-        """Return the first term above h^0 that the scheme has whatever the system."""
-        if len(self._program.parts) > 1 or np.any(self._program.frequency != 0):
-            for highest in range(min(self._order + 1, HIGHEST + 1), HIGHEST + 2):
-                coordinates = self._coordinates(highest)
-                weight = coordinates.leading
-                if weight is not None:
-                    terms, _, _ = self._terms(coordinates, [weight])
-                    return ErrorTerm(weight - 1, terms.get(weight - 1, self._symbols.zero))
-        return ErrorTerm(None, self._symbols.zero)
-
-    def _coordinates(self, highest: int) -> Coordinates:
-        return coordinates_of(self._program, self._sweeps, self._after, highest, self._order)
-
-    def _terms(self, coordinates: Coordinates, weights: Any) -> tuple[dict[int, Term], float, float]:
-        ring = ExactPolynomials(self._system.algebra, tuple(self._symbols.values))
-        weights = [weight for weight in weights if coordinates.of_weight[weight]]
-        highest = max(weights, default=1)
-        series = ModifiedSeries(Commutators(ring, self._system.sign), self._flows(ring, highest), highest)
-        found: dict[int, Term] = {}
-        radius, neglected = 0.0, coordinates.neglected
-        for weight in weights:
-            term = series.term(coordinates, weight)
-            if isinstance(term, Balls):
-                radius, neglected = max(radius, term.radius), max(neglected, term.neglected)
-                polynomial = Polynomial(term.coefficients, dim=ring.dim + len(ring.symbols))
-            else:
-                polynomial = ring.with_symbols(term)
-            if polynomial.monomials:
-                found[weight - 1] = self._symbols.written(polynomial)
-        return found, radius, neglected
-
-    def _flows(self, ring: ExactPolynomials, highest: int) -> list[dict[int, Exact]]:
-        parts = self._program.parts
-        pieces = part_polynomials(ring, parts)
-        if not self._program.shift:
-            pieces = with_given_coefficients(ring, parts, pieces, self._symbols.given, self._symbols.factors(ring))
-        turned = rational_pieces(ring, parts, self._program.frequency, highest)
-        return [{1: piece, **more} for piece, more in zip(pieces, turned, strict=True)]
 
 
 def modified_hamiltonian(
@@ -305,13 +197,13 @@ def modified_hamiltonian(
 ) -> ModifiedHamiltonian | ModifiedEnergyAtPoints:
     """Return the modified Hamiltonian of a splitting or a composition: the terms below h^order.
 
-    A step is the flow over h of H + h^2 H2 + h^4 H4 + ... (asymptotic in h). What a run keeps can be read off that
-    function; schemes of one order compare as the sizes of their first terms.
+    A step is the flow over h of H + h^2 H2 + h^4 H4 + ... (asymptotic in h). Choose it to see what a run keeps, and to
+    compare schemes of one order by the sizes of their first terms.
 
     Parameters
     ----------
     system : LiePoissonSystem
-        With a Hamiltonian that splits and does not depend on time.
+        The system. Its Hamiltonian splits and does not depend on time.
     method : Method
         `Splitting` of any order, scheme and parts, a `Composition` of them, or a flow method of your own.
     order : int
@@ -323,13 +215,13 @@ def modified_hamiltonian(
     Returns
     -------
     ModifiedHamiltonian
-        Exact where the coefficients of the scheme are rational, floats of H being the rational numbers that they are.
-        Where H is no polynomial, a `ModifiedEnergyAtPoints`, which can only be evaluated.
+        It is exact where the coefficients of the scheme are rational; floats of H are taken as the rational numbers
+        that they are. Where H is no polynomial, a `ModifiedEnergyAtPoints`, which can only be evaluated.
 
     Raises
     ------
     TypeError
-        The scheme is not made of flows, or the system is none on a Lie algebra.
+        The scheme is not made of flows, or the system has no Lie algebra.
     ValueError
         The system cannot be served: its Hamiltonian depends on time or does not split; symbols where a Casimir was
         taken off H, squares were completed, or H is no polynomial; or terms too large for this machine.
@@ -372,19 +264,19 @@ def modified_hamiltonian(
         coordinates = coordinates_of(program, sweeps, after, order, method.order)
         return ModifiedEnergyAtPoints(system, program, coordinates, order)
     chosen = symbols_of(H, symbols, program) if symbols is not False else no_symbols(H)
-    return _Source(system, program, sweeps, after, method.order, chosen).found(order)
+    return _made_of(SchemeTerms(system, program, sweeps, after, method.order, chosen), order)
+
+
+def _made_of(source: SchemeTerms, order: int) -> ModifiedHamiltonian:
+    terms, radius, neglected = source.below(order)
+    values = source.symbols.values
+    return ModifiedHamiltonian(terms, order, radius=radius, neglected=neglected, values=values, source=source)
 
 
 def check_subject(system: System, method: Any) -> LiePoissonSystem:
-    """Return the system; refuse what is not one system on a Lie algebra, and what is no scheme."""
+    """Return the system. Refuse anything but one system on a Lie algebra, with a scheme."""
     if not isinstance(method, Method):
         raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=4)")
     if not isinstance(system, LiePoissonSystem):
         raise TypeError(f"the system is {short(system)}; a modified Hamiltonian is for one LiePoissonSystem")
     return system
-
-
-def coordinates_of(program: Program, sweeps: list[Sweep], after: list[Sweep], highest: int, order: int) -> Coordinates:
-    """Return the Lie series of a step by a program; parameters are those of `composition_logarithm`."""
-    rational = bool(np.any(program.frequency != 0))
-    return composition_logarithm(sweeps, after, highest, order=order, parts=len(program.parts), rational=rational)

@@ -16,10 +16,10 @@ Floats = NDArray[np.float64]
 
 RELATIVE, ABSOLUTE = 2.5e-14, 1e-16  # tolerances of the integration; SciPy takes no smaller relative one
 RETURNED = 1e-8  # of the size of the orbit
-NEARLY = 1e-5  # the same, of a crossing that is interpolated
-AT_REST = 2.0**-40  # of the speed that its own derivative would make of the size of the state
-SHORTEST = 1e-6  # over the rate: no period is so short
-STRETCH = 20.0  # over the rate
+NEARLY = 1e-5  # the same for a crossing that is interpolated
+AT_REST = 2.0**-40  # speed, as a part of the size of the state times the rate at which the field changes
+SHORTEST = 1e-6  # divided by the rate: no period is shorter
+STRETCH = 20.0  # divided by the rate: the time that is integrated in one piece
 MOST_STRETCHES = 400
 MOST_CROSSINGS = 64
 
@@ -30,11 +30,11 @@ class Period(NamedTuple):
     Parameters
     ----------
     time : float
-        After which it returns for the first time.
+        The time after which the motion returns for the first time.
     misfit : float
-        How far from the start it is then, relative to the size of its orbit.
+        Distance from the start at that time, relative to the size of the orbit.
     carried : ndarray, shape (c,)
-        What was integrated beside it, after one period.
+        The numbers that were integrated beside the state, after one period.
     """
 
     time: float
@@ -46,13 +46,14 @@ class Period(NamedTuple):
 def period(field: Callable[[Floats], Any], x0: ArrayLike, carried: ArrayLike = ()) -> Period:
     """Return the period of the motion x' = f(x) through a state, to about 13 digits.
 
-    Choose it where all motions are periodic, as they are where the coadjoint orbits are surfaces and the energy curve
-    is closed: the free rigid body, modified fields of schemes on it, every system of three coordinates with a Casimir.
+    Choose it where coadjoint orbits are surfaces and the energy curve is closed, so that motions are periodic: for the
+    free rigid body, for modified fields of schemes on it, and for other systems of three coordinates with a Casimir.
 
     Parameters
     ----------
     field : callable
-        f of (n + c,): the state and what is carried along; returns the derivative of both.
+        The function f. It takes the state with the carried numbers behind it, (n + c,), and returns the derivative of
+        both.
     x0 : array_like, shape (n,)
         Where it starts.
     carried : array_like, shape (c,), optional
@@ -69,7 +70,8 @@ def period(field: Callable[[Floats], Any], x0: ArrayLike, carried: ArrayLike = (
 
     Notes
     -----
-    Returns to the plane through x0 across the field, by Dormand and Prince's method of order 8 (SciPy).
+    The motion is integrated by Dormand and Prince's method of order 8 (SciPy), until it is back in the plane through x0
+    across the field.
 
     Examples
     --------

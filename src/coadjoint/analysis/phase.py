@@ -13,7 +13,7 @@ from coadjoint.systems.kinds import System, check_one_system
 from coadjoint.systems.points import QUIET
 
 MOST_ITERATIONS = 30
-FIRST = 4  # points whose lead is found from zero; then the leads found so far predict as many again
+FIRST = 4  # points whose lead is sought from zero; then the leads found so far predict as many again
 
 
 def phase_error(
@@ -24,7 +24,7 @@ def phase_error(
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        With a closed form, where no reference is given.
+        The system; it needs a closed form where no reference is given.
     x0 : array_like, shape (n,)
         The state at time zero, of the closed form.
     t : array_like, shape (k,)
@@ -38,9 +38,9 @@ def phase_error(
     Returns
     -------
     ndarray, shape (k,)
-        The lead d that makes right(t + d) the nearest point to x, in units of time; positive is early, negative
-        late. NaN where no nearest point is found, or the reference does not go so far. Times in order are followed
-        from the first on, so that a lead may exceed a period; what is not in order has leads of less than half a one.
+        The lead d that makes right(t + d) the nearest point to x, in units of time; positive is early, negative late.
+        NaN where no nearest point is found, or the reference ends too early. Where the times are in order, the lead is
+        followed from the first one on and may exceed a period. Where they are not, leads are less than half a period.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def leads(
 def _expected(
     times: npt.NDArray[np.float64], lead: npt.NDArray[np.float64], first: int, last: int
 ) -> npt.NDArray[np.float64]:
-    """Return what the later half of the leads found so far promises for the next."""
+    """Return what the later half of the leads found so far predicts for the next ones."""
     known = np.flatnonzero(np.isfinite(lead[:first]))
     known = known[len(known) // 2 :]
     if len(known) < 2:
@@ -112,7 +112,7 @@ def _found(
     for _ in range(MOST_ITERATIONS):
         y = right(times + lead)
         f = field_along(system, y)
-        # Gauss-Newton converges linearly off the orbit and its last digits are round-off of the exact motion.
+        # Off the orbit Gauss-Newton converges linearly, and its last digits are round-off of the exact motion.
         change = np.einsum("ki,ki->k", f, states - y) / np.einsum("ki,ki->k", f, f)
         lead = lead + change
         if np.all(np.isnan(change)) or np.nanmax(np.abs(change)) <= 2.0**-40 * max(1.0, float(np.max(np.abs(times)))):

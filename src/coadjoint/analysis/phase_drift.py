@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 SIGNIFICANT = 4.0  # uncertainties
-SHARE = 1.0 / 128.0  # of the growth of the line; a smaller slow deviation does not spoil it
+SHARE = 1.0 / 128.0  # of the growth of the line; a slow deviation below that leaves it a line
 WANDERS = 1.0 / 3.0
 ANGLES, TIMES = "radians", "time"
 
@@ -37,13 +37,13 @@ class PhaseDrift:
     t, lead : ndarray, shape (k,)
         Times, and by how much the run is ahead.
     unit : str
-        Of the lead: ``"time"`` or ``"radians"``.
+        Unit of the lead: ``"time"`` or ``"radians"``.
     slope, uncertainty : float
-        Lead per unit of time, and its standard error, in which the deviations may remember each other.
+        Lead per unit of time, and its standard error, which allows for correlated deviations.
     intercept : float
         The line at time zero.
     deviation : float
-        Root mean square of what is not the line.
+        Root mean square of the deviations from the line.
     slow_deviation : float
         The same of means over the 64th part of the span, which an oscillation hardly moves.
     exponent : float
@@ -99,7 +99,7 @@ def phase_drift(solution: Any, reference: Any = None, of: str = "momentum") -> A
     solution : Solution
         A run, 16 saved points at least, over several periods.
     reference : callable or Solution, optional
-        The right motion, as for `phase_error`. None is the closed form of the system. Of the attitude it must be the
+        The right motion, as for `phase_error`. None is the closed form of the system. For the attitude it must be the
         closed form, or a run from the same start with the same saved times.
     of : {"momentum", "attitude"}, optional
         The lead of the momentum on its orbit, in units of time; or the angle in radians by which the attitude of a body
@@ -120,8 +120,8 @@ def phase_drift(solution: Any, reference: Any = None, of: str = "momentum") -> A
 
     Notes
     -----
-    The criterion. A lead is a line in the long run if what is not the line grows more slowly than time: if the
-    `exponent` H of the slow deviations is below 1 (`straight_line`). So ``growth`` is, in this order:
+    The criterion. A lead is a line in the long run if its deviations from the line grow more slowly than time, that is,
+    if the `exponent` H of the slow deviations is below 1 (`straight_line`). So ``growth`` is, in this order:
 
     - "faster": H >= 1, and the slow deviations are more than 1/128 of the growth of the line over the run (those of a
       parabola are 1/13 of its line). A scheme that loses energy: H = 2; unbiased round-off: H = 3/2.
@@ -153,7 +153,7 @@ def drift_of_series(t: ArrayLike, lead: ArrayLike, unit: str = TIMES) -> PhaseDr
     t : array_like, shape (k,)
         Times in order.
     lead : array_like, shape (k,)
-        By how much the motion is ahead; NaN is left out.
+        By how much the motion is ahead; points with NaN are left out.
     unit : {"time", "radians"}
         Of the lead.
 

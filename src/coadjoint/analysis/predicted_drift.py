@@ -8,13 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from coadjoint.analysis.modified_fields import ModifiedField
+from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian
 from coadjoint.analysis.periods import period
 from coadjoint.analysis.rotations import turns_space, twist
-from coadjoint.given import read_finite, read_flag
+from coadjoint.given import read_finite, read_flag, read_number
 from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.points import QUIET
 from coadjoint.systems.user_functions import check_arguments
+from coadjoint.wording import short
 
 Floats = NDArray[np.float64]
 Function = Callable[[Floats], Any]
@@ -45,6 +48,8 @@ def predicted_drift(
     system: Any,
     x0: ArrayLike,
     *,
+    modified: Any = None,
+    step: float | None = None,
     gradient: Function | None = None,
     field: Function | None = None,
     attitude: bool = False,
@@ -56,35 +61,41 @@ def predicted_drift(
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        Whose motion from x0 is periodic: the free rigid body, and whatever has closed energy curves on surfaces.
+        The system. Its motion from x0 must be periodic, as for the free rigid body, and wherever coadjoint orbits are
+        surfaces with closed energy curves.
     x0 : array_like, shape (n,)
         Where the run starts.
+    modified : ModifiedHamiltonian or ModifiedField
+        What the numbers of the scheme move by on this system: H~ = H + h^2 H2 + ..., or a modified field.
+    step : float
+        The step h, given with `modified`; negative for backward.
     gradient : callable
-        The gradient of the modified Hamiltonian H~ = H + h^2 H2 + ... at a state, for the step h.
+        Or, of your own, the gradient of H~ at a state, for one step.
     field : callable
-        Or the modified field at a state. One of the two is given.
+        Or the modified field at a state, for one step. Give one of the three.
     attitude : bool
-        Also for the attitude of a body, 3 x 3; needs the gradient.
+        Also for the attitude of a body, 3 x 3; needs a Hamiltonian, or its gradient.
 
     Returns
     -------
     PredictedDrift
-        The slope is right to O(h^r) where H~, or the field, is; a measured one (`phase_drift`) differs from it by that.
+        Where H~, or the field, is right to O(h^r), so is the slope; a measured one (`phase_drift`) differs from it by
+        that.
 
     Raises
     ------
     ValueError
         A state at rest, or a motion that does not return.
     TypeError
-        Not one of gradient and field, or a system without an attitude of a body.
+        None or several of modified, gradient and field were given, or the system has no attitude of a body.
 
     Notes
     -----
-    The numbers move along x' = f~(x) on the orbit of x0, on the energy curve H~(x) = H~(x0), and go round in the time
-    P~, the exact motion in P. After n rounds they are where the exact motion was n (P~ - P) earlier, so the lead grows
-    by P - P~ in the time P~. To lowest order, with the integral I(E) of H2 over one period and the frequency
-    w(E) = 2 pi / P, P/P~ - 1 = h^2 (H2(x0) d(log w)/dE + I'(E) / P): the first term is there since the energy that
-    sets the period is that of H at which H~ is H~(x0), on average.
+    The numbers move along x' = f~(x) on the orbit of x0, on the energy curve H~(x) = H~(x0). They go round in the time
+    P~, and the exact motion in the time P. After n rounds they are where the exact motion was n (P~ - P) earlier, so
+    the lead grows by P - P~ in the time P~. To lowest order, with the integral I(E) of H2 over one period and the
+    frequency w(E) = 2 pi / P, P/P~ - 1 = h^2 (H2(x0) d(log w)/dE + I'(E) / P). The first term comes from the energy:
+    the numbers move at the energy E at which H + h^2 H2 is H~(x0) on average, and not at H(x0).
 
     In one period the attitude turns about the momentum by psi (a dynamic and a geometric phase: Montgomery, How much
     does the rigid body rotate?, 1991). At equal times the computed attitude is ahead by n (psi~ - psi) for n rounds,
@@ -93,17 +104,26 @@ def predicted_drift(
 
     Examples
     --------
+    >>> import coadjoint as co
+    >>> body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.5)
+    >>> predicted = predicted_drift(body, x0, modified=co.modified_hamiltonian(body, co.Splitting()), step=0.1)
+    >>> run = co.integrate(body, x0, (0, 1000), 0.1, co.Splitting(), save_every=7)
+    >>> bool(abs(predicted.slope / co.phase_drift(run).slope - 1) < 0.01)
+    True
+
     A field that is too fast by a thousandth:
 
-    >>> import coadjoint as co
-    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
     >>> fast = predicted_drift(body, (1.0, 0.2, 0.5), field=lambda x: 1.001 * body.vector_field(x))
     >>> round(fast.slope, 11)
     0.001
     """
     check_one_system(system)
-    if (gradient is None) == (field is None):
-        raise TypeError("give one of gradient and field, the modified one of the scheme at its step")
+    if [modified, gradient, field].count(None) != 2:
+        raise TypeError("give one of modified, gradient and field: what the scheme moves by at its step")
+    if modified is not None:
+        gradient, field = _at_step(system, modified, step)
+    elif step is not None:
+        raise TypeError("step belongs to modified; a gradient or a field is that of one step")
     chosen: Any = gradient if field is None else field
     check_arguments(chosen, "gradient" if field is None else "field", "x")
     start = read_finite(x0, "x0")
@@ -125,6 +145,23 @@ def predicted_drift(
     slope = exact.time / computed.time - 1.0
     psi = float(np.remainder(computed.psi - exact.psi + np.pi, 2.0 * np.pi) - np.pi)
     return PredictedDrift(slope, psi / computed.time + exact.speed * slope, exact.time, computed.time)
+
+
+def _at_step(system: Any, modified: Any, step: Any) -> tuple[Function | None, Function | None]:
+    """Return the gradient or the field at a step."""
+    if not isinstance(modified, ModifiedHamiltonian | ModifiedField):
+        raise TypeError(
+            f"modified is {short(modified)}; give a ModifiedHamiltonian, which has a gradient, or a ModifiedField"
+        )
+    own = modified.dim if isinstance(modified, ModifiedHamiltonian) else modified.system.dim
+    if own != system.dim:
+        raise ValueError(f"modified is in {own} coordinates; {system.name} has {system.dim}")
+    if step is None:
+        raise TypeError("step is missing; give the step of the scheme with modified")
+    h = read_number(step, "step")
+    if isinstance(modified, ModifiedHamiltonian):
+        return lambda x: modified.gradient(x, h), None
+    return None, lambda x: modified(x, h)
 
 
 def _field_of(system: Any, gradient: Function | None) -> Function:

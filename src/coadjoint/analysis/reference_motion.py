@@ -17,7 +17,7 @@ from coadjoint.wording import short
 Floats = NDArray[np.float64]
 Motion = Callable[[Floats], Floats]
 
-NODES = 8  # saved points around a time: with their slopes a polynomial of degree 15
+NODES = 8  # saved points around a time; with their slopes they make a polynomial of degree 15
 FEWER = 6
 TOLERANCE = 2.0**-30  # of the largest state; what two such polynomials may differ by
 
@@ -33,9 +33,9 @@ def motion_of(system: System, reference: Any, x0: ArrayLike, member: int | None 
         None: the closed form of the system from x0 at time zero. A function of times (k,) that returns states
         (k, n). A run of the system, by a scheme or a step that is much better.
     x0 : array_like, shape (n,)
-        For the closed form.
+        The state at time zero, for the closed form.
     member : int, optional
-        Of an ensemble.
+        The number of a member, where the reference is an ensemble.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def _between(system: System, run: Solution, member: int | None) -> Motion:
     def _read(times: Floats, where: Floats) -> Floats:
         place = np.searchsorted(rising, where)
         fine, coarse = (_hermite(t, states, slopes, times, place, count) for count in (NODES, FEWER))
-        # The polynomial of more points is better by orders of magnitude than what it differs by from the other.
+        # The polynomial of more points is right to orders of magnitude better than it differs from the other.
         off = float(np.max(np.abs(fine - coarse), initial=0.0))
         if off > TOLERANCE * largest:
             raise ValueError(

@@ -49,7 +49,7 @@ def attitude_angle(A: npt.ArrayLike, B: npt.ArrayLike) -> Any:
 def precession_error(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) -> Any:
     """Return by how much an attitude is ahead of another one in turning about an axis fixed in space.
 
-    The signed phase error of a rigid body: its angular momentum A x is such an axis.
+    About its angular momentum A x, an axis fixed in space, it is the signed phase error of a rigid body.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def _turn_about(
     direction = read_finite(axis, "axis")
     if direction.shape != (3,) or not np.any(direction):
         raise ValueError(f"axis is {short(axis)}; it must be three numbers, not all zero")
-    direction /= np.max(np.abs(direction))  # whose square does not overflow
+    direction /= np.max(np.abs(direction))  # so that its square does not overflow
     turned, angle = _axis_and_angle(_checked(A, "A") @ np.swapaxes(_checked(B, "B"), -1, -2))
     return turned, angle, direction / np.linalg.norm(direction)
 

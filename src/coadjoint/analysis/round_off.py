@@ -94,8 +94,8 @@ def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
     Returns
     -------
     dict
-        Name -> `RandomWalk`, relative to abs(gradient) abs(x) at the start: what a relative change of x could do; of an
-        invariant given as a function to its largest value.
+        Name -> `RandomWalk`, relative to abs(gradient) abs(x) at the start, which is what a relative change of x could
+        do. An invariant that is given as a function is taken relative to its largest value.
 
     Raises
     ------

@@ -25,7 +25,7 @@ class Sampled(NamedTuple):
     values : ndarray, shape (members, k, channels)
         Real or complex.
     members, channels : bool
-        Whether there are several, or what was given has no axis for them.
+        Whether what was given has an axis of members, and one of channels.
     """
 
     t: NDArray[np.float64]
@@ -126,7 +126,7 @@ def _flat(values: NDArray[Any], several: bool) -> NDArray[Any]:
 
 
 def _even(t: NDArray[np.float64], least: int) -> int:
-    """Return how many of the times are even; the last may stand alone, as that of a run does."""
+    """Return how many of the times are even; the last one may be off the grid, as in a run."""
     if t.ndim != 1 or len(t) < least:
         raise ValueError(f"t has the shape {t.shape}; give at least {least} even times, (k,)")
     spacing = (t[-2] - t[0]) / (len(t) - 2) if len(t) > 2 else t[-1] - t[0]

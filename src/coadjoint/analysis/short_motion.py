@@ -20,7 +20,7 @@ def short_motion(system: LiePoissonSystem, start: Floats, count: int = STEPS) ->
     Parameters
     ----------
     system : LiePoissonSystem
-        Its Hamiltonian does not depend on time.
+        The system; its Hamiltonian does not depend on time.
     start : ndarray, shape (n,)
         The state.
     count : int
@@ -29,7 +29,7 @@ def short_motion(system: LiePoissonSystem, start: Floats, count: int = STEPS) ->
     Returns
     -------
     points : ndarray, shape (count + 1, n)
-        Fewer, where the motion leaves float64.
+        The states; fewer where the motion leaves float64.
     rate : float
         In radians per unit of time.
 

@@ -14,10 +14,10 @@ Matrix = list[list[Exact]]
 def skew_factor(ring: ExactPolynomials, energy: Exact, field: Field) -> Matrix:
     """Return a skew K with K grad H = field, of polynomials, for a quadratic H with grad H . field = 0.
 
-    With y = grad H: where a constant e has e . y = 1, K = f e^T - e f^T. Else y = M z about a point of rest. For f of
-    degree d in y with f . y = 0 the homotopy of Koszul gives K_ij = (d f_i / d y_j - d f_j / d y_i) / (d + 1), since
-    then K y = ((d + 1) f - grad(y . f)) / (d + 1). Components along the kernel of M have d f_i / d y_j / d instead,
-    there f must vanish with y.
+    Let y = grad H. Where a constant vector e has e . y = 1, K = f e^T - e f^T. Elsewhere y = M z, with z the distance
+    from a point of rest. For f of degree d in y with f . y = 0 the homotopy of Koszul gives K_ij = (d f_i / d y_j - d
+    f_j / d y_i) / (d + 1), since then K y = ((d + 1) f - grad(y . f)) / (d + 1). Components along the kernel of M are
+    (d f_i / d y_j) / d instead; for these f must vanish where y does.
 
     Parameters
     ----------

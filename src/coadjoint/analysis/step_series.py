@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact_polynomials import Exact, rational
+from coadjoint.algebra.exact import rational
+from coadjoint.algebra.exact_polynomials import Exact
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.analysis.field_of_step import Field, plain_ring, size_of
 from coadjoint.memory import check_room
@@ -18,18 +19,18 @@ from coadjoint.methods.formal_numbers import NODE, FormalNumber, formal_numbers,
 from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.kinds import System
 
-BYTES_PER_MONOMIAL = 200  # of a field, its powers and derivatives, and the series of its step
+BYTES_PER_MONOMIAL = 200  # for each monomial of a field, with its powers and derivatives and the series of its step
 SLIGHT = 1e-10  # the motion in a step by which a series is tried at a point, in units of the state
 MOST_OFF = 1e6  # of the first power that the series leaves out, in the same units
 
 
 class ExactSystem:
-    """A system whose J and H are polynomials: what they are in a ring; its floats are the numbers that they are.
+    """A system whose J and H are polynomials, in a ring. Floats are taken as the rational numbers that they are.
 
     Raises
     ------
     TypeError and what the functions of the system raise
-        J or H is no polynomial.
+        J or H is no polynomial, or a function of the system fails on polynomials.
 
     Examples
     --------
@@ -66,7 +67,7 @@ class ExactSystem:
 
     @cached_property
     def casimirs(self) -> dict[str, Exact]:
-        """Those that are polynomials, by name."""
+        """The Casimirs that are polynomials, by name."""
         found = {}
         for name, C in self.system.casimirs.items():
             if isinstance(C, Polynomial):
@@ -100,12 +101,12 @@ class ExactSystem:
 def check_at_a_point(
     step: Callable[[NDArray[Any], Any], Any], exact: ExactSystem, series: list[Field], known_to: float
 ) -> None:
-    """Refuse a series that is not that of the step: one that branches, or that iterates until something is small.
+    """Refuse a series that is not that of the step: the step branches, or iterates until something is small.
 
     Raises
     ------
     TypeError
-        They differ, by more than powers of h that the series leaves out.
+        The series and the step differ by more than the powers of h that the series leaves out.
     """
     from mpmath import mp, workdps
 

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-BLOCKS = (4, 6, 8, 12, 16, 24, 32)  # in which the deviations are taken to be independent
-MEMORY = 0.2  # exponents of noise without memory over the span, or of an oscillation, are smaller
+BLOCKS = (4, 6, 8, 12, 16, 24, 32)  # numbers of blocks; the sums over blocks are taken to be independent
+MEMORY = 0.2  # noise without correlation over the span, and oscillations, have smaller exponents
 PIECES = 8
-SCALES = 64  # blocks whose means are what growth is read from
+SCALES = 64  # blocks; growth is read from their means
 FEWEST_SAMPLES = 16
 FEWEST_IN_A_PIECE = 4
 
@@ -25,13 +25,13 @@ class Line(NamedTuple):
     slope, intercept : float
         Least squares; the intercept is the value at time zero.
     uncertainty : float
-        Standard error of the slope, with room for deviations that remember each other.
+        Standard error of the slope, which allows for correlated deviations.
     deviation : float
         Root mean square of the deviations from the line.
     slow_deviation : float
         The same of means over the 64th part of the span, which an oscillation hardly moves.
     exponent : float
-        H when slow deviations from the best line of each piece grow like (length of the piece)^H.
+        The power H in (length of the piece)^H, with which slow deviations from the best line of a piece grow.
     """
 
     slope: float
@@ -59,16 +59,16 @@ def straight_line(t: Floats, values: Floats) -> Line:
     Notes
     -----
     The uncertainty. For B blocks of neighbouring samples, deviations r and distances d from the middle time, the sums
-    of d r over each block would be independent if the blocks were long enough; then the slope has the variance
-    B / (B - 2) * sum (block sums)^2 / (sum d^2)^2. Which B is long enough is not known, so the largest of the values
-    for B = 4 ... 32 counts. Where the deviations remember themselves over the whole span (H below 0.2 says that they do
-    not), the slopes of q = 8 pieces tell more: their errors are q^(1 - H) times that of the whole. For white noise,
-    noise with a memory of up to a quarter of the span, random walks and accumulated ones, two uncertainties hold the
-    true slope in nine of ten series or more; for oscillations always.
+    of d r over each block are independent if the blocks are long enough. The slope then has the variance B / (B - 2) *
+    sum (block sums)^2 / (sum d^2)^2. Which length is enough is not known, so the largest of the values for B = 4 to 32
+    counts. Deviations may be correlated over the whole span; if H is below 0.2 they are not. Where they are, the slopes
+    of q = 8 pieces tell more: their errors are q^(1 - H) times that of the whole. This was tried on white noise, noise
+    with a memory of up to a quarter of the span, random walks and accumulated ones: in nine of ten series or more the
+    true slope is within two uncertainties. For oscillations it always is.
 
-    The exponent. Bounded deviations (oscillations, noise) do not grow with the length of a piece, H = 0; a random walk
-    does with H = 1/2, an accumulated random walk (Brouwer's phase error) with 3/2, a parabola with 2. A series is a
-    line in the long run if and only if H < 1.
+    The exponent. Bounded deviations (oscillations, noise) do not grow with the length of a piece: H = 0. A random walk
+    has H = 1/2, an accumulated random walk (Brouwer's phase error) 3/2, a parabola 2. A series is a line in the long
+    run if and only if H < 1.
 
     Examples
     --------
@@ -89,7 +89,7 @@ def straight_line(t: Floats, values: Floats) -> Line:
             break
         sums = np.add.reduceat(parts, _starts(len(t), blocks))
         worst = max(worst, blocks / (blocks - 2) * float(sums @ sums))
-    # What rounding of the series itself does to its slope.
+    # What rounding of the series does to its slope.
     rounding = 2.0**-53 * float(np.max(np.abs(values))) / np.sqrt(spread)
     starts = _starts(len(t), min(SCALES, len(t) // 2))
     sizes = np.diff(np.append(starts, len(t)))

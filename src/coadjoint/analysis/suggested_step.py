@@ -17,8 +17,8 @@ HALVINGS = 40
 def suggest_step(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike, energy: float) -> float:
     """Return the largest step at which the energy stays within a bound, from the modified Hamiltonian.
 
-    A run keeps H + h^p H_p + ..., so its energy wanders as h^p H_p does along the motion: for as long as one runs.
-    Choose it where the energy is what matters; `choose` finds scheme and step for an error of the momentum over a span.
+    A run keeps H + h^p H_p + .... So its energy wanders as h^p H_p does along the motion, however long the run. Choose
+    it where the energy is what matters. `choose` finds scheme and step for an error of the momentum over a span.
 
     Parameters
     ----------
@@ -27,20 +27,20 @@ def suggest_step(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike, en
     method : Method
         A splitting or a composition of splittings.
     x0 : array_like, shape (n,) or (k, n)
-        The state, or a sample of states: the smallest step of all.
+        The state, or a sample of states, for which the smallest of their steps is returned.
     energy : float
         The largest change of the energy wanted, in units of H.
 
     Returns
     -------
     float
-        A positive step, from the first two terms along a motion of 128 steps, some 30 radians; never longer than the
-        time in which the motion turns by one radian, beyond which the series in h says nothing.
+        A positive step, from the first two terms along a motion of 128 steps, some 30 radians. It is never longer than
+        the time in which the motion turns by one radian; beyond that the series in h says nothing.
 
     Raises
     ------
     TypeError, ValueError
-        The scheme has no modified Hamiltonian on this system, as `modified_hamiltonian` says; a motion that overflows.
+        The scheme has no modified Hamiltonian on this system, as `modified_hamiltonian` says; or a motion overflows.
 
     Examples
     --------

@@ -8,7 +8,8 @@ from fractions import Fraction
 from typing import Any
 
 from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
-from coadjoint.algebra.polynomial import Exponents, Polynomial
+from coadjoint.algebra.monomials import Exponents
+from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.errors import unknown_name
 from coadjoint.given import read_list
@@ -25,7 +26,7 @@ class Symbols:
     given : Polynomial
         The Hamiltonian in numbers.
     names : mapping
-        Exponents -> name of the symbol for the coefficient; of a square it stands for twice that.
+        Exponents -> name of the symbol for the coefficient. The symbol of a square stands for twice the coefficient.
     """
 
     given: Polynomial
@@ -33,7 +34,7 @@ class Symbols:
 
     @property
     def values(self) -> dict[str, Any]:
-        """Name -> number that it stands for."""
+        """Name -> the number that the symbol stands for."""
         return {name: self.given.monomials[e] * _divisor(e) for e, name in self.names.items()}
 
     @property
@@ -78,7 +79,7 @@ def symbols_of(H: Polynomial, wanted: Any, program: Program) -> Symbols:
     wanted : True or sequence of str
         All of them, or those with these names.
     program : Program
-        Whose parts must be those of H itself.
+        The program of the splitting. Its parts must be those of H itself.
 
     Returns
     -------

@@ -17,7 +17,8 @@ from coadjoint.systems.kinds import System
 
 SLOPE_TOLERANCE = 0.2  # what the next term of the error adds to a slope at the steps taken here
 
-# Steps for slopes: few and large for high orders, which soon meet round-off; small for low ones, which settle late.
+# Numbers of steps for slopes. High orders soon meet round-off and take few, large steps. The slopes of low orders
+# settle late and take small ones.
 LOW_ORDER = (32, 64, 128, 256, 512)
 HIGH_ORDER = (12, 16, 24, 32, 48, 64, 96)
 

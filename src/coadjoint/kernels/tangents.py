@@ -1,4 +1,4 @@
-"""Tangent vectors beside the states of a compiled loop: what the loop is told of them, and what it leaves of them."""
+"""Tangent vectors beside the states of a compiled loop: what the loop is told, and what it leaves."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Frame:
     Parameters
     ----------
     vectors : ndarray, shape (k, n)
-        One row for each.
+        The vectors, one in each row.
     every : int
-        The number of steps.
+        Number of steps after which they are made orthonormal.
     """
 
     vectors: NDArray[np.float64]
@@ -77,7 +77,7 @@ def with_tangents(
     Parameters
     ----------
     loop : CompiledLoop
-        Of a program, or of a Runge-Kutta method; it carries no group element.
+        The loop of a program or of a Runge-Kutta method; it carries no group element.
     system : LiePoissonSystem or PoissonSystem
         The system.
     functions : mapping
@@ -88,7 +88,7 @@ def with_tangents(
     Returns
     -------
     CompiledLoop
-        Its memory ends with what `stretches` reads.
+        The memory of a member ends with what `stretches_in` reads.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def with_tangents(
 
 
 def check_differentiable(system: System) -> None:
-    """Refuse a system whose field has no derivative that is known.
+    """Refuse a system whose field has no known derivative.
 
     Raises
     ------
@@ -142,13 +142,13 @@ def _derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Kept]:
 
 
 def vectors_in(memory: NDArray[np.float64], count: int, size: int) -> NDArray[np.float64]:
-    """Return the tangent vectors (members, count, size) that members remember, as they are before they are finished."""
+    """Return the tangent vectors (members, count, size) that members remember, before they are finished."""
     own = memory[:, memory.shape[1] - count * (size + 2 * NUMBERS_OF_A_STRETCH) :]
     return own[:, : count * size].reshape(-1, count, size)
 
 
 def stretches_in(memory: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return the logarithms (members, count) of by how much each vector was stretched until the last step."""
+    """Return the logarithms (members, count) of how much each vector was stretched until the last step."""
     own = memory[:, memory.shape[1] - count * NUMBERS_OF_A_STRETCH :].reshape(-1, count, NUMBERS_OF_A_STRETCH)
     high, low, exponent = np.moveaxis(own, 2, 0)
     return np.asarray(exponent * np.log(2.0) + (np.log(high) + np.log1p(low / high)))

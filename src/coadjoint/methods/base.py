@@ -115,7 +115,7 @@ class Method(ABC):
         raise TypeError(f"{self} cannot be composed")
 
     def symmetrized(self) -> Method:
-        """Return a step of this scheme and one of its adjoint, each over half the step: symmetric, of even order.
+        """Return the scheme of a half step of this one and a half step of its adjoint: symmetric, of even order.
 
         Returns
         -------
@@ -226,7 +226,7 @@ class Method(ABC):
         return "formula"
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
-        """Return the loop that carries tangent vectors beside the state, which has the bits that it has without them.
+        """Return the loop that carries tangent vectors beside the state. The bits of the state do not depend on them.
 
         Parameters
         ----------
@@ -268,7 +268,7 @@ class Method(ABC):
         Raises
         ------
         TypeError
-            The step is no such series, or it is not known how it is found.
+            The step is no such series, or no way to find the series is known.
         """
         raise TypeError(f"a step of {self} is not known as a power series in exact numbers")
 

@@ -64,7 +64,7 @@ class Composed(Method):
 
     @property
     def known_to(self) -> float:
-        """The worse of the base and of the fractions, which are exact where they are short."""
+        """The larger error of two, of the base and of the fractions, which are exact where they are short."""
         own = 0.0 if all(map(is_short, self.coefficients)) else UNIT_ROUNDOFF
         return max(own, self.base.known_to)
 
@@ -77,14 +77,10 @@ class Composed(Method):
         return self.base.restored(system)
 
 
-@dataclass(frozen=True)
-class ComposedFlows(Composed, FlowMethod):
-    """The flows of all substeps, as one table."""
-
-    offered = False
+class FlowsOfBase(FlowMethod):
+    """Flows of the parts of another scheme."""
 
     base: FlowMethod
-    coefficients: tuple[float, ...]
 
     @property
     def parts(self) -> Any:
@@ -100,6 +96,16 @@ class ComposedFlows(Composed, FlowMethod):
     def rotation(self) -> str:
         """As the base."""
         return self.base.rotation
+
+
+@dataclass(frozen=True)
+class ComposedFlows(Composed, FlowsOfBase):
+    """The flows of all substeps, as one table."""
+
+    offered = False
+
+    base: FlowMethod
+    coefficients: tuple[float, ...]
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
         """Return the sweeps of the base, scaled and shifted."""
@@ -132,7 +138,7 @@ class Substeps(Composed):
         return self.base.loop_of_substeps(system, h, representation, self.coefficients)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
-        """Return that of the base, with its substeps."""
+        """Return the loop of the base with these substeps."""
         return self.base.tangent_loop_of_substeps(system, h, frame, self.coefficients)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:

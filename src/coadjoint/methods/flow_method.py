@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from coadjoint.program.reading import Reading
     from coadjoint.program.table import Program
 
-TABULATED = 1e-38  # what published coefficients are off by, relatively: they have 40 digits at least
+TABULATED = 1e-38  # relative error of published coefficients, which have at least 40 digits
 MOST_OFF = 2.0**-40  # of the sum of absolute coefficients of sweeps: rounding, and coefficients of twelve digits
 
 
@@ -70,7 +70,7 @@ class FlowMethod(Method):
         return ComposedFlows(self, tuple(coefficients))
 
     def symmetrized(self) -> Method:
-        """Return the sweeps of this scheme, then in reverse."""
+        """Return the sweeps of this scheme, followed by their mirror images."""
         from coadjoint.methods.symmetrized import PairOfFlows
 
         return PairOfFlows(self)
@@ -125,7 +125,7 @@ class FlowMethod(Method):
 
     @property
     def known_to(self) -> float:
-        """Zero for coefficients that are short fractions, else the digits of the table of schemes."""
+        """Zero for coefficients that are short fractions, else the rounding of the table of schemes."""
         sweeps = [*self.sweeps(Fraction), *self.processor(Fraction)]
         return 0.0 if all(is_short(sweep.coefficient) for sweep in sweeps) else TABULATED
 

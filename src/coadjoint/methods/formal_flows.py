@@ -15,7 +15,8 @@ from coadjoint.program.table import Program
 class FormalReading(Reading):
     """A program in fractions, read in formal numbers.
 
-    Angles are constant along their flow, so that it is exp(sum_a theta_a D_a) x, and the angles start with h.
+    Angles are constant along their flow, so the flow is exp(sum_a theta_a D_a) x. Angles have no term without h, so the
+    series ends where formal numbers do.
     """
 
     def __init__(self, program: Program) -> None:

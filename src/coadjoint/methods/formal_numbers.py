@@ -1,4 +1,4 @@
-"""Power series in the step whose coefficients are exact polynomials in the state: what a step is read in, exactly."""
+"""Power series in the step, with exact polynomials in the state as coefficients: a step is read in them exactly."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, rational
+from coadjoint.algebra.exact import rational
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 
 NODE = "c"
 """The name of the symbol that stands for the node of a stage: a collocation method is the same at each of them."""
@@ -18,11 +19,11 @@ NODE = "c"
 class FormalNumber:
     """A power series in the step, known up to a power of it, with coefficients in a ring of polynomials.
 
-    It is added, multiplied and divided as numbers are, by floats too, which are taken as the rational numbers that they
-    are; each result knows up to which power it is known. So formulas of steps can be read in it as they are. It is
-    not ordered: a step that branches or iterates until something is small cannot be read.
+    It is added, multiplied and divided as numbers are. Floats are taken as the rational numbers that they are. Each
+    result says up to which power it is known. So formulas of steps can be read in it as they are. It is not ordered: a
+    step that branches, or iterates until something is small, cannot be read.
 
-    `formal_numbers` makes the class for a ring; ``terms`` are the coefficients that are known.
+    `formal_numbers` makes the class for a ring. ``terms`` are the coefficients that are known.
 
     Parameters
     ----------
@@ -146,7 +147,7 @@ class FormalNumber:
         return result
 
     def __abs__(self) -> Any:
-        """Return the size of the constant term where that is a number: what elimination looks for in a pivot."""
+        """Return the size of the constant term where that is a number, so that elimination can choose pivots."""
         lead = self.terms[0]
         if not lead.is_constant():
             raise TypeError("a formal series has no absolute value: its constant term is no number")
@@ -186,7 +187,7 @@ def vector(entries: Any) -> NDArray[Any]:
 
 
 def is_short(value: Any) -> bool:
-    """Return whether a number is a fraction with a short denominator: then it was meant exactly.
+    """Return whether a number is a fraction with a short denominator, and so was meant exactly.
 
     Examples
     --------

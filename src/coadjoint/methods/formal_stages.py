@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact_polynomials import rational
+from coadjoint.algebra.exact import rational
 from coadjoint.methods.formal_numbers import NODE, FormalNumber, is_short, vector
 from coadjoint.methods.stages import Coefficients
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -66,8 +66,9 @@ class StagesOfTableau(FormalStages):
 class StagesOfCollocation(FormalStages):
     """All stages as one: X(c) is a polynomial in the node c, modulo the polynomial whose roots the nodes are.
 
-    So what is the same at all nodes is computed once, and is rational where the nodes are not: the slopes L are the
-    polynomial through the slopes at the nodes, the points X(c) = x + h int_0^c L, the end is x + h int_0^1 L.
+    What is the same at all nodes is then computed once, and is rational although the nodes are not. The slopes L are
+    the polynomial through the slopes at the nodes. The points are X(c) = x + h int_0^c L, and the end is x + h int_0^1
+    L.
     """
 
     def __init__(self, nodes: Sequence[Fraction], x: NDArray[Any], h: FormalNumber) -> None:
@@ -105,13 +106,13 @@ def formal_end(stages: FormalStages, system: System, solver: str, iterations: in
     Parameters
     ----------
     stages : FormalStages
-        Where the step starts, and how long it is.
+        The stages; they know where the step starts and how long it is.
     system : LiePoissonSystem or PoissonSystem
         The system.
     solver : str
         "explicit", "implicit", "iterated", "structure" or "gradient".
     iterations : int
-        How many passes are made before the output or the linear system, where that is so.
+        Number of passes before the output or the linear system, for solvers that have a fixed number.
 
     Returns
     -------
@@ -149,7 +150,7 @@ DIGITS = 50
 
 
 def rational_tableau(coefficients: Callable[..., Coefficients]) -> tuple[Coefficients, float]:
-    """Return a tableau in fractions, and what they are off by: 0 where it has them, else the digits that it has.
+    """Return a tableau in fractions, and their relative error: 0 where the tableau is rational.
 
     Examples
     --------

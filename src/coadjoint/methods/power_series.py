@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 
 class PowerSeries:
-    """The sum of coefficients[k] t^k, as far as they are given; products and sums are cut there.
+    """The sum of coefficients[k] t^k, up to the last one that is given. Products and sums are cut at the same power.
 
     Parameters
     ----------
     coefficients : sequence of numbers
-        Of any one type; at least one.
+        At least one, all of one type.
 
     Examples
     --------
@@ -67,7 +67,7 @@ class PowerSeries:
 
 
 class Dual:
-    """A number and its derivative, an array; products and sums with numbers and with others.
+    """A number and its derivative, which is an array. It has products and sums with its like and with numbers.
 
     Examples
     --------
@@ -108,7 +108,7 @@ def expand(field: Callable[[NDArray[Any]], NDArray[Any]], x: NDArray[Any], h: An
     field : callable
         Made of sums and products.
     x : (n,) array of objects
-        Numbers of any one type, or `Dual`.
+        Numbers of one type, or `Dual`.
     h : number
         The time.
     order : int

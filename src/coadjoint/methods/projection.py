@@ -70,13 +70,13 @@ def project(
     Parameters
     ----------
     invariants : sequence of Hamiltonians
-        One whose gradient depends on those of the ones before it is no direction: they restore it.
+        An invariant whose gradient depends on those before it adds no direction: restoring the others restores it.
     x, z : (n,) arrays
-        Where the values are taken from, and what is moved.
+        The state whose invariants are taken, and the state that is moved.
     number : callable
-        Their number type; not fractions.
+        Number type of the states; not fractions.
     time : float
-        For the message of a failure.
+        Time of the step, for the message of a failure.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def independent(gradients: NDArray[Any]) -> list[int]:
     Parameters
     ----------
     gradients : (k, n) array
-        Of any number type.
+        The gradients, in any number type.
 
     Returns
     -------

@@ -23,8 +23,8 @@ class Properties:
     casimirs : str
         ``"all"``, ``"polynomial"`` (those that are polynomials), ``"quadratic"`` (of degree at most two) or ``"none"``.
     attitude : str
-        ``"every representation"``, ``"coadjoint"`` (and representations that are orthogonal for a fixed form and
-        contain the coadjoint one), ``"integrated"`` (as a differential equation, nothing kept) or ``"none"``.
+        ``"every representation"``; ``"coadjoint"``, with representations that are orthogonal for a fixed form and
+        contain the coadjoint one; ``"integrated"``, as a differential equation of which nothing is kept; or ``"none"``.
 
     Raises
     ------

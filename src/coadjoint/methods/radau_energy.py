@@ -30,9 +30,9 @@ class RadauEnergy(CompiledStepMethod):
     """Radau IIA for ``x' = f(x) + lambda x``, ``0 = H(x) - H(x_k)``: the energy is kept, and nothing else.
 
     With s stages of order 2 s - 1: ``X_i = x + h sum_j a_ij (f(X_j) + lambda_j X_j)``, ``H(X_i) = H(x)``, ``x_new =
-    X_s``. It serves any Hamiltonian that does not depend on time, wherever x . grad H is not zero. The scheme of the
-    paper's warning: exact energy does not keep the motion on the Casimir's level sets (|x|^2 of the rigid body drifts).
-    To integrate, take `Splitting`, `Taylor` or `GaussLegendre`.
+    X_s``. It serves any Hamiltonian that does not depend on time, wherever x . grad H is not zero. The paper warns by
+    it: exact energy does not keep the motion on the level sets of Casimirs (|x|^2 of the rigid body drifts). To
+    integrate, take `Splitting`, `Taylor` or `GaussLegendre`.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ def register(scheme: Scheme) -> Scheme:
     Returns
     -------
     type
-        The same, so that it can decorate.
+        The class itself, so that this can be a decorator.
 
     Raises
     ------
@@ -83,12 +83,12 @@ def forget(name: str) -> None:
     Parameters
     ----------
     name : str
-        Of a scheme that was registered.
+        Name of a scheme that was registered.
 
     Raises
     ------
     ValueError
-        No such scheme was.
+        No such scheme was registered.
     """
     read_choice(name, "registered method", _registered)
     del _registered[name]
@@ -108,14 +108,14 @@ def _of_entry_points() -> dict[str, type[Method]]:
             register(scheme)
             found[scheme.__name__] = _registered.pop(scheme.__name__)
         except Exception as error:
-            # A package that is broken must not take the others with it.
+            # A broken package must not hide the others.
             warnings.warn(f"the scheme {point.name} ({point.value}) is left out: {error}", RuntimeWarning, stacklevel=2)
     return found
 
 
 @cache
 def _own() -> dict[str, type[Method]]:
-    """Every concrete scheme that a file of this folder defines: a new scheme is one file, and no second list."""
+    """Every concrete scheme that a file of this folder defines: a new scheme is one file, and is in no list."""
     package = importlib.import_module("coadjoint.methods")
     found: dict[str, type[Method]] = {}
     for module_info in pkgutil.iter_modules(package.__path__):
@@ -240,7 +240,7 @@ def from_description(description: Mapping[str, Any]) -> Method:
 
 def _read(value: Any) -> Any:
     if isinstance(value, Mapping):
-        # Other parameters have a written form too: parts that were chosen.
+        # Chosen parts have a written form too.
         return from_description(value) if "name" in value else {key: _read(entry) for key, entry in value.items()}
     return tuple(_read(entry) for entry in value) if isinstance(value, list) else value
 

@@ -76,9 +76,10 @@ class RungeKuttaMethod(SteppedMethod):
 
     @property
     def collocation(self) -> Sequence[Fraction] | None:
-        """The polynomial whose roots are the nodes, lowest power first, of a collocation method with rational ones.
+        """Of a collocation method, the rational polynomial whose roots are the nodes, lowest power first.
 
-        Its series are then rational though the nodes are not. None is a tableau whose numbers are read as they are.
+        Series of the step are then rational even where the nodes are not. With None the numbers of the tableau are
+        read.
         """
         return None
 
@@ -97,7 +98,7 @@ class RungeKuttaMethod(SteppedMethod):
 
     @property
     def known_to(self) -> float:
-        """Zero for rational coefficients, else what they are rounded to."""
+        """Zero for rational coefficients, else their relative rounding."""
         return 0.0 if self.collocation is not None else self._rational[1]
 
     @property
@@ -108,7 +109,7 @@ class RungeKuttaMethod(SteppedMethod):
         return rational_tableau(self.coefficients)
 
     def symmetrized(self) -> Method:
-        """Return the tableau of this scheme and its adjoint; where the solver stops early there is none."""
+        """Return the tableau of this scheme and its adjoint. A solver that stops early has no adjoint here."""
         from coadjoint.methods.symmetrized import PairOfTableaux
 
         if self.solver not in ("explicit", "implicit") or not self._as_written:
@@ -117,7 +118,7 @@ class RungeKuttaMethod(SteppedMethod):
 
     @property
     def _as_written(self) -> bool:
-        """Whether a step is what tableau and solver say."""
+        """Whether steps are those of tableau and solver, not overridden."""
         return all(getattr(type(self), name) is getattr(RungeKuttaMethod, name) for name in ("step", "evaluate"))
 
     def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:

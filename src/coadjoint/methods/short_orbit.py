@@ -1,4 +1,4 @@
-"""A short motion from a state, with its tangent map: what an error made along it has become at its end."""
+"""A short motion from a state, with its tangent map: what has an error that was made along it become at its end?"""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Method
 from coadjoint.systems.kinds import System
 from coadjoint.systems.points import QUIET
-from coadjoint.systems.points import QUIET
 from coadjoint.wording import short
 
 Floats = NDArray[np.float64]
 
-# Steps of an orbit, and their length: a part of the time in which the motion turns, or grows, by one.
+# Number of steps of an orbit. Their length is a part of the time in which the motion turns by one radian, or grows by a
+# factor e.
 STEPS = 128
 PART = 0.25
 FEWEST = 8
@@ -41,16 +41,16 @@ class ShortOrbit(NamedTuple):
 
     @property
     def square(self) -> float:
-        """The square of the largest momentum; 1 where there is none."""
+        """The square of the largest momentum; 1 where all are zero."""
         return float(np.max(np.sum(self.points**2, axis=1))) or 1.0
 
     def carried(self, fields: Floats) -> Floats:
-        """Return what errors have become that a perturbed field makes along the way, to first order.
+        """Return the errors that a perturbed field has made up to each point, to first order.
 
         Parameters
         ----------
         fields : ndarray, shape (k + 1, n, m)
-            What is added to the vector field at the points; m of them.
+            What is added to the vector field at the points, for each of m perturbations.
 
         Returns
         -------
@@ -74,12 +74,12 @@ def _product(matrix: Floats, columns: Floats) -> Floats:
 
 @QUIET
 def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, steps: int = STEPS) -> ShortOrbit:
-    """Return the motion from a state over some dozens of the times in which it turns by one.
+    """Return the motion from a state over some dozens of radians, with its tangents.
 
     Parameters
     ----------
     method : Method
-        What takes the steps, read in Python; of order two at least.
+        The scheme that takes the steps, read in Python; of order two at least.
     system : LiePoissonSystem or PoissonSystem
         The system.
     x0 : ndarray, shape (n,)
@@ -92,12 +92,12 @@ def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, step
     Returns
     -------
     ShortOrbit
-        Shorter, where the motion leaves float64.
+        It is shorter where the motion leaves float64.
 
     Raises
     ------
     ValueError
-        It leaves float64 within a few steps.
+        The motion leaves float64 within a few steps.
     """
     spacing = PART / rate_at(system, x0, t)
     points, tangents = [x0], []

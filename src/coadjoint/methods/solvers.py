@@ -12,7 +12,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.stages import Step
 from coadjoint.program.numbers import roundoff
 
-MOST_ITERATIONS = 200  # for 53 bits; in proportion for more
+MOST_ITERATIONS = 200  # for 53 bits; proportionally more for more bits
 
 
 class Evaluation(NamedTuple):
@@ -135,13 +135,13 @@ def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDA
     """
     from coadjoint.kernels.description import limit
 
-    most_growth = 2 ** limit("GROWTH_BITS")  # of the first correction: one so much larger will not come back
+    most_growth = 2 ** limit("GROWTH_BITS")  # an iteration whose correction grows by so much will not converge
     unit = roundoff(float if step.x.dtype != object else type(step.x[0]))
     if unit == 0:
         raise TypeError("the stages solve equations that exact fractions do not settle: take floats or mpmath.mpf")
     most = MOST_ITERATIONS * max(1, int(-np.log2(float(unit)) / 53))
     points, least, quiet, largest, first = step.start(), None, 0, None, 0
-    with np.errstate(over="ignore", invalid="ignore"):  # an iteration that diverges is known by its last correction
+    with np.errstate(over="ignore", invalid="ignore"):  # its last correction shows that an iteration diverges
         for iteration in range(1, most + 1):
             slopes = slopes_at(points)
             new = step.points(slopes)
@@ -155,7 +155,7 @@ def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDA
             falling = least is None or bool(np.any(change < least))
             least = change if least is None else np.minimum(change, least)
             quiet = quiet + 1 if iteration > 3 and not falling and largest <= 2**21 * unit * size else 0
-            if quiet >= max(2, iteration // 4):  # slow corrections may turn for longer before they shrink
+            if quiet >= max(2, iteration // 4):  # slow corrections may oscillate for longer before they shrink
                 return slopes
     residual = float(largest) if largest is not None else float("nan")
     raise IntegrationError(

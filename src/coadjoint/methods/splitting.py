@@ -136,8 +136,8 @@ class Splitting(FlowMethod):
         The error is what the first term of the modified Hamiltonian makes along a short motion from the state (128
         steps, some 30 radians), carried on by the tangent map. On bodies, tops and random systems errors were 0.4 to
         0.6 times those of the automatic parts (geometric mean of 48), and in one case of twenty larger by a tenth or
-        more. A higher order is compared by its own first term where that is a polynomial of at most 4000 monomials,
-        else by that of order two.
+        more. Schemes of order above two are compared by their own first term where that is a polynomial of at most 4000
+        monomials, and by the term of order two elsewhere.
 
         Parameters
         ----------

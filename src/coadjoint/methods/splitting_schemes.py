@@ -21,7 +21,8 @@ class SplittingScheme(NamedTuple):
         The first half of its palindrome of fractions of the step (with the middle one, if `of_second_order`), to 50
         digits (40 of a processed scheme).
     of_second_order : bool
-        Whether it composes the symmetric step of order 2; otherwise the forward sweep and its adjoint, in turn.
+        Whether it composes the symmetric step of order 2. Otherwise it composes the forward sweep and its adjoint, in
+        turn.
     processor_half : tuple of str
         Fractions of the processor P: second-order steps at these and then at their negatives, the first applied last.
         Empty where there is none.
@@ -62,7 +63,7 @@ def sweeps_of_steps(coefficients: Sequence[Any], number: Callable[[Any], Any]) -
 def _alternating(coefficients: Sequence[Any], number: Callable[[Any], Any]) -> list[Sweep]:
     """Forward, backward, forward, ...: a first-order step and its adjoint.
 
-    The one moves time first and the other moves it last, so that both of a pair see the same moment.
+    The first moves time before the parts, its adjoint after them. So both of a pair are taken at the same moment.
     """
     sweeps, passed = [], number(0)
     for k, coefficient in enumerate(coefficients):
@@ -88,8 +89,9 @@ def _read() -> dict[str, SplittingScheme]:
 
 SCHEMES = _read()
 
-# Smallest error at equal cost on a rigid body among those without a processor. It depends on the state: on other orbits
-# blanes_moan4 halves the error of order 4, and the rest of an order is within a factor of 3 or behind.
+# Those with the smallest error at equal cost on a rigid body, among schemes without a processor. That depends on the
+# state: on other orbits blanes_moan4 halves the error of order 4. Other schemes of an order are within a factor of 3,
+# or worse.
 DEFAULT_SCHEMES = {
     2: "strang",
     4: "suzuki4",

@@ -100,7 +100,7 @@ def checked(coefficients: Coefficients, solver: str, scheme: str) -> Coefficient
     solver : str
         How the slopes are found: an explicit step cannot read slopes that it has not found yet.
     scheme : str
-        Whose it is, for messages.
+        Name of the scheme, for messages.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def checked(coefficients: Coefficients, solver: str, scheme: str) -> Coefficient
     Raises
     ------
     ValueError, TypeError
-        It is no tableau.
+        The coefficients are no tableau for this solver.
 
     Examples
     --------

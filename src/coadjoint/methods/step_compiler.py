@@ -30,7 +30,7 @@ class CompiledStep:
     Parameters
     ----------
     name : str
-        As its ``STEP_SCHEME`` says.
+        The name that its ``STEP_SCHEME`` says.
     path : str
         The file.
     """
@@ -56,7 +56,7 @@ def compile_step(path: str | Path, name: str | None = None) -> CompiledStep:
     path : str or Path
         The file.
     name : str, optional
-        Which of its steps, where there are several.
+        The name of the step, where the file has several.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def _address(name: str, path: str) -> int:
 
 @cache
 def _library(source: Path) -> ctypes.CDLL:
-    kernels()  # says first what is missing
+    kernels()  # refuses first, by name, where kernels are missing
     compiler = _compiler()
     # compiled for the level in use, so that the bits are the same
     how = [*options(tuning(level_in_use())), "-DCOADJOINT_APART", "-shared"]

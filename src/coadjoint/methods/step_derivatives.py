@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-# So small a step leaves nothing of second order, and its products do not underflow.
+# With so small a step terms of second order vanish, and its products do not underflow.
 COMPLEX_STEP = 2.0**-300
-# The cube root of the unit round-off: then rounding and truncation of a central difference are of one size.
+# The cube root of the unit round-off. Rounding and truncation of a central difference are then of one size.
 DIFFERENCE = 2.0**-17
-# A step that is no analytic function of x is known by a difference, whose own error is at least this.
+# A difference shows that a step is no analytic function of x. The error of the difference is at least this.
 AGREEMENT = 2.0**-20
 
 
@@ -28,9 +28,9 @@ class Derivative(NamedTuple):
 def derivative_of(function: Callable[[NDArray[Any]], Any], x: NDArray[np.float64]) -> Derivative:
     """Return a function at x with its derivative.
 
-    A complex step is exact to round-off, where the function is analytic and written for complex numbers; in one
-    direction it is compared with a difference. Where it cannot be taken, or differs, central differences have some nine
-    digits.
+    A complex step is exact to round-off where the function is analytic and written for complex numbers. In one
+    direction it is compared with a difference. Where it cannot be taken, or differs, central differences are taken,
+    with some nine digits.
 
     Parameters
     ----------

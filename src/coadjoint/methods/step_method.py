@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 class StepMethod(SteppedMethod):
     """A scheme that is one function, the step; for schemes of your own, in a script or a package.
 
-    Derive from it, as a frozen dataclass whose fields are the parameters of the scheme; say `order`, `explicit` and
-    `symmetric`, write `properties` and `step`, and every run, stepper, composition and choice takes it. Where Numba is
-    installed and can compile the step, it is compiled when a run begins, in a second or two; there the system offers
-    ``dim``, ``sign``, ``vector_field(x, t)``, ``energy(x, t)``, ``structure_matrix(x)``, ``jacobian(x, t)`` and of its
-    ``hamiltonian`` ``value``, ``gradient`` and ``hessian``. Elsewhere the loop calls Python in each step, and says so
-    once. `tangent` may be written as well; without it the derivative is found by complex steps where the step takes
-    them, else by differences, with nine digits (`Stepper.tangent_by` says which).
+    Derive from it, as a frozen dataclass whose fields are the parameters of the scheme. Set `order`, `explicit` and
+    `symmetric`, and write `properties` and `step`. Then every run, stepper, composition and choice takes it. Where
+    Numba is installed and can compile the step, it is compiled when a run begins, in a second or two. In compiled code
+    the system offers ``dim``, ``sign``, ``vector_field(x, t)``, ``energy(x, t)``, ``structure_matrix(x)``,
+    ``jacobian(x, t)`` and of its ``hamiltonian`` ``value``, ``gradient`` and ``hessian``. Elsewhere the loop calls
+    Python in each step, and says so once. `tangent` may be written as well; without it the derivative is found by
+    complex steps where the step takes them, else by differences, with nine digits (`Stepper.tangent_by` says which).
 
     See Also
     --------
@@ -81,7 +81,7 @@ class StepMethod(SteppedMethod):
         return CompiledLoop(STEP_LOOP, found.tables, (*found.keep, function))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of a step that is estimated: as many evaluations of the field as its order."""
+        """Return the estimated work of a step: as many evaluations of the field as its order."""
         from coadjoint.methods.work import work_of_evaluations
 
         return work_of_evaluations(system, substeps * self.order, self.explicit)

@@ -48,7 +48,7 @@ class SteppedMethod(Method):
 
     @abstractmethod
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of a step of so many substeps, for the iterations and evaluations of all of them.
+        """Return the work of a step of so many substeps, iterations and evaluations of all substeps together.
 
         Parameters
         ----------
@@ -102,7 +102,7 @@ class SteppedMethod(Method):
         return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
 
     def composed(self, coefficients: Sequence[float]) -> Method:
-        """Return the scheme of these substeps."""
+        """Return the scheme whose step is made of these substeps."""
         from coadjoint.methods.composed import Substeps
 
         return Substeps(self, tuple(coefficients))

@@ -10,6 +10,7 @@ import numpy as np
 
 from coadjoint.given import read_choice, read_whole
 from coadjoint.methods.base import Method
+from coadjoint.methods.composed import FlowsOfBase
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.flow_method import FlowMethod
 from coadjoint.methods.order_conditions import HIGHEST_ORDER
@@ -28,11 +29,11 @@ JUMPS = {"triple": 1, "suzuki": 2}
 def even_order(base: Method, order: int, jump: str = "triple") -> Method:
     """Return a symmetric scheme of an even order from one of any order, such as 1.
 
-    A base that is not symmetric is followed by its adjoint, each over half a step, which is symmetric and of order 2.
-    A symmetric scheme of order 2 k is composed with itself, ``c h, (1 - 2 c) h, c h`` with c = 1 / (2 - 2^(1/(2k+1))),
-    or by Suzuki's five steps ``c h, c h, (1 - 4 c) h, c h, c h`` with c = 1 / (4 - 4^(1/(2k+1))), and then is of order
-    2 k + 2. What the base keeps, the result keeps. Choose it for a base of your own; `Splitting` has better
-    compositions of orders 4 to 10 by name.
+    A base that is not symmetric is followed by its adjoint, each over half a step. The result is symmetric and of even
+    order, 2 for a base of order 1. A symmetric scheme of order 2 k is composed with itself, ``c h, (1 - 2 c) h, c h``
+    with c = 1 / (2 - 2^(1/(2k+1))), or by Suzuki's five steps ``c h, c h, (1 - 4 c) h, c h, c h`` with c = 1 / (4 -
+    4^(1/(2k+1))). The result is of order 2 k + 2. What the base keeps, the result keeps. Choose it for a base of your
+    own; `Splitting` has better compositions of orders 4 to 10 by name.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
     order : int
         2, 4, ..., 12, at least the order of the symmetric base.
     jump : {"triple", "suzuki"}
-        Three steps for each two orders, or five: more work, and mostly a smaller error.
+        Three steps for each two orders, or five. Five are more work, mostly with a smaller error.
 
     Returns
     -------
@@ -51,12 +52,12 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
     Raises
     ------
     TypeError, ValueError
-        The base has no adjoint that is known; an order that is odd, too small or too large.
+        The adjoint of the base is not known, or the order is odd, too small or too large.
 
     Notes
     -----
-    S. Reich 1993, Remark 6.1, which leaves out the adjoint: without it the composition of a first-order scheme has the
-    wrong error terms. H. Yoshida, Phys. Lett. A 150 (1990) 262; M. Suzuki, Phys. Lett. A 146 (1990) 319.
+    S. Reich 1993, Remark 6.1. The remark leaves out the adjoint; without it the composition of a first-order scheme has
+    the wrong error terms. H. Yoshida, Phys. Lett. A 150 (1990) 262; M. Suzuki, Phys. Lett. A 146 (1990) 319.
 
     Examples
     --------
@@ -85,7 +86,7 @@ def _order_of_pair(base: Method) -> int:
 
 
 @dataclass(frozen=True)
-class PairOfFlows(FlowMethod):
+class PairOfFlows(FlowsOfBase):
     """The sweeps of a scheme over half a step, then in reverse over the other half.
 
     Parameters
@@ -109,21 +110,6 @@ class PairOfFlows(FlowMethod):
         """The even number from the order of the base on."""
         return _order_of_pair(self.base)
 
-    @property
-    def parts(self) -> Any:
-        """Those of the base."""
-        return self.base.parts
-
-    @property
-    def compensated(self) -> bool | None:
-        """As the base."""
-        return self.base.compensated
-
-    @property
-    def rotation(self) -> str:
-        """As the base."""
-        return self.base.rotation
-
     def properties(self, system: System) -> Properties:
         """Return what the base keeps."""
         return self.base.properties(system)
@@ -132,7 +118,7 @@ class PairOfFlows(FlowMethod):
         """Return the sweeps of the base and their mirror images; times are mirrored too."""
         there = list(self.base.sweeps(number))
         forth = [Sweep(forward, c / 2, moment / 2, turn) for forward, c, moment, turn in there]
-        # A turn belongs to the second sweep of a pair, which is the first of its image.
+        # A `turn` stands at the second sweep of a pair, which in the mirror image is the first.
         turns = [there[-1].forward, *(sweep.turn for sweep in reversed(there[1:]))]
         back = [
             Sweep(not forward, c / 2, 1 - moment / 2, turn)

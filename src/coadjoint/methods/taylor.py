@@ -36,10 +36,10 @@ LANES = 8
 class Taylor(CompiledStepMethod):
     """The Taylor series of the motion up to a high order, then back to where energy and Casimirs are what they were.
 
-    The coefficients follow from each other, ``x_(k+1) = f_k / (k + 1)`` with f_k those of the field, by products of
-    series: a step is explicit and long, up to about the time in which the momentum turns by one radian, and costs about
+    The coefficients follow from each other by products of series, ``x_(k+1) = f_k / (k + 1)`` with f_k those of the
+    field. A step is explicit and long, up to about the time in which the momentum turns by one radian. It costs about
     order^2 / 2 evaluations of the products in the field. Choose it for accuracy: where an error is to be reached with
-    the least work it is mostly the fastest scheme, and `choose` takes it. It is no Poisson map; for statistics of
+    the least work it is mostly the fastest scheme, and `choose` takes it. It is no Poisson map. For statistics of
     chaotic motion, or energies that stay near forever without being forced to, take `Splitting`.
 
     It serves every Hamiltonian that is a polynomial, of any degree, on every algebra. With ``projected`` the energy and
@@ -51,7 +51,7 @@ class Taylor(CompiledStepMethod):
     order : int
         Order p of the series, from 1 to 64. About 8 for errors of 1e-3, 12 for 1e-6, 18 for 1e-9, 24 for 1e-12.
     projected : bool
-        Whether the invariants are restored. Without it they are kept as well as the series is accurate.
+        Whether the invariants are restored. Otherwise they are kept as well as the series is accurate.
 
     Raises
     ------
@@ -76,7 +76,7 @@ class Taylor(CompiledStepMethod):
     projected: bool = True
 
     symmetric = False
-    # The series of all coordinates, and of all products, are in memory at once.
+    # The series of all coordinates and of all products are in memory at once.
     largest: ClassVar[float] = 10_000
 
     def __post_init__(self) -> None:
@@ -85,7 +85,7 @@ class Taylor(CompiledStepMethod):
 
     @property
     def explicit(self) -> bool:
-        """Whether nothing is projected: the multipliers solve equations."""
+        """Whether nothing is projected. The multipliers of a projection solve equations."""
         return not self.projected
 
     def properties(self, system: System) -> Properties:
@@ -188,7 +188,7 @@ def _vectors_of_products(system: System, lanes: int) -> float:
     terms = system.hamiltonian.terms()
     form = terms[0].form if len(terms) == 1 else None
     if form is not None and np.all(form.rows == form.indices):
-        # Products are written out, those with a coordinate that H does not have left out, the others once.
+        # Products are written out, each once. Those with a coordinate that is not in H are left out.
         there = np.isin(other, form.indices)
         pairs = np.stack([row, np.minimum(moved, other), np.maximum(moved, other)], axis=1)[there]
         row = np.unique(pairs, axis=0)[:, 0] if len(pairs) else pairs[:, 0]

@@ -14,7 +14,7 @@ from coadjoint.methods.flow_method import FlowMethod
 from coadjoint.methods.short_orbit import ShortOrbit, short_orbit
 from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.program.decompose import best_decomposition, candidates, decompose
-from coadjoint.program.leading_term import leading_term
+from coadjoint.program.modified_terms import leading_term
 from coadjoint.program.nested_brackets import NestedBrackets
 from coadjoint.program.order_of_parts import CLEARLY, MOST_ORDERED, least_of_orders
 from coadjoint.program.parts import Parts
@@ -23,20 +23,22 @@ from coadjoint.systems.polynomial_form import polynomial_of
 
 Floats = NDArray[np.float64]
 
-# Larger systems are compared at the given states alone: the brackets of a motion cost n^3 for each of its points.
+# Larger systems are compared at the given states alone. Brackets cost n^3 operations at each point, and a motion has
+# many.
 LARGEST_FOLLOWED = 64
-# Choices that are compared by the own first term of a scheme of higher order.
+# So many choices are compared by the first term of the scheme itself, where its order is above two.
 MOST_TRIED = 12
-# Such a term may have so many monomials; where there are more, the choice of order two is taken.
+# That term may have so many monomials. Where it has more, the choice for order two is taken.
 MOST_MONOMIALS = 4000
 
 
 def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], starts: Floats) -> ChosenParts:
     """Return shift and order of the automatic parts with the smallest error along short motions from some states.
 
-    The field of a scheme differs from the motion's by J times the gradient of the first term of its modified
-    Hamiltonian, and the tangent map carries what this adds at one point to all later ones. Of order two every order of
-    the parts is compared; of a higher one those that are best at order two, which is a good guess of them.
+    A scheme moves along the field of its modified Hamiltonian. That differs from the field of the motion by J times the
+    gradient of the first term. The tangent map carries this difference from each point to all later ones. For a scheme
+    of order two all permutations of the parts are compared. For a scheme of higher order the best permutations for
+    order two are compared by the scheme's own first term.
 
     Parameters
     ----------
@@ -57,7 +59,7 @@ def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], s
     if system.dim > LARGEST_FOLLOWED or not all(term.differentiable for term in terms):
         return best_decomposition(system, starts).choice
     orbits = [short_orbit(method, system, start) for start in starts]
-    # Any number of parts is the same for all of them: the fewest.
+    # All candidates have the same number of parts, the fewest.
     if not 1 < len(own.order) <= MOST_ORDERED:
         return best_decomposition(system, np.concatenate([orbit.points for orbit in orbits])).choice
     ranked: list[tuple[float, ChosenParts]] = []
@@ -75,7 +77,7 @@ def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], s
 
 
 def _monomials(system: LiePoissonSystem, order: int) -> float:
-    """Return a bound of the monomials of the first term: brackets of order + 1 pieces of H, each takes a degree."""
+    """Return a bound of the monomials of the first term: of brackets of order + 1 pieces of H."""
     H = polynomial_of(system.hamiltonian)
     return np.inf if H is None else comb(system.dim + (order + 1) * (H.degree - 1) + 1, system.dim)
 
@@ -88,7 +90,7 @@ def _remembered(
 
 
 def _least(sizes: Sequence[tuple[float, ChosenParts]], own: ChosenParts) -> ChosenParts:
-    """Return the least, but the own choice where nothing is clearly less."""
+    """Return the choice with the least error; the automatic one where no other is clearly less."""
     least, best = min(sizes, key=lambda one: one[0])
     return best if all(choice != own or least < size * CLEARLY for size, choice in sizes) else own
 
@@ -105,14 +107,14 @@ def _error_of_scheme(system: LiePoissonSystem, method: FlowMethod, orbits: Seque
 
 
 class ErrorsOfOrders:
-    """What the brackets in the h^2 term of one set of parts make of some orbits; with them, the error of every order.
+    """The errors that each bracket of the h^2 term makes along some orbits; every order of the parts is a sum of them.
 
     Parameters
     ----------
     system : LiePoissonSystem
         The system.
     parts : Parts
-        Those of its Hamiltonian, or of the Hamiltonian less a Casimir.
+        The parts of its Hamiltonian, or of the Hamiltonian less a Casimir.
     orbits : sequence of ShortOrbit
         Its motions.
     """
@@ -127,7 +129,7 @@ class ErrorsOfOrders:
             self._carried.append(orbit.carried(fields))
 
     def sizes(self, orders: Sequence[tuple[int, ...]]) -> list[float]:
-        """Return for orders of the parts the root mean square over the orbits of the largest error, a part of x."""
+        """Return for several orders of the parts the largest error relative to x, root mean square over the orbits."""
         weights = np.array([self._brackets.weights(order).ravel() for order in orders])
         total = np.zeros(len(orders))
         for carried, square in zip(self._carried, self._square, strict=True):

@@ -15,9 +15,9 @@ from coadjoint.program.table import Program
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
-# The weights of the rule, all of them: change them here when the compiled loops change. The unit is a flow that turns
-# one pair of coordinates by a linear angle (five multiplications, a sine with its cosine), about 11 ns on one core; an
-# iteration of eight stages of a field in three dimensions, the stages side by side in vector lanes, is then 1.6.
+# All weights of the rule. Change them here when the compiled loops change. The unit is a flow that turns one pair of
+# coordinates by a linear angle (five multiplications, a sine with its cosine), about 11 ns on one core. An iteration of
+# eight stages of a field in three dimensions, the stages side by side in vector lanes, then costs 1.6.
 FLOW = 0.2
 MULTIPLICATION = 0.04
 FUNCTION = 0.6
@@ -25,7 +25,7 @@ COMPENSATED = 1.3
 ITERATION = 0.5
 LANES = 8
 VECTOR_MULTIPLICATION = 0.05
-# Of an iteration in few dimensions, where all stages of a quadratic H stay in registers; half as wide for few stages.
+# An iteration in few dimensions, where all stages of a quadratic H stay in registers; half as wide for few stages.
 FEW_DIMENSIONS, FEW_STAGES = 6, 4
 IN_REGISTERS = 0.65
 NARROW = 0.65
@@ -38,7 +38,8 @@ WAITING = 0.06
 LOOK = 0.5
 FIRST_CORRECTION = 3.2
 NEXT_CORRECTION = 1.0
-# Of so many members in no more dimensions, flows turn many at once; other steps are as wide for one.
+# With so many members, in up to so many dimensions, flows turn many members at once. Other steps are as wide for one
+# member.
 CROWD = 16
 FLOWS_OF_A_CROWD = 0.1
 ELIMINATION = 0.015
@@ -51,12 +52,12 @@ class Work:
     Parameters
     ----------
     cost : callable
-        ``cost(iterations, evaluations)`` of a step, in rotations, for what the loop has counted of a step of one
-        member; linear systems are not counted.
+        ``cost(iterations, evaluations)`` returns the cost of a step in rotations, from what the loop has counted for a
+        step of one member. Linear systems are not counted.
     flows : int
         How many elementary flows round the momentum in a step; 0 for schemes that are not made of flows.
     in_a_crowd : float
-        The part of that cost which each of many members has.
+        The cost for each of many members, as a part of that.
     compensated : callable, optional
         Returns the work of the same step with compensated sums, where that is another.
     """

@@ -104,8 +104,7 @@ def _one_branch(values: npt.NDArray[np.float64], period: float) -> npt.NDArray[n
         first = values[:, :1] - period * np.rint(values[:, :1] / period)
         step = values - values[:, :1]
         step = step - period * np.rint(step / period)
-        # Around the axis of a multivalued function, where it changes by much within a cell, branches cannot be told
-        # apart.
+        # Around its axis a multivalued function changes by much within a cell, and branches cannot be told apart.
         return np.where(np.max(np.abs(step), axis=1, keepdims=True) < 0.4 * period, first + step, np.nan)
 
 

@@ -25,14 +25,14 @@ def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) 
     r"""Return a figure of how far the energy and modified energies of growing order stray from their start in a run.
 
     Each order should lie lower than the one before, by a factor like the square of the step, until round-off is
-    reached, and none should grow: then the run is the motion of a nearby Hamiltonian system.
+    reached. None should grow. Then the run is the motion of a nearby Hamiltonian system.
 
     Parameters
     ----------
     solution : Solution
         By a splitting; of an ensemble the first member is drawn.
     orders : sequence of int
-        Of the modified Hamiltonians; see `coadjoint.modified_hamiltonian`.
+        Orders of the modified Hamiltonians; see `coadjoint.modified_hamiltonian`.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def draw_deviations(axes: Any, solution: Solution, orders: Sequence[int]) -> Non
     solution : Solution
         By a splitting; of an ensemble the first member is drawn.
     orders : sequence of int
-        Of the modified Hamiltonians.
+        Orders of the modified Hamiltonians.
     """
     series = {"energy $H$": solution.energy}
     series |= {rf"$\tilde H$ of order {order}": solution.modified_energy(order) for order in orders}

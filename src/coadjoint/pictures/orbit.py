@@ -101,7 +101,7 @@ def _draw_surface(axes: Any, triangles: npt.NDArray[np.float64]) -> None:
     triangles, normals = triangles[wide], normals[wide] / size[wide]
     if not len(triangles):
         return
-    # A surface has two sides and triangles no orientation, so that light falls on both alike.
+    # A surface has two sides, and triangles have no orientation. So light falls on both sides alike.
     brightness = 0.72 + 0.28 * np.abs(normals @ LIGHT)
     faces = np.column_stack([brightness[:, None] * np.array(to_rgb(SURFACE)), np.full(len(triangles), 0.35)])
     x, y, z = triangles.reshape(-1, 3).T

@@ -30,8 +30,8 @@ def draw_solution(solution: Solution) -> Figure:
     Parameters
     ----------
     solution : Solution
-        One run or an ensemble; of an ensemble up to 20 members are drawn, of many coordinates 8, spread evenly,
-        and the figure says so.
+        One run or an ensemble. Of many members 20 are drawn, and of many coordinates 8, spread evenly; the figure says
+        so.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def draw_solution(solution: Solution) -> Figure:
 
 
 class _thinned:
-    """What is drawn: times (k,), states (members, k, n), invariants (members, k), at most so many of each."""
+    """What is drawn: times (k,), states (members, k, n) and invariants (members, k), thinned to at most so many."""
 
     def __init__(self, solution: Solution) -> None:
         every = max(1, -(-len(solution.t) // MOST_POINTS))

@@ -1,8 +1,8 @@
 """Of which Lie series is a composition of sweeps the exponential? The same one for all systems.
 
 A forward sweep over the step h is exp(h Y1 + h^2 Y2 + ...) with free letters Y1, Y2, ...; a backward one is its
-adjoint, and has (-1)^(k+1) Yk. Two rational rotations of one part that meet and turn as one, where a Sweep says
-`turn`, have letters of their own for what that changes.
+adjoint, and has (-1)^(k+1) Yk. Where a Sweep says `turn`, two rational rotations of one part meet and turn as one. That
+differs from two rotations, and the difference has letters of its own.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from coadjoint.algebra.exact_polynomials import rational as rational_number
+from coadjoint.algebra.exact import rational as rational_number
 from coadjoint.algebra.free_algebra import (
     Series,
     Word,
@@ -38,7 +38,7 @@ SHORT = 30
 
 
 class Letter(NamedTuple):
-    """A letter h^weight Y: of a sweep, or of the first or last part, where two sweeps meet."""
+    """A letter h^weight Y: that of a sweep, or that of the first or last part where two sweeps meet."""
 
     weight: int
     place: str = "sweep"
@@ -50,10 +50,11 @@ class Coordinates(NamedTuple):
     Parameters
     ----------
     of_weight : sequence of mapping
-        Place w: Lyndon word of `Letter` -> factor, `flint.fmpq` or `flint.arb`; those that are zero are not there.
+        At place w a mapping from Lyndon words of `Letter` to factors, `flint.fmpq` or `flint.arb`. Factors that are
+        zero are left out.
     neglected : float
-        The largest of those that were taken as zero: a bound of what rounding of the coefficients leaves of order
-        conditions. 0 where the conditions hold exactly.
+        The largest factor that was taken as zero, because only rounding of the scheme's coefficients keeps an order
+        condition from holding. 0 where the conditions hold exactly.
     exact : bool
         Whether all factors are rational numbers.
     """
@@ -64,7 +65,7 @@ class Coordinates(NamedTuple):
 
     @property
     def leading(self) -> int | None:
-        """The smallest weight above 1 that is there; None where there is none."""
+        """The smallest weight above 1 that has a factor; None where no weight has one."""
         return next((w for w, found in enumerate(self.of_weight) if w > 1 and found), None)
 
 
@@ -82,13 +83,14 @@ def composition_logarithm(
     Parameters
     ----------
     sweeps, after : sequence of Sweep
-        Those of the kernel K and of the processor P, as `swept_exactly` gives them; the step is P K P^-1.
+        The sweeps of the kernel K and of the processor P, from `swept_exactly`; the step is P K P^-1.
     highest : int
-        The largest weight, that is power of h in the exponent.
+        The largest weight, which is the power of h in the exponent.
     order : int
-        That the scheme declares. What rounding of its coefficients leaves of its order conditions is taken as zero.
+        The order that the scheme declares. Factors of its order conditions that are zero but for rounding are taken as
+        zero.
     parts : int
-        Their number; at a single one all sweeps meet.
+        Number of parts. With a single part, every sweep meets the next one.
     rational : bool
         Whether rotations are rational: then two flows of one part are not its flow over both.
 
@@ -150,7 +152,7 @@ def _size_if_zero(value: Any, least: float) -> float | None:
 
 def _product_of(sweeps: Sequence[Sweep], highest: int, alone: bool, rational: bool) -> Series:
     result = one(highest)
-    met: Any = 0  # over what the part has flowed at which the sweep before ended
+    met: Any = 0  # the time over which the part has flowed at which the sweep before ended
     before: Sweep | None = None
     for sweep in sweeps:
         c = sweep.coefficient
@@ -187,8 +189,8 @@ def swept_exactly(method: Swept) -> tuple[list[Sweep], list[Sweep]]:
     Parameters
     ----------
     method : Swept
-        The scheme. Its coefficients are computed in rational numbers; where that cannot be done (a cube root, say) in
-        balls.
+        The scheme. Its coefficients are computed in rational numbers, or in balls where that cannot be done (a cube
+        root, say).
 
     Returns
     -------

@@ -22,9 +22,9 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 SEED = 1993
 SAMPLES = 16
-# Larger systems keep the order that they come in: comparing orders costs n^3 for each of them.
+# Larger systems keep their order: comparing orders costs n^3 operations.
 LARGEST_COMPARED = 24
-# Systems that are compared at once: more do not fit a cache.
+# So many systems are compared at once. More do not fit into a cache.
 MOST_TOGETHER = 256
 
 
@@ -55,8 +55,9 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     system : LiePoissonSystem
         The system.
     choice : "auto", "coordinates", sequence of sequences of int, or ChosenParts
-        ``"auto"``: few parts, after taking off multiples of quadratic Casimirs where that removes a part or lowers the
-        h^2 term, in the order with the smallest h^2 term over a fixed sample. All else is taken as it stands.
+        ``"auto"`` makes few parts: it joins commuting coordinates, takes off multiples of quadratic Casimirs where that
+        removes a part or lowers the h^2 term, and orders the parts so that the h^2 term over a fixed sample is the
+        smallest. All other choices are taken as they stand.
 
     Returns
     -------
@@ -93,7 +94,7 @@ def decompose_all(systems: Sequence[LiePoissonSystem]) -> None:
             _FOUND[system] = found
 
 
-# Systems do not change, so that what was found for one serves all of its runs, as long as it lives.
+# Systems do not change. What was found for one is kept as long as the system lives, and serves all of its runs.
 _FOUND: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
 
 
@@ -158,12 +159,12 @@ def best_decompositions(
 
 
 def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candidate]:
-    """Return the parts after every shift that leaves the fewest of them; of the first one where nothing is compared."""
+    """Return the parts after each shift that leaves the fewest of them; one is enough where nothing is compared."""
     terms, casimirs = system.hamiltonian.terms(), quadratic_casimirs(system)
     found = [Candidate((), split(system, "auto", terms))]
     fewest = len(found[0].parts)
     shifts = list(candidate_shifts(system, found[0].parts, casimirs)) if fewest > 1 else []
-    # For many shifts of a large system the number of parts is known without making them.
+    # For many shifts of a large system the parts are counted without being made.
     counts = [0] * len(shifts) if comparing else numbers_of_parts(system, casimirs, shifts)
     for shift, count in zip(shifts, counts, strict=True):
         if count >= fewest:

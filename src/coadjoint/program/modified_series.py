@@ -24,7 +24,7 @@ class Balls(NamedTuple):
     radius : float
         The largest radius of a ball, over the size of its middle.
     neglected : float
-        A bound of the coefficients that are zero up to rounding, and are not there.
+        A bound of the coefficients that were left out, because they are zero up to rounding.
     """
 
     coefficients: Mapping[tuple[int, ...], float]
@@ -40,7 +40,7 @@ class ModifiedSeries:
     commutators : Commutators
         The bracket on the dual of the algebra.
     flows : sequence of mappings
-        The parts in the order of a forward sweep, each as j -> polynomial; see `sweep_logarithm`.
+        The parts in the order of a forward sweep, each a mapping j -> polynomial; see `sweep_logarithm`.
     highest : int
         The largest weight that will be asked for.
     """
@@ -70,7 +70,7 @@ class ModifiedSeries:
         return flow.get(letter.weight, self._commutators.ring.zero)
 
     def term(self, coordinates: Coordinates, weight: int) -> Exact | Balls:
-        """Return the term of a weight: exactly where its factors are rational numbers, else up to rounding.
+        """Return the term of a weight: exact where its factors are rational numbers, else known up to rounding.
 
         Parameters
         ----------

@@ -11,7 +11,8 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.parts import Parts
 from coadjoint.program.second_order import Floats, Samples
 
-# Differences of the brackets, which are smooth, over this part of the size of a point: (2^-14)^2 is what they neglect.
+# Brackets are differenced over this part of the size of a point. They are smooth, so the differences are right to about
+# (2^-14)^2.
 NUDGE = 2.0**-14
 
 
@@ -23,7 +24,7 @@ class NestedBrackets:
     algebra : LieAlgebra
         The bracket is {F, G} = (grad F)^T J(x) grad G.
     parts : Parts
-        The pieces; at least two.
+        The pieces of the Hamiltonian, at least two.
     """
 
     def __init__(self, algebra: LieAlgebra, parts: Parts) -> None:

@@ -16,7 +16,7 @@ from coadjoint.systems.terms import Term
 MOST_PERMUTED = 5
 # More parts than this keep their order: comparing them would take longer than many a run.
 MOST_ORDERED = 8
-# Sizes that differ by rounding alone must not decide, so that every machine chooses the same.
+# Sizes that differ by rounding alone must not decide; so every machine chooses the same order.
 CLEARLY = 1.0 - 1e-9
 
 
@@ -40,9 +40,9 @@ def best_order(
     Returns
     -------
     order : tuple of int
-        The natural order where the term cannot be had (no second derivatives, or too large).
+        The natural order where the term cannot be computed (no second derivatives, or a system too large).
     size : float
-        Zero there.
+        Root mean square of the h^2 term; zero where it cannot be computed.
     """
     return best_orders([(system, parts)], points, t)[0]
 
@@ -58,7 +58,7 @@ def best_orders(
         if len(parts) > 1 and len(points) and _has_hessians(terms):
             pattern = tuple(column.tobytes() for column in system.algebra.triples[:3])
             quadratic = all(term.form is not None for term in terms)
-            # Many parts are moved one by one, and each set takes its own way.
+            # Many parts are moved one by one, for each set on its own.
             key: Hashable = (len(parts), quadratic, pattern) if len(parts) <= MOST_PERMUTED else m
             alike.setdefault(key, []).append(m)
     for members in alike.values():

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.exact import exact_number
-from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, fraction, rational
-from coadjoint.algebra.polynomial import Exponents, Polynomial
+from coadjoint.algebra.exact import exact_number, fraction, rational
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
+from coadjoint.algebra.monomials import Exponents
+from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.program.parts import FunctionShare, Parts
 
-# A completed square may have numerators of thousands of digits; then the floats are taken that a run takes as well.
+# A completed square may have numerators of thousands of digits. Then the floats are taken, as in a run.
 MOST_BITS = 512
 
 
@@ -78,7 +79,7 @@ def form_of(ring: ExactPolynomials, coordinates: list[int], values: list[Any]) -
 
 
 def number_of(value: Any) -> Any:
-    """Return a number of the table as a rational one; those of too many digits as the floats that a run takes."""
+    """Return a number of the table as a rational one; a number of too many digits is rounded to the float of a run."""
     exact = Fraction(exact_number(value))
     long = exact.numerator.bit_length() + exact.denominator.bit_length() > MOST_BITS
     return rational(float(exact) if long else exact)
@@ -87,30 +88,30 @@ def number_of(value: Any) -> Any:
 def with_given_coefficients(
     ring: ExactPolynomials, parts: Parts, pieces: Sequence[Exact], H: Polynomial, factors: Mapping[Exponents, Exact]
 ) -> list[Exact]:
-    """Return pieces of parts with coefficients as H was given, or symbols, in place of those that a run takes.
+    """Return the pieces of parts with the coefficients of H as given, or with symbols, in place of those of a run.
 
     Parameters
     ----------
     ring : ExactPolynomials
         On the dual of the algebra.
     parts : Parts
-        Functions of coordinates, not of other forms, of H itself: nothing was taken off.
+        Parts of H itself, without a Casimir taken off. Each depends on coordinates, not on other linear forms.
     pieces : sequence of fmpq_mpoly
         The polynomials of the parts.
     H : Polynomial
         The Hamiltonian, whose coefficients may be fractions.
     factors : mapping
-        Exponents of some monomials of H -> polynomial in symbols to stand for their coefficients.
+        Exponents of some monomials of H -> the polynomial in symbols that stands for the coefficient.
 
     Returns
     -------
     list of fmpq_mpoly
-        The same where a part is not made of monomials of H.
+        The polynomials of the parts. A part that is not made of monomials of H is returned as it is.
 
     Raises
     ------
     ValueError
-        If there are symbols, and a part is not made of monomials of H.
+        There are symbols, and a part is not made of monomials of H.
     """
     lengths, values = np.diff(parts.forms.start), parts.forms.value
     whole = bool(np.all(lengths == 1) and np.all(np.asarray(values == 1, dtype=bool)))

@@ -45,7 +45,7 @@ class Part:
 
 
 class Parts(Sequence[Part]):
-    """Parts as columns: for many of them, or of many angles. An item is a `Part`, made when it is asked for.
+    """Parts stored by columns, since there may be very many. An item is a `Part`, which is made when it is asked for.
 
     Part p has the shares share[p] to share[p + 1], share s the angles row[s] to row[s + 1], and every angle one form.
 
@@ -54,9 +54,9 @@ class Parts(Sequence[Part]):
     forms : SparseRows
         The forms l_a of all angles.
     offset : ndarray, shape (angles,)
-        The angle rule of linear shares is offset + weights . x.
+        An angle of a linear share is offset + weights . x.
     weights : SparseRows
-        One row for each angle, empty for those of other shares.
+        One row for each angle; the row is empty in other shares.
     row : ndarray of int64, shape (shares + 1,)
         Where the angles of each share begin.
     special : mapping of int to PolynomialShare or FunctionShare
@@ -134,7 +134,7 @@ class Parts(Sequence[Part]):
 
     @property
     def first_coordinate(self) -> NDArray[np.uint32]:
-        """The smallest coordinate in the forms of each part, which must have one."""
+        """The smallest coordinate in the forms of each part; every part must have a form."""
         return np.minimum.reduceat(self.forms.coordinate, self.forms.start[self.angle[:-1]])
 
     def take(self, chosen: NDArray[Any]) -> Parts:

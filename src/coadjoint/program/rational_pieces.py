@@ -6,7 +6,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, rational
+from coadjoint.algebra.exact import rational
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.program.part_polynomials import form_of, number_of, row_of
 from coadjoint.program.parts import Parts, PolynomialShare
 
@@ -34,7 +35,7 @@ def rational_pieces(
     Returns
     -------
     list of dict
-        For each part: j -> what h^j has beside the piece itself, j = 3, 5, ...
+        For each part j -> the coefficient of h^j that is added to the piece, j = 3, 5, ...
     """
     found: list[dict[int, Exact]] = [{} for _ in range(len(parts))]
     of_share = {

@@ -38,8 +38,8 @@ def part_jets(parts: Parts, points: Floats, t: float = 0.0) -> Jet:
     Returns
     -------
     Jet
-        sum_a l_a theta_a of each part, (parts, k, n), and its derivative, (parts, k, n, n); or 1 for k there, where all
-        of them are constant.
+        The gradient sum_a l_a theta_a of each part, (parts, k, n), and its derivative, (parts, k, n, n). Where all
+        derivatives are constant, the latter has 1 in place of k.
     """
     count, n = points.shape
     constant, bent = np.zeros((len(parts), 1, n)), np.zeros((len(parts), 1, n, n))
@@ -74,7 +74,7 @@ def _own_jet(share: PolynomialShare | FunctionShare, own: NDArray[Any], x: Float
 def _applied(matrices: Floats, vectors: Floats) -> Floats:
     """Return matrices (..., n, n) times vectors (..., n), summed in order.
 
-    Not by einsum: no bit may depend on which others are compared at the same time, since the smallest is chosen.
+    Not by einsum, whose bits may depend on how many are computed at once. The smallest is chosen, so the bits matter.
     """
     total = matrices[..., 0] * vectors[..., :1]
     for j in range(1, matrices.shape[-1]):
@@ -88,9 +88,10 @@ class Samples:
     Parameters
     ----------
     algebras : sequence of LieAlgebra
-        Of each set; the bracket is {F, G} = (grad F)^T J(x) grad G. The same brackets are not zero in all of them.
+        The algebra of each set; the bracket is {F, G} = (grad F)^T J(x) grad G. All algebras have their nonzero
+        structure constants at the same places.
     sets : sequence of Parts
-        The pieces, equally many in each set.
+        The sets, each of the same number of parts.
     points : ndarray, shape (k, n)
         Where.
     t : float
@@ -118,7 +119,7 @@ class Samples:
     def second_order_terms(self, orders: Sequence[Sequence[int]]) -> Floats:
         """Return H2 at the points, where ``X1(h/2) ... Xn(h) ... X1(h/2)`` is the time-h flow of H + h^2 H2 + O(h^4).
 
-        For a pair, A outside and D inside, H2 = -{A, {A, D}}/24 + {D, {D, A}}/12; several parts are nested pairs.
+        For a pair, A outside and D inside, H2 = -{A, {A, D}}/24 + {D, {D, A}}/12. Several parts are nested pairs.
 
         Parameters
         ----------

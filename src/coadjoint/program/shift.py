@@ -23,8 +23,8 @@ from coadjoint.systems.terms import QuadraticTerm, Term
 Shift = tuple[tuple[str, float], ...]
 
 LARGEST_SINGULAR = 8
-LARGEST_DENSE = 32  # coordinates; up to here a sum over all n^2 entries is quicker than sorting the others
-# What a shift leaves of an entry is zero below this many units of round-off of what is added up.
+LARGEST_DENSE = 32  # coordinates; up to here summing all n^2 entries is quicker than sorting the nonzero ones
+# An entry that a shift leaves counts as zero below this many round-offs of the terms that are added up.
 ROUNDING = 4 * UNIT_ROUNDOFF
 
 
@@ -86,7 +86,7 @@ def _entries(casimir: Polynomial) -> Entries | None:
     return rows, columns, np.concatenate([np.where(apart, values, 2.0 * values), values[apart]])
 
 
-# A scan over constants takes the same Casimir off again and again.
+# Kept, since a scan over constants takes the same Casimir off again and again.
 _remembered_entries = lru_cache(maxsize=256)(_entries)
 
 
@@ -96,7 +96,7 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir
     Parameters
     ----------
     terms : sequence of Term
-        The Hamiltonian; one of its quadratic terms belongs to no piece.
+        The Hamiltonian. One of its quadratic terms must stand outside the pieces of a SplitHamiltonian.
     casimirs : mapping
         Name -> quadratic Casimir.
     shift : tuple of (str, float)

@@ -145,7 +145,7 @@ def fresh(*keys: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def sums(values: NDArray[Any], first: NDArray[np.bool_]) -> NDArray[Any]:
-    """Return the sums of consecutive values, each added up from left to right, where `first` marks the beginnings.
+    """Return sums of consecutive values, from left to right; `first` marks where each sum begins.
 
     Examples
     --------

@@ -60,8 +60,8 @@ def sparse_squares(matrix: SparseRows, linear: NDArray[np.float64]) -> SparseSqu
 
 
 class _Reduction:
-    """The residual as one dictionary for each row, and heaps that find its largest entries; operation by operation
-    that of `complete_squares`.
+    """The residual matrix of `complete_squares`, with the same operations in the same order. Each row is a dictionary,
+    and heaps find the largest entries.
     """
 
     def __init__(self, matrix: SparseRows, linear: NDArray[np.float64]) -> None:
@@ -105,7 +105,7 @@ class _Reduction:
         return SparseSquares(sparse, np.array(weights), np.array(betas))
 
     def _pivots(self) -> tuple[int, ...] | None:
-        """Return one coordinate, or two that are coupled, or None where nothing is left."""
+        """Return the coordinate of the next square, or two coupled ones; None where nothing is left."""
         while self.entries and not self._current(*self.entries[0]):
             heappop(self.entries)
         if not self.entries or -self.entries[0][0] <= self.floor:

@@ -79,7 +79,7 @@ def _parts_by_pattern(terms: Sequence[Term], commutation: Commutation) -> Parts 
 
 @lru_cache(maxsize=1024)
 def _parts_of_pattern(pattern: Pattern[tuple[QuadraticTerm, Commutation]]) -> Parts | None:
-    """Return the parts with the places of their weights among the values of the term."""
+    """Return the parts, and where each of their weights stands among the values of the term."""
     term, commutation = pattern.given
     places: Any = np.arange(len(term.values))
     atoms = coupled_atoms(replace(term, values=places), commutation)
@@ -161,7 +161,7 @@ def _function_atom(system: LiePoissonSystem, term: FunctionTerm, commutation: Co
 
 
 class NotSplit(ValueError):
-    """A Hamiltonian is no sum of functions whose flows are known: which piece of it, and why."""
+    """A Hamiltonian is no sum of functions whose flows are known. The message says which piece, and why."""
 
 
 def _not_split(system: LiePoissonSystem, what: str, clash: tuple[int, int]) -> NotSplit:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-# A square is taken of one coordinate unless its diagonal entry is this much smaller than the largest entry: no form
+# A square is taken of one coordinate, unless its diagonal entry is this much smaller than the largest entry. No form
 # then has large coefficients (Bunch and Parlett 1971, (1 + sqrt 17)/8).
 SMALLEST_PIVOT = Fraction(41, 64)
-# Above this size the numerators grow past use and the reduction runs in the number type that it was given.
+# Above this size numerators become too large, and the reduction runs in the number type that it was given.
 LARGEST_RATIONAL = 16
 
 
@@ -106,9 +106,10 @@ def _square(residual: NDArray[Any], i: int) -> list[tuple[NDArray[Any], Any]]:
 
 
 def _pair(residual: NDArray[Any], i: int, j: int) -> list[tuple[NDArray[Any], Any]]:
-    """The diagonal is small beside the entry m at (i, j): squares along e_i + e_j or e_i - e_j, then e_j.
+    """Return squares along e_i + e_j or e_i - e_j, then e_j, where the diagonal is small beside the entry at (i, j).
 
-    Where the diagonal vanishes, ((u + v)(u + v)^T - (u - v)(u - v)^T) m/2 with the rows m u, m v.
+    With the entry m and a diagonal of zeros they are ((u + v)(u + v)^T - (u - v)(u - v)^T) m/2, of the rows m u and m
+    v.
     """
     sign = 1 if (residual[i, i] + residual[j, j]) * residual[i, j] >= 0 else -1
     along = residual[i] + sign * residual[j]
@@ -119,7 +120,7 @@ def _pair(residual: NDArray[Any], i: int, j: int) -> list[tuple[NDArray[Any], An
 
 
 def split_linear(b: Any, forms: Sequence[Any]) -> list[Any]:
-    """Return beta with sum beta_r l_r equal to b at the one or two pivots, all given there; later forms vanish there.
+    """Return beta with sum beta_r l_r = b at the one or two pivots; b and the forms are given there alone.
 
     Examples
     --------

@@ -1,8 +1,8 @@
 """Of which vector field is one sweep through the parts the flow? The logarithm of a product of flows, as polynomials.
 
-A function H stands for the derivation F -> sign {F, H} along its motion, so that functions F become
-exp(h H_1) exp(h H_2) ... F under the flows of H_1, then H_2, ...: the first flow stands on the left. The commutator of
-two derivations is that of [F, G] = sign {G, F}.
+A function H stands for the derivation F -> sign {F, H} along its motion. Under the flows of H_1, then H_2, ... a
+function F becomes exp(h H_1) exp(h H_2) ... F: the first flow stands on the left. The commutator of the derivations of
+F and G is the derivation of [F, G] = sign {G, F}.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from fractions import Fraction
 from functools import cache
 from math import comb
 
-from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials, rational
+from coadjoint.algebra.exact import rational
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.memory import check_room
 
 MOST_PRODUCTS = 10**8
@@ -32,7 +33,7 @@ class Commutators:
     ring : ExactPolynomials
         On the dual of the algebra.
     sign : {+1, -1}
-        Of the equation x' = sign J(x) grad H(x).
+        The sign in x' = sign J(x) grad H(x).
 
     Examples
     --------
@@ -56,7 +57,7 @@ class Commutators:
         return WithFirst(self, [self.sign * entry for entry in self.ring.field(F)])
 
     def check_room(self, count: int) -> None:
-        """Refuse a bracket of so many products of monomials, with those before it, that it takes too long or large."""
+        """Count the products of monomials of a bracket, and refuse it where all brackets so far would make too many."""
         self._spent += count
         if self._spent > MOST_PRODUCTS:
             raise ValueError(
@@ -95,7 +96,7 @@ class WithFirst:
 
 
 def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: int) -> list[Exact]:
-    """Return Y_1, Y_2, ...: flows in turn are the flow of h Y_1 + h^2 Y_2 + ...
+    """Return Y_1, Y_2, ...: several flows, one after the other, are the flow of h Y_1 + h^2 Y_2 + ...
 
     With E(h) = exp(W(h)) ... for the flows in their order, R = E' E^-1 has a plain series, and Y = log E obeys
     Y' = sum_k B_k/k! ad_Y^k R, with the Bernoulli numbers B_k and B_1 = -1/2.

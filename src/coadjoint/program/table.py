@@ -29,7 +29,7 @@ from coadjoint.systems.terms import FunctionTerm
 
 @dataclass(frozen=True)
 class Program:
-    """A splitting of one system as a table, without Numba: the same arrays serve every reading.
+    """A splitting of one system as a table: plain arrays that every reader takes, compiled or not.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Program:
     frequency : ndarray, shape (angles,)
         The frequencies of the angles that are rational rotations, part after part; 0 for exact ones.
     shift : tuple of (Polynomial, float)
-        Casimirs and factors taken off the Hamiltonian: what `group` leaves out.
+        Casimirs and factors that were taken off the Hamiltonian. `group` does not contain what they do to the element.
     """
 
     rows: Rows

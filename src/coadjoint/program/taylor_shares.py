@@ -32,11 +32,11 @@ def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
     Parameters
     ----------
     parts : Parts
-        Of a Hamiltonian that does not depend on time.
+        The parts of a Hamiltonian that does not depend on time.
     x : ndarray, shape (n,)
         The point.
     degree : int
-        Of the polynomials: their derivatives up to this one are those of the functions.
+        Degree of the polynomials: derivatives up to this order are those of the functions.
 
     Returns
     -------
@@ -45,9 +45,9 @@ def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
     Raises
     ------
     TypeError
-        A function cannot be differentiated so often: neither is its Hessian enough, nor does it take complex numbers.
+        A function cannot be differentiated so often: its Hessian is not enough, and it takes no complex numbers.
     ValueError
-        A function is not analytic near the point, or of too many coordinates.
+        A function is not analytic near the point, or has too many coordinates.
     """
     special: dict[int, PolynomialShare | FunctionShare] = {}
     for s, share in parts.special.items():
@@ -75,9 +75,10 @@ def _placed(local: dict[tuple[int, ...], float], x: NDArray[np.float64], where: 
 def taylor_polynomial(term: FunctionTerm, y: NDArray[np.float64], degree: int) -> dict[tuple[int, ...], float]:
     """Return the Taylor polynomial of a function, without its constant, from its gradient.
 
-    Up to the second degree by the derivatives that were given; above by the values of the gradient on circles in the
-    complex plane around the point, whose Fourier coefficients are the derivatives (to 1e-10 or so of the largest, where
-    the function is analytic as far as the point is large).
+    Up to the second degree the derivatives that were given are used. Above, the gradient is evaluated on circles in the
+    complex plane around the point, and the Fourier coefficients of its values are the derivatives. They are right to
+    1e-10 or so of the largest where the function is analytic on the circles, whose radius is about the size of the
+    point.
 
     Parameters
     ----------
@@ -125,7 +126,7 @@ def _by_circles(
     size = max(1.0, float(np.max(np.abs(y))))
     tries = [_coefficients(term, y, degree, nodes, size * radius) for radius in RADII]
     keys = [e for e in tries[0] if sum(e) > 1]
-    # Coefficients of degree d weigh as much as size^d makes of them.
+    # A coefficient of degree d counts with the factor size^d.
     weighted = np.array([[own[e] * size ** sum(e) for e in keys] for own in tries])
     scale = float(np.max(np.abs(slope), initial=0.0)) * size + np.min(np.max(np.abs(weighted), axis=1, initial=0.0))
     apart = np.max(np.abs(np.diff(weighted, axis=0)), axis=1, initial=0.0)
@@ -148,7 +149,7 @@ def _by_circles(
 def _coefficients(
     term: FunctionTerm, y: NDArray[np.float64], degree: int, nodes: int, radius: float
 ) -> dict[tuple[int, ...], float]:
-    """Return the Taylor coefficients up to a degree from the gradient on a product of circles."""
+    """Return the Taylor coefficients up to a degree, from values of the gradient on a product of circles."""
     m = len(y)
     circle = radius * np.exp(2j * np.pi * np.arange(nodes) / nodes)
     values = np.empty((m,) + (nodes,) * m, dtype=np.complex128)
@@ -158,7 +159,7 @@ def _coefficients(
     found = {}
     for exponents in product(range(degree + 1), repeat=m):
         if 0 < sum(exponents) <= degree:
-            # The gradient along i has e_i times the coefficient at one power less of x_i: their mean over i.
+            # The gradient along i has e_i times the coefficient, at one power less of x_i. The mean over i is taken.
             own = []
             for i, e in enumerate(exponents):
                 if e:

@@ -1,7 +1,7 @@
 """What Casimirs that were taken off a Hamiltonian still do to the group element, in components known beforehand.
 
-A Casimir C turns the group element by exp(t X), X = -sign rho(grad C(x0)). X is linear in x0: its pattern, and by which
-closed form each of its components moves, depend on the algebra, the Casimirs and the representation alone.
+A Casimir C turns the group element by exp(t X), X = -sign rho(grad C(x0)). X is linear in x0. The algebra, the Casimirs
+and the representation alone determine its pattern, and the closed form by which each of its components moves.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SEED = 1993
 SAMPLES = 3
 # An invariant form counts as definite where its pivots differ by less.
 WORST_PIVOT = 2.0**-20
-# Matrices of so many numbers are kept with what was found for them.
+# Tables are kept for representations of up to so many numbers.
 LARGEST_KEPT = 4096
 
 
@@ -57,8 +57,8 @@ class UnshiftTables(NamedTuple):
     Component b has the coordinates begin[b] to begin[b + 1] of `coordinate`, and the entries form[b] to form[b + 1].
     Entry f stands at cell[f], column after column, and is the sum over entry[f] to entry[f + 1] of weight times
     x[column]. `order` is the last power of a NILPOTENT component, and of a CUBIC one the number of its eigenvalues that
-    are not 0. A `leaning` component leaves x where it is but for rounding, which is taken off. Where metric[b] is not
-    negative, the form that a SKEW component keeps is L L^T, and L^T and its inverse stand at this place of `metrics`.
+    are not 0. A `leaning` component moves x by rounding alone, which is taken off. Where metric[b] is not negative, the
+    form that a SKEW component keeps is L L^T, and L^T and its inverse stand at this place of `metrics`.
     """
 
     size: int
@@ -239,7 +239,7 @@ def _components(size: int, generators: Generators) -> Any:
 
 
 def _kind_of(component: _Component, samples: NDArray[np.float64], casimirs: Sequence[Entries]) -> _Kind:
-    """Return by which closed form a component moves, whatever the momentum: what holds at some of no special kind."""
+    """Return the closed form by which a component moves for every momentum: what holds at a few general ones."""
     m = component.width
     layer = layers(m, component.column[fresh(component.cell)], component.row[fresh(component.cell)])
     if layer.min() >= 0:

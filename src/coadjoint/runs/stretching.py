@@ -20,7 +20,7 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System
 from coadjoint.wording import short
 
-NEARLY_DEPENDENT = 2.0**-26  # as in the compiled loop: half of the digits
+NEARLY_DEPENDENT = 2.0**-26  # as in the compiled loop: below it half of the digits are round-off
 _said: set[type] = set()
 
 
@@ -30,7 +30,8 @@ class Stretching(NamedTuple):
     Parameters
     ----------
     logarithms : ndarray, shape (points, members, k)
-        Of by how much each vector was stretched from the start to each saved time; NaN after a failure.
+        Logarithm of the factor by which each vector was stretched from the start to each saved time; NaN after a
+        failure.
     by : str
         How the tangent was found: "compiled", or in Python by its "formula", by "complex step" or by "differences".
     run : Run
@@ -54,9 +55,9 @@ def stretching(
     method : Method
         The scheme.
     times : Times
-        With the saved steps as marks.
+        The times, with the saved steps as marks.
     start : Start
-        Without a group element.
+        The start, without a group element.
     frame : Frame
         The vectors of every member, orthonormal.
     workers : int
@@ -122,7 +123,7 @@ def _step_by_step(
 def _follow(
     system: System, method: Method, times: Times, states: NDArray[Any], frame: Frame, found: NDArray[np.float64]
 ) -> int:
-    """Fill in the logarithms of one member, and return the step whose vectors are not independent, or 0."""
+    """Fill in the logarithms of one member. Return the step after which vectors are dependent, or 0."""
     total, owed = np.zeros(len(frame.vectors)), np.zeros(len(frame.vectors))
     vectors = frame.vectors.T.copy()
     saved = {number: point for point, number in enumerate(times.saved.tolist())}
@@ -149,7 +150,7 @@ def make_orthonormal(vectors: NDArray[np.float64]) -> NDArray[np.float64] | None
     Returns
     -------
     ndarray of shape (k,), or None
-        What was left of the length of each; None where one depends on those before it, or is no number.
+        The length that was left of each; None where a column depends on those before it, or is not finite.
 
     Examples
     --------

@@ -27,7 +27,7 @@ def each_its_own(systems: Sequence[System], method: Method, h: float, prepared: 
     h : float
         Step, negative for backward.
     prepared : sequence of (CompiledLoop or None)
-        Of each, what `Method.tangent_loop` has returned; None is the loop without tangent vectors.
+        What `Method.tangent_loop` returned for each system; for None the loop without tangent vectors is taken.
 
     Returns
     -------
@@ -38,7 +38,7 @@ def each_its_own(systems: Sequence[System], method: Method, h: float, prepared: 
 
 
 class EachItsOwn(Loops):
-    """Members that have each its own tables, and go one after the other."""
+    """Loops of members that each have tables of their own, and go one after the other."""
 
     turned = staticmethod(plainly)
 

@@ -14,7 +14,7 @@ def polynomial_of(hamiltonian: HamiltonianLike) -> Polynomial | None:
     Parameters
     ----------
     hamiltonian : HamiltonianLike
-        Of any kind.
+        A bound Hamiltonian of any kind.
 
     Returns
     -------

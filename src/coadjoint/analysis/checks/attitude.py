@@ -43,9 +43,9 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
     subject : Subject
         What is looked at.
     study : Study or None
-        Of the convergence of the momentum, over whose span the element is followed.
+        The study of the convergence of the momentum. The element is followed over its span.
     steps : int
-        That are taken with it.
+        Number of steps that are taken with the element.
 
     Returns
     -------
@@ -106,10 +106,10 @@ def _carried(subject: Subject) -> bool:
 
 
 def _run(subject: Subject, attitude: Any, steps: int) -> tuple[Solution, Floats, float]:
-    """Take the steps, or half as many until they do not fail and the element is not much larger than its inverse.
+    """Take the steps, or half as many until the run does not fail and the condition of the element is not large.
 
-    What was rounded at g_s is multiplied by g_s^-1 g_t until t: elements that grow and shrink again have lost digits.
-    Returned are the run, its elements, and their largest condition.
+    A rounding at the time s is multiplied by g_s^-1 g_t until the time t. So elements that grow and shrink again have
+    lost digits. The run, its elements and their largest condition are returned.
     """
     while True:
         try:
@@ -185,7 +185,7 @@ class _WithElement:
         return np.concatenate([system.vector_field(x, t), -system.sign * turned.ravel()])
 
 
-# One for each system, so that what was followed is found again.
+# One for each system, so that a motion is followed once.
 _with_element = lru_cache(maxsize=16)(_WithElement)
 
 
@@ -198,7 +198,7 @@ def _limit(subject: Subject, study: Study) -> Seen | None:
         return None
     element = reference.states[0, n:].reshape(n, n)
     size = float(np.linalg.norm(element))
-    # The smaller half of the steps at which the momentum is told from round-off, or the smallest.
+    # The smaller half of the steps at which errors of the momentum stand above round-off, or the smallest step.
     clear = [k for k, error in enumerate(study.errors) if error > CLEAR * study.floors[k]]
     place = clear[-1] if clear else len(study.counts) - 1
     counts = (study.counts[place], 2 * study.counts[place])

@@ -15,14 +15,15 @@ from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 MOST_SINGLE = 12
-# A slope that is less sure cannot tell an order from its neighbour; high orders are told to a part of them.
+# A slope with a larger uncertainty cannot tell an order from its neighbour. For high orders the uncertainty may be a
+# part of the order.
 UNSURE, UNSURE_PART = 0.4, 1.0 / 10.0
 NEAR, NEAR_PART = 0.5, 1.0 / 16.0
-# Orders are whole numbers. A quarter of the way to the next is left for what the uncertainty does not see: later terms
-# of the error, and their accidents.
+# Orders are whole numbers. A quarter of the way to the next is left for what the uncertainty does not contain: later
+# terms of the error.
 MARGIN = 0.25
-# How many times the error may exceed what the last change of the step makes of it: errors of half the declared order
-# exceed it by 1 + 2^(p/2) at most where steps are halved, and the first steps by their next term.
+# The error may exceed the estimate from the last change of the step by this factor. Where steps are halved, errors of
+# half the declared order exceed it by 1 + 2^(p/2) at most. Those of the first steps exceed it by their next term.
 LIMIT = 6.0
 LIMIT_OF_STEPS = "limit of small steps"
 
@@ -65,7 +66,7 @@ def _unsure(fitted: Slope) -> bool:
 
 
 def _single_steps(subject: Subject, found: Study) -> Slope | None:
-    """Return the order by the errors of single steps, less one: few steps of a high order fit into the span."""
+    """Return the order by the errors of single steps, less one, as few steps of a high order fit into the span."""
     p, size = subject.claims.order or 4, float(np.linalg.norm(subject.states)) or 1.0
     largest = found.telling(math.copysign(subject.span_time, subject.h))
     steps, errors, floors = [], [], []
@@ -138,7 +139,7 @@ def _order_row(subject: Subject, found: Study, declared: str, evidence: dict[str
 
 
 def _reference_row(subject: Subject, found: Study, p: int | None, declared: str, evidence: dict[str, object]) -> Row:
-    """Return whether small steps lead to the motion; a flow at another speed settles on something else."""
+    """Return the row on whether small steps lead to the motion; a flow at another speed leads elsewhere."""
     last, bound = found.errors[-1], CLEAR * found.floors[-1]
     size = float(np.linalg.norm(found.reference.states)) or 1.0
     if len(found.counts) > 1:
@@ -178,14 +179,15 @@ def allowed(change: float, ratio: float, order: int | None) -> float:
     change : float
         The difference of what the two steps lead to.
     ratio : float
-        Of the steps, above 1.
+        The ratio of the steps, above 1.
     order : int or None
-        That is declared; 1 where none is.
+        The order that is declared; taken as 1 where none is.
 
     Returns
     -------
     float
-        6 times change / (ratio^order - 1), which is the error where it is C h^order alone.
+        6 times change / (ratio^order - 1). Without the factor this is the error of a scheme whose error is C h^order
+        alone.
 
     Examples
     --------

@@ -21,7 +21,7 @@ class Growth(NamedTuple):
     Parameters
     ----------
     power : float
-        Of time, fitted over the windows; NaN where nothing deviates in any bit.
+        The power of time, fitted over the windows; NaN where nothing deviates in any bit.
     kind : str
         "none", "bounded", "like sqrt(t)", "linear", or "like t^...".
     times, sizes : ndarray, shape (windows,)
@@ -42,7 +42,7 @@ def growth(t: Floats, deviations: Floats) -> Growth:
     t : ndarray, shape (k,)
         Times since the start, increasing in size.
     deviations : ndarray, shape (k, members)
-        From the start.
+        Deviations from the value at the start.
 
     Returns
     -------
@@ -50,10 +50,10 @@ def growth(t: Floats, deviations: Floats) -> Growth:
 
     Notes
     -----
-    In windows that double, a deviation c t^a has root mean squares whose logarithms rise by a log 2 from each to the
-    next, and one that oscillates has equal ones where its period is shorter than the windows: the slope over them is a.
-    A kind is taken within 1/4 of its power, half of the distance to its neighbour. Of a random walk of m members the
-    slope is off by about 0.3 / sqrt(m), one standard deviation.
+    Each window is twice as long as the one before. From window to window the logarithm of the root mean square of a
+    deviation c t^a rises by a log 2. A deviation that oscillates, with a period shorter than the windows, has equal
+    root mean squares. So the fitted slope is a. A kind is taken within 1/4 of its power, half of the distance to its
+    neighbour. For a random walk of m members the slope has a standard deviation of about 0.3 / sqrt(m).
 
     Examples
     --------

@@ -36,7 +36,7 @@ def keeps(properties: Properties, casimir: Any) -> bool:
     properties : Properties
         What the scheme declares.
     casimir : Polynomial, Quadratic or Invariant
-        One of the system.
+        One of the Casimirs of the system.
 
     Returns
     -------
@@ -58,14 +58,14 @@ def keeps(properties: Properties, casimir: Any) -> bool:
 
 @dataclass(frozen=True)
 class LongRun:
-    """The long run, or what there is of it.
+    """The long run, or the part of it that could be made.
 
     Parameters
     ----------
     solution : Solution or None
         None where not even one step was taken.
     failed : str
-        What was said where it failed.
+        The message of the failure, if it failed.
     until : float
         When it failed.
     """
@@ -78,8 +78,8 @@ class LongRun:
 def long_run(subject: Subject) -> LongRun:
     """Take the steps of the long run from every state, or half as many until they do not fail.
 
-    Nor may the states have grown much: the step is then another one for the motion, and its linear systems are worse
-    than round-off knows of.
+    It is also shortened where states have grown much. The step is then a different one in units of the motion, and the
+    linear systems are conditioned worse than the bounds on round-off assume.
     """
     count, failed, until = subject.steps, "", 0.0
     start = np.linalg.norm(subject.states, axis=1)
@@ -96,9 +96,9 @@ def long_run(subject: Subject) -> LongRun:
 
 
 def run_row(subject: Subject, run: LongRun) -> Row:
-    """Return the row on the run itself: that it comes to its end, where the motion can be followed so far.
+    """Return the row on the run itself: does it come to its end, where the motion can be followed so far?
 
-    What fails on the way keeps nothing, so that a scheme that declares anything must come to the end.
+    A run that fails keeps nothing. So a scheme that declares anything must come to the end.
     """
     key, what, ends = "run", "long run", "ends"
     steps = f"{subject.steps} steps of {subject.h:g} from {len(subject.states)} states"
@@ -160,7 +160,7 @@ def _single_steps(subject: Subject, telling: float) -> list[tuple[float, Solutio
 def _row(
     subject: Subject, run: LongRun, single: list[tuple[float, Solution]], name: str, invariant: Any, row: Row
 ) -> Row:
-    """Return the row of an invariant: its error in one step, and over the run, each against its round-off."""
+    """Return the row of an invariant: its errors in one step and over the run, each beside its round-off."""
     noise = subject.noise / (float(np.min(np.linalg.norm(subject.states, axis=1))) or 1.0)
     looks: list[tuple[float, float, str, str]] = []
     evidence: dict[str, Any] = {}

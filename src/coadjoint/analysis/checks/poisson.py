@@ -8,14 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.analysis.certificate import INAPPLICABLE, Row, verdict
-from coadjoint.analysis.checks.slope import Slope, slope
+from coadjoint.analysis.checks.slope import Slope, slope_of_defects
 from coadjoint.analysis.checks.subject import LARGEST_DENSE, Subject
 from coadjoint.analysis.checks.tangents import FLOOR_OF_DIFFERENCES, tangent
 from coadjoint.analysis.poisson_defect import defect_of_tangent
 from coadjoint.errors import IntegrationError
 
 SLOPES = 4
-# Of a step that is a function nobody counts the roundings: as many as this many evaluations of the field have.
+# The roundings of a step that is a function are not counted. They are taken as those of so many evaluations of the
+# field.
 UNCOUNTED = 64
 
 
@@ -44,7 +45,7 @@ def poisson_row(subject: Subject, telling: float) -> Row:
         return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=why)
     worst: tuple[float, float, float, str] | None = None
     reason = ""
-    # Where nothing is declared, one state and step tell.
+    # Where nothing is declared, one state and one step are enough.
     states = subject.states if claimed else subject.states[:1]
     for h in dict.fromkeys((subject.h, telling) if claimed else (telling,)):
         for x in states:
@@ -97,14 +98,9 @@ def _defect(subject: Subject, x: NDArray[np.float64], h: float) -> tuple[float, 
 
 def _slopes(subject: Subject, largest: float) -> Slope | None:
     """Return the power of the step that the defect at the first state follows."""
-    steps, defects, floors = [], [], []
-    for k in range(SLOPES):
-        h = largest / 2.0 ** (k / 2)
-        try:
-            defect, bound, _ = _defect(subject, subject.states[0], h)
-        except (IntegrationError, TypeError, ValueError):
-            continue
-        steps.append(abs(h))
-        defects.append(defect)
-        floors.append(bound / 64)
-    return slope(steps, defects, floors)
+
+    def look(h: float) -> tuple[float, float]:
+        defect, bound, _ = _defect(subject, subject.states[0], h)
+        return defect, bound / 64
+
+    return slope_of_defects(largest, SLOPES, look)

@@ -13,13 +13,13 @@ from coadjoint.systems.kinds import System
 
 Floats = NDArray[np.float64]
 
-# The smallest tolerance that DOP853 takes, and one whose error is seen against it.
+# The smallest tolerance that DOP853 takes, and a larger one. The difference of the two runs shows the error.
 FINE, COARSE = 2.3e-14, 1e-12
-# Of order 8, so that the error for each unit of time falls like the tolerance: the finer run has 1/43 of the error that
-# is seen, of which 1/8 is claimed.
+# DOP853 has order 8, so the error for each unit of time falls like the tolerance. The finer run has 1/43 of the error
+# that is seen; 1/8 is claimed.
 CLAIMED = 0.125
 MOST_STEPS = 1500
-# Between a closed form and the vector field; more is a fault of one of them.
+# A closed form may differ by so much from the vector field. More is a fault of one of them.
 AGREEMENT = 1e-8
 
 
@@ -31,11 +31,11 @@ class Motion(NamedTuple):
     states : ndarray, shape (k, n)
         There.
     error : float
-        Of them, relative to their size, with some room.
+        Error of the states, relative to their size, with some room.
     by : str
         How they were found.
     doubt : str
-        Where a closed form contradicts the vector field.
+        The message where a closed form contradicts the vector field; else empty.
     """
 
     states: Floats
@@ -50,7 +50,7 @@ def motion(system: System, x: Floats, t: float) -> Motion | None:
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        Of which the vector field, and the closed form where it has one, are used.
+        The system. Its vector field is used, and its closed form where it has one.
     x : ndarray, shape (k, n)
         Where they start.
     t : float
@@ -78,7 +78,7 @@ def _motion(system: System, start: bytes, shape: tuple[int, int], t: float) -> M
     again = None if halved is None else _closed(system, halved, t / 2)
     if closed is None or again is None:
         return followed
-    # Its own rounding is seen where it goes the way in two.
+    # Going the way in two pieces shows the rounding of the closed form.
     rounding = 2 * float(np.linalg.norm(again - closed)) / size + 16 * UNIT_ROUNDOFF
     apart = float(np.linalg.norm(closed - fine)) / size
     if apart > AGREEMENT:

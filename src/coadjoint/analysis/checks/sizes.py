@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 
 def size_of(invariant: Any, x: Floats) -> float:
-    """Return |gradient| |x| and the sum of the absolute terms: a rounding of u in x, or in a term, changes u of it.
+    """Return |gradient| |x| plus the sum of the absolute terms: roundings of x and of terms change u times that.
 
     Parameters
     ----------

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import IntegrationError
+
 MOST_POINTS = 5
 FEWEST_POINTS = 3
-# A logarithm of an error is off by so much where rounding is 1/16 of the error.
+# Where rounding is 1/16 of an error, its logarithm is off by so much.
 CLEAR = 16.0
 
 
@@ -22,10 +25,10 @@ class Slope(NamedTuple):
     value : float
         The slope at the smallest steps.
     uncertainty : float
-        How far it may be from the one that vanishing steps have.
+        How far it may be from the slope in the limit of vanishing steps.
     steepening : float
-        By how much it is larger there than at the largest steps: where errors fall ever faster, the order is not yet
-        seen.
+        The slope at the smallest steps less that at the largest ones. Where errors fall ever faster, the order is not
+        yet seen.
     steps, errors : ndarray, shape (k,)
         The points that it comes from, largest step first.
     """
@@ -47,7 +50,7 @@ def slope(steps: list[float], errors: list[float], floors: list[float]) -> Slope
     Parameters
     ----------
     steps, errors, floors : list of float
-        Positive; what round-off alone may have made of each error.
+        Steps, errors, and what round-off alone may have made of each error; all positive.
 
     Returns
     -------
@@ -56,9 +59,9 @@ def slope(steps: list[float], errors: list[float], floors: list[float]) -> Slope
 
     Notes
     -----
-    With an error C h^p (1 + a h + ...) the slope of some points around the step h is p + a h + .... From the larger of
-    the points to the smaller the step falls by a ratio r, so that what is left of a h is the change of the slope over
-    r - 1. To it is added what 1/16 of an error makes of the slope, where round-off may be so near.
+    With an error C h^p (1 + a h + ...) the slope of some points around the step h is p + a h + .... From the larger
+    points to the smaller ones the step falls by a ratio r. So a h at the smaller ones is the change of the slope
+    divided by r - 1. Round-off may be 1/16 of an error; what that does to the slope is added.
 
     Examples
     --------
@@ -79,6 +82,36 @@ def slope(steps: list[float], errors: list[float], floors: list[float]) -> Slope
     ratio = math.exp(float(np.mean(np.log(h[:width])) - np.mean(np.log(h[-width:]))))
     rounded = float(floor[-1] / e[-1]) / math.log(h[-width] / h[-1])
     return Slope(small, abs(small - large) / (ratio - 1.0) + rounded, small - large, h, e)
+
+
+def slope_of_defects(largest: float, count: int, look: Callable[[float], tuple[float, float]]) -> Slope | None:
+    """Return the power of the step that a defect follows, from the largest step down by roots of two.
+
+    Parameters
+    ----------
+    largest : float
+        Step, with its sign.
+    count : int
+        Of steps.
+    look : callable
+        Of a step: the defect and its floor. Steps at which it fails are left out.
+
+    Returns
+    -------
+    Slope or None
+        As `slope`.
+    """
+    steps, defects, floors = [], [], []
+    for k in range(count):
+        h = largest / 2.0 ** (k / 2)
+        try:
+            defect, floor = look(h)
+        except (IntegrationError, TypeError, ValueError):
+            continue
+        steps.append(abs(h))
+        defects.append(defect)
+        floors.append(floor)
+    return slope(steps, defects, floors)
 
 
 def _slope(h: NDArray[np.float64], e: NDArray[np.float64]) -> float:

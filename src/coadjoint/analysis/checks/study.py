@@ -20,14 +20,14 @@ Floats = NDArray[np.float64]
 NATURAL_TIMES = 2.0
 SHORTER = 4
 """How often the span is halved where the motion cannot be followed over it."""
-# Beyond this relative error the order says nothing.
+# Errors above this relative size say nothing about the order.
 LARGE = 0.05
 FINEST, FINEST_OF_PYTHON = 512, 128
 """Steps over the span that are not exceeded, of compiled steps and others, unless the given step takes more."""
 MOST_GIVEN = 4096
 FEW = 64
 MOST_TRIALS = 16
-# Between two steps of the study errors of high order fall by so much, those of low order by a half of the step.
+# Errors of high order fall by so much from one step of the study to the next. For low orders the step is halved.
 FALL = 16.0
 
 
@@ -42,14 +42,14 @@ class Study:
     counts : list of int
         Numbers of steps, increasing.
     ends : list of ndarray, shape (k, n)
-        The states there.
+        The states at the end.
     errors, floors : list of float
-        Relative to the size of the states; what rounding may have made of them.
+        Errors relative to the size of the states, and what rounding may have made of them.
     reference : Motion
     given : int
         The number of steps of the given size; 0 where they are not among these.
     failed : list of str
-        What was said of numbers of steps that failed.
+        The messages of runs that failed.
     """
 
     span: float
@@ -68,7 +68,7 @@ class Study:
 
     @property
     def slope(self) -> Slope | None:
-        """Of the errors that are neither large nor rounding."""
+        """The slope of the errors that are neither large nor round-off."""
         inside = [k for k, error in enumerate(self.errors) if error < LARGE]
         return slope(*([values[k] for k in inside] for values in (self.steps, self.errors, self.floors)))
 
@@ -80,7 +80,7 @@ class Study:
 
 
 def study(subject: Subject) -> Study | None:
-    """Run the scheme over a span with the given step, then with smaller and larger ones, as long as that tells more.
+    """Run the scheme over a span with the given step, then with smaller and larger ones, while that is of use.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def study(subject: Subject) -> Study | None:
     p = subject.claims.order
     for halving in range(SHORTER):
         wanted = NATURAL_TIMES / 2.0**halving * subject.span_time
-        # Where the given step is tiny, the order is looked at with larger ones; where it is huge, with smaller ones.
+        # Where the given step is tiny, the order is measured with larger ones; where it is huge, with smaller ones.
         given = round(min(wanted / abs(subject.h), 2.0 * MOST_GIVEN))
         given = given if halving else max(1, given)
         given = 0 if given > MOST_GIVEN else given
@@ -130,8 +130,8 @@ def study(subject: Subject) -> Study | None:
         k = found.counts.index(count)
         return found.errors[k] > CLEAR * found.floors[k]
 
-    # From steps that only round-off tells apart to those whose errors tell, fast; then finer ones down to round-off
-    # again, and coarser ones up to large errors.
+    # Where errors are round-off alone, steps grow fast until they are not. Then come finer steps down to round-off, and
+    # coarser ones up to large errors.
     known = tried(first)
     while known and first > 1 and not clear(first):
         first = max(1, first // 2)

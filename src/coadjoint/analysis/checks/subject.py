@@ -22,7 +22,8 @@ Floats = NDArray[np.float64]
 
 FEWEST_STATES = 4
 MOST_STATES = 8
-# Of the natural time, between states along the motion: neighbours are then different, and few steps lead to them.
+# Time between states along the motion, as a part of the natural time: neighbours are then different, and few steps lead
+# to them.
 APART = 0.7
 LARGEST_DENSE = 256
 """Dimension up to which matrices of a step are looked at."""
@@ -42,7 +43,7 @@ class Subject:
     given : ndarray, shape (k, n)
         The states that were given.
     steps : int
-        Of the long run.
+        Number of steps of the long run.
     compiled : bool
         Whether steps are cheap; those of a function of the user are not.
     """
@@ -84,7 +85,7 @@ class Subject:
 
     @cached_property
     def span_time(self) -> float:
-        """The same, at the fastest of all states."""
+        """The same time at the fastest of all states."""
         return min([self.time, *(time for time in map(self._time_at, self.states) if time > 0.0)])
 
     def _time_at(self, x: Floats) -> float:
@@ -92,7 +93,7 @@ class Subject:
 
     @cached_property
     def evaluations(self) -> float:
-        """Elementary flows or evaluations of the field in a step of one member; 1 at least, and where it fails."""
+        """Flows or evaluations of the field in a step of one member; at least 1, and 1 where the step fails."""
         try:
             run = self.run(self.states, self.h, 1)
         except IntegrationError:
@@ -101,9 +102,10 @@ class Subject:
 
     @cached_property
     def noise(self) -> float:
-        """How far rounding, or an iteration that stops early, moves a step: by second differences of neighbours.
+        """How far rounding, or an iteration that stops early, moves a step; from second differences of neighbours.
 
-        A smooth map has none over 2^-40 of the state; those of independent errors are sqrt(6) times as large.
+        At distances of 2^-40 of the state a smooth map has no second differences. Those of independent errors are
+        sqrt(6) times the errors.
         """
         worst = 0.0
         for x in self.states[:2]:

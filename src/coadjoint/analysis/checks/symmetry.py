@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.analysis.certificate import INAPPLICABLE, Row, verdict
-from coadjoint.analysis.checks.slope import Slope, slope
+from coadjoint.analysis.checks.slope import Slope, slope_of_defects
 from coadjoint.analysis.checks.subject import LARGEST_DENSE, Subject
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -21,7 +21,8 @@ There = Callable[[Floats, float], Floats]
 MOST_COORDINATES = 10
 """Up to so many, all reflections of coordinates are tried; beyond, x -> -x alone."""
 SLOPES = 6
-# A step that is a function of the user may iterate; what that leaves is in its measured noise, but not more than this.
+# A step that is a function of the user may iterate. What the iteration leaves is measured as noise, and allowed up to
+# this size.
 MOST_NOISE = 1e-6
 
 
@@ -75,7 +76,7 @@ def reversibility_row(subject: Subject, telling: float) -> Row:
 
 
 def reversing(subject: Subject) -> Floats | None:
-    """Return signs R with R f(R x) = -f(x) at every state, x -> -x first; None where none of those tried has it."""
+    """Return signs R with R f(R x) = -f(x) at every state, x -> -x tried first; None where none of those tried fits."""
     n, field = subject.system.dim, subject.system.vector_field
     tried: Any = [(-1.0,) * n]
     if n <= MOST_COORDINATES:
@@ -140,14 +141,9 @@ def _bound(subject: Subject, x: Floats, h: float) -> float:
 
 
 def _defect_slope(subject: Subject, there: There, largest: float) -> Slope | None:
-    steps, defects, floors = [], [], []
-    for k in range(SLOPES):
-        h = largest / 2.0 ** (k / 2)
-        try:
-            moved = there(subject.states, h) - subject.states
-        except IntegrationError:
-            continue
-        steps.append(abs(h))
-        defects.append(float(np.linalg.norm(moved)))
-        floors.append(subject.rounding(h) * float(np.linalg.norm(subject.states)) + subject.noise)
-    return slope(steps, defects, floors)
+    def look(h: float) -> tuple[float, float]:
+        moved = there(subject.states, h) - subject.states
+        floor = subject.rounding(h) * float(np.linalg.norm(subject.states)) + subject.noise
+        return float(np.linalg.norm(moved)), floor
+
+    return slope_of_defects(largest, SLOPES, look)

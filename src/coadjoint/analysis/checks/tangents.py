@@ -58,10 +58,10 @@ def tangent(subject: Subject, x: Floats, h: float) -> Tangent:
         by = method.tangent_by(system, x, 0.0, h)
         P = np.asarray(method.tangent(system, x, 0.0, h)[1], dtype=np.float64)
     except TypeError:
-        # A derivative of the system is not known; the step itself may still be differentiated.
+        # The system lacks a derivative; the step itself may still be differentiated.
         by, P = _of_the_step(subject, x, h)
     if by == "differences":
-        # A step that rounds to float64 on its way loses these differences, and shows it.
+        # A step that rounds to float64 on its way loses these differences, which shows.
         precise = _in_many_digits(subject, x, h)
         size = 1.0 + float(np.linalg.norm(P))
         if precise is not None and np.max(np.abs(precise - P)) <= AGREEMENT * size:
@@ -88,7 +88,7 @@ def _in_many_digits(subject: Subject, x: Floats, h: float) -> Floats | None:
     with mpmath.workdps(DIGITS):
         point = np.array([mpmath.mpf(float(v)) for v in x])
         length, size = mpmath.mpf(h), float(np.max(np.abs(x))) or 1.0
-        # Errors of the square of it, 1e-26, and of the last digits over it, 1e-27.
+        # The square of this difference leaves an error of 1e-26; the last digits, divided by it, leave 1e-27.
         small = mpmath.mpf(10) ** -13 * size
         columns = []
         try:

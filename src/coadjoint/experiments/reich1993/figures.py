@@ -88,7 +88,7 @@ def drift_figure(run: Solution, number: int, scheme: str) -> Figure:
     for label, (values, style) in styles.items():
         change = values - values[0]
         signed.plot(run.t, change, label=label, **style)
-        # No logarithm of the steps at which no bit has changed.
+        # Steps at which no bit has changed have no logarithm.
         size.plot(run.t, np.where(change != 0.0, np.abs(change), np.nan), label=label, **style)
     signed.set(xlabel="time $t$", ylabel="drift")
     signed.ticklabel_format(axis="y", style="sci", scilimits=(0, 0), useMathText=True)
@@ -168,7 +168,7 @@ def _draw_attitude(axes: Any, run: BodyRun, end: float, scheme: str) -> None:
     highest = max(1.0, float(np.max(np.abs(attitude[:last, 0, 0]))))
     axes.set(xlim=(0.0, end), ylabel="$A(1,1)$")
     if highest > 10.0:
-        # A matrix that is no rotation any more: linear where a cosine lies, logarithmic beyond.
+        # The matrix is no rotation any more. The axis is linear where a cosine can be, and logarithmic beyond.
         axes.set_yscale("symlog", linthresh=2.0, linscale=1.0)
         axes.set_yticks([-1000, -100, -10, -1, 1, 10, 100, 1000])
     axes.set_ylim(-1.08 * highest, 1.08 * highest)

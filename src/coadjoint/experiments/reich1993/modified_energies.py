@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ORDERS = (4, 6, 8)
-# At the paper's own step, 0.1, the body turns by one radian a step and more: there the series in h says little.
+# At the paper's own step of 0.1 the body turns by one radian a step and more. There the series in h says little.
 STEP = 0.025
 
 

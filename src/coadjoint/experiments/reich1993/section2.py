@@ -14,7 +14,7 @@ from coadjoint.runs.stepper import stepper
 from coadjoint.systems.paper_examples import paper_a37, paper_rigid_body
 
 TIME = 0.1
-STAGES = 8  # of order 16: over 0.1 the step is the exact motion to round-off
+STAGES = 8  # of order 16; a step of 0.1 is the exact motion to round-off
 SETTLED = 40  # iterations, each of which gains a factor of the step
 
 

@@ -14,7 +14,7 @@ from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
 
 CAREFUL: dict[str, Method] = {"modified midpoint": MODIFIED, "splitting": SPLITTING, "implicit midpoint": MIDPOINT}
-SMALL = 0.2  # rad, 11 degrees: what can just be seen in the figures
+SMALL = 0.2  # rad, 11 degrees; this can just be seen in the figures
 
 
 def statements(long_time: float = 500.0) -> list[Statement]:

@@ -89,7 +89,7 @@ def _bracket() -> Statement:
     x = random.integers(-9, 9, size=n).astype(float)
     first, second = skew[0] @ M, skew[1] @ M
     X, Y = first @ x, second @ x
-    # sum_i (Y_i dX_j/dx_i - X_i dY_j/dx_i), the derivatives of linear fields being their matrices.
+    # sum_i (Y_i dX_j/dx_i - X_i dY_j/dx_i); derivatives of linear fields are their matrices.
     bracket = first @ Y - second @ X
     J3 = skew[0] @ M @ skew[1] - skew[1] @ M @ skew[0]
     excess = float(np.max(np.abs(bracket - J3 @ M @ x)) + np.max(np.abs(J3 + J3.T)))

@@ -1,5 +1,5 @@
-// Derivatives of the field in a direction: exact for LINEAR and POLYNOMIAL terms and for structure constants, by
-// central differences for functions of the user.
+// Derivatives of the field in a direction. They are exact for LINEAR and POLYNOMIAL terms and for structure constants.
+// For functions of the user they are central differences.
 #pragma once
 
 #include "field/field.hpp"

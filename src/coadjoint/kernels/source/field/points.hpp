@@ -1,4 +1,4 @@
-// What a step that is a function sees of its system.
+// What a step that is a function is told of its system.
 #pragma once
 
 #include "field/derivatives.hpp"

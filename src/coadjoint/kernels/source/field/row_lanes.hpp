@@ -1,5 +1,5 @@
-// Sparse sums whose rows are lanes, so that a single trajectory fills vectors: of four rows where there are no more
-// coordinates, else of eight.
+// Sparse sums whose rows are lanes, so that a single trajectory fills vectors. A vector has four rows where there are
+// up to four coordinates, else eight.
 #pragma once
 
 #include <vector>
@@ -62,7 +62,7 @@ INLINE Lanes<W> take(const Lanes<W>* from, const Places<W>& places) {
 #endif
 }
 
-// Numbers to be taken from: K blocks in registers, or in memory.
+// Where numbers are taken from: K blocks in registers, or memory.
 template <int K, int W>
 struct Newest {
     Lanes<W> at[K];
@@ -76,7 +76,7 @@ struct Newest<0, W> {
     INLINE Lanes<W> operator()(const Places<W>& places) const { return take<W>(at, places); }
 };
 
-// The sum of the lanes, in pairs four, two and one apart.
+// The sum of the lanes. Of eight, those that are four apart are added first; then those two apart, then one.
 template <int W>
 INLINE double sum_of_lanes(const Lanes<W>& a) {
     if constexpr (W == 4) return (a[0] + a[2]) + (a[1] + a[3]);

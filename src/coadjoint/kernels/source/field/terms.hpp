@@ -7,7 +7,7 @@
 
 namespace coadjoint {
 
-constexpr int64_t WORK_OF_A_CALL = int64_t(1) << 16;  // functions of the user may take long: so many multiplications
+constexpr int64_t WORK_OF_A_CALL = int64_t(1) << 16;  // multiplications that a function of the user counts as
 
 // About how many multiplications the terms first to last - 1 take.
 inline int64_t work_of_terms(const Terms& terms, int64_t first, int64_t last) {

@@ -5,7 +5,8 @@
 
 namespace coadjoint {
 
-// The last lone angle of a part and its sine: other blocks of the part, and the group element, often turn by the same.
+// The last lone angle of a part and its sine. Other blocks of the part, and the group element, often turn by the same
+// angle.
 template <class A>
 struct Turned {
     A phi = A(NAN);
@@ -45,7 +46,7 @@ NOINLINE void rotate_several(const Action& action, const C& constants, uint32_t 
                      index, repeat, x);
 }
 
-// The runs that are not on every step's way, or long enough not to mind a call.
+// Runs that few steps need, or that are so long that a call does not matter.
 template <Care care, class A, class V, class C>
 NOINLINE void act_apart(const Action& action, const C& constants, uint32_t run, double tau, const A* theta,
                         Vectors<V> x) {
@@ -94,9 +95,9 @@ NOINLINE void act_in_turn(const Action& action, const C& constants, uint32_t par
     }
 }
 
-// Move vectors by exp(tau sum theta_a D_a) of one part. CORRECTED pays besides what the increment itself owes, so that
-// no rounding keeps its sign. A lone angle with a single run stays in its registers: what passes through memory delays
-// the step. With `again` the part has just moved other vectors, by the angle in `turned`.
+// Move vectors by exp(tau sum theta_a D_a) of one part. CORRECTED also adds what rounding left of the increment itself,
+// so that no rounding keeps its sign. A lone angle with a single run stays in registers, since memory would delay the
+// step. With `again` the part has just moved other vectors, by the angle in `turned`.
 template <Care care, bool again, class A, class V, class C>
 INLINE void act(const Action& action, const C& constants, uint32_t part, double tau, bool single, A lone,
                 const A* theta, Turned<A>& turned, const Vectors<V>& x) {

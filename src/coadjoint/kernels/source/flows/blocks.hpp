@@ -10,14 +10,15 @@
 
 namespace coadjoint {
 
-// Rotations by tan(phi/2) := half the angle: the same blocks, with another sine and cosine.
+// Rational rotations, by tan(phi/2) = half the angle: the same blocks with another sine and cosine.
 constexpr int64_t RATIONAL_ROTATE = ROTATE + RATIONAL, RATIONAL_CUBIC = CUBIC + RATIONAL;
 
 constexpr uint32_t MANY = 4;  // blocks of one angle that are worth a call
 
 enum Care { PLAIN, COMPENSATED, CORRECTED };
 
-// Add an increment to a component of known value; with compensation what rounding lost is kept and added the next time.
+// Add an increment to a component of known value. With compensation, what rounding lost is kept and added the next
+// time.
 template <Care care, class V>
 INLINE void add(V* vectors, V* errors, int64_t place, const V& old, V increment) {
     if constexpr (care == PLAIN) {
@@ -28,21 +29,22 @@ INLINE void add(V* vectors, V* errors, int64_t place, const V& old, V increment)
     }
 }
 
-// Add an increment with compensation; keep besides what the increment owes and what adding the error to it lost. The
-// next rotation does not wait for any of that.
+// Add an increment with compensation. What the increment owes, and what adding the error to it lost, is kept as well.
+// The next rotation waits for none of that.
 template <class V>
 INLINE void add_owing(V* vectors, V* errors, int64_t place, const V& old, const V& increment, const V& error,
                       const V& owed) {
     V whole = increment + error;
     V now = old + whole;
     V kept = now - old;
-    // Where the error is the larger of the two, the increment is so small that what their sum loses does not matter.
+    // Where the error is larger than the increment, both are so small that what their sum loses does not matter.
     errors[place] = (old - (now - kept)) + (whole - kept) + ((increment - whole) + error) + owed;
     vectors[place] = now;
 }
 
-// Beyond this size of a flow less the unit (of its square, for a rotation 2 (1 - cos)), what an increment owes is paid at
-// once: what is kept for later is moved by that much in each flow, and would grow without end from 1 on.
+// An increment owes what its own rounding left. What is kept for later is multiplied in each flow by the size of the
+// flow less the unit matrix, and would grow without end where that is above 1. So it is added at once where the square
+// of that size (2 (1 - cos) for a rotation) is above this.
 constexpr double WIDE = 0.25;
 
 template <class V, class Mask>
@@ -55,7 +57,7 @@ INLINE void add_owing(V* vectors, V* errors, int64_t place, const V& old, const 
     add_owing(vectors, errors, place, old, increment, error, owed);
 }
 
-// What an action is applied to: `rows` vectors, their compensation, and room for three times their length.
+// What an action is applied to: `rows` vectors and their compensation. Room is three times their length.
 template <class V>
 struct Vectors {
     V *at, *errors;
@@ -63,7 +65,7 @@ struct Vectors {
     V* room;
 };
 
-// Many blocks that turn by one angle: their coordinates are disjoint, so that loads need not wait for stores.
+// Many blocks that turn by one angle. Their coordinates are disjoint, so loads need not wait for stores.
 NOINLINE inline void rotate_many(double sine, double lowered, const uint32_t* index, uint32_t repeat, double* x) {
     constexpr int together = 4;
     uint32_t block = 0;
@@ -146,7 +148,7 @@ NOINLINE void plane(const A& mean, const A& half, const A& upper, const A& lower
                     uint32_t repeat, const A& theta, const Vectors<V>& x) {
     A delta = fma(half, half, upper * lower);
     Rotation<A> pair = entire_pair(theta * theta * delta);
-    // Not from expm1 alone: where the mean decays and cosh grows, what 1 + expm1 lost would be amplified.
+    // Not from expm1 alone. Where the mean decays and cosh grows, what 1 + expm1 lost would be amplified.
     const Growth<A> growth = growth_by(theta * mean);
     const V diagonal(fma(growth.whole, pair.lowered, growth.beyond)), s(growth.whole * (theta * pair.sine));
     for (uint32_t block = 0; block < repeat; ++block, index += 2) {

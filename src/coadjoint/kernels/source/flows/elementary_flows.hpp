@@ -1,5 +1,5 @@
 // Rows that only rotate and shear by linear forms, read from the tables when a loop starts. What a step needs of them
-// then stands in one place; few instructions are left, and those for the group element are done while the momentum
+// then stands in one place, and few instructions are left. Those for the group element are done while the momentum
 // waits for its sine.
 #pragma once
 
@@ -32,7 +32,7 @@ class FlowsOfRows {
     FlowsOfRows(const FlowTables& tables, bool carry)
         : tables(tables), carry(carry), moved_by(tables.state.size, ~uint32_t(0)) {}
 
-    // The flows of rows, one after the other; none where all are whole rows, which the tables then tell as well.
+    // The flows of rows, one after the other. There are none where all would be whole rows; then the tables are read.
     std::vector<ElementaryFlow> operator()(uint32_t first, uint32_t last) {
         std::vector<ElementaryFlow> flows;
         bool some = false;
@@ -70,7 +70,8 @@ class FlowsOfRows {
         return true;
     }
 
-    // A part knows all its angles before it moves anything: a flow must not move what a later one of them reads.
+    // A part knows all its angles before it moves anything. So no flow of a part may move what a later one of its
+    // angles reads.
     bool append(uint32_t r, std::vector<ElementaryFlow>& flows) {
         const Terms& terms = tables.terms;
         const uint32_t part = tables.part[r], low = tables.share[part], high = tables.share[part + 1];

@@ -94,7 +94,7 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
         }
         if ((failed = recorder.after(k, x, dx, finished_group))) break;
     }
-    // Momenta are finished some at a time: one that waited may have failed before.
+    // Momenta are finished several at a time. One that waited may have failed before.
     if (const int64_t earlier = recorder.flush()) failed = earlier;
     const int64_t taken = (failed ? failed : loop.k1) - loop.k0, start = loop.k0 == 0 && taken > 0;
     loop.arrays.evaluations[member] += start * (int64_t(tables.section[1]) - tables.section[0]) +

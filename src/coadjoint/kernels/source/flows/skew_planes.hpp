@@ -62,8 +62,8 @@ struct SkewPlanes {
 
 class SkewPlanesOf {
   public:
-    // D becomes tridiagonal by reflections; a tridiagonal skew matrix is a bidiagonal one between its even and its odd
-    // coordinates, and rotations make the rows of that orthogonal. What is found is orthonormal to rounding, however
+    // Reflections make D tridiagonal. A tridiagonal skew matrix couples its even coordinates with its odd ones, by a
+    // bidiagonal matrix. Rotations make the rows of that orthogonal. The planes are orthonormal to rounding, however
     // near frequencies are to each other.
     SkewPlanesOf(Matrix skew, int64_t m) : m(m), odd(m / 2), even(m - m / 2), T(std::move(skew)), Q(m * m), v(m), image(m) {
         for (int64_t i = 0; i < m; ++i) Q[i * (m + 1)] = 1.0;
@@ -89,7 +89,7 @@ class SkewPlanesOf {
         found.vectors.resize(2 * odd * m);
         double* u = found.vectors.data();
         for (int64_t a = 0; a < odd; ++a) {
-            // What D leaves where it is must not begin to turn by rounding.
+            // Rounding must not turn what D leaves where it is.
             if (all[a] <= 4.0 * double(m) * UNIT_ROUNDOFF * fastest) continue;
             double* w = u + m;
             for (int64_t e = 0; e < even; ++e) {
@@ -106,7 +106,7 @@ class SkewPlanesOf {
     }
 
   private:
-    static constexpr int64_t SWEEPS = 40;  // of Jacobi's method, which needs six or seven
+    static constexpr int64_t SWEEPS = 40;  // sweeps of Jacobi's method, which needs six or seven
     const int64_t m, odd, even;
     Matrix T, Q, rows, mixed, v, image;
 
@@ -123,7 +123,7 @@ class SkewPlanesOf {
         std::fill(image.begin(), image.end(), 0.0);
         add_product(T.data(), v.data(), image.data(), m, m, 1);
         for (double& value : image) value *= factor;
-        // v^T T v is 0, and before row k there is nothing left of the other rows.
+        // v^T T v is 0, and in the columns before k the other rows are zero already.
         for (int64_t j = k; j < m; ++j)
             for (int64_t i = k; i < m; ++i) T[j * m + i] += v[i] * image[j] - image[i] * v[j];
         std::fill(image.begin(), image.end(), 0.0);
@@ -157,7 +157,7 @@ class SkewPlanesOf {
         }
     }
 
-    // Fused by hand: of a product that is added and subtracted side by side compilers make fused ones unasked.
+    // Fused by hand. Where a product is added in one place and subtracted beside it, compilers would fuse unasked.
     static void turn(double* a, double* b, int64_t count, double c, double s) {
         for (int64_t i = 0; i < count; ++i) {
             const double one = a[i], other = b[i];

@@ -8,7 +8,7 @@
 
 namespace coadjoint {
 
-constexpr int64_t BETWEEN_CHECKS = 64;  // substeps after which what has overflowed is left alone
+constexpr int64_t BETWEEN_CHECKS = 64;  // substeps; after so many, blocks that have overflowed are left alone
 
 // A CUBIC or SERIES block: its coordinates and the compressed sparse rows of D in them.
 struct BlockRows {
@@ -70,7 +70,7 @@ INLINE void cubic(const Action& action, const C& constants, uint32_t run, const 
     gather(block, x);
     const A lam = constant(base), phi = constant(base + 1) * theta;
     Rotation<A> turn = action.kind[run] == RATIONAL_CUBIC ? rational_rotation(phi) : cubic_rotation(lam, phi);
-    // What the constants lost by rounding is paid back: it would stretch every step alike.
+    // What the constants lost by rounding is added, since it would stretch every step alike.
     const A s = fma(turn.sine, constant(base + 2), turn.sine * constant(base + 3));
     const A c = fma(turn.lowered, constant(base + 4), turn.lowered * constant(base + 5));
     const V along(s), across(c);
@@ -106,8 +106,8 @@ INLINE void cubic(const Action& action, const C& constants, uint32_t run, const 
     }
 }
 
-// Up to r = REACH[m - 1] the series of norm r is shortened to the degree m: r^m / (m + 1)! is below 2^-65, since what
-// is left out has one sign and would add up over the steps.
+// Up to the norm r = REACH[m - 1] the series is cut after the degree m. There r^m / (m + 1)! is below 2^-65. It must be
+// so small, since what is left out has one sign and adds up over the steps.
 constexpr double REACH[] = {5.42e-20, 4.03e-10, 8.66e-07, 4.24e-05, 0.000455, 0.00227, 0.00728, 0.0177, 0.0358,
                             0.0635, 0.102, 0.153, 0.217, 0.293, 0.383, 0.485, 0.6, 0.727,
                             0.866, 1.02};
@@ -118,7 +118,7 @@ INLINE uint32_t degree_of(double r, uint32_t most) {
     return degree;
 }
 
-// Where all coordinates of a block are finite: lanes of members have it each for itself.
+// Where all coordinates of a block are finite, for each lane of members on its own.
 template <class A, class V>
 INLINE auto finite_block(const BlockRows& block, const Vectors<V>& x) {
     V total(0.0);
@@ -151,7 +151,7 @@ NOINLINE void series(const Action& action, const C& constants, uint32_t run, con
             longest = std::max(longest, degree);
             most = own > double(most) ? int64_t(own) : most;
         } else {
-            // No step of an integration needs more; near a blow-up it would run for ever: no number, so that it stops.
+            // No step of an integration needs more. Near a blow-up it would run for ever; NaN makes it stop.
             set_lane(step, lane, NAN);
         }
     }
@@ -159,7 +159,8 @@ NOINLINE void series(const Action& action, const C& constants, uint32_t run, con
     for (int64_t done = 0; done < most; ++done) {
         hearing.after(longest * (block.entries + block.width) * x.rows * Numbers<V>::lanes);
         auto going = A(double(done)) < substeps;
-        // In Horner's order: added one by one, terms below half a unit in the last place would all be lost alike.
+        // In Horner's order. Added one by one, terms below half a unit in the last place would all be lost with the
+        // same sign.
         gather(block, x);
         V *start = x.room, *inner = x.room + length, *total = x.room + 2 * length;
         std::copy_n(start, length, inner);
@@ -183,7 +184,7 @@ NOINLINE void series(const Action& action, const C& constants, uint32_t run, con
             }
         }
         if (done % BETWEEN_CHECKS != BETWEEN_CHECKS - 1) continue;
-        // What is no number stays none: the substeps that are left would only take time.
+        // What is NaN stays NaN. The substeps that are left would only take time.
         substeps = select(finite_block<A>(block, x), substeps, A(0.0));
         if (!any(A(double(done)) < substeps)) return;
     }

@@ -13,7 +13,7 @@ namespace coadjoint {
 namespace {
 
 constexpr int64_t TAYLOR = 20;   // the rest of the series, 1/21! = 2e-20, is below rounding where the norm is at most 1
-constexpr int64_t POWERS = 5;    // of D that the series is made of
+constexpr int64_t POWERS = 5;    // powers of D from which the series is summed
 
 void add(double factor, const Matrix& from, Matrix& to) {
     for (size_t e = 0; e < from.size(); ++e) to[e] += factor * from[e];
@@ -50,7 +50,7 @@ class Component {
         for (double value : D) largest = std::max(largest, absolute(value));
         still = largest == 0.0;
         if (still) return;
-        // No square of it over- or underflows then.
+        // So its squares neither over- nor underflow.
         int exponent;
         std::frexp(largest, &exponent);
         exponent = std::max(exponent - 1, -1023);
@@ -83,7 +83,7 @@ class Component {
         if (kind == turns::SKEW) planes_at(t);
         if (kind == turns::GENERAL) series_at(t);
         if (!leaned.empty()) {
-            // X leaves x where it is; rounded, it would push it away in proportion to time.
+            // X leaves x where it is. Rounded, X would push x away in proportion to time.
             change.assign(m, 0.0);
             add_product(increment.data(), leaned.data(), change.data(), m, m, 1);
             for (int64_t j = 0; j < m; ++j)
@@ -280,7 +280,7 @@ void transpose(const double* from, double* to, int64_t size) {
 
 }  // namespace
 
-// The group elements of a run from those of its loop. What was given is left to the bit at the start.
+// The group elements of a run from those of its loop. At the start they are what was given, to the bit.
 EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run, const Schedule* schedule) {
     const int64_t d = tables->size, square = d * d;
     Matrix moved(square), placed, before;

@@ -40,7 +40,7 @@ INLINE void circular_series(const A& r, A& z, A& s, A& c) {
     c = fma(zz * zz, fma(zz, A(-1.13596475577881948265e-11), high), c);
 }
 
-// `near` marks lanes that need no reduction: they have the bits that the short way gives.
+// `near` marks lanes that need no reduction. They get the bits of the short way.
 template <class A>
 INLINE Rotation<A> reduced_rotation(const A& phi, const typename Numbers<A>::Mask& near) {
     A shifted = fma(phi, A(TWO_OVER_PI), A(ROUND));
@@ -65,9 +65,9 @@ NOINLINE static Rotation<double> far_rotation(double phi) {
     return {std::sin(phi), -2.0 * half * half};
 }
 
-// sin(phi) and cos(phi) - 1, each within 3 units in the last place up to |phi| = 10^6 by Cody-Waite reduction.
-// cos - 1 in place of cos, so that a small rotation moves a vector by a small increment that is accurate in itself. The
-// branch for small angles only skips what would change no bit of them.
+// sin(phi) and cos(phi) - 1, each within 3 units in the last place up to |phi| = 10^6 by Cody-Waite reduction. cos - 1
+// in place of cos, so that a small rotation moves a vector by a small increment that is accurate in itself. The branch
+// for small angles skips work that would change none of their bits.
 INLINE Rotation<double> rotation_by(double phi) {
     if (absolute(phi) <= UNREDUCED) {
         double z, s, c;
@@ -121,9 +121,9 @@ INLINE A rational_angle(const A& phi, const A& frequency) {
     return angle;
 }
 
-// d such that 1 + s D + (c + d) D^2 keeps lengths, for a rounded rotation with D^3 = -square D. It is
-// (s^2 - 2 c + c^2 square)/2: rounding, but of one sign where an angle keeps its size, and lengths would then drift
-// linearly in time.
+// The d with which 1 + s D + (c + d) D^2 keeps lengths, for a rounded rotation with D^3 = -square D. It is (s^2 - 2 c +
+// c^2 square)/2, which is rounding. But it has one sign where an angle keeps its size, and without d lengths would then
+// drift linearly in time.
 template <class A>
 INLINE A shortfall(const A& s, const A& c, const A& square) {
     A curved = c * square;

@@ -33,7 +33,7 @@ struct Own {
     static INLINE int used(int lanes) { return lanes; }
 };
 
-// The constants of which only the first lanes are wanted: functions of the user are called for no other.
+// Constants of which the first lanes alone are wanted. Functions of the user are called for no other lane.
 template <class C>
 struct First : C {
     int count;

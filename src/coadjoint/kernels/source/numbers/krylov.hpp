@@ -11,7 +11,7 @@ namespace coadjoint {
 
 constexpr int64_t RESTART = 24;     // vectors that are kept
 constexpr int64_t CYCLES = 16;
-constexpr double REDUCTION = 0x1p-26;  // of the residual: what is left is taken off by the next correction
+constexpr double REDUCTION = 0x1p-26;  // of the residual; the next correction takes off what is left
 
 struct Krylov {
     int64_t size;
@@ -62,7 +62,7 @@ struct Krylov {
   private:
     double& at(int64_t row, int64_t column) { return hessenberg[column * (RESTART + 1) + row]; }
 
-    // An orthonormal basis by modified Gram-Schmidt; returns how many vectors it took to reach the goal.
+    // Makes an orthonormal basis by modified Gram-Schmidt, and returns how many vectors it took to reach the goal.
     template <class Operate>
     int64_t build(double norm, double goal, Operate operate) {
         for (int64_t i = 0; i < size; ++i) basis[i] = residual[i] / norm;

@@ -5,8 +5,8 @@
 
 namespace coadjoint {
 
-// Overwrite a (size * size) matrix by its LU factors, rows exchanged as noted in `pivots`; returns where it is neither
-// singular nor without numbers.
+// Overwrite a (size * size) matrix by its LU factors; `pivots` notes which rows were exchanged. Returns the lanes whose
+// matrix is finite and not singular.
 template <class V>
 NOINLINE typename Numbers<V>::Mask factorize(V* matrix, int64_t size, V* pivots) {
     typename Numbers<V>::Mask sound = V(0.0) == V(0.0);

@@ -8,7 +8,7 @@
 
 namespace coadjoint {
 
-constexpr double DEPENDENT = 0x1p-36;  // of its diagonal entry: a pivot so small is taken for none
+constexpr double DEPENDENT = 0x1p-36;  // of its diagonal entry; a smaller pivot counts as zero
 
 // The diagonal, and the entries below it, column by column.
 struct SparseFactors {
@@ -29,7 +29,7 @@ struct SparseFactors {
             for (int64_t i : below[j]) place[{i, j}] = int64_t(row.size()), row.push_back(i);
             column.push_back(int64_t(row.size()));
             if (below[j].empty()) continue;
-            // Eliminating j couples all that it is coupled to.
+            // Eliminating j couples with each other all rows that are coupled to j.
             below[*below[j].begin()].insert(std::next(below[j].begin()), below[j].end());
         }
         for (int64_t j = 0; j < size; ++j) {

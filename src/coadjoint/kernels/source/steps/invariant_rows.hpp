@@ -10,8 +10,9 @@
 
 namespace coadjoint {
 
-// The invariants of a table from the last to the first, the energy, which is coupled to most. Each has a row of lanes
-// for every block of coordinates that it depends on; quadratic ones are sparse sums, other terms add to them.
+// The invariants of a table, from the last to the first. The first is the energy, which is coupled to most of the
+// others. Each invariant has a row of lanes for every block of coordinates that it depends on. Quadratic terms are
+// sparse sums; other terms are added to them.
 template <int W, class C>
 struct InvariantRows {
     typedef Lanes<W> Row;
@@ -21,17 +22,17 @@ struct InvariantRows {
         std::vector<int64_t> terms;  // those that are not quadratic
     };
     struct Pair {
-        int64_t target, left, right;  // of the Gram matrix, from two rows of lanes
+        int64_t target, left, right;  // an entry of the Gram matrix, from two rows of lanes
     };
     const Watch& watch;
     const C constants;
     std::vector<Invariant> invariants;
     Sums<W> linear;
-    std::vector<int64_t> own;           // vectors of each row that are the coordinates themselves: the first so many
-    std::vector<int64_t> block;         // of coordinates, of each row
+    std::vector<int64_t> own;           // of each row: how many of its first vectors are the coordinates themselves
+    std::vector<int64_t> block;         // of each row: its block of coordinates
     std::vector<double> offsets, bends;  // no second derivative of a quadratic invariant is larger than its bend
     std::vector<std::vector<std::pair<int64_t, int64_t>>> users;  // invariants and rows of a block of coordinates
-    std::vector<int64_t> place;         // in `gradients`, of each row of a term that is not quadratic
+    std::vector<int64_t> place;         // of each row of a term that is not quadratic: its place in `gradients`
     std::vector<Pair> pairs;
     std::vector<double> products;
     Room<double> gradients;
@@ -203,8 +204,8 @@ struct InvariantRows {
         std::stable_sort(pairs.begin(), pairs.end(), [](const Pair& a, const Pair& b) { return a.target < b.target; });
     }
 
-    // The value of a polynomial of a higher degree, by the products before and behind each of its factors; its gradient
-    // is added.
+    // Returns the value of a polynomial of a higher degree, and adds its gradient, by the products before and behind
+    // each factor.
     template <bool with_gradient>
     NOINLINE double further(int64_t k, const Row* from, double* slopes) {
         const Terms& terms = watch.terms;

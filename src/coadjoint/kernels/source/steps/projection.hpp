@@ -35,7 +35,7 @@ struct Projection {
         factors.analyse(rows.coupled());
     }
 
-    // The values that are to be kept, and up to which defect.
+    // The values that are to be kept, and the defects that are allowed.
     int64_t remembered() const { return 2 * int64_t(size); }
     void begin(const Row* x, double* kept) {
         for (size_t a = 0; a < size; ++a) {
@@ -139,15 +139,16 @@ struct Projection {
         return all;
     }
 
-    // Whether a correction leaves no more than rounding: it leaves second derivatives times itself, times all corrections
-    // together.
+    // Whether a correction leaves no more than rounding. It leaves second derivatives times itself times all
+    // corrections together.
     INLINE bool negligible(double product, const double* kept) const {
         bool all = true;
         for (size_t a = 0; a < size; ++a) all &= product * rows.bends[a] <= 0.25 * kept[size + a];
         return all;
     }
 
-    // Whether the defect of an invariant is no more than rounding leaves, which is noted where its terms have grown.
+    // Whether the defect of an invariant is no more than rounding leaves. That bound is computed again where terms have
+    // grown.
     INLINE bool rounding_alone(size_t a, double defect, const Row* x, double& least) {
         if (std::fabs(defect) <= least) return true;
         if (!(std::fabs(defect) <= 0x1p4 * least)) return false;
@@ -155,7 +156,7 @@ struct Projection {
         return std::fabs(defect) <= least;
     }
 
-    // Whether corrections that no longer help leave no more than rounding does where terms cancel.
+    // Where corrections no longer help: whether the defects are what rounding leaves where terms cancel.
     NOINLINE bool settled(const Row* x, const double* kept) {
         bool all = true;
         for (size_t a = 0; a < size; ++a)

@@ -5,8 +5,8 @@
 
 namespace coadjoint {
 
-// Orders up to which every sum has its own code: a loop would have to guess where it ends. Builds that are for looking
-// into, and would take an hour, have fewer.
+// Up to this order every sum has its own code, since a loop would have to guess where it ends. Instrumented builds,
+// which would take an hour, have fewer.
 #ifndef COADJOINT_UNROLLED
 #define COADJOINT_UNROLLED 24
 #endif
@@ -52,7 +52,7 @@ struct Series {
     }
 
   private:
-    // What every coefficient reads of the products: of E of them in registers, else in memory.
+    // What every coefficient reads of the products: in registers for E of them, else in memory.
     static constexpr int held_in_registers(int count) { return count <= 4 ? count : 0; }
     template <int E, class = void>
     struct Held {
@@ -119,9 +119,9 @@ struct Series {
         if constexpr (k + 1 < UNROLLED) stage<K, written_out, E, k + 1>(held, newest, h);
     }
 
-    // The sums a_j b_(k - j) of the orders k, which is even, and k + 1 as far as the coefficients before k go: together,
-    // since both read the same, and the newest last, so that they are nearly done when those are known. In two sums
-    // each that do not wait for each other: even and odd, then even and odd of order k + 1.
+    // The sums of a_j b_(k - j) for the orders k (even) and k + 1, as far as coefficients before k go. Both orders are
+    // summed together, since they read the same coefficients. The newest come last, so that the sums are nearly done
+    // when these are known. Each order has two sums, which do not wait for each other.
     static INLINE void convolve(const Factors* f, int64_t k, Row* sums) {
         if (k < 2) return;
 #pragma GCC unroll 32
@@ -136,7 +136,7 @@ struct Series {
         sums[3] = fma(f[k - 1].left, f[2].right, sums[3]);
     }
 
-    // Add the terms of the coefficients before k that only an odd order k has left, see `convolve`.
+    // Add the terms of coefficients before k that are left for odd k alone, see `convolve`.
     static INLINE void add_left(const Factors* f, int64_t k, Row& even, Row& odd) {
         if (k % 2 == 0 || k == 1) return;
         even = fma(f[1].left, f[k - 1].right, even);
@@ -160,7 +160,7 @@ struct Series {
         const int64_t blocks = K ? K : field.blocks;
         Row *now = x.at + k * field.extended, *then = now + field.extended;
         if constexpr (K == 0) make_products(k, now);
-        // Registers pass on what waiting for memory would delay.
+        // Kept in registers, since memory would delay the next order.
         Row slopes[K ? K : 1], next[K ? K : 1];
         if constexpr (!written_out) {
             const Sums<W>& sums = field.gradient;
@@ -184,7 +184,7 @@ struct Series {
             Factors* f = factors.at + first * order;
             Row even, odd;
             begin(f, count, k, later.at + 2 * b, even, odd);
-            // What does not wait for the newest coefficients is multiplied by the length before.
+            // What does not depend on the newest coefficients is multiplied by the length beforehand.
             even = length * even, odd = length * odd;
             for (int64_t e = 0; e < count; ++e, f += order) {
                 const Row y = newest(held.product(first + e).left), z = other(held.product(first + e).right);

@@ -54,7 +54,7 @@ struct SeriesField {
         return count;
     }
 
-    // Entries of the same series are one, and those that cancel are none.
+    // Entries of the same series become one. Those that cancel are dropped.
     static void merge(SparseSum& row) {
         std::map<std::pair<int64_t, int64_t>, double> sums;
         for (const auto& entry : row) sums[{entry.left, entry.right}] += entry.weight;
@@ -78,7 +78,7 @@ struct SeriesField {
         each_derivative(terms, constants, [&](int64_t, double, const std::vector<int64_t>& rest) {
             longest = std::max(longest, rest.size());
         });
-        // Products of few factors first, so that those of more can be made of them.
+        // Products of few factors come first, so that those of more factors can be made of them.
         for (size_t count = 2; count <= longest; ++count) {
             std::vector<SparseSum> made;
             each_derivative(terms, constants, [&](int64_t, double, const std::vector<int64_t>& rest) {

@@ -6,7 +6,7 @@ namespace coadjoint {
 
 namespace {
 
-// Writes the new state; returns 0, or 1 where it raised: the loop is then left, and Python says what was raised.
+// Writes the new state, and returns 0, or 1 where it raised. The loop is then left, and Python raises what was raised.
 typedef int64_t (*Function)(const Seen* system, const double* x, double t, double h, double* out);
 
 struct StepFunction final : StepScheme {

@@ -1,5 +1,5 @@
-// A scheme that brings one compiled step of its own: a file beside its Python file derives from this and ends with
-// STEP_SCHEME(name, Type), or with that function itself where the type depends on the tables; the Python file says the
+// A scheme that brings one compiled step of its own. A file beside its Python file derives from this, and ends with
+// STEP_SCHEME(name, Type), or with that function itself where the type depends on the tables. The Python file says the
 // name.
 #pragma once
 
@@ -22,7 +22,7 @@ struct StepScheme {
 };
 
 #if defined(COADJOINT_APART)
-// What a library of its own is lent by the kernels, before its steps are called.
+// What the kernels lend to a library of its own before its steps are called.
 extern "C" __attribute__((visibility("default"), weak)) void borrow(const Lent* from) { lent = *from; }
 #endif
 

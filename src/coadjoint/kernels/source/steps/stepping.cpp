@@ -9,8 +9,8 @@ namespace coadjoint {
 
 typedef StepScheme* (*MakeScheme)(const StepTables& tables, const Own& constants);
 
-// The steps of small tables that a thread read last, made once for many short calls; tables are known by their number,
-// since others may come to stand where they stood.
+// The steps of small tables that a thread read last, made once for many short calls. Tables are known by their number,
+// since others may later stand at the same address.
 struct Remembered {
     int64_t serial = 0;
     std::shared_ptr<StepScheme> scheme;
@@ -20,7 +20,7 @@ static thread_local Remembered remembered[REMEMBERED];
 static std::atomic<int64_t> numbered{0};
 
 static int64_t serial_of(const Stepping& tables) {
-    // The tables are Python's; threads that share them agree on the number that is set first.
+    // The tables are Python's. Threads that share them agree on the number that was set first.
     auto* serial = const_cast<int64_t*>(&tables.serial);
     int64_t none = 0;
     if (__atomic_load_n(serial, __ATOMIC_ACQUIRE) == 0)
@@ -32,7 +32,8 @@ static std::unique_ptr<StepScheme> made(const Stepping& tables, const Own& const
     return std::unique_ptr<StepScheme>(reinterpret_cast<MakeScheme>(tables.step[0])(tables.tables, constants));
 }
 
-// Shared: a step written in Python may run other loops, which take its place here while it is still at work.
+// The pointer is shared. A step written in Python may run other loops, and these take its place here while it is still
+// at work.
 static std::shared_ptr<StepScheme> remembered_step(const Stepping& tables) {
     const int64_t serial = serial_of(tables);
     Remembered& place = remembered[serial % REMEMBERED];
@@ -67,7 +68,7 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
             scheme = own.get();
         }
         scheme->memory = arrays.remembered ? loop.memory_of(member) : nullptr;
-        // Beyond the last coordinate there is nothing, and nothing that the member before may have left.
+        // Beyond the last coordinate there are zeros, and nothing that the member before has left.
         std::fill_n(x, 16 * eights, 0.0);
         std::copy_n(arrays.momenta + member * n, n, x);
         std::copy_n(arrays.errors + member * n, n, dx);

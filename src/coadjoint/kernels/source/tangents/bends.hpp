@@ -14,8 +14,8 @@ struct BendRoom {
         : arguments(longest + 1), matrix(longest * longest), calls((longest + 1) * (longest + 1)) {}
 };
 
-// Fills out[(row - first) * rows] with the change of every row of term k along the vectors: those rows are what
-// `gradient_rows` fills in.
+// Fills out[(row - first) * rows] with the change of every row of term k along the vectors. The rows are those of
+// `gradient_rows`.
 template <class A, class V>
 NOINLINE void gradient_changes(const Terms& terms, const int64_t* hessians, int64_t k, const A* x, const A& t,
                                const V* vectors, int64_t rows, V* out, int64_t first, BendRoom<A>& room) {

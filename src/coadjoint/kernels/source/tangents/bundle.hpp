@@ -1,4 +1,4 @@
-// Tangent vectors, those of one member side by side or those of many members, and by how much each was stretched.
+// Tangent vectors and how much each was stretched. Vectors of one member go side by side, or those of many members.
 #pragma once
 
 #include "boundary/crew.hpp"
@@ -8,10 +8,11 @@ namespace coadjoint {
 
 typedef Lanes<4> Abreast;  // tangent vectors of one member side by side
 
-// Of what a vector was, what must be left of it beside the others: less, and half of its digits are round-off.
+// The part of a vector that must be left when its shares along the others are taken off. Of less, half of the digits
+// are round-off.
 constexpr double NEARLY_DEPENDENT = 0x1p-26;
 
-// Lengths multiplied with each other: (high + low) 2^exponent, high from 1/2 to 1, as accurate as one of them.
+// A product of lengths, (high + low) 2^exponent with high from 1/2 to 1. It is as accurate as one length.
 struct Stretch {
     double high, low, exponent;
 
@@ -25,8 +26,8 @@ struct Stretch {
 };
 
 // Make vectors orthonormal, one after the other, by the modified process of Gram and Schmidt: component i of vector r
-// stands at i * width + r. `lengths` become those that were left of them. False where one depends on those before it,
-// or is no number.
+// stands at i * width + r. `lengths` become the lengths that were left. False where a vector depends on those before
+// it, or is not finite.
 template <class N>
 typename Numbers<N>::Mask orthonormalize(N* at, int64_t size, int64_t count, int64_t width, N* lengths, N* shares) {
     const auto length_of = [&](int64_t r) {
@@ -55,8 +56,8 @@ typename Numbers<N>::Mask orthonormalize(N* at, int64_t size, int64_t count, int
     return sound;
 }
 
-// How many numbers a member remembers of its vectors: themselves, and how each was stretched until the last time that
-// they were made orthonormal, and until the last step.
+// How many numbers a member remembers of its vectors: the vectors, how each was stretched until they were last made
+// orthonormal, and how until the last step.
 inline int64_t remembered_by(const Tangents& tangents) { return tangents.carried * (tangents.size + 6); }
 
 // An N is a number of one member, or of many as lanes; a V is an N, or vectors of one member side by side.
@@ -86,8 +87,8 @@ class Bundle {
     // To be called after each step; false where the vectors are no longer independent.
     Mask after(int64_t k) { return k % given.every != 0 ? N(0.0) == N(0.0) : grow(vectors, stretches); }
 
-    // Leave the state of the first `used` lanes in the memory of each. `finish(vectors)` does for copies what is left of
-    // the last step; where they are not independent, by how much they were stretched until then is no number.
+    // Leave the state of each of the first `used` lanes in its memory. `finish(vectors)` takes copies of the vectors
+    // through the rest of the last step. Where the copies are not independent, how much they were stretched is NaN.
     template <class MemoryOf, class Finish>
     void end(int used, MemoryOf memory_of, Finish finish) {
         std::copy_n(vectors.at, size * rows, copies.at);

@@ -6,7 +6,8 @@ namespace coadjoint {
 
 typedef Loop<FlowTangents> FlowTangentLoop;
 
-// Numbers of the vectors of a member up to which members go side by side: lanes of vectors stay in the cache.
+// Members go side by side where the vectors of each have at most so many numbers; lanes of vectors then stay in the
+// cache.
 constexpr int64_t MOST_TOGETHER = 512;
 
 static FlowLoop without_tangents(const FlowTangentLoop& loop) {

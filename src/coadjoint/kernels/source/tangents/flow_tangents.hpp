@@ -52,7 +52,7 @@ NOINLINE void add_turned(const Action& action, uint32_t part, const A* x, const 
     }
 }
 
-// One member of a flow method, or many as lanes: momenta have the bits that they have without tangent vectors.
+// One member of a flow method, or many as lanes. Momenta have the same bits as without tangent vectors.
 template <Care care, class A, class V>
 struct FlowTraveller {
     const FlowTables& tables;

@@ -7,8 +7,8 @@ namespace coadjoint {
 
 typedef Loop<RungeKuttaTangents> RungeKuttaTangentLoop;
 
-// The derivative of a substep, whose slopes another has found: dX_i = v + sum_j mix_ij dL_j, with dL_j = W_j dX_j, W_j =
-// h scale_j f'(X_j). Where a factor of the slopes is frozen at the iterates Z, dL_j has a part in dZ_j as well.
+// The derivative of a substep whose slopes are known: dX_i = v + sum_j mix_ij dL_j, with dL_j = W_j dX_j, W_j = h
+// scale_j f'(X_j). Where a factor of the slopes is frozen at the iterates Z, dL_j depends on dZ_j as well.
 class StageChanges {
   public:
     StageChanges(const RungeKuttaTangents& given, int64_t rows)
@@ -127,7 +127,7 @@ class StageChanges {
         }
     }
 
-    // dL_j = W_j dX_j + what the change of the frozen factor makes of it, which is found first.
+    // dL_j = W_j dX_j + the effect of the change of the frozen factor. That effect is found first.
     bool frozen_changes(const double* found, const Abreast* v) {
         const bool of_structure = tables.solver == STRUCTURE;
         iterate(v);

@@ -1,0 +1,104 @@
+"""Which terms does a scheme add to a Hamiltonian, and which is the first? From its table and its sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from coadjoint.algebra.exact_polynomials import ExactPolynomials
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.symbolic_polynomial import SymbolicPolynomial
+from coadjoint.analysis.symbols_of_hamiltonian import Symbols
+from coadjoint.program.composition_logarithm import Coordinates
+from coadjoint.program.modified_terms import coordinates_of, modified_terms
+from coadjoint.program.part_polynomials import part_polynomials, with_given_coefficients
+from coadjoint.program.sweeps import Sweep
+from coadjoint.program.table import Program
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+HIGHEST = 12
+"""Terms below h^12: beyond, the words in the free algebra alone take minutes."""
+
+Term = Polynomial | SymbolicPolynomial
+
+
+class ErrorTerm(NamedTuple):
+    """The first term that a scheme adds to the Hamiltonian: h^power times a function.
+
+    Parameters
+    ----------
+    power : int or None
+        The power of h, which is the order of the scheme. None where H has a single part, so that a step is the flow of
+        H itself.
+    term : Polynomial or SymbolicPolynomial
+        The function. It is zero where the parts of a system commute more than they do in general.
+    """
+
+    power: int | None
+    term: Term
+
+
+class SchemeTerms:
+    """The terms of a scheme on a system, each made when it is asked for.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        The system, with a polynomial Hamiltonian.
+    program : Program
+        The table of the splitting.
+    sweeps, after : list of Sweep
+        The sweeps of the kernel and of the processor, in exact numbers.
+    order : int
+        Order of the scheme.
+    symbols : Symbols
+        The symbols that stand for coefficients of H.
+    """
+
+    def __init__(
+        self,
+        system: LiePoissonSystem,
+        program: Program,
+        sweeps: list[Sweep],
+        after: list[Sweep],
+        order: int,
+        symbols: Symbols,
+    ) -> None:
+        self._system, self._program, self.symbols = system, program, symbols
+        self._sweeps, self._after, self._order = sweeps, after, order
+
+    def kernel(self) -> SchemeTerms:
+        """Return the terms of the kernel alone."""
+        return SchemeTerms(self._system, self._program, self._sweeps, [], self._order, self.symbols)
+
+    def below(self, order: int) -> tuple[dict[int, Term], float, float]:
+        """Return the terms below h^order by power, their radius, and the bound of what was neglected."""
+        terms, radius, neglected = self._terms(self._coordinates(order), range(2, order + 1))
+        return {0: self.symbols.hamiltonian, **terms}, radius, neglected
+
+    def error_term(self) -> ErrorTerm:
+        """Return the term at the first power above h^0 at which the scheme has one on systems in general."""
+        if len(self._program.parts) > 1 or np.any(self._program.frequency != 0):
+            for highest in range(min(self._order + 1, HIGHEST + 1), HIGHEST + 2):
+                coordinates = self._coordinates(highest)
+                weight = coordinates.leading
+                if weight is not None:
+                    terms, _, _ = self._terms(coordinates, [weight])
+                    return ErrorTerm(weight - 1, terms.get(weight - 1, self.symbols.zero))
+        return ErrorTerm(None, self.symbols.zero)
+
+    def _coordinates(self, highest: int) -> Coordinates:
+        return coordinates_of(self._program, self._sweeps, self._after, highest, self._order)
+
+    def _terms(self, coordinates: Coordinates, weights: Iterable[int]) -> tuple[dict[int, Term], float, float]:
+        ring = ExactPolynomials(self._system.algebra, tuple(self.symbols.values))
+        pieces = None
+        if not self._program.shift:
+            parts = self._program.parts
+            own, factors = part_polynomials(ring, parts), self.symbols.factors(ring)
+            pieces = with_given_coefficients(ring, parts, own, self.symbols.given, factors)
+        found = modified_terms(ring, self._system, self._program, coordinates, weights, pieces)
+        terms = {power: self.symbols.written(term) for power, term in found.of_power.items()}
+        return terms, found.radius, found.neglected

@@ -1,0 +1,114 @@
+"""What a scheme adds to a polynomial Hamiltonian, from its table and its sweeps: H + h^p H_p + ..."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.program.composition_logarithm import Coordinates, composition_logarithm, swept_exactly
+from coadjoint.program.modified_series import Balls, ModifiedSeries
+from coadjoint.program.part_polynomials import part_polynomials
+from coadjoint.program.rational_pieces import rational_pieces
+from coadjoint.program.sweep_logarithm import Commutators
+from coadjoint.program.sweeps import Sweep, Swept
+from coadjoint.program.table import Program, build_program
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+
+
+class ModifiedTerms(NamedTuple):
+    """Terms of a modified Hamiltonian.
+
+    Parameters
+    ----------
+    of_power : dict of int to Polynomial
+        Power of h -> its factor, in the coordinates and then the symbols of a ring; only those that are not zero.
+    radius : float
+        The largest relative error of a coefficient before it was rounded to float64; 0 where all are exact.
+    neglected : float
+        Bound of the coefficients that were taken as zero.
+    """
+
+    of_power: dict[int, Polynomial]
+    radius: float
+    neglected: float
+
+
+def coordinates_of(program: Program, sweeps: list[Sweep], after: list[Sweep], highest: int, order: int) -> Coordinates:
+    """Return the Lie series of a step by a program; parameters are those of `composition_logarithm`."""
+    rational = bool(np.any(program.frequency != 0))
+    return composition_logarithm(sweeps, after, highest, order=order, parts=len(program.parts), rational=rational)
+
+
+def modified_terms(
+    ring: ExactPolynomials,
+    system: LiePoissonSystem,
+    program: Program,
+    coordinates: Coordinates,
+    weights: Iterable[int],
+    pieces: Sequence[Exact] | None = None,
+) -> ModifiedTerms:
+    """Return the terms of some weights. The power of h is the weight less one.
+
+    Parameters
+    ----------
+    ring : ExactPolynomials
+        On the dual of the algebra of the system.
+    system : LiePoissonSystem
+        With a polynomial Hamiltonian.
+    program : Program
+        The table of the splitting of the system.
+    coordinates : Coordinates
+        The Lie series of a step.
+    weights : iterable of int
+        The weights, from 2.
+    pieces : sequence of fmpq_mpoly, optional
+        The polynomials of the parts; by default those of the table.
+
+    Returns
+    -------
+    ModifiedTerms
+    """
+    wanted = [weight for weight in weights if coordinates.of_weight[weight]]
+    highest = max(wanted, default=1)
+    own = part_polynomials(ring, program.parts) if pieces is None else pieces
+    turned = rational_pieces(ring, program.parts, program.frequency, highest)
+    flows = [{1: piece, **more} for piece, more in zip(own, turned, strict=True)]
+    series = ModifiedSeries(Commutators(ring, system.sign), flows, highest)
+    found: dict[int, Polynomial] = {}
+    radius, neglected = 0.0, coordinates.neglected
+    for weight in wanted:
+        term = series.term(coordinates, weight)
+        if isinstance(term, Balls):
+            radius, neglected = max(radius, term.radius), max(neglected, term.neglected)
+            polynomial = Polynomial(term.coefficients, dim=ring.dim + len(ring.symbols))
+        else:
+            polynomial = ring.with_symbols(term)
+        if polynomial.monomials:
+            found[weight - 1] = polynomial
+    return ModifiedTerms(found, radius, neglected)
+
+
+def leading_term(system: LiePoissonSystem, method: Swept, order: int) -> Polynomial:
+    """Return H_p of a scheme of order p: its step is the flow of H + h^p H_p + ...
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        With a polynomial Hamiltonian.
+    method : Swept
+        The scheme.
+    order : int
+        Its order p.
+
+    Returns
+    -------
+    Polynomial
+    """
+    program = build_program(system, method)
+    coordinates = coordinates_of(program, *swept_exactly(method), order + 1, order)
+    found = modified_terms(ExactPolynomials(system.algebra), system, program, coordinates, [order + 1])
+    return found.of_power.get(order, Polynomial({}, dim=system.dim))
