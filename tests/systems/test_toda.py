@@ -40,7 +40,7 @@ def by_hand(n, kind, x):
     return np.array(slope)
 
 
-def by_qr(n, x, t, digits=80):
+def by_qr(n, x, t, digits=200):
     """L(t) = Q^T L(0) Q with exp(t L(0)) = Q R, the diagonal of R positive."""
     with mp.workdps(digits):
         L = mp.matrix(matrix(n, x).tolist())
@@ -99,9 +99,9 @@ def test_it_is_the_lattice_of_particles(kind):
         assert_order(system, x0, 1.0, 0.1, method, wanted)
 
 
-@pytest.mark.parametrize(("n", "t"), [(2, 3.0), (3, -4.0), (4, 25.0), (6, 1.5)])
+@pytest.mark.parametrize(("n", "t"), [(2, 3.0), (3, -4.0), (4, 40.0), (6, 1.5)])
 def test_exact_is_qr(n, t):
-    x = state(n, "open", seed=n)
+    x = state(n, "open", seed=1)
     x[n] *= -1  # nothing asks for positive a
     found = co.systems.toda(n).exact(x, t)
     wanted = by_qr(n, x, t)
