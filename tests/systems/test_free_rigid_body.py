@@ -155,7 +155,7 @@ def test_shapes_and_attitudes():
     turned = system.exact(x0, 1.0, attitude=A)[1]
     np.testing.assert_array_equal(turned, A @ A)
     for arguments, message in (
-        (([1.0, 2.0], 1.0), "three finite numbers"),
+        (([1.0, 2.0], 1.0), "3 finite numbers"),
         (([1.0, np.nan, 0.0], 1.0), "x0.1. is nan; give finite numbers"),
         ((x0, np.inf), "finite"),
         ((x0, np.zeros((2, 2))), "shape"),

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.given import read_finite
-from coadjoint.wording import short
+from coadjoint.systems.closed_form import all_finite, start_and_times
 
 Floats = npt.NDArray[np.float64]
 
@@ -229,11 +229,7 @@ def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False)
     >>> exact_solution(np.array([1.0, 0.5, 0.25]), -1, [0.0, 0.0, 2.0], 7.0)
     array([0., 0., 2.])
     """
-    start, times = read_finite(x0, "x0"), read_finite(t, "t")
-    if start.shape != (3,):
-        raise ValueError(f"x0 has shape {start.shape}; give three finite numbers")
-    if times.ndim > 1:
-        raise ValueError(f"t has shape {times.shape}; give one finite time or several, (k,)")
+    start, times = start_and_times(x0, t, 3)
     first = np.eye(3)
     if not isinstance(attitude, bool | np.bool_):
         first = read_finite(attitude, "attitude")
@@ -248,11 +244,7 @@ def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False)
     with np.errstate(over="ignore", invalid="ignore"):
         x, A = free_rigid_body(m, start @ axes, -sign * np.atleast_1d(times))
         x, A = x @ axes.T, first @ (axes @ A @ axes.T)
-    if not (np.isfinite(x).all() and np.isfinite(A).all()):
-        raise ValueError(
-            f"the closed form overflows from x0 = {short(start.tolist())} to t = {short(times.tolist())}; "
-            "take smaller ones"
-        )
+    x, A = (all_finite(part, start, times) for part in (x, A))
     if times.ndim == 0:
         x, A = x[0], A[0]
     return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, A)

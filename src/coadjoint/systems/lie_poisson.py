@@ -12,12 +12,12 @@ import numpy.typing as npt
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.representation import check_representation
 from coadjoint.memory import check_room
+from coadjoint.systems.closed_form import checked_exact, checked_parameters, solution_of
 from coadjoint.systems.followed_casimirs import casimirs_of, checked_casimirs
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.known_integrals import checked_integrals
 from coadjoint.systems.points import QUIET, checked_name, checked_sign, matching, point, scatter
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
-from coadjoint.wording import short
 
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and what J(x) u needs
 
@@ -138,12 +138,8 @@ class LiePoissonSystem:
             checked = check_representation(representation, algebra.triples, algebra.dim, algebra.basis)
             keep(self, "representation", checked)
         keep(self, "name", checked_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
-        if not isinstance(parameters, Mapping | None):
-            raise TypeError(f"parameters is {short(parameters)}; give a mapping from names to values, or None")
-        if exact is not None and not callable(exact):
-            raise TypeError(f"exact is {short(exact)}; give a function of (x0, t, attitude), or None")
-        keep(self, "_parameters", None if parameters is None else dict(parameters))
-        keep(self, "_exact", exact)
+        keep(self, "_parameters", checked_parameters(parameters))
+        keep(self, "_exact", checked_exact(exact))
 
     def _check_pieces(self) -> None:
         if not isinstance(self.hamiltonian, SplitHamiltonian):
@@ -289,9 +285,7 @@ class LiePoissonSystem:
         TypeError
             No closed form is known.
         """
-        if self._exact is None:
-            raise TypeError(f"no closed form is known for {self.name}; integrate it")
-        return self._exact(x0, t, attitude)
+        return solution_of(self._exact, self.name)(x0, t, attitude)
 
     def __repr__(self) -> str:
         where = self.algebra.name or f"an algebra of dimension {self.dim}"

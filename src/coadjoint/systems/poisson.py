@@ -12,6 +12,7 @@ import numpy.typing as npt
 from coadjoint.given import read_numbers, read_whole
 from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.closed_form import checked_exact, checked_parameters, solution_of
 from coadjoint.systems.followed_casimirs import checked_casimirs
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.points import QUIET, checked_name, checked_sign, point
@@ -45,6 +46,8 @@ class PoissonSystem:
         Name to `Polynomial`, `Invariant` or function of x, with ``J(x) grad C(x) = 0``.
     name : str, optional
         For messages, files and pictures.
+    parameters, exact
+        As for `LiePoissonSystem`.
 
     Attributes
     ----------
@@ -52,7 +55,7 @@ class PoissonSystem:
         The functions as given.
     hamiltonian : Hamiltonian
         Bound to `dim`.
-    algebra, representation, parameters
+    algebra, representation
         None: what a `LiePoissonSystem` has in these places.
 
     Raises
@@ -80,10 +83,11 @@ class PoissonSystem:
     derivative_function: Callable[..., Any] | None
     name: str
     _casimirs: dict[str, Any]
+    _parameters: dict[str, Any] | None
+    _exact: Callable[..., Any] | None
 
     algebra = None
     representation = None
-    parameters = None
 
     def __init__(
         self,
@@ -94,6 +98,8 @@ class PoissonSystem:
         derivative: Callable[..., Any] | None = None,
         casimirs: Mapping[str, Any] | None = None,
         name: str | None = None,
+        parameters: Mapping[str, Any] | None = None,
+        exact: Callable[..., Any] | None = None,
     ) -> None:
         for what, function in (("structure_matrix", structure_matrix), ("derivative", derivative)):
             if (function is not None or what != "derivative") and takes_time(function, what):  # type: ignore[arg-type]
@@ -110,6 +116,8 @@ class PoissonSystem:
         keep(self, "structure_function", structure_matrix)
         keep(self, "derivative_function", derivative)
         keep(self, "name", checked_name(name, f"Poisson system of dimension {n}"))
+        keep(self, "_parameters", checked_parameters(parameters))
+        keep(self, "_exact", checked_exact(exact))
         for x in sample_points(self.dim):
             self._check_skew(x)
         if derivative is not None:
@@ -149,6 +157,16 @@ class PoissonSystem:
     def casimirs(self) -> dict[str, Any]:
         """Name to `Polynomial` or `Invariant` (a copy)."""
         return dict(self._casimirs)
+
+    @property
+    def parameters(self) -> dict[str, Any] | None:
+        """What makes this system again by ``co.systems.get(name, **parameters)``, or None (a copy)."""
+        return None if self._parameters is None else dict(self._parameters)
+
+    @property
+    def closed_form(self) -> Callable[..., Any] | None:
+        """The function ``exact(x0, t, attitude)`` that was given, or None."""
+        return self._exact
 
     def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
         """Return J(x), shape (n, n)."""
@@ -204,8 +222,8 @@ class PoissonSystem:
         return self.sign * (turned + self.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
 
     def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
-        """Raise a TypeError: no closed form is known."""
-        raise TypeError(f"no closed form is known for {self.name}; integrate it")
+        """Return the solution in closed form, where one is known; see `LiePoissonSystem.exact`."""
+        return solution_of(self._exact, self.name)(x0, t, attitude)
 
     def __repr__(self) -> str:
         return f"<{self.name}: {self.hamiltonian!r}, J a function of x, sign={self.sign:+d}>"

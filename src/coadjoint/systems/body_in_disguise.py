@@ -1,0 +1,71 @@
+"""Systems of three coordinates that are a free rigid body in other units: its closed form serves them."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.systems.closed_form import start_and_times, states_alone
+from coadjoint.systems.free_rigid_body import exact_solution
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.quadratic import Quadratic
+
+Floats = npt.NDArray[np.float64]
+
+
+def body_in_disguise(
+    constants: tuple[float, float, float],
+    masses: tuple[float, float, float],
+    casimirs: dict[str, Polynomial],
+    name: str,
+    parameters: dict[str, Any],
+) -> LiePoissonSystem:
+    """Return the system with ``x1' = (c2 M3 - c3 M2) x2 x3`` and so on around, ``H = x . M x / 2``, sign -1.
+
+    Parameters
+    ----------
+    constants : (c1, c2, c3)
+        ``[e2, e3] = c1 e1``, ``[e3, e1] = c2 e2``, ``[e1, e2] = c3 e3``; not zero, all of one sign.
+    masses : (M1, M2, M3)
+        Diagonal of M.
+    casimirs, name, parameters
+        As for `LiePoissonSystem`.
+
+    Returns
+    -------
+    LiePoissonSystem
+        With ``exact(x0, t)``.
+
+    Examples
+    --------
+    >>> body = body_in_disguise((1.0, 1.0, 2.0), (1.0, 2.0, 3.0), {}, "body", {})
+    >>> body.vector_field([1.0, 1.0, 1.0])
+    array([-1., -1.,  1.])
+    """
+    c1, c2, c3 = constants
+    return LiePoissonSystem(
+        LieAlgebra.from_brackets(3, {(1, 2): {0: c1}, (2, 0): {1: c2}, (0, 1): {2: c3}}, name=f"so(3) of {name}"),
+        Quadratic(masses),
+        sign=-1,
+        casimirs=casimirs,
+        name=name,
+        parameters=parameters,
+        exact=partial(_exact, np.array(constants), np.array(masses), name),
+    )
+
+
+def _exact(constants: Floats, masses: Floats, name: str, x0: Any, t: Any, attitude: Any = False) -> Floats:
+    """Return the closed form: y_i = x_i sqrt(c_i / c_1) is a body with the masses M_i c_1 / c_i, and a faster clock."""
+    states_alone(attitude, name)
+    start, times = start_and_times(x0, t, 3)
+    ratios = constants / constants[0]
+    units = np.sqrt(ratios)
+    pace = constants[0] * math.sqrt(ratios[1] * ratios[2])
+    x: Floats = exact_solution(masses / ratios, -1, start * units, pace * times) / units
+    return x

@@ -1,0 +1,90 @@
+"""What a system says of itself beside its equations: its parameters, and its solution in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.given import read_finite
+from coadjoint.wording import short
+
+Floats = npt.NDArray[np.float64]
+
+
+def checked_parameters(parameters: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Return a copy of the parameters of a system; refuse what is no mapping."""
+    if not isinstance(parameters, Mapping | None):
+        raise TypeError(f"parameters is {short(parameters)}; give a mapping from names to values, or None")
+    return None if parameters is None else dict(parameters)
+
+
+def checked_exact(exact: Callable[..., Any] | None) -> Callable[..., Any] | None:
+    """Return the closed form of a system; refuse what is no function."""
+    if exact is not None and not callable(exact):
+        raise TypeError(f"exact is {short(exact)}; give a function of (x0, t, attitude), or None")
+    return exact
+
+
+def solution_of(exact: Callable[..., Any] | None, name: str) -> Callable[..., Any]:
+    """Return the closed form of a system; refuse where there is none."""
+    if exact is None:
+        raise TypeError(f"no closed form is known for {name}; integrate it")
+    return exact
+
+
+def start_and_times(x0: Any, t: Any, n: int) -> tuple[Floats, Floats]:
+    """Return what a closed form is asked for: the state at time zero, shape (n,), and the times, shape () or (k,).
+
+    Parameters
+    ----------
+    x0, t : array_like
+        As given to ``exact``.
+    n : int
+        Number of coordinates.
+
+    Returns
+    -------
+    (n,) array, () or (k,) array
+
+    Raises
+    ------
+    ValueError
+        A shape is wrong, or a number not finite.
+
+    Examples
+    --------
+    >>> start_and_times((1, 2), 3, 2)
+    (array([1., 2.]), array(3.))
+    """
+    start, times = read_finite(x0, "x0"), read_finite(t, "t")
+    if start.shape != (n,):
+        raise ValueError(f"x0 has shape {start.shape}; give {n} finite numbers")
+    if times.ndim > 1:
+        raise ValueError(f"t has shape {times.shape}; give one finite time or several, (k,)")
+    return start, times
+
+
+def states_alone(attitude: Any, name: str) -> None:
+    """Refuse an attitude where the closed form gives the state alone.
+
+    Examples
+    --------
+    >>> states_alone(True, "toda")
+    Traceback (most recent call last):
+    TypeError: toda has a closed form of the state alone; leave attitude out, or integrate
+    """
+    if not isinstance(attitude, bool | np.bool_) or attitude:
+        raise TypeError(f"{name} has a closed form of the state alone; leave attitude out, or integrate")
+
+
+def all_finite(x: Floats, start: Floats, times: Floats) -> Floats:
+    """Return states of a closed form; refuse those that left float64."""
+    if not np.isfinite(x).all():
+        raise ValueError(
+            f"the closed form overflows from x0 = {short(start.tolist())} to t = {short(times.tolist())}; "
+            "take smaller ones"
+        )
+    return x

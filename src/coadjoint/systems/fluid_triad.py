@@ -1,0 +1,82 @@
+"""Three interacting waves of an ideal fluid in two dimensions."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.given import read_finite
+from coadjoint.systems.body_in_disguise import body_in_disguise
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.ready_made import ready_made
+from coadjoint.wording import short
+
+
+@ready_made
+def fluid_triad(first: npt.ArrayLike = (1.0, 0.0), second: npt.ArrayLike = (0.5, 1.5)) -> LiePoissonSystem:
+    """Return a triad of waves of the two-dimensional Euler equations, a rigid body in disguise.
+
+    The vorticity ``sum of x_i cos(k_i . r)`` has three waves with k1 + k2 + k3 = 0, and the Euler equations are kept to
+    these: ``x1' = (S/2) (1/k3^2 - 1/k2^2) x2 x3`` and so on around, S = k1 cross k2. So so(3) with brackets S, sign -1,
+    and H the mean kinetic energy ``sum of x_i^2 / (4 k_i^2)``. The wave of middle length is unstable, as the middle
+    axis of a body is.
+
+    Parameters
+    ----------
+    first, second : (2,)
+        Wave vectors k1 and k2 (1/length), not parallel; ``k3 = -k1 - k2``.
+
+    Returns
+    -------
+    LiePoissonSystem
+        State: the amplitudes of vorticity (x1, x2, x3), per unit of time. Casimir: the mean enstrophy, ``(x1^2 + x2^2 +
+        x3^2) / 4``. ``exact(x0, t)`` in closed form. There are no matrices for a group element, which would mean
+        nothing for the fluid.
+
+    Raises
+    ------
+    ValueError
+        Not two finite numbers each; or parallel vectors, whose waves do not interact; or a size that leaves float64.
+
+    Notes
+    -----
+    Kraichnan, Phys. Fluids 10, 1417 (1967), for the triad; Waleffe, Phys. Fluids A 4, 350 (1992), for its instability.
+
+    Examples
+    --------
+    >>> triad = fluid_triad(first=(1.0, 0.0), second=(0.0, 2.0))
+    >>> triad.vector_field([1.0, 1.0, 1.0])
+    array([-0.05,  0.8 , -0.75])
+    """
+    k1, k2 = _wave(first, "first"), _wave(second, "second")
+    k3 = (-k1[0] - k2[0], -k1[1] - k2[1])
+    area = k1[0] * k2[1] - k1[1] * k2[0]
+    if area == 0:
+        raise ValueError(f"first {short(first)} and second {short(second)} are parallel; such waves do not interact")
+    try:
+        S = float(area)
+        masses = tuple(float(1 / (2 * (x * x + y * y))) for x, y in (k1, k2, k3))
+    except OverflowError:
+        S, masses = 0.0, ()
+    if S == 0.0 or 0.0 in masses:
+        raise ValueError(
+            f"first {short(first)} and second {short(second)} leave float64 when squared; take other units"
+        )
+    quarter = Fraction(1, 4)
+    return body_in_disguise(
+        (S, S, S),
+        (masses[0], masses[1], masses[2]),
+        {"enstrophy": Polynomial({(2, 0, 0): quarter, (0, 2, 0): quarter, (0, 0, 2): quarter})},
+        "fluid_triad",
+        {"first": tuple(map(float, k1)), "second": tuple(map(float, k2))},
+    )
+
+
+def _wave(given: npt.ArrayLike, name: str) -> tuple[Fraction, Fraction]:
+    values = read_finite(given, name)
+    if values.shape != (2,):
+        raise ValueError(f"{name} has shape {values.shape}; give a wave vector, two finite numbers")
+    x, y = values.tolist()
+    return Fraction(x), Fraction(y)

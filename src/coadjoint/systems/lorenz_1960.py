@@ -1,0 +1,67 @@
+"""Lorenz' maximum simplification of the dynamic equations."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.given import read_positive
+from coadjoint.systems.body_in_disguise import body_in_disguise
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.ready_made import ready_made
+
+
+@ready_made
+def lorenz_1960(k: float = 2.0, l: float = 1.0) -> LiePoissonSystem:
+    """Return the three equations of Lorenz (1960) for a westerly current and a wave, a rigid body in disguise.
+
+    The vorticity ``A cos(l y) + F cos(k x) + 2 G sin(l y) sin(k x)`` of an ideal fluid, kept to these waves:
+    ``A' = -(1/k^2 - 1/(k^2 + l^2)) k l F G``, ``F' = (1/l^2 - 1/(k^2 + l^2)) k l A G``,
+    ``G' = -(1/l^2 - 1/k^2) k l A F / 2``. So so(3) with the brackets k l, k l, 2 k l, sign -1, and H the mean kinetic
+    energy ``A^2/(4 l^2) + F^2/(4 k^2) + G^2/(2 (k^2 + l^2))``. In the coordinates (A, F, sqrt(2) G) it is the body with
+    the inverse moments 1/(2 l^2), 1/(2 k^2), 1/(2 (k^2 + l^2)), sqrt(2) k l times as fast.
+
+    Parameters
+    ----------
+    k, l : float
+        Wave numbers along x and y (1/length), positive. The current A can only break up where k < l.
+
+    Returns
+    -------
+    LiePoissonSystem
+        State (A, F, G), vorticities, per unit of time. Casimir: the mean enstrophy, ``(A^2 + F^2 + 2 G^2) / 4``.
+        ``exact(x0, t)`` in closed form. There are no matrices for a group element, which would mean nothing for the
+        fluid.
+
+    Raises
+    ------
+    ValueError
+        k or l is not positive, or so large or small that its square leaves float64.
+
+    Notes
+    -----
+    Lorenz, "Maximum simplification of the dynamic equations", Tellus 12, 243 (1960).
+
+    Examples
+    --------
+    >>> lorenz_1960(k=2.0, l=1.0).vector_field([1.0, 1.0, 1.0])
+    array([-0.1 ,  1.6 , -0.75])
+    """
+    k, l = read_positive(k, "k"), read_positive(l, "l")
+    k2, l2 = Fraction(k) ** 2, Fraction(l) ** 2
+    try:
+        masses = tuple(float(1 / (2 * square)) for square in (l2, k2, (k2 + l2) / 2))
+        c = float(Fraction(k) * Fraction(l))
+        lost = 0.0 in (*masses, c) or 2.0 * c == float("inf")
+    except OverflowError:
+        lost = True
+    if lost:
+        raise ValueError(f"the squares of k = {k:g} and l = {l:g} leave float64; take other units")
+    quarter = Fraction(1, 4)
+    return body_in_disguise(
+        (c, c, 2.0 * c),
+        (masses[0], masses[1], masses[2]),
+        {"enstrophy": Polynomial({(2, 0, 0): quarter, (0, 2, 0): quarter, (0, 0, 2): 2 * quarter})},
+        "lorenz_1960",
+        {"k": k, "l": l},
+    )

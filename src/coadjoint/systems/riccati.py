@@ -1,0 +1,94 @@
+"""The Riccati equation with constant coefficients, as a linear motion on the dual of sl(2)."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra import catalogue
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.given import read_finite, read_number
+from coadjoint.systems.closed_form import all_finite, start_and_times
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.ready_made import ready_made
+
+Floats = npt.NDArray[np.float64]
+
+
+@ready_made
+def riccati(constant: float = 1.0, linear: float = 0.0, quadratic: float = 1.0) -> LiePoissonSystem:
+    """Return the Riccati equation ``w' = constant + linear w + quadratic w^2``, without its poles.
+
+    Both roots of ``x1 w^2 - 2 x2 w - x3 = 0`` obey the equation while x moves on the dual of sl(2), A3,8, with the sign
+    +1 and ``H = -constant x1 - linear x2 + quadratic x3``. Two solutions v, w are the state ``(1, (v + w)/2, -v w)``,
+    times any number. Where w goes through infinity x1 goes through zero, and x stays smooth. Roots that are not real
+    move in the complex plane.
+
+    Parameters
+    ----------
+    constant, linear, quadratic : float
+        Coefficients, in units of w per time, 1 per time, and 1 per w and time.
+
+    Returns
+    -------
+    LiePoissonSystem
+        Casimir: the discriminant, ``x1 x3 + x2^2``. ``exact(x0, t, attitude=False)`` in closed form. The group element
+        g, 2 x 2, is the flow of the equation: ``w(t) = (g11 w(0) + g21) / (g12 w(0) + g22)``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        A coefficient is not a finite number.
+
+    Notes
+    -----
+    Section 7 of Reich, "Numerical integration of the generalized Euler equations" (1993).
+
+    Examples
+    --------
+    >>> tangent = riccati()  # w' = 1 + w^2, from the roots 0 and 1
+    >>> x1, x2, x3 = tangent.exact([1.0, 0.5, 0.0], 0.25)
+    >>> np.sort(np.roots([x1, -2 * x2, -x3])), np.tan([0.25, 0.25 + np.pi / 4])
+    (array([0.25534192, 1.68579642]), array([0.25534192, 1.68579642]))
+    """
+    q = [read_number(value, name) for value, name in ((constant, "constant"), (linear, "linear"))]
+    q.append(read_number(quadratic, "quadratic"))
+    u = np.array([-q[0], -q[1], q[2]])
+    return LiePoissonSystem(
+        catalogue.get("sl(2)"),
+        Quadratic(np.zeros(3), linear=u),
+        casimirs={"discriminant": Polynomial({(1, 0, 1): 1, (0, 2, 0): 1})},
+        name="riccati",
+        parameters={"constant": q[0], "linear": q[1], "quadratic": q[2]},
+        exact=partial(_exact, u),
+    )
+
+
+def _exact(u: Floats, x0: Any, t: Any, attitude: Any = False) -> Any:
+    """Return ``exp(t D_u) x0`` and ``g exp(-t rho(u))``.
+
+    D_u^3 = d D_u and rho(u)^2 = d/4, with the discriminant d, so that sines and cosines of t sqrt(d)/2 are enough.
+    """
+    start, times = start_and_times(x0, t, 3)
+    first = np.eye(2)
+    if not isinstance(attitude, bool | np.bool_):
+        first = read_finite(attitude, "attitude")
+        if first.shape != (2, 2):
+            raise ValueError(f"attitude has shape {first.shape}; give True or a finite (2, 2)")
+    p, q, r = u.tolist()
+    D = np.array([[q, -2.0 * r, 0.0], [-p, 0.0, r], [0.0, 2.0 * p, -q]])
+    rho = np.array([[0.5 * q, r], [p, -0.5 * q]])
+    with np.errstate(all="ignore"):
+        rate = np.sqrt(complex(0.25 * q * q + p * r))
+        angle = rate * times
+        even = np.cosh(angle).real
+        odd = times + 0.0 if rate == 0 else (np.sinh(angle) / rate).real
+        Dx = D @ start
+        x = start + (even * odd)[..., None] * Dx + (0.5 * odd**2)[..., None] * (D @ Dx)
+        g = first @ (even[..., None, None] * np.eye(2) - odd[..., None, None] * rho)
+    all_finite(x, start, times)
+    return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, all_finite(g, start, times))

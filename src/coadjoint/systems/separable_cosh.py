@@ -1,0 +1,92 @@
+"""A Hamiltonian that is a sum of functions of one coordinate each, none of them a polynomial, on any algebra."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra import catalogue
+from coadjoint.given import read_finite, read_positive
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.separable import Separable
+from coadjoint.wording import short
+
+
+@ready_made
+def separable_cosh(
+    algebra: str = "so(3)",
+    masses: npt.ArrayLike = (1.0, 0.5, 0.25),
+    stiffness: float = 1.0,
+    constants: Mapping[str, float] | None = None,
+) -> LiePoissonSystem:
+    """Return ``H = sum of masses_i (cosh(stiffness x_i) - 1) / stiffness^2`` on an algebra of the catalogue.
+
+    The generalized Euler equations with an energy that is separable and not quadratic; for small momenta it is ``sum of
+    masses_i x_i^2 / 2``. A splitting has exact flows of single coordinates still. Sign +1.
+
+    Parameters
+    ----------
+    algebra : str
+        A name that ``co.algebras.get`` knows.
+    masses : (n,)
+        Of the coordinates (inverse inertia, energy per momentum squared); any sign, zero where H has no such term.
+    stiffness : float
+        Positive (1/momentum).
+    constants : mapping, optional
+        Parameters of the algebra by name, where it has any: ``{"a": 2.0}`` for A3,7.
+
+    Returns
+    -------
+    LiePoissonSystem
+        Casimirs and representation are those of the algebra. No integrals beside them and H are known, and no closed
+        form.
+
+    Raises
+    ------
+    ValueError, TypeError
+        The algebra or its parameters are unknown, masses of another length or all zero, a stiffness that is not
+        positive, or numbers so large that H'' leaves float64.
+
+    Notes
+    -----
+    Section 7 of Reich (1993): in the flows of section 4, m_ii x_i is replaced by H_i'(x_i).
+
+    Examples
+    --------
+    >>> system = separable_cosh(stiffness=2.0)
+    >>> x = np.array([1.0, 2.0, 0.5])
+    >>> slope = np.array([1.0, 0.5, 0.25]) * np.sinh(2.0 * x) / 2.0
+    >>> bool(np.allclose(system.vector_field(x), np.cross(slope, x), rtol=1e-14))
+    True
+    """
+    if not isinstance(constants, Mapping | None):
+        raise TypeError(f"constants is {short(constants)}; give a mapping from the algebra's parameters to numbers")
+    g = catalogue.get(algebra, **(constants or {}))
+    values = read_finite(masses, "masses")
+    if values.shape != (g.dim,):
+        raise ValueError(f"masses has shape {values.shape}; give {g.dim} numbers, one for each coordinate of {algebra}")
+    if not values.any():
+        raise ValueError("masses are all zero, and nothing moves; give one that is not")
+    kappa = read_positive(stiffness, "stiffness")
+    parameters: dict[str, Any] = {"algebra": algebra, "masses": tuple(values.tolist()), "stiffness": kappa}
+    if constants:
+        parameters["constants"] = dict(constants)
+    functions = {i: _functions(mass, kappa) for i, mass in enumerate(values.tolist()) if mass}
+    return LiePoissonSystem(g, Separable(functions), name="separable_cosh", parameters=parameters)
+
+
+def _functions(mass: float, kappa: float) -> tuple[Callable[[Any], Any], ...]:
+    def value(y: Any) -> Any:
+        return 2.0 * mass * (np.sinh(0.5 * kappa * y) / kappa) ** 2  # (cosh - 1)/kappa^2 without its cancellation
+
+    def slope(y: Any) -> Any:
+        return mass * np.sinh(kappa * y) / kappa
+
+    def curvature(y: Any) -> Any:
+        return mass * np.cosh(kappa * y)
+
+    return value, slope, curvature

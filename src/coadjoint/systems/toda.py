@@ -1,0 +1,297 @@
+"""The Toda lattice in Flaschka's variables, open and as a ring."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.constants import check_room_of_algebra
+from coadjoint.algebra.invariant import Invariant
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.given import read_whole
+from coadjoint.systems.closed_form import start_and_times, states_alone
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.ready_made import ready_made
+from coadjoint.wording import short
+
+Floats = npt.NDArray[np.float64]
+
+LONGEST_POLYNOMIALS = 64  # sites; of more, polynomials whose terms count every coordinate are no longer small
+COMPLETE = 8  # sites up to which all traces are given; of more, those of L^3 and L^4
+MOST_BITS = 2**20
+
+
+@ready_made
+def toda(sites: int = 4) -> LiePoissonSystem:
+    """Return the open Toda lattice in Flaschka's variables, with its exact solution by QR.
+
+    Particles of mass m on a line; neighbours at the distance r_i repel each other with the energy ``(A/beta) exp(-beta
+    r_i)``. Then ``b_i = -beta p_i / (2 m)`` and ``a_i = sqrt(A beta / m) exp(-beta r_i / 2) / 2`` obey
+    ``b_i' = 2 (a_i^2 - a_(i-1)^2)``, ``a_i' = a_i (b_(i+1) - b_i)``: all constants are in the state. The particles fly
+    apart: every a_i goes to zero, and the b_i to the eigenvalues of L, the largest first. Sign +1,
+    ``H = tr L^2 / 2 = sum b_i^2 / 2 + sum a_i^2``, with the brackets ``{a_i, b_i} = -a_i``, ``{a_i, b_(i+1)} = a_i``
+    (four times the canonical ones, where H is beta^2 / (4 m) times the energy). Two sets that commute, b and a: a
+    splitting has two parts, whatever the length.
+
+    Parameters
+    ----------
+    sites : int
+        Number n of particles, two or more.
+
+    Returns
+    -------
+    LiePoissonSystem
+        State ``(b_1, ..., b_n, a_1, ..., a_(n-1))``, all per unit of time. Casimir: the total momentum, ``tr L``, L the
+        symmetric tridiagonal matrix of diagonal b and off-diagonal a. Integrals: the traces of powers of L, 3 to n up
+        to 8 sites, 3 and 4 up to 64. ``exact(x0, t)`` in closed form.
+
+    Raises
+    ------
+    ValueError
+        `sites` is no whole number, or less than two.
+
+    Notes
+    -----
+    Flaschka, Phys. Rev. B 9, 1924 (1974); Symes, Physica D 4, 275 (1982): with ``exp(t L(0)) = Q R`` the lattice is at
+    ``L(t) = Q^T L(0) Q``. The group element means nothing for the particles.
+
+    Examples
+    --------
+    >>> system = toda(sites=3)
+    >>> system.vector_field([1.0, 0.0, -1.0, 0.5, 0.25])
+    array([ 0.5  , -0.375, -0.125, -0.5  , -0.25 ])
+    >>> late = system.exact([1.0, 0.0, -1.0, 0.5, 0.25], 40.0)
+    >>> L = [[1.0, 0.5, 0.0], [0.5, 0.0, 0.25], [0.0, 0.25, -1.0]]
+    >>> bool(np.allclose(late[:3], np.linalg.eigvalsh(L)[::-1], atol=1e-14))
+    True
+    """
+    return _lattice(read_whole(sites, "sites", 2), ring=False)
+
+
+@ready_made
+def toda_ring(sites: int = 4) -> LiePoissonSystem:
+    """Return the Toda lattice on a ring in Flaschka's variables.
+
+    As `toda`, with one more spring, a_n from the last particle to the first: ``b_1' = 2 (a_1^2 - a_n^2)``, and
+    ``a_n' = a_n (b_1 - b_n)``. The motion is bounded. Sign +1, H = sum b_i^2 / 2 + sum a_i^2.
+
+    Parameters
+    ----------
+    sites : int
+        Number n of particles, two or more.
+
+    Returns
+    -------
+    LiePoissonSystem
+        State ``(b_1, ..., b_n, a_1, ..., a_n)``, all per unit of time. Casimirs: the total momentum, ``tr L``, and the
+        product of the a_i, which is the length of the ring (beyond 64 sites its logarithm, for it underflows).
+        Integrals: as for `toda`, L with a_n in the corners.
+
+    Raises
+    ------
+    ValueError
+        `sites` is no whole number, or less than two.
+
+    Notes
+    -----
+    Toda, Theory of Nonlinear Lattices (1989). The solution in theta functions (Kac and van Moerbeke 1975) is not here.
+
+    Examples
+    --------
+    >>> system = toda_ring(sites=3)
+    >>> system.vector_field([1.0, 0.0, -1.0, 0.5, 0.25, 1.0])
+    array([-1.5  , -0.375,  1.875, -0.5  , -0.25 ,  2.   ])
+    >>> list(system.casimirs)
+    ['tr L', 'product of a']
+    """
+    return _lattice(read_whole(sites, "sites", 2), ring=True)
+
+
+def _lattice(n: int, ring: bool) -> LiePoissonSystem:
+    name = "toda_ring" if ring else "toda"
+    bonds = n if ring else n - 1
+    check_room_of_algebra(f"{name}({short(n)})", n + bonds, 2 * bonds)
+    left = np.arange(bonds)
+    right = (left + 1) % n
+    rows = np.concatenate([left, right])
+    constants = np.concatenate([np.ones(bonds), -np.ones(bonds)])
+    a = np.concatenate([n + left, n + left])
+    # [e_b, e_a] = +-e_a, the b before the a
+    algebra = LieAlgebra(np.column_stack([rows, a, a, constants]), dim=n + bonds, name=f"{name}({n})")
+    casimirs: dict[str, Any] = {"tr L": Quadratic(np.zeros(n + bonds), linear=np.repeat([1.0, 0.0], [n, bonds]))}
+    if ring and n <= LONGEST_POLYNOMIALS:
+        casimirs["product of a"] = Polynomial({(0,) * n + (1,) * n: 1})
+    elif ring:
+        casimirs["log of the product of a"] = Invariant(_log_product, _log_product_gradient)
+    return LiePoissonSystem(
+        algebra,
+        Quadratic(np.repeat([1.0, 2.0], [n, bonds])),
+        casimirs=casimirs,
+        name=name,
+        parameters={"sites": n},
+        exact=None if ring else partial(open_lattice, n),
+        integrals=traces(n, ring),
+    )
+
+
+def _log_product(x: Any) -> Any:
+    total = 0.0
+    for i in range(len(x) // 2, len(x)):
+        total += math.log(abs(x[i]))
+    return total
+
+
+def _log_product_gradient(x: Any) -> Any:
+    result = np.zeros(len(x))
+    for i in range(len(x) // 2, len(x)):
+        result[i] = 1.0 / x[i]
+    return result
+
+
+def traces(n: int, ring: bool) -> dict[str, Polynomial]:
+    """Return traces of powers of L as polynomials in the b and a: independent integrals beside H and the Casimirs.
+
+    Parameters
+    ----------
+    n : int
+        Number of sites.
+    ring : bool
+        Whether the last site has a spring to the first.
+
+    Returns
+    -------
+    dict of str to Polynomial
+
+    Notes
+    -----
+    The trace of L^k is the sum over closed walks of k steps on the lattice, of the entries of L on their way.
+
+    Examples
+    --------
+    >>> traces(3, ring=False)["tr L^3"]
+    x1^3 + 3*x1*x4^2 + x2^3 + 3*x2*x4^2 + 3*x2*x5^2 + x3^3 + 3*x3*x5^2
+    """
+    if n > LONGEST_POLYNOMIALS:
+        return {}
+    bonds = n if ring else n - 1
+    steps: list[list[tuple[int, int]]] = [[(i, i)] for i in range(n)]
+    for i in range(bonds):
+        j = (i + 1) % n
+        steps[i].append((j, n + i))
+        steps[j].append((i, n + i))
+    highest = n if n <= COMPLETE else 4
+    totals = [Counter[tuple[int, ...]]() for _ in range(highest + 1)]
+    for start in range(n):
+        walks = Counter[tuple[int, tuple[int, ...]]]({(start, ()): 1})
+        for k in range(1, highest + 1):
+            further = Counter[tuple[int, tuple[int, ...]]]()
+            for (site, way), count in walks.items():
+                for place, coordinate in steps[site]:
+                    further[place, tuple(sorted((*way, coordinate)))] += count
+            walks = further
+            totals[k].update({way: count for (site, way), count in walks.items() if site == start})
+    dim = n + bonds
+    return {
+        f"tr L^{k}": Polynomial({tuple(way.count(i) for i in range(dim)): c for way, c in totals[k].items()})
+        for k in range(3, highest + 1)
+    }
+
+
+def open_lattice(n: int, x0: Any, t: Any, attitude: Any = False) -> Floats:
+    """Return the open lattice at given times, every digit of it right.
+
+    Parameters
+    ----------
+    n : int
+        Number of sites.
+    x0 : (2 n - 1,)
+        ``(b_1, ..., b_n, a_1, ..., a_(n-1))`` at time zero.
+    t : float or (k,)
+        One time, or several.
+    attitude : bool
+        Refused where it is not False.
+
+    Returns
+    -------
+    (2 n - 1,) or (k, 2 n - 1) array
+
+    Raises
+    ------
+    ValueError
+        A shape is wrong, or a number not finite, or t so long that more than 2^20 bits were needed.
+    TypeError
+        The attitude was asked for.
+
+    Notes
+    -----
+    With ``exp(t L) = Q R`` also ``exp(2 t L) = R^T R`` and ``L(t) = R L R^-1``: R by Cholesky, in balls, with as many
+    bits as the answer needs. The work grows as n^3 for each time.
+
+    Examples
+    --------
+    >>> open_lattice(2, [0.0, 0.0, 1.0], 0.5)  # b = (tanh, -tanh)(2 t), a = sech(2 t)
+    array([ 0.76159416, -0.76159416,  0.64805427])
+    """
+    states_alone(attitude, "toda")
+    start, times = start_and_times(x0, t, 2 * n - 1)
+    states = np.array([_at(n, start, time) for time in np.atleast_1d(times).tolist()]).reshape(-1, 2 * n - 1)
+    return states[0] if times.ndim == 0 else states
+
+
+def _at(n: int, start: Floats, time: float) -> Floats:
+    """Return the state at one time, with more bits until the balls around it are smaller than its rounding."""
+    from flint import arb, ctx
+
+    size = float(np.abs(start).max())
+    if time == 0.0 or size == 0.0:
+        return start.copy()
+    turns = 12.0 * math.log2(math.e) * size * abs(time)  # |L| <= 3 size, and exp(2 t L) has both signs of it
+    if not turns < MOST_BITS / 4:
+        raise ValueError(
+            f"t is {time:g}, too long for the closed form from so large a state; integrate, or start later"
+        )
+    bits = 128 + int(turns)
+    while bits <= MOST_BITS:
+        with ctx.workprec(bits):
+            state = _by_cholesky(n, [arb(v) for v in start.tolist()], arb(time))
+            small = 2.0**-60 * size
+            if state and all(q.rad() < small or q.rel_accuracy_bits() > 60 for q in state):
+                return np.array([float(q.mid()) for q in state])
+        bits *= 2
+    raise ValueError(f"t is {time:g}, too long for the closed form from this state; integrate, or start later")
+
+
+def _by_cholesky(n: int, x: list[Any], time: Any) -> list[Any]:
+    """Return the state as balls, or nothing where there are not enough bits for a pivot."""
+    from flint import arb_mat
+
+    b, a = x[:n], x[n:]
+    L = [[0 * time] * n for _ in range(n)]
+    for i in range(n):
+        L[i][i] = 2 * time * b[i]
+        if i:
+            L[i - 1][i] = L[i][i - 1] = 2 * time * a[i - 1]
+    rest = arb_mat(L).exp().tolist()
+    pivots, beside = [], []
+    for i in range(n):
+        row = rest[i]
+        pivot = row[i]
+        if not pivot > 0:
+            return []
+        pivots.append(pivot)
+        ratios = [row[j] / pivot for j in range(i + 1, n)]  # R_ij / R_ii
+        beside.append(ratios[0] if ratios else 0)
+        for j in range(i + 1, n):
+            lower, factor = rest[j], ratios[j - i - 1]
+            for k in range(j, n):
+                lower[k] -= factor * row[k]
+    late_b = [b[i] + (a[i] * beside[i] if i < n - 1 else 0) - (a[i - 1] * beside[i - 1] if i else 0) for i in range(n)]
+    late_a = [a[i] * (pivots[i + 1] / pivots[i]).sqrt() for i in range(n - 1)]
+    return [*late_b, *late_a]
