@@ -61,13 +61,17 @@ def clebsch_body(
     """
     M, kept = inverse_inertia(read_vector(inertia, "inertia"))
     c = read_vector(inverse_mass, "inverse_mass")
+    try:
+        integral = _integral([Fraction(v) for v in kept], [Fraction(v) for v in c.tolist()])
+    except OverflowError:
+        raise ValueError("products of inertia and inverse_mass leave float64; take other units") from None
     return LiePoissonSystem(
         rigid_motions(),
         Quadratic(np.concatenate([M, c])),
         sign=-1,
         name="clebsch_body",
         parameters={"inertia": kept, "inverse_mass": tuple(c.tolist())},
-        integrals={"F": _integral([Fraction(v) for v in kept], [Fraction(v) for v in c.tolist()])},
+        integrals={"F": integral},
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
@@ -65,8 +66,12 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
     """
     M, kept = inverse_inertia(inertia)
     k = read_vector(rotors, "rotors")
-    rate = (M * k).sum(axis=1) if M.ndim == 2 else M * k
-    H = Quadratic(M, linear=-rate, constant=0.5 * float((k * rate).sum()))
+    with np.errstate(over="ignore", invalid="ignore"):
+        rate = (M * k).sum(axis=1) if M.ndim == 2 else M * k
+        constant = 0.5 * float((k * rate).sum())
+    if not math.isfinite(constant):
+        raise ValueError(f"the energy of the rotors, {short(k.tolist())}, leaves float64; take other units")
+    H = Quadratic(M, linear=-rate, constant=constant)
     axis, m = axis_of_symmetry(M, k), principal(M)
     return LiePoissonSystem(
         rotations(),

@@ -145,7 +145,8 @@ def moments_of(size: float, what: str, ratios: tuple[float, ...] = (1.0,)) -> tu
     (array([0.5, 0.5, 1. ]), 2.0)
     """
     given = read_number(size, what)
-    positive_moments(np.array([given * min(ratios)]), what)
+    for moment in (given, given * min(ratios)):
+        positive_moments(np.array([moment]), what)
     return 1.0 / given / np.array(ratios), given
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,11 @@ from coadjoint.systems.quadratic import Quadratic
 
 HIGHEST_N = 6
 """Up to which n the integrals of degree 4 and more are written out; their terms grow like n^4 and faster."""
+HIGHEST_POWER = 10
+"""Of a in a quadratic integral: in large dimensions higher ones would leave float64."""
 
 
-@cache
+@lru_cache(maxsize=8)
 def rotations(n: int) -> LieAlgebra:
     """Return so(n), which does not change, to all bodies."""
     return catalogue.so(n)
@@ -105,7 +107,7 @@ def manakov_integrals(a: npt.NDArray[Any]) -> dict[str, Quadratic | Polynomial]:
     Returns
     -------
     dict
-        Quadratic ones for every n; those of higher degree for n up to 6.
+        Quadratic ones, ten at most, for every n; those of higher degree for n up to 6.
 
     Raises
     ------
@@ -117,15 +119,23 @@ def manakov_integrals(a: npt.NDArray[Any]) -> dict[str, Quadratic | Polynomial]:
     >>> manakov_integrals(np.array([1.0, 2.0, 4.0]))["X^2 a"].value([1.0, 0.0, 0.0])
     6.0
     """
+    try:
+        return _quadratic(a) | (_higher(a) if 5 <= len(a) <= HIGHEST_N else {})
+    except OverflowError:  # of fractions, as floats
+        raise ValueError("a power of the entries overflows in an integral; take other units") from None
+
+
+def _quadratic(a: npt.NDArray[Any]) -> dict[str, Quadratic | Polynomial]:
+    """Return the integrals of degree 2."""
     n = len(a)
     found: dict[str, Quadratic | Polynomial] = {}
     with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(1, n - 1):
+        for k in range(1, min(n - 2, HIGHEST_POWER) + 1):
             form = 2 * (_complete(a, k) if a.ndim == 1 else trace_form(a, k)).astype(np.float64)
             if not np.isfinite(form).all():
                 raise ValueError(f"the power {k} of the entries overflows in an integral; take other units")
             found[_name(2, k)] = Quadratic(form)
-    return found | (_higher(a) if 5 <= n <= HIGHEST_N else {})
+    return found
 
 
 def _complete(a: npt.NDArray[Any], k: int) -> npt.NDArray[Any]:

@@ -33,8 +33,8 @@ def manakov_top(a: npt.ArrayLike = (1.0, 2.0, 4.0, 7.0), b: npt.ArrayLike = (1.0
     Returns
     -------
     LiePoissonSystem
-        With the quadratic integrals ``"X^2 a"``, ``"X^2 a^2"``, ..., ``"X^2 a^(n-2)"`` for every n, and those of higher
-        degree, such as ``"X^4 a"``, up to n = 6: ``(-1)^j / m`` times the coefficient of mu^(m - 2j) of
+        With the quadratic integrals ``"X^2 a"``, ``"X^2 a^2"``, ..., ``"X^2 a^(n-2)"``, ten at most, and those of
+        higher degree, such as ``"X^4 a"``, up to n = 6: ``(-1)^j / m`` times the coefficient of mu^(m - 2j) of
         ``tr (X + mu a)^m`` is called X^2j a^(m - 2j). The energy is a combination of the quadratic ones and of |x|^2.
 
     Raises
@@ -60,6 +60,7 @@ def manakov_top(a: npt.ArrayLike = (1.0, 2.0, 4.0, 7.0), b: npt.ArrayLike = (1.0
     if left.ndim != 1 or left.size < 3:
         raise ValueError(f"a has shape {left.shape}; give n numbers, n from 3")
     right = read_vector(b, "b", left.size)
+    algebra = rotations(left.size)
     first, second = planes(left.size)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         below, above = left[first] - left[second], right[first] - right[second]
@@ -70,7 +71,7 @@ def manakov_top(a: npt.ArrayLike = (1.0, 2.0, 4.0, 7.0), b: npt.ArrayLike = (1.0
     if not np.isfinite(M).all():
         raise ValueError("a quotient (b_i - b_j)/(a_i - a_j) overflows; take smaller b, or a farther apart")
     return LiePoissonSystem(
-        rotations(left.size),
+        algebra,
         Quadratic(M),
         sign=-1,
         name="manakov_top",

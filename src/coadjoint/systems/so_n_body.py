@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.given import check_finite, read_numbers
+from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.inertia import check_symmetric_matrix, plain
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -13,6 +16,8 @@ from coadjoint.systems.manakov_integrals import inverse_of_form, manakov_integra
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
 from coadjoint.wording import short
+
+BYTES_PER_ENTRY = 500  # of a matrix of fractions, with its inverse
 
 
 @ready_made
@@ -71,16 +76,21 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
         raise ValueError(
             f"inertia has the principal values {short(least.tolist())}, whose sum is not positive; no mass has them"
         )
+    algebra = rotations(n)
     if given.ndim == 1:
         first, second = planes(n)
-        M = 1.0 / (given[first] + given[second])
-        a = given**2
+        with np.errstate(over="ignore", divide="ignore"):
+            sums = given[first] + given[second]
+            M, a = 1.0 / sums, given**2
+        if not (np.isfinite(sums).all() and np.isfinite(M).all()):
+            raise ValueError("sums of two principal values of inertia or their inverses leave float64; change units")
     else:
-        exact = given.astype(object)
-        M = inverse_of_form(trace_form(exact, 1))
-        a = exact @ exact
+        need = BYTES_PER_ENTRY * algebra.dim**2
+        check_room(need, f"the inverse of an inertia of dimension {n}", "give principal values")
+        exact = np.array([[Fraction(entry) for entry in row] for row in given.tolist()], dtype=object)
+        M, a = inverse_of_form(trace_form(exact, 1)), exact @ exact
     return LiePoissonSystem(
-        rotations(n),
+        algebra,
         Quadratic(M),
         sign=-1,
         name="so_n_body",
