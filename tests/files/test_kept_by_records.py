@@ -175,6 +175,8 @@ def test_parameters_of_systems(parameter):
 
 # What is no number or list of numbers, or fits only beside another parameter: what is given, and other values.
 OTHERS = {
+    ("clebsch_body", "inertia"): ({}, [(2.0, 2.0, 2.0)]),
+    ("kirchhoff_body", "coupling"): ({}, [[[0.2, 0.5, -0.1], [0.0, -0.3, 0.4], [0.3, 0.1, 0.25]]]),
     ("separable_cosh", "algebra"): ({}, ["sl(2)"]),
     ("separable_cosh", "constants"): ({"algebra": "A3,7", "constants": {"a": 2.0}}, [{"a": 0.5}]),
 }
