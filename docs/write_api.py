@@ -61,6 +61,7 @@ USED = {
     "pictures.phase_drift": ("draw_phase_drift",),
     "pictures.solution": ("draw_solution",),
     "program.table": ("Program",),
+    "systems.goryachev_chaplygin_top": ("goryachev_chaplygin_integral",),
     "systems.hamiltonian": ("HamiltonianLike",),
     "systems.ready_made": ("ready_made",),
     "systems.terms": ("QuadraticTerm", "PolynomialTerm", "FunctionTerm"),

@@ -33,12 +33,16 @@ _HOME = {
     "Separable": "coadjoint.systems.separable",
     "SplitHamiltonian": "coadjoint.systems.split_hamiltonian",
     "batch": "coadjoint.systems.batch",
+    "CommutatorFree": "coadjoint.methods.commutator_free",
     "Composition": "coadjoint.methods.composition",
     "ExplicitRungeKutta": "coadjoint.methods.explicit_runge_kutta",
     "GaussLegendre": "coadjoint.methods.gauss_legendre",
     "IteratedGaussLegendre": "coadjoint.methods.iterated_gauss_legendre",
+    "Kahan": "coadjoint.methods.kahan",
     "ModifiedGaussLegendre": "coadjoint.methods.modified_gauss_legendre",
+    "Projected": "coadjoint.methods.projected",
     "RadauEnergy": "coadjoint.methods.radau_energy",
+    "SphericalMidpoint": "coadjoint.methods.spherical_midpoint",
     "Splitting": "coadjoint.methods.splitting",
     "Taylor": "coadjoint.methods.taylor",
     "PreparedRun": "coadjoint.runs.prepared_run",
@@ -101,12 +105,16 @@ if TYPE_CHECKING:
     from coadjoint.choosing.accuracy import Choice as Choice
     from coadjoint.choosing.accuracy import choose as choose
     from coadjoint.errors import IntegrationError as IntegrationError
+    from coadjoint.methods.commutator_free import CommutatorFree as CommutatorFree
     from coadjoint.methods.composition import Composition as Composition
     from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta as ExplicitRungeKutta
     from coadjoint.methods.gauss_legendre import GaussLegendre as GaussLegendre
     from coadjoint.methods.iterated_gauss_legendre import IteratedGaussLegendre as IteratedGaussLegendre
+    from coadjoint.methods.kahan import Kahan as Kahan
     from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
+    from coadjoint.methods.projected import Projected as Projected
     from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy
+    from coadjoint.methods.spherical_midpoint import SphericalMidpoint as SphericalMidpoint
     from coadjoint.methods.splitting import Splitting as Splitting
     from coadjoint.methods.taylor import Taylor as Taylor
     from coadjoint.runs.integrate import integrate as integrate

@@ -44,7 +44,6 @@ GIVEN = {
     "Quadratic": {"M": FULL},
     "Polynomial": {"monomials": {(2, 0, 0): 0.5, (0, 1, 2): 1.25}},
     "SplitHamiltonian": {"pieces": [((i,), Quadratic(1.0 + i)) for i in range(3)]},
-    "Composition": {"base": {"name": "Splitting"}, "coefficients": [0.25, 0.5, 0.25]},
 }
 # What a parameter needs beside it.
 WITH = {("Splitting", "adjoint"): {"order": 1}}

@@ -49,6 +49,13 @@ RUNS = {
     "iterated": (BODY, X, co.IteratedGaussLegendre(3, iterations=4), False),
     "energy": (BODY, X, co.RadauEnergy(2), False),
 }
+# And every scheme that is not among them.
+RUNS |= {
+    name: (BODY, X, registry.scheme(name).examples()[0], False)
+    for name in sorted(
+        set(registry.names()) - {type(method or co.Splitting()).__name__ for _, _, method, _ in RUNS.values()}
+    )
+}
 
 
 @pytest.fixture(scope="module")

@@ -2,11 +2,11 @@
 
 import json
 from dataclasses import fields
-from inspect import signature
+from inspect import Parameter, signature
 
 import numpy as np
 import pytest
-from kept import GIVEN, PLAIN, SL2, WITH, X, parameters, seen_of_hamiltonian, variants
+from kept import PLAIN, SL2, WITH, X, parameters, seen_of_hamiltonian, variants
 
 import coadjoint as co
 from coadjoint.files.configuration import load
@@ -42,6 +42,12 @@ def assert_same_run(sol, again):
     assert sol.stats.steps == again.stats.steps and sol.stats.evaluations == again.stats.evaluations
 
 
+def required_of(name):
+    """What a scheme is given for the parameters that have no default: those of its first example."""
+    example = registry.description_of(registry.scheme(name).examples()[0])["parameters"]
+    return {key: example[key] for key, default in registry.parameters_of(name).items() if default is Parameter.empty}
+
+
 def fields_of(method):
     return {field.name: getattr(method, field.name) for field in fields(method)}
 
@@ -51,7 +57,7 @@ def test_parameters_of_schemes(name, parameter, tmp_path):
     def make(**given):
         return registry.get(name, **given)
 
-    given = GIVEN.get(name, {}) | WITH.get((name, parameter), {})
+    given = required_of(name) | WITH.get((name, parameter), {})
     found = variants(make, given, parameter, lambda a, b: fields_of(a) == fields_of(b), PLAIN, most=6)
     for method in found:
         description = json.loads(json.dumps(registry.description_of(method)))

@@ -148,6 +148,7 @@ def test_libraries_export_what_python_calls():
     said = set(re.findall(r"^EXPORT [^;=]*?(\w+)\(", "\n".join(texts), flags=re.MULTILINE))
     loops = set(re.findall(r"^EXPORT_LOOP\((\w+),", "\n".join(texts), flags=re.MULTILINE))
     remembering = {f"{name}_remembers" for name in loops}
+    inside = {f"{name}_inside" for name in loops}
     steps = {f"{name}_step" for name in re.findall(r"^\s*STEP_SCHEME\((\w+)", "\n".join(texts), flags=re.MULTILINE)}
     assert len(said) > 8 and len(loops) == 5 and steps
-    assert names == (said - {"processor_level"}) | loops | remembering | steps
+    assert names == (said - {"processor_level"}) | loops | remembering | inside | steps

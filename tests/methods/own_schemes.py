@@ -12,7 +12,7 @@ NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", at
 
 
 @dataclasses.dataclass(frozen=True)
-class Kahan(co.methods.StepMethod):
+class OwnKahan(co.methods.StepMethod):
     """Kahan's method for quadratic fields: x' = x + h (1 - h/2 f'(x))^-1 f(x)."""
 
     order, explicit, symmetric = 2, False, True

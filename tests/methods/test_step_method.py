@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from own_schemes import NOTHING, Asking, Classical, Failing, Interpreted, Kahan, Relaxed
+from own_schemes import NOTHING, Asking, Classical, Failing, Interpreted, OwnKahan, Relaxed
 
 import coadjoint as co
 from coadjoint.kernels import step_functions
@@ -43,7 +43,7 @@ def start_of(system):
 
 def schemes_for(name):
     # Derivatives of functions are not given here, so that Kahan's method has none.
-    return [Classical(), Relaxed(0.5)] + ([] if name in ("driven", "J(x)") else [Kahan()])
+    return [Classical(), Relaxed(0.5)] + ([] if name in ("driven", "J(x)") else [OwnKahan()])
 
 
 CASES = [(name, scheme) for name in SYSTEMS for scheme in schemes_for(name)]
@@ -115,24 +115,24 @@ def test_the_classical_method_is_the_one_that_is_built_in():
 def test_ensembles_batches_and_threads_are_the_members_alone():
     system = SYSTEMS["e(3), full"]
     x0 = start_of(system) * RNG.uniform(0.5, 1.5, (11, 1))
-    whole = co.integrate(system, x0, (0, 1), 0.05, Kahan(), threads=2, save_every=3)
+    whole = co.integrate(system, x0, (0, 1), 0.05, OwnKahan(), threads=2, save_every=3)
     for m in (0, 4, 10):
-        alone = co.integrate(system, x0[m], (0, 1), 0.05, Kahan(), save_every=3)
+        alone = co.integrate(system, x0[m], (0, 1), 0.05, OwnKahan(), save_every=3)
         assert np.array_equal(alone.x, whole.x[:, m]) and np.array_equal(alone.energy, whole.energy[:, m])
         assert all(alone.drift()[name] == whole.drift()[name].members[m] for name in alone.drift())
     bodies = [co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.25, 2.5, 2.75)]
     states = RNG.standard_normal((3, 3))
-    together = co.integrate(co.batch(bodies), states, (0, 1), 0.05, Kahan())
+    together = co.integrate(co.batch(bodies), states, (0, 1), 0.05, OwnKahan())
     for m, body in enumerate(bodies):
-        assert np.array_equal(together.x[:, m], co.integrate(body, states[m], (0, 1), 0.05, Kahan()).x)
+        assert np.array_equal(together.x[:, m], co.integrate(body, states[m], (0, 1), 0.05, OwnKahan()).x)
 
 
 def test_watching_saving_and_observing():
     system = SYSTEMS["so(3)"]
-    sol = co.integrate(system, (1, 0.2, 0.5), (0, 2), 0.05, Kahan(), save_every=7, observe={"first": lambda x: x[0]})
+    sol = co.integrate(system, (1, 0.2, 0.5), (0, 2), 0.05, OwnKahan(), save_every=7, observe={"first": lambda x: x[0]})
     assert sol.t.tolist() == pytest.approx([0, 0.35, 0.7, 1.05, 1.4, 1.75, 2.0])
     assert np.array_equal(sol.observed["first"], sol.x[:, 0])
-    every = co.integrate(system, (1, 0.2, 0.5), (0, 2), 0.05, Kahan())
+    every = co.integrate(system, (1, 0.2, 0.5), (0, 2), 0.05, OwnKahan())
     assert sol.drift()["energy"] == np.max(np.abs(every.energy - every.energy[0])) > 0
     assert np.array_equal(sol.x, every.x[[0, 7, 14, 21, 28, 35, 40]])
 
@@ -141,28 +141,28 @@ def test_orders_and_compositions():
     system = SYSTEMS["so(4), cubic"]
     x0 = start_of(system)
     exact = co.integrate(system, x0, (0, 1), 0.02, co.GaussLegendre(4)).x[-1]
-    own = co.Composition(Kahan(), JUMPS)
+    own = co.Composition(OwnKahan(), JUMPS)
     assert (own.order, own.symmetric) == (4, True)
     body = SYSTEMS["so(3)"]
     truth = body.exact((1, 0.2, 0.5), 2.0)
-    for scheme, order in ((Kahan(), 2), (own, 4), (Classical(), 4)):
+    for scheme, order in ((OwnKahan(), 2), (own, 4), (Classical(), 4)):
         errors = [
             np.max(np.abs(co.integrate(body, (1, 0.2, 0.5), (0, 2), h, scheme).x[-1] - truth)) for h in (0.1, 0.05)
         ]
         assert 2.0 ** (order - 0.4) < errors[0] / errors[1] < 2.0 ** (order + 0.7)
     assert np.max(np.abs(co.integrate(system, x0, (0, 1), 0.02, Classical()).x[-1] - exact)) < 1e-7
-    nested = co.Composition(co.Composition(Kahan(), (0.5, 0.5)), (0.25, 0.75))
+    nested = co.Composition(co.Composition(OwnKahan(), (0.5, 0.5)), (0.25, 0.75))
     x = x0
     for fraction in (0.125, 0.125, 0.375, 0.375):
-        x = Kahan().step(system, x, 0.0, 0.1 * fraction)
+        x = OwnKahan().step(system, x, 0.0, 0.1 * fraction)
     assert np.max(np.abs(co.stepper(system, nested, 0.1)(x0) - x)) < 1e-14
 
 
 def test_steppers_and_their_tangents():
     system = SYSTEMS["e(3), full"]
     x0 = start_of(system)
-    step = co.stepper(system, Kahan(), 0.1)
-    assert np.max(np.abs(step(x0) - Kahan().step(system, x0, 0.0, 0.1))) < 1e-14
+    step = co.stepper(system, OwnKahan(), 0.1)
+    assert np.max(np.abs(step(x0) - OwnKahan().step(system, x0, 0.0, 0.1))) < 1e-14
     assert step.tangent_by(x0) == "complex step"
     known = co.stepper(system, co.ExplicitRungeKutta("rk4"), 0.1)
     own = co.stepper(system, Classical(), 0.1)
@@ -190,9 +190,9 @@ def test_differences_where_nothing_else_is_to_be_had():
 
 
 def test_choose_takes_it():
-    found = co.choose(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 10), 1e-4, methods=[Kahan(), Classical()])
-    assert isinstance(found.method, Kahan | Classical)
-    sol = co.integrate(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 10), method=Kahan(), accuracy=1e-4)
+    found = co.choose(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 10), 1e-4, methods=[OwnKahan(), Classical()])
+    assert isinstance(found.method, OwnKahan | Classical)
+    sol = co.integrate(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 10), method=OwnKahan(), accuracy=1e-4)
     assert np.max(np.abs(sol.x[-1] - SYSTEMS["so(3)"].exact((1, 0.2, 0.5), 10.0))) < 1e-4
 
 
@@ -252,23 +252,23 @@ def test_a_step_that_leaves_the_numbers_fails_alone():
 
 
 def test_the_registry_knows_it_while_it_is_registered():
-    assert "Kahan" not in co.methods.names()
-    assert co.methods.register(Kahan) is Kahan
+    assert "OwnKahan" not in co.methods.names()
+    assert co.methods.register(OwnKahan) is OwnKahan
     try:
-        assert "Kahan" in co.methods.names() and co.methods.get("Kahan") == Kahan()
-        co.methods.register(Kahan)  # once more is no other scheme
-        with pytest.raises(ValueError, match="there is another scheme Kahan"):
-            co.methods.register(dataclasses.make_dataclass("Kahan", [], bases=(Kahan,), frozen=True))
-        sol = co.integrate(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 1), 0.1, co.Composition(Kahan(), JUMPS))
+        assert "OwnKahan" in co.methods.names() and co.methods.get("OwnKahan") == OwnKahan()
+        co.methods.register(OwnKahan)  # once more is no other scheme
+        with pytest.raises(ValueError, match="there is another scheme OwnKahan"):
+            co.methods.register(dataclasses.make_dataclass("OwnKahan", [], bases=(OwnKahan,), frozen=True))
+        sol = co.integrate(SYSTEMS["so(3)"], (1, 0.2, 0.5), (0, 1), 0.1, co.Composition(OwnKahan(), JUMPS))
         assert co.methods.registry.from_description(co.methods.registry.description_of(sol.method)) == sol.method
     finally:
-        co.methods.registry.forget("Kahan")
-    with pytest.raises(ValueError, match="'Kahan'"):
-        co.methods.get("Kahan")
+        co.methods.registry.forget("OwnKahan")
+    with pytest.raises(ValueError, match="'OwnKahan'"):
+        co.methods.get("OwnKahan")
 
 
 def test_what_is_no_scheme_is_not_registered():
-    class Plain(Kahan):
+    class Plain(OwnKahan):
         pass
 
     with pytest.raises(TypeError, match="no scheme"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
-from two_steps import assert_order, power
+from two_steps import assert_bounded_by_order, assert_order, power
 
 import coadjoint as co
 from coadjoint.algebra.exact_polynomials import ExactPolynomials
@@ -63,7 +63,8 @@ def test_casimirs_and_symmetry():
     assert system.casimirs["|total L|^2"](X0) == pytest.approx(total @ total, rel=1e-14)
     run = co.integrate(system, X0, (0, 20), 0.05, co.Splitting(order=4), attitude=True)
     drift = run.drift()
-    assert max(drift["|total L|^2"], drift["z"]) < 1e-12 and np.ptp(run.x[:, 2]) < 1e-13
+    assert max(drift["|total L|^2"], drift["z"]) < 1e-12
+    assert_bounded_by_order(system.integrals["L3"], system, X0, 10.0, 0.1, co.Splitting())
     A = run.attitude[:, 1:4, 1:4]
     totals = run.x[:, :3] + np.cross(run.x[:, 6:9], run.x[:, 3:6])
     np.testing.assert_allclose(np.einsum("tij,tj->ti", A, totals), [total] * len(A), rtol=0, atol=1e-12)
@@ -97,8 +98,47 @@ def test_a_ball_follows_kepler():
     fast = n * axis / (1 - eccentricity) * flat
     x0 = np.r_[L, 0, MASS * fast, 0, axis * (1 - eccentricity), 0, 0, 1]
     wanted = np.r_[L, seen(MASS * speed), seen(place), 1]
+    np.testing.assert_allclose(system.exact(x0, t), wanted, rtol=0, atol=1e-14 * (1 + n * t))
+    np.testing.assert_allclose(system.exact(x0, [0.0, t - 40 * np.pi / n])[0], x0, rtol=0, atol=1e-15)
     for method in (co.Splitting(order=2), co.Splitting(order=4), co.GaussLegendre(stages=2)):
         assert_order(system, x0, t, 0.05, method, wanted)
+
+
+@pytest.mark.parametrize(("speed", "along"), [(0.9, 0.3), (1.8, -1.2), (np.sqrt(2), 0.0), (2.5, 0.4), (0.6, -0.5)])
+@pytest.mark.parametrize("t", [0.01, 3.0, -7.0, 60.0])
+def test_every_orbit_of_kepler(speed, along, t):
+    """What every orbit keeps, its slope, and the way back: ellipses, a parabola and hyperbolas, inward and outward."""
+    system, mass, d = satellite((0.7, 0.7, 0.7), MASS, GRAVITY), MASS, 1.25
+    circle = np.sqrt(GRAVITY / d)
+    x0 = np.r_[0, 0, 0, mass * circle * np.array([along, np.sqrt(speed**2 - along**2), 0.1]), d, 0, 0, 1]
+    end = system.exact(x0, t)
+    r, v = end[6:9], end[3:6] / mass
+    r0, v0 = x0[6:9], x0[3:6] / mass
+
+    def kept(r, v):  # energy, angular momentum, and the vector of Laplace along the axis of the orbit
+        h = np.cross(r, v)
+        return np.r_[v @ v / 2 - GRAVITY / np.linalg.norm(r), h, np.cross(v, h) - GRAVITY * r / np.linalg.norm(r)]
+
+    np.testing.assert_allclose(kept(r, v), kept(r0, v0), rtol=0, atol=1e-13)
+    back = system.exact(end, -t)
+    np.testing.assert_allclose(back, x0, rtol=0, atol=1e-11)
+    h = 2.0**-17
+    slope = (system.exact(x0, t + h) - system.exact(x0, t - h)) / (2 * h)
+    np.testing.assert_allclose(slope, system.vector_field(end), rtol=0, atol=1e-7)
+
+
+def test_another_central_coordinate_and_refusals():
+    system = satellite((0.7, 0.7, 0.7), MASS, GRAVITY)
+    x0 = np.array([0.2, -0.1, 0.3, 0.1, 1.2, 0.0, 2.0, 0.3, 0.0, -0.75])
+    h = 2.0**-17
+    slope = (system.exact(x0, 1 + h) - system.exact(x0, 1 - h)) / (2 * h)
+    np.testing.assert_allclose(slope, system.vector_field(system.exact(x0, 1.0)), rtol=0, atol=1e-8)
+    with pytest.raises(ValueError, match="a fall into the centre"):
+        system.exact([0, 0, 0, -1.0, 0, 0, 2.0, 0, 0, 1], 1.0)
+    with pytest.raises(TypeError, match="satellite has a closed form of the state alone"):
+        system.exact(x0, 1.0, attitude=True)
+    with pytest.raises(TypeError, match="no closed form is known"):
+        satellite().exact(x0, 1.0)
 
 
 def test_against_motion_in_space():

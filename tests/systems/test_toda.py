@@ -40,7 +40,7 @@ def by_hand(n, kind, x):
     return np.array(slope)
 
 
-def by_qr(n, x, t, digits=80):
+def by_qr(n, x, t, digits=200):
     """L(t) = Q^T L(0) Q with exp(t L(0)) = Q R, the diagonal of R positive."""
     with mp.workdps(digits):
         L = mp.matrix(matrix(n, x).tolist())
@@ -99,9 +99,9 @@ def test_it_is_the_lattice_of_particles(kind):
         assert_order(system, x0, 1.0, 0.1, method, wanted)
 
 
-@pytest.mark.parametrize(("n", "t"), [(2, 3.0), (3, -4.0), (4, 25.0), (6, 1.5)])
+@pytest.mark.parametrize(("n", "t"), [(2, 3.0), (3, -4.0), (4, 40.0), (6, 1.5)])
 def test_exact_is_qr(n, t):
-    x = state(n, "open", seed=n)
+    x = state(n, "open", seed=1)
     x[n] *= -1  # nothing asks for positive a
     found = co.systems.toda(n).exact(x, t)
     wanted = by_qr(n, x, t)
@@ -138,7 +138,8 @@ def test_exact_shapes_and_refusals():
 @pytest.mark.parametrize("kind", MADE)
 @pytest.mark.parametrize("n", [2, 3, 4, 5])
 def test_traces_are_integrals_in_involution(kind, n):
-    system, integrals = MADE[kind](n), traces(n, kind == "ring")
+    system = MADE[kind](n)
+    integrals = system.integrals
     assert list(integrals) == [f"tr L^{k}" for k in range(3, n + 1)]
     ring = ExactPolynomials(system.algebra)
     exact = [ring.of(p) for p in (polynomial_of(system.hamiltonian), *integrals.values())]
@@ -168,7 +169,7 @@ def test_a_splitting_has_two_parts_and_keeps_the_casimirs(kind):
     assert {name: values[0] for name, values in run.casimirs.items()} == pytest.approx(kept, rel=1e-14)
     # 200 steps, each of n additions and products: rounding alone, and it has no sign that it prefers
     assert all(run.drift()[name] < 2e-15 * 200 for name in kept)
-    for trace in traces(n, kind == "ring").values():
+    for trace in system.integrals.values():
         assert_bounded_by_order(trace, system, x0, 4.0, 0.05, co.Splitting(order=2))
 
 

@@ -6,6 +6,8 @@ import inspect
 
 import coadjoint as co
 
+from .systems_under_test import Case, cases
+
 C1 = 1 / (2 - 2 ** (1 / 3))
 TRIPLE_JUMP = (C1, 1 - 2 * C1, C1)
 
@@ -58,6 +60,13 @@ def serves(method: co.methods.base.Method, system: object) -> bool:
         assert len(str(refusal)) > 20 and str(refusal).count("\n") == 0
         return False
     return True
+
+
+def witnesses(method: co.methods.base.Method, *names: str) -> list[Case]:
+    """Return those of the named systems that a scheme serves; of a scheme that serves few of them, one that it does."""
+    named = [cases()[name] for name in names]
+    others = [case for case in cases().values() if serves(method, case.system)]
+    return [case for case in named if serves(method, case.system)] or others[:1]
 
 
 def pairs(systems: dict) -> list[tuple[str, str]]:

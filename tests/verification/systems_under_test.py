@@ -229,5 +229,16 @@ def with_cubic_casimir() -> Case:
     return Case(system, np.random.default_rng(6).uniform(-2.0, 2.0, 15))
 
 
+def three_spins() -> Case:
+    """Return three spins with an exchange that is not isotropic, in a field."""
+    M = np.zeros((9, 9))
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        for axis, strength in enumerate((1.0, 0.7, 0.4)):
+            M[3 * a + axis, 3 * b + axis] = M[3 * b + axis, 3 * a + axis] = strength
+    field = np.tile([0.1, 0.0, 0.3], 3)
+    x0 = np.array([0.6, 0.0, 0.8, -0.5, 0.7, 0.5, 0.1, -0.9, 0.4])
+    return Case(co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 3), co.Quadratic(M, linear=field)), x0)
+
+
 def all_cases() -> dict[str, Case]:
     return {**cases(), "skew J, no Jacobi identity": without_jacobi()}

@@ -12,7 +12,7 @@ from coadjoint.methods import Properties
 from moments import moments
 
 from .schemes_under_test import schemes, serves
-from .systems_under_test import Case, cases, full_matrix, without_jacobi
+from .systems_under_test import Case, cases, full_matrix, three_spins, without_jacobi
 
 STEP, STEPS = 0.05, 100
 
@@ -24,24 +24,13 @@ def plasma() -> Case:
     return Case(co.LiePoissonSystem(moments(), H), np.array([1.0, 0.2, 0.9, 0.6, 0.1, 0.4, -0.1, 0.7]))
 
 
-def spins() -> Case:
-    """Return three spins with an exchange that is not isotropic, in a field."""
-    M = np.zeros((9, 9))
-    for a, b in ((0, 1), (1, 2), (2, 0)):
-        for axis, strength in enumerate((1.0, 0.7, 0.4)):
-            M[3 * a + axis, 3 * b + axis] = M[3 * b + axis, 3 * a + axis] = strength
-    field = np.tile([0.1, 0.0, 0.3], 3)
-    x0 = np.array([0.6, 0.0, 0.8, -0.5, 0.7, 0.5, 0.1, -0.9, 0.4])
-    return Case(co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 3), co.Quadratic(M, linear=field)), x0)
-
-
 @cache
 def eleven() -> dict[str, Case]:
     taken = ("so(3), diagonal", "so(3), full, axes turned", "e(3), heavy top", "so(4), diagonal", "A3,7, full")
     su3 = co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(0.5 * full_matrix(8, 8)), sign=-1)
     return {name: cases()[name] for name in (*taken, "so(4), separable", "sl(2), driven")} | {
         "moments {2, 4}": plasma(),
-        "three spins": spins(),
+        "three spins": three_spins(),
         "su(3)": Case(su3, np.array([0.6, -0.3, 0.5, 0.2, -0.7, 0.4, 0.1, -0.5])),
         "skew J": without_jacobi(),
     }

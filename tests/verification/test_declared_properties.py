@@ -8,14 +8,22 @@ import pytest
 import coadjoint as co
 
 from .measures import drift_bounds, group_bound
-from .schemes_under_test import large_step, pairs, schemes, serves
-from .systems_under_test import all_cases, cases, with_cubic_casimir
+from .schemes_under_test import large_step, pairs, schemes, serves, witnesses
+from .systems_under_test import all_cases, cases, three_spins, with_cubic_casimir
 
 STEP, COUNT = 0.1, 1000
 
 
 def is_quadratic(casimir):
     return isinstance(casimir, co.Polynomial) and casimir.degree <= 2
+
+
+def witness_of(method):
+    return witnesses(method, "so(4), diagonal")[0]
+
+
+# Implicit Euler, whose stage does not converge at larger steps; and a gain of energy that on sl(2) leads far away.
+SHORTER = {"RadauEnergy 1": 0.02, "CommutatorFree(order=2)": 0.02}
 
 
 def kept_names(method, system):
@@ -37,7 +45,7 @@ KEEPING = [p for p in pairs(all_cases()) if kept_names(schemes()[p[0]], all_case
 @pytest.mark.parametrize(("scheme", "case"), KEEPING)
 def test_invariants_that_are_declared_are_kept(scheme, case):
     method, (system, x0, _) = schemes()[scheme], all_cases()[case]
-    step = 0.02 if scheme == "RadauEnergy 1" else STEP  # implicit Euler: its stage does not converge at larger steps
+    step = SHORTER.get(scheme, STEP)
     run = co.integrate(system, x0, (0.0, COUNT * step), step, method, save_every=50)
     bounds, drift = drift_bounds(run), run.drift()
     for name in kept_names(method, system):
@@ -57,16 +65,24 @@ LOST = {
 }
 
 
+def losing_energy(method):
+    found = witness_of(method)
+    return three_spins() if method.properties(found.system).energy and serves(method, three_spins().system) else found
+
+
 def losing():
     for what, (case, _, loses) in LOST.items():
         for scheme, method in schemes().items():
-            if serves(method, case.system) and loses(method.properties(case.system)):
+            # The energy of every scheme has a witness, whatever it serves.
+            there = losing_energy(method) if what == "energy" else case
+            if serves(method, there.system) and loses(method.properties(there.system)):
                 yield what, scheme
 
 
 @pytest.mark.parametrize(("what", "scheme"), list(losing()))
 def test_invariants_that_are_not_declared_are_lost(what, scheme):
-    (system, x0, _), name, _ = LOST[what]
+    case, name, _ = LOST[what]
+    system, x0, _ = losing_energy(schemes()[scheme]) if what == "energy" else case
     step = large_step(schemes()[scheme])
     run = co.integrate(system, x0, (0.0, 40 * step), step, schemes()[scheme])
     bound = drift_bounds(run)[name]
@@ -93,7 +109,7 @@ def test_coadjoint_matrix_takes_the_state_back_to_its_start(scheme, case):
 
 @pytest.mark.parametrize(
     "scheme",
-    [s for s, m in schemes().items() if m.properties(cases()["so(4), diagonal"].system).attitude == "integrated"],
+    [s for s, m in schemes().items() if m.properties(witness_of(m).system).attitude == "integrated"],
 )
 def test_integrated_attitude_leaves_the_group(scheme):
     system, x0, _ = cases()["so(4), diagonal"]
@@ -103,9 +119,9 @@ def test_integrated_attitude_leaves_the_group(scheme):
 
 
 @pytest.mark.parametrize(
-    "scheme", [s for s, m in schemes().items() if m.properties(cases()["so(4), diagonal"].system).attitude == "none"]
+    "scheme", [s for s, m in schemes().items() if m.properties(witness_of(m).system).attitude == "none"]
 )
 def test_attitude_is_refused_by_name_where_it_is_not_declared(scheme):
-    system, x0, _ = cases()["so(4), diagonal"]
+    system, x0, _ = witness_of(schemes()[scheme])
     with pytest.raises(ValueError, match="carries no group element"):
         co.integrate(system, x0, (0.0, 1.0), 0.1, schemes()[scheme], attitude="coadjoint")

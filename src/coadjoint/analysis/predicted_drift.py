@@ -118,7 +118,7 @@ def predicted_drift(
     0.001
     """
     check_one_system(system)
-    if [modified, gradient, field].count(None) != 2:
+    if sum(given is not None for given in (modified, gradient, field)) != 1:
         raise TypeError("give one of modified, gradient and field: what the scheme moves by at its step")
     if modified is not None:
         gradient, field = _at_step(system, modified, step)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
@@ -9,7 +10,10 @@ import numpy as np
 
 from coadjoint.kernels.field import GroupField
 from coadjoint.kernels.field_tables import field_of, group_of, substeps
+from coadjoint.kernels.library import kernels
+from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.stepping import Stepping, StepTables, step_address
+from coadjoint.kernels.structures import pointed
 from coadjoint.kernels.tables import Compiled, addresses_of, invariants_table, watch_tables
 from coadjoint.kernels.watching import Watch
 from coadjoint.program.term_table import TermTable
@@ -83,6 +87,33 @@ def function_tables(system: System, function: int, fractions: Sequence[float] = 
     none = invariants_table([], system.dim)
     made = _tables(system, group_of(system, None), none.tables, [function], [constant], not tabulated(system))
     return _stepping(step_address("step_function"), fractions, *made, ())
+
+
+def tables_around(system: System, step: str, inner: CompiledLoop, restored: Mapping[str, Any]) -> Compiled:
+    """Return the tables of a step that takes a step of another loop, and then restores invariants.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    step : str
+        The name of the step.
+    inner : CompiledLoop
+        The other loop, of one member.
+    restored : mapping
+        Name -> `Polynomial` or `Quadratic`, beside the energy.
+
+    Returns
+    -------
+    Compiled
+        With a `Stepping`.
+    """
+    loop = ctypes.cast(getattr(kernels(), f"{inner.name}_inside"), ctypes.c_void_p).value
+    kept, none = watch_tables(system, restored), invariants_table([], system.dim)
+    read, watch = pointed(inner.tables), pointed(none.tables)
+    places = [loop or 0, ctypes.addressof(read), ctypes.addressof(watch), inner.memory]
+    made = _tables(system, group_of(system, None), kept.tables, places, [], not tabulated(system))
+    return _stepping(step_address(step), (1.0,), *made, (*kept.keep, *none.keep, *inner.keep, inner, read, watch))
 
 
 def _tables(

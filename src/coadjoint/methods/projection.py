@@ -8,13 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.stages import linear_solve
 from coadjoint.program.numbers import Number, array_of, roundoff
-from coadjoint.systems.hamiltonian import HamiltonianLike
+from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
+from coadjoint.systems.kinds import System
+from coadjoint.systems.quadratic import Quadratic
 
 
-class Projected(NamedTuple):
+class OnLevelSet(NamedTuple):
     """A projected state, and how it was reached: y = z + directions^T multipliers, for the invariants that it took."""
 
     y: NDArray[Any]
@@ -23,9 +26,45 @@ class Projected(NamedTuple):
     multipliers: NDArray[Any]
 
 
+def polynomial_casimirs(system: System) -> dict[str, Any]:
+    """Return the Casimirs of a system that are polynomials: those that a projection restores."""
+    return {name: C for name, C in system.casimirs.items() if isinstance(C, Polynomial | Quadratic)}
+
+
+def casimirs_restored(system: System) -> str:
+    """Return which Casimirs are kept by a projection, as `Properties` says it."""
+    kept = len(polynomial_casimirs(system))
+    if not kept:
+        return "none"
+    return "all" if kept == len(system.casimirs) else "polynomial"
+
+
+def restored_invariants(system: System) -> list[HamiltonianLike]:
+    """Return what is restored, the energy last, to which most others are coupled."""
+    casimirs = [as_hamiltonian(C, system.dim) for C in polynomial_casimirs(system).values()]
+    return [*reversed(casimirs), system.hamiltonian]
+
+
+def project_with_tangent(
+    system: System, x: NDArray[Any], z: NDArray[Any], dz: NDArray[Any], time: float
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the projected state y and dy/dx, for a state z with dz/dx, where x is what the values are taken from.
+
+    With y = z + G(z)^T lambda and C(y) = C(x): ``dy = (1 + sum_a lambda_a C_a''(z)) dz + G(z)^T dlambda`` and ``G(y) dy
+    = G(x) dx``.
+    """
+    found = project(restored_invariants(system), x, z, float, time)
+    bent = dz + sum(
+        multiplier * (C.hessian(z) @ dz) for C, multiplier in zip(found.invariants, found.multipliers, strict=True)
+    )
+    before, after = (np.array([C.gradient(point) for C in found.invariants]) for point in (x, found.y))
+    spread = linear_solve(after @ found.directions.T, before - after @ bent)
+    return found.y, bent + found.directions.T @ spread
+
+
 def project(
     invariants: Sequence[HamiltonianLike], x: NDArray[Any], z: NDArray[Any], number: Number, time: float
-) -> Projected:
+) -> OnLevelSet:
     """Return y = z + G(z)^T lambda, where the invariants have the values that they have at x.
 
     Parameters
@@ -41,7 +80,7 @@ def project(
 
     Returns
     -------
-    Projected
+    OnLevelSet
 
     Raises
     ------
@@ -70,7 +109,7 @@ def project(
         residual = float(max(abs(defects)))
         allowed = exact * (stagnant if residual >= 0.5 * before else 1)
         if all(abs(d) <= allowed * unit * size for d, size in zip(defects, sizes, strict=True)):
-            return Projected(y, [invariants[a] for a in free], directions, multipliers)
+            return OnLevelSet(y, [invariants[a] for a in free], directions, multipliers)
         if not residual - residual == 0:
             break
         change = linear_solve(directions @ directions.T, defects[free][:, None])[:, 0]

@@ -14,14 +14,18 @@ from coadjoint.given import read_flag, read_whole
 from coadjoint.methods.base import Method
 from coadjoint.methods.compiled_step import CompiledStepMethod
 from coadjoint.methods.power_series import Dual, expand
-from coadjoint.methods.projection import project
+from coadjoint.methods.projection import (
+    casimirs_restored,
+    polynomial_casimirs,
+    project,
+    project_with_tangent,
+    restored_invariants,
+)
 from coadjoint.methods.properties import Properties
-from coadjoint.methods.stages import linear_solve
 from coadjoint.methods.work import Operations
 from coadjoint.program.numbers import Number
-from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
+from coadjoint.systems.hamiltonian import HamiltonianLike
 from coadjoint.systems.kinds import System, check_one_system
-from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 
 MOST = 64
@@ -102,9 +106,7 @@ class Taylor(CompiledStepMethod):
                 f"Taylor multiplies series, but the Hamiltonian of {system.name} has a function in it; give a "
                 "polynomial, or take GaussLegendre or Splitting"
             )
-        casimirs, kept = "none", len(self._casimirs(system))
-        if self.projected and kept:
-            casimirs = "all" if kept == len(system.casimirs) else "polynomial"
+        casimirs = casimirs_restored(system) if self.projected else "none"
         return Properties(poisson=False, energy=self.projected, casimirs=casimirs, attitude="none")
 
     @classmethod
@@ -123,14 +125,14 @@ class Taylor(CompiledStepMethod):
 
     def restored(self, system: System) -> Mapping[str, Any] | None:
         """Return the Casimirs that are polynomials, or None without projection."""
-        return self._casimirs(system) if self.projected else None
+        return polynomial_casimirs(system) if self.projected else None
 
     def operations(self, system: System) -> Operations:
         """Return the work of a step: products of series, sparse sums for each coefficient, and the projection."""
         assert system.algebra is not None
         looks, energy = 0.0, _Products(system.hamiltonian)
         if self.projected:
-            casimirs = self._casimirs(system).values()
+            casimirs = polynomial_casimirs(system).values()
             higher = sum(_factors(C) for C in casimirs if isinstance(C, Polynomial) and C.degree > 2)
             looks = 1.0 + len(casimirs) + (energy.in_value + higher) / LANES
         lanes = 4 if system.dim <= 4 else LANES
@@ -156,13 +158,10 @@ class Taylor(CompiledStepMethod):
         number: Number = float if given.dtype != object else type(given[0])
         terms = expand(system.vector_field, given.astype(object), number(h), self.order)
         end = np.asarray(given + np.add.reduce(terms[::-1]), dtype=given.dtype)
-        return project(self._invariants(system), given, end, number, float(t)).y if self.projected else end
+        return project(restored_invariants(system), given, end, number, float(t)).y if self.projected else end
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative.
-
-        With y = z + G(z)^T lambda and C(y) = C(x): ``dy = (1 + sum_a lambda_a C_a''(z)) dz + G(z)^T dlambda`` and
-        ``G(y) dy = G(x) dx``.
 
         Raises
         ------
@@ -178,21 +177,7 @@ class Taylor(CompiledStepMethod):
         dz = np.array([d.derivative for d in end], dtype=np.float64)
         if not self.projected:
             return z, dz
-        found = project(self._invariants(system), start, z, float, float(t))
-        bent = dz + sum(
-            multiplier * (C.hessian(z) @ dz) for C, multiplier in zip(found.invariants, found.multipliers, strict=True)
-        )
-        before, after = (np.array([C.gradient(point) for C in found.invariants]) for point in (start, found.y))
-        spread = linear_solve(after @ found.directions.T, before - after @ bent)
-        return found.y, bent + found.directions.T @ spread
-
-    def _casimirs(self, system: System) -> dict[str, Any]:
-        return {name: C for name, C in system.casimirs.items() if isinstance(C, Polynomial | Quadratic)}
-
-    def _invariants(self, system: System) -> list[HamiltonianLike]:
-        """Return what is restored, the energy last, to which most others are coupled."""
-        casimirs = [as_hamiltonian(C, system.dim) for C in self._casimirs(system).values()]
-        return [*reversed(casimirs), system.hamiltonian]
+        return project_with_tangent(system, start, z, dz, float(t))
 
 
 def _vectors_of_products(system: System, lanes: int) -> float:

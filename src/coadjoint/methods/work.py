@@ -188,6 +188,12 @@ def work_of_operations(operations: Operations, substeps: int) -> Work:
     return Work(cost)
 
 
+def work_of_projection(base: Work, invariants: int) -> Work:
+    """Return the work of a step of another scheme, and of the way back to so many invariants."""
+    back = LOOK * invariants * (1.0 + FIRST_CORRECTION)
+    return Work(lambda iterations, evaluations: base.cost(iterations, evaluations) + back)
+
+
 def newton_work(dim: int, stages: float) -> float:
     """Return what Newton's method adds to a step: about one elimination of the stages' linear system."""
     return ELIMINATION * min(dim * stages, limit("LARGEST_DENSE")) ** 3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
 from math import comb
 from typing import Any
@@ -11,11 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.extras import need
 from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonian import Hamiltonian
-from coadjoint.systems.user_functions import check_derivative
+from coadjoint.systems.user_functions import callable_when_compiled, check_derivative
 from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
@@ -128,12 +126,9 @@ def chain_of(coefficients: Floats | None) -> Chain:
 
 def potential_energy(w: Floats, external: Chain, pair: Chain) -> Hamiltonian:
     """Return the potential energy as a function of (q_1, ..., q_n, x20_1, ..., x20_n); see `decorated_particles`."""
-    need("a potential of Python functions", "numba")
-    import numba
-
     n = len(w)
-    W0, W1, W2, W3 = (numba.njit(f) if inspect.isfunction(f) else f for f in external)
-    U0, U1, U2, U3 = (numba.njit(f) if inspect.isfunction(f) else f for f in pair)
+    W0, W1, W2, W3 = map(callable_when_compiled, external)
+    U0, U1, U2, U3 = map(callable_when_compiled, pair)
 
     def value(y: Any) -> Any:
         total = 0.0 * y[0]

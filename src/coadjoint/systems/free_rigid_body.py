@@ -97,7 +97,7 @@ def _cross_matrix(w: Floats) -> Floats:
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 
-def _fixed_axis(w: Floats, t: Floats) -> Floats:
+def fixed_axis(w: Floats, t: Floats) -> Floats:
     """Return exp(t hat(w)), shape (k, 3, 3), by Rodrigues' formula."""
     speed = math.hypot(*w)
     if speed == 0.0:
@@ -147,7 +147,7 @@ def free_rigid_body(m: Floats, x0: Floats, t: Floats) -> tuple[Floats, Floats]:
     """
     pairs = ((0, 1), (1, 2), (0, 2))
     if all(m[i] == m[j] or x0[i] == 0.0 or x0[j] == 0.0 for i, j in pairs):
-        return np.broadcast_to(x0, (t.size, 3)).copy(), _fixed_axis(m * x0, t)
+        return np.broadcast_to(x0, (t.size, 3)).copy(), fixed_axis(m * x0, t)
     # x(t; 2^e y) = 2^e x(2^e t; y): momenta of any size without overflow.
     exponent = math.frexp(float(np.abs(x0).max()))[1]
     y = np.ldexp(x0, -exponent)

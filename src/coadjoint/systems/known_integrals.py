@@ -9,6 +9,7 @@ import numpy as np
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.followed_casimirs import Product, read_invariants, slope_and_size
 from coadjoint.systems.hamiltonian import HamiltonianLike, PolynomialHamiltonian
+from coadjoint.systems.points import QUIET
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.user_functions import evaluate, sample_points
 from coadjoint.wording import short
@@ -16,6 +17,7 @@ from coadjoint.wording import short
 TIMES = (0.0, 1.0)
 
 
+@QUIET
 def checked_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product, size: Product) -> dict[str, Any]:
     """Return the integrals by name, each one checked where its gradient is known.
 

@@ -138,7 +138,8 @@ class PoissonSystem:
         if J.shape != (self.dim, self.dim):
             raise ValueError(f"structure_matrix returns shape {J.shape}; it must return ({self.dim}, {self.dim})")
         size = np.abs(J).max(initial=0.0)
-        excess = np.abs(J + J.T)
+        with np.errstate(all="ignore"):
+            excess = np.abs(J + J.T)
         # Where J is not finite nothing is checked, since x may lie outside its domain.
         if np.isfinite(size) and excess.max(initial=0.0) > 64 * UNIT_ROUNDOFF * size:
             i, j = (int(q) for q in np.unravel_index(np.argmax(excess), J.shape))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -13,14 +13,18 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.orthogonal import so
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.products import semidirect
-from coadjoint.given import read_finite, read_positive
+from coadjoint.given import read_finite
+from coadjoint.systems.closed_form import all_finite, start_and_times, states_alone
 from coadjoint.systems.hamiltonian import Hamiltonian
+from coadjoint.systems.kepler import kepler
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.spin_precession import turned
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.unit_range import read_in_range
 
-LARGEST = 1e30
+Floats = npt.NDArray[np.float64]
 
 
 @ready_made
@@ -47,9 +51,9 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
         State: ``(L, p, r, 1)``, ten numbers: angular momentum about the centre of mass, momentum, and position as seen
         from the centre of gravity, all by their components along the axes of the body. The 1 is the central coordinate
         of a Heisenberg algebra. Casimirs: ``"z"``, which is 1, and ``"|total L|^2"``, where total L = L + r cross p.
-        Integrals: the spin about an axis of symmetry. Of the group element, 5 x 5, the block ``[1:4, 1:4]`` is the
-        attitude A, from the body to space: A r is the position in space, A (L + r cross p) is constant. Its other
-        entries are no position.
+        Integrals: the spin about an axis of symmetry. ``exact(x0, t)`` for a ball: an orbit of Kepler's. Of the group
+        element, 5 x 5, the block ``[1:4, 1:4]`` is the attitude A, from the body to space: A r is the position in
+        space, A (L + r cross p) is constant. Its other entries are no position.
 
     Raises
     ------
@@ -75,7 +79,7 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
         ("mass", mass),
         ("gravity", gravity),
     )
-    first, second, third, mass, gravity = (_sized(value, what) for what, value in read)
+    first, second, third, mass, gravity = (read_in_range(value, what) for what, value in read)
     principal = (first, second, third)
     turning = [((i,), Quadratic(1 / principal[i])) for i in range(3)]
     H = SplitHamiltonian(
@@ -88,17 +92,11 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
         casimirs={"z": Polynomial.variable(9, 10), "|total L|^2": _total()},
         name="satellite",
         parameters={"inertia": principal, "mass": mass, "gravity": gravity},
+        exact=partial(_ball, first, mass, gravity) if first == second == third else None,
         integrals={
             f"L{k + 1}": Polynomial.variable(k, 10) for k in range(3) if principal[k - 1] == principal[(k + 1) % 3]
         },
     )
-
-
-def _sized(value: Any, what: str) -> float:
-    number = read_positive(value, what)
-    if not 1 / LARGEST <= number <= LARGEST:
-        raise ValueError(f"{what} is {number:g}; take units in which it is between {1 / LARGEST:g} and {LARGEST:g}")
-    return number
 
 
 @cache
@@ -125,8 +123,9 @@ def _total() -> Polynomial:
     return total[0] ** 2 + total[1] ** 2 + total[2] ** 2
 
 
+@lru_cache(maxsize=64)
 def _potential(moments: tuple[float, float, float], mass: float, gravity: float) -> Hamiltonian:
-    """Return V as a function of r."""
+    """Return V as a function of r; the same one for the same numbers, so that it is compiled once."""
     a, b, c = moments
     trace = a + b + c
 
@@ -161,3 +160,18 @@ def _potential(moments: tuple[float, float, float], mass: float, gravity: float)
         return result
 
     return Hamiltonian(value, gradient, hessian)
+
+
+def _ball(inertia: float, mass: float, gravity: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
+    """Return the motion of a ball, on which gravity has no torque: Kepler's, seen from a body that turns evenly.
+
+    For another value z of the central coordinate the orbit sees the time z t.
+    """
+    states_alone(attitude, "satellite")
+    start, times = start_and_times(x0, t, 10)
+    L, p, r, z = start[:3], start[3:6], start[6:9], start[9]
+    with np.errstate(over="ignore", invalid="ignore"):
+        place, velocity = kepler(r, p / mass, gravity, np.atleast_1d(z * times))
+        seen = [turned(v.reshape(*times.shape, 3), L / inertia, times) for v in (mass * velocity, place)]
+    spin, one = np.broadcast_to(L, (*times.shape, 3)), np.broadcast_to(z, (*times.shape, 1))
+    return all_finite(np.concatenate([spin, *seen, one], axis=-1), start, times)

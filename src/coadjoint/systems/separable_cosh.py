@@ -63,7 +63,7 @@ def separable_cosh(
     >>> bool(np.allclose(system.vector_field(x), np.cross(slope, x), rtol=1e-14))
     True
     """
-    if not isinstance(constants, Mapping | None):
+    if not isinstance(constants, Mapping | None) or not all(isinstance(key, str) for key in constants or ()):
         raise TypeError(f"constants is {short(constants)}; give a mapping from the algebra's parameters to numbers")
     g = catalogue.get(algebra, **(constants or {}))
     values = read_finite(masses, "masses")

@@ -16,6 +16,7 @@ from coadjoint.systems.free_rigid_body import exact_solution
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
 
@@ -48,7 +49,7 @@ def sklyanin(
     Raises
     ------
     ValueError
-        Not three and four finite numbers.
+        Not three and four finite numbers, or so large that their products leave float64.
 
     Notes
     -----
@@ -62,7 +63,13 @@ def sklyanin(
     array([-3.5, -2.5,  2. ,  0.5])
     """
     J, M = (_numbers(given, name, n) for given, name, n in ((anisotropy, "anisotropy", 3), (masses, "masses", 4)))
-    j1, j2, j3 = J[1] - J[2], J[2] - J[0], J[0] - J[1]
+    differences = [Fraction(J[a - 2]) - Fraction(J[a - 1]) for a in range(3)]
+    constant = sum(Fraction(m) * j for m, j in zip(M[1:], differences, strict=True)) == 0
+    try:
+        j1, j2, j3 = (float(j) for j in differences)
+        body = [float(Fraction(m) - Fraction(M[0]) * Fraction(j)) for m, j in zip(M[1:], J, strict=True)]
+    except OverflowError:
+        raise ValueError(f"anisotropy {short(J)} and masses {short(M)} leave float64; take other units") from None
 
     def structure(x: Any) -> Any:
         a, b, c = j1 * x[2] * x[3], j2 * x[3] * x[1], j3 * x[1] * x[2]
@@ -79,9 +86,6 @@ def sklyanin(
         return d - d.transpose(1, 0, 2)
 
     squares: dict[tuple[int, ...], Any] = {(0, 2, 0, 0): J[0], (0, 0, 2, 0): J[1], (0, 0, 0, 2): J[2]}
-    differences = [Fraction(J[1]) - Fraction(J[2]), Fraction(J[2]) - Fraction(J[0]), Fraction(J[0]) - Fraction(J[1])]
-    constant = sum(Fraction(m) * j for m, j in zip(M[1:], differences, strict=True)) == 0
-    body = [float(Fraction(m) - Fraction(M[0]) * Fraction(j)) for m, j in zip(M[1:], J, strict=True)]
     return PoissonSystem(
         structure,
         Quadratic(M),

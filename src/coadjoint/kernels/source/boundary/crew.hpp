@@ -48,8 +48,7 @@ struct Loop {
 // not all steps were taken, return why; then what the crew has left is of no use.
 template <class Tables, class Follow>
 int64_t take_steps(const Tables& tables, const Watch& watch, const Crew& crew, const Arrays& arrays,
-                   const Schedule& schedule, int64_t k0, int64_t k1, const int64_t* stop, Follow follow) {
-    Hearing hearing(stop);
+                   const Schedule& schedule, int64_t k0, int64_t k1, Hearing& hearing, Follow follow) {
     try {
         if (k0 == 0) begin(watch, arrays, schedule, crew);
         const Loop<Tables> loop{tables, watch, schedule, arrays, hearing, k0, k1};
@@ -61,6 +60,10 @@ int64_t take_steps(const Tables& tables, const Watch& watch, const Crew& crew, c
         return NO_MEMORY;
     }
 }
+
+// What a step of another scheme calls: the loop, inside of which the call that Python made is heard.
+typedef int64_t (*InnerLoop)(const void* tables, const Watch* watch, const Crew* crew, const Arrays* arrays,
+                             const Schedule* schedule, int64_t k0, int64_t k1);
 
 // What Python calls for a family of schemes: its loop, and how many numbers a member remembers from step to step.
 #define EXPORT_LOOP(name, Tables, follow, remembered_by)                                                             \
@@ -74,8 +77,13 @@ int64_t take_steps(const Tables& tables, const Watch& watch, const Crew& crew, c
     EXPORT int64_t name(const Tables* tables, const Watch* watch, const int64_t* members, int64_t first,             \
                         int64_t last, int64_t stride, const Extent* extent, const Schedule* schedule,                \
                         double* saved, double* state, int64_t k0, int64_t k1, const int64_t* stop) {                \
+        Hearing hearing(stop);                                                                                       \
         return take_steps(*tables, *watch, Crew{members, first, last, stride}, Arrays(*extent, saved, state),       \
-                          *schedule, k0, k1, stop, follow);                                                          \
+                          *schedule, k0, k1, hearing, follow);                                                       \
+    }                                                                                                                \
+    EXPORT int64_t name##_inside(const Tables* tables, const Watch* watch, const Crew* crew, const Arrays* arrays,  \
+                                 const Schedule* schedule, int64_t k0, int64_t k1) {                                \
+        return take_steps(*tables, *watch, *crew, *arrays, *schedule, k0, k1, Hearing::of_this_call(), follow);     \
     }
 
 // Members as lanes, from rows of `length` numbers for each; the last member fills what is left of the lanes.

@@ -1,0 +1,237 @@
+"""Commutator-free Lie group methods: exponentials of gradients, which move along the coadjoint orbit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError
+from coadjoint.given import read_whole
+from coadjoint.methods.base import Representation
+from coadjoint.methods.compiled_step import CompiledStepMethod
+from coadjoint.methods.properties import Properties
+from coadjoint.program.numbers import Number, array_of, roundoff
+from coadjoint.systems.kinds import System, check_one_system
+
+if TYPE_CHECKING:
+    from coadjoint.methods.formal_numbers import FormalNumber
+    from coadjoint.methods.work import Work
+
+DEGREE = 10  # of the series of an exponential, about, in steps that are worth taking
+
+
+class Exponentials(NamedTuple):
+    """A scheme: in which order states are moved, each by the exponential of a combination of the gradients before it.
+
+    Stage i + 1 is stage `stages[i][0]`, moved with the coefficients `stages[i][1]`; the new state is the old one, moved
+    with each of `out`, in this order.
+    """
+
+    stages: list[tuple[int, list[Fraction]]]
+    out: list[list[Fraction]]
+
+    @property
+    def nodes(self) -> list[Fraction]:
+        """When each stage is, in units of the step."""
+        found = [Fraction(0)]
+        for start, combination in self.stages:
+            found.append(found[start] + sum(combination))
+        return found
+
+
+def _over(denominator: int, *numerators: int) -> list[Fraction]:
+    return [Fraction(numerator, denominator) for numerator in numerators]
+
+
+SCHEMES = {
+    2: Exponentials([(0, _over(2, 1))], [_over(1, 0, 1)]),
+    3: Exponentials([(0, _over(3, 1)), (0, _over(3, 0, 2))], [_over(3, 1, 0, 0), _over(12, -1, 0, 9)]),
+    4: Exponentials(
+        [(0, _over(2, 1)), (0, _over(2, 0, 1)), (1, _over(2, -1, 0, 2))],
+        [_over(12, 3, 2, 2, -1), _over(12, -1, 2, 2, 3)],
+    ),
+}
+"""By order: the midpoint, Heun's third and the classical Runge-Kutta method, on a group."""
+
+
+@dataclass(frozen=True)
+class CommutatorFree(CompiledStepMethod):
+    """Commutator-free Lie group method: explicit, on the coadjoint orbit, so every Casimir kept; no Poisson map.
+
+    A step moves the momentum by exponentials ``exp(h sign D_k)``, each k a combination of gradients of H at stages that
+    are reached in the same way: two of them for order 2, four for order 3, five for order 4. So it never leaves the
+    coadjoint orbit, and it carries the group element that it computes, in every representation. It serves every Lie
+    algebra and every Hamiltonian, also where H has no exact flows. The bracket and the energy are not kept. It is what
+    the literature compares with: for long runs take `Splitting`, whose energy does not drift, for accuracy `Taylor`.
+
+    Parameters
+    ----------
+    order : int
+        2, 3 or 4.
+
+    Raises
+    ------
+    ValueError
+        `order` is no whole number from 2 to 4.
+
+    Notes
+    -----
+    An exponential is the series of the sparse D_k, in so many substeps that each turns by less than 1, up to a degree
+    that leaves nothing but rounding; 4096 substeps at most.
+
+    References
+    ----------
+    E. Celledoni, A. Marthinsen, B. Owren, Commutator-free Lie group methods, Future Generation Computer Systems 19
+    (2003) 341; B. Owren, J. Phys. A 39 (2006) 5585.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> top = co.LiePoissonSystem(co.algebras.e(3), co.Quadratic([1, 0.5, 0.4, 0, 0, 0], linear=[0, 0, 0, 0, 0, 1]), -1)
+    >>> sol = co.integrate(top, (1, -0.5, 1.5, 0.6, 0, 0.8), t_span=(0, 100), step=0.1, method=co.CommutatorFree(4))
+    >>> bool(max(sol.drift()[name] for name in top.casimirs) < 1e-13), bool(sol.drift()["energy"] > 1e-7)
+    (True, True)
+    """
+
+    order: int = 4
+
+    explicit = True
+    symmetric = False
+    failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "an exponential of the step reaches too far for its series"}
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "order", read_whole(self.order, "order of CommutatorFree", 2, 4))
+
+    def properties(self, system: System) -> Properties:
+        """Return what is kept: the coadjoint orbit, with every Casimir.
+
+        Raises
+        ------
+        ValueError
+            There is no Lie algebra, and so no orbit.
+        """
+        check_one_system(system)
+        if system.algebra is None:
+            raise ValueError(
+                f"CommutatorFree moves along coadjoint orbits, but {system.name} has no Lie algebra; take GaussLegendre"
+            )
+        return Properties(poisson=False, energy=False, casimirs="all", attitude="every representation")
+
+    @classmethod
+    def examples(cls) -> Sequence[CommutatorFree]:
+        """Return the scheme of every order."""
+        return [cls(order) for order in SCHEMES]
+
+    @property
+    def compiled_step(self) -> str:
+        """The step in ``commutator_free.cpp``."""
+        return "commutator_free"
+
+    def constants(self) -> tuple[Sequence[int], Sequence[float]]:
+        """Return how many stages and exponentials at the end there are, where stages start, and all coefficients."""
+        scheme = SCHEMES[self.order]
+        stages = len(scheme.stages) + 1
+        moves = [combination for _, combination in scheme.stages] + scheme.out
+        rows = [[float(a) for a in row] + [0.0] * (stages - len(row)) for row in moves]
+        starts = [start for start, _ in scheme.stages]
+        return [stages, len(scheme.out), *starts], [*map(float, scheme.nodes), *(a for row in rows for a in row)]
+
+    def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
+        """Return one step, read in NumPy for any number type but fractions."""
+        self.properties(system)
+        return self._moved(system, x, t, h, None)[0]
+
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return one step and its exact derivative, that of its series."""
+        self.properties(system)
+        return self._moved(system, np.asarray(x, dtype=np.float64), t, h, np.eye(len(x)))
+
+    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
+        self.properties(system)
+        return self._moved(system, x, 0 * h, h, None, type(h).count)[0]
+
+    def _moved(
+        self, system: System, x: Any, t: Any, h: Any, tangent: Any, degree: int | None = None
+    ) -> tuple[NDArray[Any], Any]:
+        """Return the new state and its derivative, where that of x is given."""
+        scheme, point = SCHEMES[self.order], np.asarray(x)
+        number: Number = float if point.dtype != object else type(point[0])
+        states: list[Any] = [(array_of(number, point), tangent)]
+        gradients: list[Any] = []
+        for i, node in enumerate(scheme.nodes):
+            if i > 0:
+                start, combination = scheme.stages[i - 1]
+                states.append(moved(system, states[start], combined(combination, gradients, h), number, degree))
+            state, change = states[i]
+            time = t + h * number(node.numerator) / node.denominator
+            bend = None if change is None else system.hamiltonian.hessian(state, time) @ change
+            gradients.append((system.hamiltonian.gradient(state, time), bend))
+        end = states[0]
+        for combination in scheme.out:
+            end = moved(system, end, combined(combination, gradients, h), number, degree)
+        return end
+
+    def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
+        """Return the work of the products in its series."""
+        from coadjoint.methods.work import work_of_evaluations
+
+        scheme = SCHEMES[self.order]
+        exponentials = len(scheme.stages) + len(scheme.out)
+        return work_of_evaluations(system, substeps * (len(scheme.nodes) + DEGREE * exponentials), self.explicit)
+
+
+def combined(combination: Sequence[Fraction], gradients: Sequence[tuple[Any, Any]], h: Any) -> tuple[Any, Any]:
+    """Return h times a combination of gradients, and of their derivatives, where they are known."""
+    parts = [(h * a.numerator / a.denominator, k) for a, k in zip(combination, gradients, strict=False) if a]
+    k = sum(factor * gradient for factor, (gradient, _) in parts)
+    return k, None if gradients[0][1] is None else sum(factor * bend for factor, (_, bend) in parts)
+
+
+def moved(
+    system: System, state: tuple[Any, Any], generator: tuple[Any, Any], number: Number, degree: int | None
+) -> tuple[NDArray[Any], Any]:
+    """Return exp(sign D_k) y and its derivative, by substeps of a series, up to a degree where one is given."""
+    (y, dy), (k, dk) = state, generator
+    substeps = 1
+    if degree is None:
+        substeps, degree = extent(system, k, roundoff(number))
+    J, sign = system.structure_matrix, system.sign
+    D = None if dy is None else sign * coadjoint_of(system, k)
+    for _ in range(substeps):
+        total, spread = y, dy
+        for power in range(degree, 0, -1):
+            # y + (1/power) D total, and its derivative
+            if dy is not None:
+                spread = dy + (D @ spread + sign * (J(total) @ dk)) / (power * substeps)
+            total = y + sign * (J(total) @ k) / (power * substeps)
+        y, dy = total, spread
+    return y, dy
+
+
+def extent(system: System, k: NDArray[Any], unit: Any) -> tuple[int, int]:
+    """Return how many substeps exp(D_k) takes, each of a norm up to 1, and the degree that leaves only rounding."""
+    from coadjoint.kernels.description import limit
+
+    if unit == 0:
+        raise TypeError("an exponential is no fraction: take floats or mpmath.mpf")
+    norm = float(max(abs(coadjoint_of(system, k)).sum(axis=1)))
+    if not norm <= limit("MOST_SUBSTEPS"):
+        said = CommutatorFree.failures["UNDEFINED"]
+        raise IntegrationError(said, step=1, time=float("nan"), residual=float("nan"))
+    substeps = max(1, int(np.ceil(norm)))
+    theta, degree, term = norm / substeps, 1, norm / substeps / 2
+    while term > float(unit) / 8:
+        degree += 1
+        term *= theta / (degree + 1)
+    return substeps, degree
+
+
+def coadjoint_of(system: System, k: NDArray[Any]) -> NDArray[Any]:
+    """Return D_k of the algebra that a served system has."""
+    assert system.algebra is not None
+    return np.asarray(system.algebra.coadjoint(k))

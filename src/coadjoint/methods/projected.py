@@ -1,0 +1,162 @@
+"""Any scheme, brought back to the level set of the energy and of the Casimirs after every step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.methods.base import Method, Representation
+from coadjoint.methods.projection import (
+    casimirs_restored,
+    polynomial_casimirs,
+    project,
+    project_with_tangent,
+    restored_invariants,
+)
+from coadjoint.methods.properties import Properties
+from coadjoint.program.numbers import Number
+from coadjoint.systems.kinds import System
+from coadjoint.wording import short
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.work import Work
+
+
+@dataclass(frozen=True)
+class Projected(Method):
+    """A scheme whose steps are brought back to the level set of the energy and of the polynomial Casimirs.
+
+    A step z of the base becomes ``y = z + sum_a lambda_a grad C_a(z)``, where every C_a has the value that it had at
+    the start of the run: energy and polynomial Casimirs do not drift, however long the run and whatever the base.
+    Choose it where a scheme that is given anyway is to stay on its level set. It is no Poisson map, also where the base
+    is one: for long runs of a `Splitting` the base alone is better, and for accuracy `Taylor` has its own projection.
+    Casimirs that are no polynomials are not kept, even by a base that keeps them.
+
+    The order is that of the base. A step is not symmetric, and so cannot be composed; project the `Composition`. Each
+    step of the base begins anew: `GaussLegendre` does not extrapolate from the step before.
+
+    Parameters
+    ----------
+    base : Method
+        Any scheme.
+
+    Raises
+    ------
+    TypeError
+        The base is no scheme.
+
+    References
+    ----------
+    E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, IV.4.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> method = co.Projected(co.ExplicitRungeKutta("rk4"))
+    >>> sol = co.integrate(body, (0.1, 1.0, 0.1), t_span=(0, 1000), step=0.1, method=method)
+    >>> bool(sol.drift()["energy"] < 1e-14), bool(sol.drift()["|x|^2"] < 1e-14)
+    (True, True)
+    """
+
+    base: Method
+
+    explicit = False
+    symmetric = False
+    compensates = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.base, Method):
+            raise TypeError(
+                f"the base of Projected is a scheme such as ExplicitRungeKutta('rk4'), not {short(self.base)}"
+            )
+
+    @property
+    def order(self) -> int:
+        """That of the base."""
+        return self.base.order
+
+    @property
+    def failures(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Those of the base."""
+        return self.base.failures
+
+    @property
+    def largest(self) -> float:  # type: ignore[override]
+        """As of the base."""
+        return self.base.largest
+
+    @classmethod
+    def examples(cls) -> Sequence[Projected]:
+        """Return projections of flows and of stages."""
+        from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
+        from coadjoint.methods.splitting import Splitting
+
+        return [cls(Splitting(order=2)), cls(ExplicitRungeKutta("rk4"))]
+
+    def properties(self, system: System) -> Properties:
+        """Return what is kept: the energy, and the Casimirs that are polynomials.
+
+        Raises
+        ------
+        ValueError
+            The base cannot serve the system, or the energy is no polynomial, or depends on time.
+        """
+        self.base.properties(system)
+        if any(term.degree is None for term in system.hamiltonian.terms()):
+            raise ValueError(
+                f"Projected restores energies that are polynomials, but the Hamiltonian of {system.name} has a "
+                f"function in it; give a polynomial, or take {type(self.base).__name__} alone"
+            )
+        return Properties(poisson=False, energy=True, casimirs=casimirs_restored(system), attitude="none")
+
+    def restored(self, system: System) -> Mapping[str, Any]:
+        """Return the Casimirs that are polynomials."""
+        return polynomial_casimirs(system)
+
+    def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
+        """Return the loop over steps that take one of the loop of the base each."""
+        from coadjoint.kernels.loop import CompiledLoop, remembered
+        from coadjoint.kernels.step_tables import tables_around
+        from coadjoint.kernels.stepping import STEP_LOOP
+
+        found = tables_around(system, "projected", self.base.loop(system, h), self.restored(system))
+        return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=remembered(STEP_LOOP, found.tables))
+
+    def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
+        """Return one step, read in NumPy for any number type; the values that are kept are those at x.
+
+        Raises
+        ------
+        IntegrationError
+            The projection, or the base, does not converge.
+        """
+        self.properties(system)
+        point = np.asarray(x)
+        number: Number = float if point.dtype != object else type(point[0])
+        end = np.asarray(self.base.step(system, point, t, h))
+        return project(restored_invariants(system), point, end, number, float(t)).y
+
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        self.properties(system)
+        start = np.asarray(x, dtype=np.float64)
+        return project_with_tangent(system, start, *self.base.tangent(system, start, t, h), float(t))
+
+    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
+        """Return how the base finds it."""
+        return self.base.tangent_by(system, x, t, h)
+
+    def work(self, system: System, group: Representation = None) -> Work:
+        """Return the work of the base, and of a projection."""
+        from coadjoint.methods.work import work_of_projection
+
+        return work_of_projection(self.base.work(system), 1 + len(self.restored(system)))
+
+    def look_ahead(self, systems: Sequence[System]) -> None:
+        """Let the base look ahead."""
+        self.base.look_ahead(systems)

@@ -1,0 +1,75 @@
+// The spherical midpoint method: x += h f(y), where y is the middle of the step, each spin as long as it is in x.
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "steps/step_scheme.hpp"
+
+namespace coadjoint {
+
+namespace {
+
+typedef MemberLanes<double> Layout;
+constexpr double HALF = 0.5, WHOLE = 1.0;
+
+struct SphericalMidpoint final : StepScheme {
+    const StepTables& tables;
+    const Own constants;
+    const Field& field;
+    const int64_t n;
+    FieldRoom<double> room;
+    Unknowns<Layout> y;
+    std::vector<std::array<int64_t, 3>> spins;
+    std::vector<double> u, point, squares;
+
+    SphericalMidpoint(const StepTables& tables, const Own& constants)
+        : tables(tables), constants(constants), field(tables.field), n(field.size), room(field), y(1, n, &HALF), u(n),
+          point(n) {
+        // The row of a coordinate names the two others of its spin.
+        for (int64_t i = 0; i < n; ++i) {
+            const uint32_t q = field.first[i];
+            if (q == field.first[i + 1]) continue;
+            const int64_t j = field.column[q], k = field.state[q];
+            if (i < std::min(j, k)) spins.push_back({i, std::min(j, k), std::max(j, k)});
+        }
+        squares.resize(spins.size());
+        y.work += work_of(field) + 4 * n;
+        work = 8 * y.work;
+    }
+
+    static double square(const double* x, const std::array<int64_t, 3>& spin) {
+        return fma(x[spin[0]], x[spin[0]], fma(x[spin[1]], x[spin[1]], x[spin[2]] * x[spin[2]]));
+    }
+
+    int64_t step(double* x, double* dx, double*, double*, double t, double h) override {
+        y.base = x;
+        y.error = dx;
+        y.start_at_base();
+        for (size_t s = 0; s < spins.size(); ++s) squares[s] = square(x, spins[s]);
+        const double middle = fma(0.5, h, t);
+        const Outcome<double> outcome = settle(
+            y, true,
+            [&] {
+                std::copy_n(y.points.at, n, point.data());
+                for (size_t s = 0; s < spins.size(); ++s) {
+                    if (squares[s] == 0.0) continue;
+                    const double stretch = std::sqrt(squares[s] / square(point.data(), spins[s]));
+                    for (int64_t i : spins[s]) point[i] *= stretch;
+                }
+                gradient(field, constants, point.data(), middle, u.data(), room);
+                product(field, constants, point.data(), u.data(), h, y.slopes.at, room);
+            },
+            [](bool, bool) {});
+        evaluations = iterations = int64_t(outcome.iterations);
+        residual = outcome.residual;
+        if (!outcome.settled) return residual == residual ? NOT_CONVERGED : OVERFLOWED;
+        add_slopes<Layout>(&WHOLE, 1, y.slopes.at, n, x, dx);
+        return DONE;
+    }
+};
+
+}  // namespace
+
+STEP_SCHEME(spherical_midpoint, SphericalMidpoint)
+
+}  // namespace coadjoint

@@ -1,0 +1,111 @@
+"""The gyrostat: a rigid body with rotors inside."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.given import read_finite
+from coadjoint.systems.free_rigid_body import fixed_axis
+from coadjoint.systems.inertia import axis_of_symmetry, inverse_inertia, momentum_along, principal, read_vector
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.rigid_body import rotations
+from coadjoint.wording import short
+
+Floats = npt.NDArray[np.float64]
+
+
+@ready_made
+def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (0.25, 0.5, 0.75)) -> LiePoissonSystem:
+    """Return a body that carries rotors, ``x' = x cross Omega`` with ``Omega = I^-1 (x - k)``.
+
+    x is the angular momentum of body and rotors together, in the frame of the body. That of the rotors relative to the
+    body, k, is constant. The attitude A, from the body to space, follows ``A' = A hat(Omega)``, so that ``A x`` is
+    constant. Thus so(3) with the body sign, -1, and ``H = (x - k) . I^-1 (x - k) / 2``. Without rotors it is
+    `rigid_body`.
+
+    Parameters
+    ----------
+    inertia : (3,) or (3, 3)
+        Principal moments, or the symmetric positive definite tensor (mass times length squared). Of body and rotors
+        with the rotors locked, where motors keep their speed relative to the body; without their moments about their
+        own axes, where they spin freely and so keep their own momentum.
+    rotors : (3,)
+        Angular momentum k of the rotors (mass times length squared over time).
+
+    Returns
+    -------
+    LiePoissonSystem
+        Casimir |x|^2. The momentum along an axis of symmetry, ``"x3"`` for instance, is an integral, where two
+        principal moments are equal and k lies along the third axis, or all three are equal; then also
+        ``exact(x0, t, attitude=False)`` in closed form.
+
+    Raises
+    ------
+    ValueError
+        `inertia` has another shape, or is not finite, symmetric and positive; `rotors` is not three finite numbers.
+
+    Notes
+    -----
+    Volterra, "Sur la theorie des variations des latitudes", Acta Mathematica 22 (1899); Wittenburg, "Dynamics of
+    Multibody Systems" (2008).
+
+    Examples
+    --------
+    >>> s = gyrostat(inertia=(1.0, 2.0, 4.0), rotors=(0.0, 0.0, 4.0))
+    >>> s.vector_field([1.0, 2.0, 8.0])
+    array([-6.,  7., -1.])
+    >>> s.energy([0.0, 0.0, 4.0])
+    0.0
+    """
+    M, kept = inverse_inertia(inertia)
+    k = read_vector(rotors, "rotors")
+    with np.errstate(over="ignore", invalid="ignore"):
+        rate = (M * k).sum(axis=1) if M.ndim == 2 else M * k
+        constant = 0.5 * float((k * rate).sum())
+    if not math.isfinite(constant):
+        raise ValueError(f"the energy of the rotors, {short(k.tolist())}, leaves float64; take other units")
+    H = Quadratic(M, linear=-rate, constant=constant)
+    axis, m = axis_of_symmetry(M, k), principal(M)
+    return LiePoissonSystem(
+        rotations(),
+        H,
+        sign=-1,
+        name="gyrostat",
+        parameters={"inertia": kept, "rotors": tuple(k.tolist())},
+        exact=None if axis is None or m is None else partial(_symmetric, m, k, axis),
+        integrals=momentum_along(axis, "x", 3),
+    )
+
+
+def _symmetric(m: Floats, k: Floats, axis: Floats, x0: Any, t: Any, attitude: Any = False) -> Any:
+    """Return the closed form of a symmetric gyrostat.
+
+    ``Omega = n x + s axis`` with n the inverse moment across the axis and a constant s. So x turns about the axis by
+    ``-s t``, and ``A(t) = A(0) exp(n t hat(x(0))) exp(s t hat(axis))``.
+    """
+    start, times = read_vector(x0, "x0"), read_finite(t, "t")
+    if times.ndim > 1:
+        raise ValueError(f"t has shape {times.shape}; give one finite time or several, (k,)")
+    first = np.eye(3)
+    if not isinstance(attitude, bool | np.bool_):
+        first = read_finite(attitude, "attitude")
+        if first.shape != (3, 3):
+            raise ValueError(f"attitude has shape {first.shape}; give True or a finite (3, 3)")
+    n = float(m[np.argmin(np.abs(axis))])
+    with np.errstate(over="ignore", invalid="ignore"):
+        spin = float((axis * ((m - n) * start - m * k)).sum()) * axis
+        several = np.atleast_1d(times)
+        turned = fixed_axis(spin, several)
+        x, A = start @ turned, first @ fixed_axis(n * start, several) @ turned
+    if not (np.isfinite(x).all() and np.isfinite(A).all()):
+        raise ValueError(f"the closed form overflows from x0 = {short(start.tolist())}; take smaller numbers")
+    if times.ndim == 0:
+        x, A = x[0], A[0]
+    return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, A)

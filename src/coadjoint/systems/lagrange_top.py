@@ -1,0 +1,55 @@
+"""Lagrange's top: symmetric, with the center of mass on its axis."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from coadjoint.given import read_number
+from coadjoint.systems.heavy_top import top_under_gravity
+from coadjoint.systems.inertia import moments_of
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.ready_made import ready_made
+
+
+@ready_made
+def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0) -> LiePoissonSystem:
+    """Return Lagrange's top: a heavy top with ``I1 = I2`` and the center of mass on the third axis.
+
+    State, sign -1, Casimirs and what the blocks of the group element mean are those of `heavy_top`. The momentum along
+    the axis, m3, is an integral, so the motion is integrable. The top sleeps, upright and stable, where
+    ``m3^2 > 4 equatorial lever``. For another axis call `heavy_top`.
+
+    Parameters
+    ----------
+    equatorial, axial : float
+        Moments of inertia about the fixed point (mass times length squared): across the axis and about it. Positive.
+    lever : float
+        Weight times the distance of the center of mass along the axis (an energy). Negative: it hangs below the fixed
+        point when the axis points up.
+
+    Returns
+    -------
+    LiePoissonSystem
+        With the integral ``"m3"``.
+
+    Raises
+    ------
+    ValueError
+        A moment is not positive, or a number not finite.
+
+    Notes
+    -----
+    Lagrange, "Mechanique analitique" (1788); Audin, "Spinning Tops" (1996), chapter II.
+
+    Examples
+    --------
+    >>> top = lagrange_top(equatorial=1.0, axial=0.5, lever=2.0)
+    >>> top.energy([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
+    3.5
+    >>> top.integrals
+    {'m3': x3}
+    """
+    (across, one), (about, other) = moments_of(equatorial, "equatorial"), moments_of(axial, "axial")
+    M, height = np.concatenate([across, across, about]), read_number(lever, "lever")
+    parameters = {"equatorial": one, "axial": other, "lever": height}
+    return top_under_gravity(M, np.array([0.0, 0.0, height]), "lagrange_top", parameters)

@@ -1,0 +1,99 @@
+"""The free rigid body of n dimensions, on so(n)."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.given import check_finite, read_numbers
+from coadjoint.memory import check_room
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.inertia import check_symmetric_matrix, plain
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.manakov_integrals import inverse_of_form, manakov_integrals, planes, rotations, trace_form
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.ready_made import ready_made
+from coadjoint.wording import short
+
+BYTES_PER_ENTRY = 500  # of a matrix of fractions, with its inverse
+
+
+@ready_made
+def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem:
+    """Return the free rigid body of n dimensions, ``X' = [X, Omega]`` with ``X = Lambda Omega + Omega Lambda``.
+
+    X is the angular momentum in the frame of the body, a skew n x n matrix, and Omega the angular velocity. The state
+    holds the coordinates of X in the basis of so(n), those of the planes 12, 13, ..., 1n, 23, ...; for n = 3 they are
+    those of the vector, about the axes. Sign -1, the body equations, and ``H = sum of x_ij Omega_ij / 2`` over the
+    planes. For principal axes ``Omega_ij = x_ij / (l_i + l_j)``, so for n = 3 it is `rigid_body` with the moments
+    l2 + l3, l3 + l1, l1 + l2.
+
+    The group element g is the attitude, a rotation of n-dimensional space from the body to space; ``g X g^T`` is
+    constant.
+
+    Parameters
+    ----------
+    inertia : (n,) or (n, n)
+        Second moments of the mass along the principal axes, or the symmetric matrix of them, Lambda (mass times length
+        squared), n from 3. The sum of any two principal values must be positive. From about n = 20 a full matrix takes
+        minutes to invert, in rationals: give principal values there.
+
+    Returns
+    -------
+    LiePoissonSystem
+        Casimirs those of so(n). The integrals of Manakov with ``a = Lambda^2``, such as ``"X^2 a"``; see
+        `manakov_top`. The energy is a combination of the quadratic ones and of |x|^2.
+
+    Raises
+    ------
+    ValueError
+        `inertia` has another shape, is not finite or not symmetric, or the sum of two principal values is not positive.
+
+    Notes
+    -----
+    Manakov, Funct. Anal. Appl. 10, 328 (1976); Ratiu, Indiana Univ. Math. J. 29, 609 (1980).
+
+    Examples
+    --------
+    >>> body = so_n_body((1.0, 1.0, 3.0, 7.0))
+    >>> body.energy([1.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    0.3
+    >>> list(body.integrals)
+    ['X^2 a', 'X^2 a^2']
+    """
+    given = read_numbers(inertia, "inertia")
+    if given.ndim not in (1, 2) or given.shape[0] < 3 or given.shape != given.shape[:1] * given.ndim:
+        raise ValueError(f"inertia has shape {given.shape}; give n principal values, or a symmetric (n, n), n from 3")
+    check_finite(given, "inertia")
+    n = len(given)
+    if given.ndim == 2:
+        check_symmetric_matrix(given, "inertia")
+        given = np.triu(given) + np.triu(given, 1).T
+    least = np.sort(given if given.ndim == 1 else np.linalg.eigvalsh(given))[:2]
+    if least.sum() <= (0.0 if given.ndim == 1 else 4 * n * UNIT_ROUNDOFF * np.abs(given).max()):
+        raise ValueError(
+            f"inertia has the principal values {short(least.tolist())}, whose sum is not positive; no mass has them"
+        )
+    algebra = rotations(n)
+    if given.ndim == 1:
+        first, second = planes(n)
+        with np.errstate(over="ignore", divide="ignore"):
+            sums = given[first] + given[second]
+            M, a = 1.0 / sums, given**2
+        if not (np.isfinite(sums).all() and np.isfinite(M).all()):
+            raise ValueError("sums of two principal values of inertia or their inverses leave float64; change units")
+    else:
+        need = BYTES_PER_ENTRY * algebra.dim**2
+        check_room(need, f"the inverse of an inertia of dimension {n}", "give principal values")
+        exact = np.array([[Fraction(entry) for entry in row] for row in given.tolist()], dtype=object)
+        M, a = inverse_of_form(trace_form(exact, 1)), exact @ exact
+    return LiePoissonSystem(
+        algebra,
+        Quadratic(M),
+        sign=-1,
+        name="so_n_body",
+        parameters={"inertia": plain(given)},
+        integrals=manakov_integrals(a),
+    )

@@ -1,0 +1,143 @@
+"""Kahan's method: the polarised equation, the Hirota-Kimura top, many dimensions, and what is refused."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+RNG = np.random.default_rng(12)
+
+
+def full(n, seed=0):
+    B = np.random.default_rng(seed).uniform(-0.5, 0.5, (n, n))
+    return np.diag(np.linspace(0.6, 1.4, n)) + 0.2 * (B + B.T)
+
+
+def on(algebra, sign=1):
+    n = algebra.dim
+    return co.LiePoissonSystem(algebra, co.Quadratic(full(n, n), linear=np.linspace(-0.3, 0.4, n)), sign=sign)
+
+
+SYSTEMS = [
+    on(co.algebras.e(3), -1),
+    on(co.algebras.so(4)),
+    on(co.algebras.A3_7(0.7), -1),
+    on(co.algebras.get("A5,3")),
+    on(co.algebras.sl(3)),
+]
+
+
+@pytest.mark.parametrize("system", SYSTEMS, ids=str)
+@pytest.mark.parametrize("h", [0.2, -0.2])
+def test_the_difference_is_the_polarised_field(system, h):
+    """x' - x = h (2 f((x + x')/2) - f(x)/2 - f(x')/2), an equation that asks for no derivative."""
+    x = RNG.uniform(-1, 1, system.dim)
+    y = co.stepper(system, co.Kahan(), h)(x)
+    f = system.vector_field
+    right = h * (2 * f((x + y) / 2) - f(x) / 2 - f(y) / 2)
+    size = np.max(np.abs(x)) + np.max(np.abs(y))
+    assert np.max(np.abs(y - x)) > 1e-3
+    assert np.max(np.abs(y - x - right)) < 64 * system.dim * UNIT_ROUNDOFF * size
+
+
+def test_the_top_of_hirota_and_kimura_has_its_integral():
+    """x_i' = a_i x_j x_k: (1 - e^2 a_3 a_1 x_2^2) / (1 - e^2 a_1 a_2 x_3^2) with e = h/2, though the energy is lost."""
+    m, h, x0 = np.array([1.0, 0.5, 0.2]), 0.5, np.array([0.3, 1.0, 0.4])
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(m))
+    a = np.array([system.vector_field(1 - unit)[i] for i, unit in enumerate(np.eye(3))])
+    sol = co.integrate(system, x0, (0, 500), h, co.Kahan())
+    square = (h / 2) ** 2 * sol.x**2
+    integral = (1 - a[2] * a[0] * square[:, 1]) / (1 - a[0] * a[1] * square[:, 2])
+    assert np.ptp(sol.energy) > 1e-3
+    assert np.ptp(integral) < 1000 * 64 * UNIT_ROUNDOFF
+
+
+def test_a_linear_structure_that_is_a_function_moves_the_same():
+    """Without a derivative; and J with constants in it, beside the extended Lie-Poisson system."""
+    e3, H = co.algebras.e(3), co.Quadratic(full(6, 3), linear=[0.1] * 6)
+    lie, x0 = co.LiePoissonSystem(e3, H), RNG.uniform(-1, 1, 6)
+    known = co.integrate(lie, x0, (0, 5), 0.1, co.Kahan()).x[-1]
+    c = np.array([e3.structure_matrix(unit) for unit in np.eye(6)])
+
+    def J(x):
+        total = np.zeros((6, 6))
+        for k in range(6):
+            total += x[k] * c[k]
+        return total
+
+    found = co.integrate(co.PoissonSystem(J, H, dim=6), x0, (0, 5), 0.1, co.Kahan()).x[-1]
+    assert np.max(np.abs(found - known)) < 50 * 64 * 6 * UNIT_ROUNDOFF * np.max(np.abs(known)) * 4
+
+    def canonical(x):
+        return np.array([[0.0, 1.0 + x[0]], [-1.0 - x[0], 0.0]])
+
+    plane = co.PoissonSystem(canonical, co.Quadratic([1.0, 2.0]), dim=2)
+    y = co.stepper(plane, co.Kahan(), 0.1)(np.array([0.3, 0.4]))
+    f, x = plane.vector_field, np.array([0.3, 0.4])
+    assert np.max(np.abs(y - x - 0.1 * (2 * f((x + y) / 2) - f(x) / 2 - f(y) / 2))) < 16 * UNIT_ROUNDOFF
+
+
+def chain(count):
+    rows, columns = np.arange(3 * (count - 1)), np.arange(3, 3 * count)
+    M = np.zeros((3 * count, 3 * count))
+    M[rows, columns] = M[columns, rows] = np.tile([1.0, 0.8, 0.6], count - 1)
+    return co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), count), co.Quadratic(M), casimirs={})
+
+
+def test_many_dimensions_without_a_matrix_give_the_same():
+    """300 dimensions, by GMRES, beside the dense formula."""
+    system = chain(100)
+    x0 = RNG.uniform(-1, 1, 300)
+    found = co.stepper(system, co.Kahan(), 0.1)(x0)
+    assert np.max(np.abs(found - co.Kahan().step(system, x0, 0.0, 0.1))) < 64 * UNIT_ROUNDOFF * 4
+    back = co.stepper(system, co.Kahan(), -0.1)(found)
+    assert np.max(np.abs(back - x0)) < 64 * UNIT_ROUNDOFF * 4
+
+
+def test_it_is_read_as_a_series():
+    """The flow of the modified field is the step, up to h^5."""
+    system = SYSTEMS[0]
+    modified = co.modified_field(system, co.Kahan(), order=4)
+    x0, errors = RNG.uniform(-1, 1, 6), []
+    for h in (0.1, 0.05):
+        own = co.stepper(system, co.Kahan(), h)(x0)
+        x, steps = x0, 16
+        for _ in range(steps):
+            k1 = modified(x, h)
+            k2 = modified(x + h / steps / 2 * k1, h)
+            k3 = modified(x + h / steps / 2 * k2, h)
+            x = x + h / steps / 6 * (k1 + 2 * k2 + 2 * k3 + modified(x + h / steps * k3, h))
+        errors.append(np.max(np.abs(x - own)))
+    assert 4.6 < np.log2(errors[0] / errors[1]) < 5.5
+
+
+CUBIC = co.Polynomial({(3, 0, 0): 1.0, (0, 2, 0): 0.5})
+REFUSED = {
+    "not quadratic": co.LiePoissonSystem(co.algebras.so(3), CUBIC),
+    "depends on time": co.LiePoissonSystem(
+        co.algebras.so(3), co.Hamiltonian(lambda x, t: x[0] * t, lambda x, t: np.array([t, 0.0, 0.0]))
+    ),
+    "not linear in x": co.PoissonSystem(
+        lambda x: x[0] ** 2 * np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]), dim=2
+    ),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_is_not_quadratic_is_refused(what):
+    system = REFUSED[what]
+    with pytest.raises(ValueError, match=f"Kahan serves quadratic fields.*{what}"):
+        co.integrate(system, np.full(system.dim, 0.5), (0, 1), 0.1, co.Kahan())
+
+
+def test_a_singular_matrix_is_named():
+    """x2' = x2 on [e1, e2] = e2 with H = x1, backward or forward: 1 - h/2 f' = 0 at |h| = 2."""
+    system = co.LiePoissonSystem(co.algebras.get("A2,1"), co.Quadratic([0.0, 0.0], linear=[1.0, 1.0]))
+    for span in ((0, 2), (0, -2)):
+        try:
+            co.integrate(system, (0.5, 0.5), span, 2.0, co.Kahan())
+        except co.IntegrationError as failure:
+            assert "singular" in str(failure)
+            return
+    raise AssertionError("it is singular in neither direction")

@@ -1,0 +1,141 @@
+"""Any scheme, projected: steps of every family, alone, in crowds and batches, and what comes out of the base."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from own_schemes import NOTHING, Classical, Failing
+
+import coadjoint as co
+from coadjoint.methods.registry import description_of, from_description
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.hamiltonian import as_hamiltonian
+
+
+def full(n, seed=0):
+    B = np.random.default_rng(seed).uniform(-0.5, 0.5, (n, n))
+    return np.diag(np.linspace(0.6, 1.4, n)) + 0.2 * (B + B.T)
+
+
+E3 = co.LiePoissonSystem(co.algebras.e(3), co.Quadratic(full(6), linear=np.linspace(-0.3, 0.4, 6)), sign=-1)
+SU3 = co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(0.5 * full(8)))
+SPIRAL = co.LiePoissonSystem(co.algebras.A3_7(0.7), co.Quadratic(full(3)))
+BASES = [
+    co.Splitting(order=1),
+    co.Splitting(order=4, compensated=True),
+    co.ExplicitRungeKutta("runge2"),
+    co.GaussLegendre(2),
+    co.ModifiedGaussLegendre(1, freeze="gradient"),
+    co.Kahan(),
+    co.CommutatorFree(3),
+    co.Taylor(5, projected=False),
+    co.Composition(co.Kahan(), (0.5, 0.5)),
+    co.Projected(co.ExplicitRungeKutta("rk4")),
+    Classical(),
+]
+
+
+def start_of(system):
+    return np.linspace(0.7, -0.5, system.dim)
+
+
+@pytest.mark.parametrize("base", BASES, ids=str)
+@pytest.mark.parametrize("system", [E3, SU3, SPIRAL], ids=["e(3)", "su(3), cubic Casimir", "A3,7"])
+@pytest.mark.parametrize("h", [0.05, -0.05])
+def test_a_step_is_the_nearest_point_along_gradients(base, system, h):
+    """y - z is a combination of the gradients at the step z of the base, and the values at y are those at x."""
+    method, x = co.Projected(base), start_of(system)
+    z, y = co.stepper(system, base, h)(x), co.stepper(system, method, h)(x)
+    invariants = [system.hamiltonian]
+    invariants += [as_hamiltonian(C, system.dim) for C in system.casimirs.values() if isinstance(C, co.Polynomial)]
+    gradients = np.array([C.gradient(z) for C in invariants])
+    rest = (y - z) - gradients.T @ np.linalg.lstsq(gradients.T, y - z, rcond=None)[0]
+    assert np.max(np.abs(rest)) < 16 * UNIT_ROUNDOFF
+    for C in invariants:
+        terms = np.sum(np.abs(x * C.gradient(x))) + abs(C.value(x))
+        assert abs(C.value(y) - C.value(x)) < 16 * UNIT_ROUNDOFF * terms
+    assert np.max(np.abs(y - method.step(system, x, 0.0, h))) < 256 * UNIT_ROUNDOFF
+    assert np.max(np.abs(y - x)) > 1e-3
+
+
+@pytest.mark.parametrize("base", [co.Splitting(order=2), co.ExplicitRungeKutta("rk4"), co.Kahan()], ids=str)
+def test_the_order_of_the_base_on_su3(base):
+    x0 = start_of(SU3)
+    exact = co.integrate(SU3, x0, (0, 1), 2**-5, co.GaussLegendre(6)).x[-1]
+    errors = [
+        np.max(np.abs(co.integrate(SU3, x0, (0, 1), h, co.Projected(base)).x[-1] - exact)) for h in (2**-5, 2**-6)
+    ]
+    assert abs(np.log2(errors[0] / errors[1]) - base.order) < 0.35
+
+
+def test_values_are_those_of_the_start_of_the_run():
+    """Each step is off by less than what rounding may leave; from step to step that would add up."""
+    base, span, step = co.ExplicitRungeKutta("rk4"), (0, 100), 2**-7
+    kept = co.integrate(E3, start_of(E3), span, step, co.Projected(base), save_every=1000)
+    alone = co.integrate(E3, start_of(E3), span, step, base, save_every=1000)
+    # An invariant of degree two in six coordinates, and what the projection accepts.
+    bound = (36 + 4) * UNIT_ROUNDOFF * np.max(np.sum(kept.x**2, axis=1))
+    for name, drift in kept.drift().items():
+        assert drift < bound < alone.drift()[name] / 10
+
+
+def test_an_energy_alone_where_there_is_no_algebra():
+    def J(x):
+        return (1 + x[1] ** 2) * np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+    plane = co.PoissonSystem(J, co.Quadratic([1.0, 2.0]), dim=2)
+    sol = co.integrate(plane, (1, 0.5), (0, 50), 0.1, co.Projected(co.ExplicitRungeKutta("runge2")))
+    assert sol.drift()["energy"] < 1e-14 and np.ptp(sol.x[:, 0]) > 1
+
+
+def test_members_of_a_batch_of_bases_that_depend_on_the_member():
+    bodies = [co.systems.rigid_body((1, 2, third)) for third in (2.25, 2.5, 3.0)]
+    x0 = np.random.default_rng(1).standard_normal((3, 3))
+    for base in (co.Splitting(order=2), co.GaussLegendre(2)):
+        together = co.integrate(co.batch(bodies), x0, (0, 2), 0.1, co.Projected(base), threads=2)
+        for m, body in enumerate(bodies):
+            assert np.array_equal(together.x[:, m], co.integrate(body, x0[m], (0, 2), 0.1, co.Projected(base)).x)
+
+
+def test_what_the_base_refuses_and_raises_comes_out():
+    with pytest.raises(TypeError, match="the base of Projected is a scheme"):
+        co.Projected("rk4")
+    with pytest.raises(ValueError, match="SphericalMidpoint moves spins"):
+        co.integrate(E3, start_of(E3), (0, 1), 0.1, co.Projected(co.SphericalMidpoint()))
+    driven = co.LiePoissonSystem(
+        co.algebras.so(3), co.Hamiltonian(lambda x, t: x[0] * t, lambda x, t: np.array([t, 0.0, 0.0]))
+    )
+    with pytest.raises(ValueError, match="Projected restores energies that are polynomials"):
+        co.integrate(driven, (1, 0, 0), (0, 1), 0.1, co.Projected(co.Splitting(order=2)))
+    with pytest.raises(ValueError, match="Composition needs a symmetric base"):
+        co.Composition(co.Projected(co.Kahan()), (0.5, 0.5))
+    with pytest.raises(co.IntegrationError, match="singular"):
+        scaling = co.LiePoissonSystem(co.algebras.get("A2,1"), co.Quadratic([0.0, 0.0], linear=[1.0, 1.0]))
+        for h in (2.0, -2.0):
+            co.integrate(scaling, (0.5, 0.5), (0, h), 2.0, co.Projected(co.Kahan()))
+
+
+@pytest.mark.filterwarnings("ignore:the steps of")
+def test_what_a_base_in_python_raises_comes_out_and_leaves_nothing():
+    @dataclasses.dataclass(frozen=True)
+    class Rough(co.methods.StepMethod):
+        order, explicit, symmetric, compiles = 1, True, False, False
+
+        def properties(self, system):
+            return NOTHING
+
+        def step(self, system, x, t, h):
+            return x + h * system.vector_field(x, t)
+
+    crowd = start_of(E3) * np.array([1.0, 0.5, 0.8])[:, None]
+    for _ in range(2):
+        with pytest.raises(LookupError, match=r"nothing is known at t = 0\.6"):
+            co.integrate(E3, crowd, (0, 2), 0.1, co.Projected(Failing()), threads=2)
+        sol = co.integrate(E3, crowd, (0, 2), 0.1, co.Projected(Rough()), threads=2)
+        assert max(np.max(drift.members) for drift in sol.drift().values()) < 1e-14
+
+
+def test_a_description_says_the_base():
+    described = description_of(co.Projected(co.Splitting(order=4)))
+    assert from_description(described) == co.Projected(co.Splitting(order=4))
+    assert co.methods.get("Projected", base={"name": "Kahan"}) == co.Projected(co.Kahan())

@@ -1,0 +1,56 @@
+"""A scheme is one file: what this library has beside those that it builds on is named nowhere else in its sources."""
+
+import ast
+import inspect
+from pathlib import Path
+
+import pytest
+
+import coadjoint as co
+from coadjoint.methods import registry
+
+SOURCE = Path(co.__file__).parent
+# What choices, references and the experiments of the paper are made with.
+BUILT_ON = {"Splitting", "Composition", "GaussLegendre", "Taylor", "ExplicitRungeKutta"}
+BESIDE = sorted(set(registry.names()) - BUILT_ON)
+
+
+def names_in(path):
+    """Names that the code of a file uses; those in texts, which advise a reader, are none."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Name):
+            yield node.id
+        elif isinstance(node, ast.Attribute):
+            yield node.attr
+        elif isinstance(node, ast.ImportFrom):
+            yield from (alias.name for alias in node.names)
+
+
+@pytest.fixture(scope="module")
+def used():
+    skipped = SOURCE / "experiments"
+    return {
+        path: set(names_in(path))
+        for path in SOURCE.rglob("*.py")
+        if skipped not in path.parents and path.name[0] != "_"
+    }
+
+
+@pytest.mark.parametrize("name", BESIDE)
+def test_no_other_file_names_it(name, used):
+    own = Path(inspect.getfile(registry.scheme(name)))
+    assert {path for path, names in used.items() if name in names} <= {own}
+
+
+def test_the_search_finds_what_is_named(used):
+    assert SOURCE / "choosing" / "accuracy.py" in {path for path, names in used.items() if "Taylor" in names}
+    assert len(BESIDE) >= 7
+
+
+@pytest.mark.parametrize("name", registry.names())
+def test_a_scheme_says_what_a_new_one_must(name):
+    """Examples are of its own kind, equal what their description says, and refuse or serve in one sentence."""
+    for method in registry.scheme(name).examples():
+        assert type(method).__name__ == name and isinstance(method.order, int) and method.order >= 1
+        assert registry.from_description(registry.description_of(method)) == method
+        assert method.work(co.systems.rigid_body((1, 2, 3))).cost(1.0, 1.0) > 0

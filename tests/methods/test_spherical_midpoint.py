@@ -1,0 +1,184 @@
+"""The spherical midpoint: its equation, a Poisson map on spins of every arrangement, and what is refused."""
+
+import math
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.methods.spherical_midpoint import spins_of
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+RNG = np.random.default_rng(3)
+SO3 = co.algebras.so(3)
+
+
+def full(n, seed=0):
+    B = np.random.default_rng(seed).uniform(-0.5, 0.5, (n, n))
+    return np.diag(np.linspace(0.6, 1.4, n)) + 0.3 * (B + B.T)
+
+
+def arranged(order, sizes=(1.0, 1.0), extra=0):
+    """Copies of so(3) with brackets of these sizes, their coordinates at the places `order`, beside commuting ones."""
+    rows = [
+        (order[3 * s + a], order[3 * s + b], order[3 * s + c], sign * size)
+        for s, size in enumerate(sizes)
+        for a, b, c, sign in ((0, 1, 2, 1.0), (1, 2, 0, 1.0), (0, 2, 1, -1.0))
+    ]
+    rows = [row if row[0] < row[1] else (row[1], row[0], row[2], -row[3]) for row in rows]
+    return co.LieAlgebra(rows, dim=len(order) + extra, name="spins")
+
+
+def coupled(algebra, sign=1):
+    n = algebra.dim
+    return co.LiePoissonSystem(algebra, co.Quadratic(full(n, n), linear=np.linspace(-0.5, 0.8, n)), sign=sign)
+
+
+def well(y, t):
+    return 0.25 * y**4 + math.sin(2 * t) * y
+
+
+def well_slope(y, t):
+    return y**3 + math.sin(2 * t)
+
+
+def well_curvature(y, t):
+    return 3 * y**2 + 0 * t
+
+
+SYSTEMS = {
+    "two": coupled(co.algebras.copies(SO3, 2)),
+    "mixed coordinates, sign -1": coupled(arranged((4, 0, 3, 5, 1, 2)), -1),
+    "brackets of other sizes, one turned": coupled(arranged((0, 1, 2, 3, 4, 5), (2.5, -0.5))),
+    "beside two that commute": coupled(arranged((0, 1, 2, 3, 4, 5), extra=2)),
+    "of the third and fourth degree": co.LiePoissonSystem(
+        co.algebras.copies(SO3, 2),
+        co.Polynomial(
+            {(1, 1, 0, 0, 1, 0): 0.5, (0, 0, 1, 0, 0, 2): -0.3, (0, 2, 0, 1, 1, 0): 0.4, (2,) + (0,) * 5: 1.0}
+        ),
+    ),
+    "driven": co.LiePoissonSystem(
+        co.algebras.copies(SO3, 2), co.Separable({i: (well, well_slope, well_curvature) for i in (0, 2, 4)})
+    ),
+}
+
+
+def start_of(system):
+    return np.random.default_rng(system.dim).uniform(-1, 1, system.dim)
+
+
+def squares(system, x):
+    return (x[..., spins_of(system)] ** 2).sum(axis=-1)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("h", [0.1, -0.1])
+def test_the_equation_of_the_paper(name, h):
+    """x' = x + h f(r (x + x') / |x + x'|), r the length of a spin, at the middle of the step."""
+    system, t = SYSTEMS[name], 0.3
+    x = start_of(system)
+    new = co.stepper(system, co.SphericalMidpoint(), h)(x, t)
+    y = (x + new) / 2
+    for spin in spins_of(system):
+        y[spin] = np.linalg.norm(x[spin]) * (x + new)[spin] / np.linalg.norm((x + new)[spin])
+    assert np.max(np.abs(new - x - h * system.vector_field(y, t + h / 2))) < 64 * UNIT_ROUNDOFF
+    assert np.max(np.abs(new - x)) > 1e-3
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_poisson_map_on_spheres_that_a_step_back_undoes(name):
+    system, h = SYSTEMS[name], 0.1
+    x, step = start_of(system), co.stepper(SYSTEMS[name], co.SphericalMidpoint(), h)
+    new, P = step(x, 0.3), step.tangent(x, 0.3)
+    size = np.linalg.norm(P) ** 2 * np.linalg.norm(system.structure_matrix(x))
+    defect = P @ system.structure_matrix(x) @ P.T - system.structure_matrix(new)
+    # The plain midpoint misses by more than a thousand times that.
+    assert np.max(np.abs(defect)) < 64 * system.dim * UNIT_ROUNDOFF * size
+    plain = co.stepper(system, co.GaussLegendre(1), h)
+    Q = plain.tangent(x, 0.3)
+    other = Q @ system.structure_matrix(x) @ Q.T - system.structure_matrix(plain(x, 0.3))
+    assert np.max(np.abs(other)) > 1000 * 64 * system.dim * UNIT_ROUNDOFF * size
+    assert np.max(np.abs(squares(system, new) - squares(system, x))) < 16 * UNIT_ROUNDOFF * 3
+    back = co.stepper(system, co.SphericalMidpoint(), -h)(new, 0.3 + h)
+    assert np.max(np.abs(back - x)) < 256 * UNIT_ROUNDOFF
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_order_two(name):
+    system = SYSTEMS[name]
+    x0 = start_of(system)
+    exact = co.integrate(system, x0, (0, 1), 2**-5, co.GaussLegendre(6)).x[-1]
+    errors = [
+        np.linalg.norm(co.integrate(system, x0, (0, 1), h, co.SphericalMidpoint()).x[-1] - exact)
+        for h in (2**-6, 2**-7)
+    ]
+    assert abs(np.log2(errors[0] / errors[1]) - 2) < 0.1
+
+
+@pytest.mark.parametrize("name", ["two", "mixed coordinates, sign -1", "brackets of other sizes, one turned"])
+def test_lengths_and_energy_over_long_times(name):
+    system = SYSTEMS[name]
+    sol = co.integrate(system, start_of(system), (0, 2000), 0.1, co.SphericalMidpoint(), save_every=100)
+    lengths = squares(system, sol.x)
+    assert np.max(np.abs(lengths / lengths[0] - 1)) < 64 * UNIT_ROUNDOFF * math.sqrt(20_000)
+    # O(h^2), and no more at the end than at the start.
+    off = np.abs(sol.energy - sol.energy[0])
+    assert 1e-6 < np.max(off[:100]) < 0.05 and np.max(off[100:]) < 2 * np.max(off[:100])
+
+
+def test_when_the_energy_is_kept():
+    def keeps(M, linear, extra=0):
+        algebra = arranged((0, 1, 2, 3, 4, 5), extra=extra)
+        system = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=linear))
+        declared = co.SphericalMidpoint().properties(system).energy
+        sol = co.integrate(system, start_of(system), (0, 50), 0.1, co.SphericalMidpoint())
+        assert declared == (sol.drift()["energy"] < 1e-13)
+        return declared
+
+    own = np.kron(np.diag([1.0, 0.0]), full(3, 1))
+    assert keeps(own, [0, 0, 0, 0.5, -0.3, 0.8])
+    assert not keeps(own, [0, 0.3, 0, 0.5, -0.3, 0.8])
+    assert not keeps(full(6, 2), np.zeros(6))
+
+
+def test_a_spin_without_length_stays():
+    system = SYSTEMS["two"]
+    x0 = np.array([0.3, 0.4, 0.5, 0, 0, 0])
+    sol = co.integrate(system, x0, (0, 1), 0.1, co.SphericalMidpoint())
+    assert np.all(sol.x[:, 3:] == 0) and np.max(np.abs(sol.x[-1, :3] - x0[:3])) > 0.1
+    with pytest.raises(TypeError, match="no direction"):
+        co.stepper(system, co.SphericalMidpoint(), 0.1).tangent(x0)
+
+
+def test_many_spins():
+    """3000 spins on a ring, beside the equation."""
+    count = 3000
+    rows = np.arange(3 * count)
+    from scipy.sparse import coo_array
+
+    M = coo_array((np.tile([1.0, 0.8, 0.5], count), (rows, (rows + 3) % (3 * count))), shape=(3 * count,) * 2)
+    system = co.LiePoissonSystem(co.algebras.copies(SO3, count), co.Quadratic((M + M.T).tocsr()), casimirs={})
+    x = RNG.uniform(-1, 1, 3 * count)
+    new = co.stepper(system, co.SphericalMidpoint(), 0.1)(x)
+    middle, old = (x + new).reshape(-1, 3), x.reshape(-1, 3)
+    y = middle * (np.linalg.norm(old, axis=1) / np.linalg.norm(middle, axis=1))[:, None]
+    assert np.max(np.abs(new - x - 0.1 * system.vector_field(y.ravel()))) < 64 * UNIT_ROUNDOFF
+
+
+ELLIPSOID = co.LieAlgebra([(0, 1, 2, 1.0), (1, 2, 0, 2.0), (0, 2, 1, -1.0)], dim=3)
+REFUSED = [co.algebras.so(4), co.algebras.e(3), co.algebras.sl(2), co.algebras.get("A3,7", a=1.0), ELLIPSOID]
+
+
+@pytest.mark.parametrize("algebra", REFUSED, ids=str)
+def test_other_algebras_are_refused(algebra):
+    system = co.LiePoissonSystem(algebra, co.Quadratic(np.ones(algebra.dim)))
+    with pytest.raises(ValueError, match=r"SphericalMidpoint moves spins.*does not live on copies of so"):
+        co.integrate(system, np.ones(algebra.dim), (0, 1), 0.1, co.SphericalMidpoint())
+
+
+def test_a_structure_that_is_a_function_is_refused():
+    def J(x):
+        return np.array([[0, -x[2], x[1]], [x[2], 0, -x[0]], [-x[1], x[0], 0]])
+
+    with pytest.raises(ValueError, match="SphericalMidpoint moves spins"):
+        co.integrate(co.PoissonSystem(J, co.Quadratic([1.0, 2, 3])), (1, 0, 0), (0, 1), 0.1, co.SphericalMidpoint())

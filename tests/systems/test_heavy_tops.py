@@ -1,0 +1,171 @@
+"""Heavy tops: by hand, a pendulum, steady precession, and special integrals in any order of the axes."""
+
+import numpy as np
+import pytest
+from motions import (
+    FULL,
+    ORDERS,
+    U,
+    assert_bounded,
+    assert_integrals,
+    assert_order,
+    by_hand,
+    errors,
+    polynomial_of,
+    turned,
+)
+from scipy.special import ellipj
+
+import coadjoint as co
+from coadjoint.algebra.exact_polynomials import ExactPolynomials
+from coadjoint.systems.goryachev_chaplygin_top import goryachev_chaplygin_integral
+
+
+@pytest.mark.parametrize("inertia", [(1.0, 2.0, 3.5), FULL])
+def test_heavy_top_by_hand(inertia):
+    w, x0 = np.array([0.3, -0.4, 0.8]), np.array([1.0, 0.5, -0.7, 0.6, 0.0, 0.8])
+    tensor = np.diag(inertia) if np.ndim(inertia) == 1 else inertia
+    top = co.systems.heavy_top(inertia, w)
+
+    def field(x):
+        omega = np.linalg.solve(tensor, x[:3])
+        return np.concatenate([np.cross(x[:3], omega) + np.cross(x[3:], w), np.cross(x[3:], omega)])
+
+    np.testing.assert_allclose(top.vector_field(x0), field(x0), rtol=0, atol=8 * U)
+    assert top.sign == -1 and top.integrals == {}
+    coarse, fine = errors(top, x0, by_hand(field, x0, 5.0), 5.0, 0.05, co.Splitting(order=2))
+    assert 3.0 < coarse / fine < 5.4
+
+
+def test_a_top_that_swings_in_a_plane_is_a_pendulum():
+    """With m and the axis of the swing along e1: I theta'' = -w sin theta, theta from the lowest point, sn of scipy."""
+    inertia, w, amplitude = 2.0, 3.0, 1.2
+    top = co.systems.heavy_top((inertia, 1.0, 1.5), (0.0, 0.0, w))
+    k, rate = np.sin(amplitude / 2), np.sqrt(w / inertia)
+    t = 3.0
+    sn, cn, dn, _ = ellipj(rate * t, k**2)
+    theta, speed = 2 * np.arcsin(k * sn), 2 * rate * k * cn
+    assert dn == pytest.approx(np.cos(theta / 2))
+
+    # theta turns the body about e1; the lever along e3 hangs along -vertical where theta = 0.
+    def state(theta, speed):
+        return np.array([inertia * speed, 0, 0, 0, -np.sin(theta), -np.cos(theta)])
+
+    assert_order(top, state(0.0, 2 * rate * k), state(theta, speed), t, 0.05)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("up", [1.0, -1.0])
+def test_steady_precession_of_lagranges_top(order, up):
+    """Omega = p gamma + s e3, gamma turns about e3 by -s t, and I1 p^2 cos - I3 (p cos + s) p + w = 0."""
+    one, three, w, p, tilt = 1.5, 0.75, up * 0.8, 0.9, 0.6
+    spin = (one * p**2 * np.cos(tilt) + w) / (three * p) - p * np.cos(tilt)
+
+    def state(t):
+        gamma = np.array([np.sin(tilt) * np.sin(spin * t), np.sin(tilt) * np.cos(spin * t), np.cos(tilt)])
+        omega = p * gamma + [0, 0, spin]
+        return gamma, np.array([one, one, three]) * omega
+
+    turn = -1.0 if order in ORDERS[3:] else 1.0  # an odd order of the axes is a reflection, and m is no vector there
+
+    def ordered(t):
+        gamma, m = state(t)
+        return np.concatenate([turn * m[list(order)], gamma[list(order)]])
+
+    inertia, lever = turned(order, np.array([one, one, three]), np.array([0, 0, w]))
+    top = co.systems.heavy_top(inertia, lever)
+    assert_order(top, ordered(0.0), ordered(4.0), 4.0, 0.05)
+    axis = order.index(2) + 1
+    assert assert_integrals(top, [f"m{axis}"]) == 4
+    if order == (0, 1, 2):
+        named = co.systems.lagrange_top(one, three, w)
+        np.testing.assert_array_equal(named.vector_field(ordered(1.0)), top.vector_field(ordered(1.0)))
+        assert named.integrals == top.integrals and list(named.integrals) == ["m3"]
+
+
+def test_a_spherical_top_keeps_the_momentum_along_its_lever():
+    top = co.systems.heavy_top((2, 2, 2), (0.0, 1.5, 2.0))
+    (F,) = top.integrals.values()
+    np.testing.assert_allclose(F.gradient(np.zeros(6)), [0, 0.6, 0.8, 0, 0, 0], rtol=4 * U)
+    assert list(co.systems.heavy_top((2, 2, 2), (1, 0, 0)).integrals) == ["m1"]
+    assert list(co.systems.heavy_top((2, 2, 3), (0, 0.5, 1)).integrals) == []
+    assert list(co.systems.heavy_top(np.diag([2.0, 2.0, 3.0]), (0, 0, 1)).integrals) == ["m3"]
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("lever", [(1.0, 0.0, 0.0), (0.5, -0.75, 0.0)])
+def test_kovalevskayas_integral_in_any_order_of_the_axes(order, lever):
+    inertia, w = turned(order, np.array([2.0, 2.0, 1.0]), np.array(lever))
+    top = co.systems.heavy_top(inertia, w)
+    assert assert_integrals(top, ["K"]) == 4
+    if order == (0, 1, 2):
+        named = co.systems.kovalevskaya_top(2.0, lever[:2])
+        assert named.integrals == top.integrals
+        assert_bounded(named, (1.0, 0.5, -0.5, 0.6, 0.8, 0.0))
+
+
+def test_a_top_that_is_near_kovalevskayas_has_no_integral():
+    assert co.systems.heavy_top((2.0, 2.0, 1.0 + 2**-50), (1, 0, 0)).integrals == {}
+    assert co.systems.heavy_top((2.0, 2.0, 1.0), (1, 0, 0.1)).integrals == {}
+
+
+@pytest.mark.parametrize(("size", "lever"), [(4.0, (1.0, 0.0)), (2.0, (0.5, -0.75))])
+def test_goryachev_and_chaplygin(size, lever):
+    top, F = co.systems.goryachev_chaplygin_top(size, lever), goryachev_chaplygin_integral(size, lever)
+    assert top.integrals == {} and top.sign == -1
+    np.testing.assert_array_equal(
+        top.vector_field(np.arange(6.0)),
+        co.systems.heavy_top((size, size, size / 4), (*lever, 0.0)).vector_field(np.arange(6.0)),
+    )
+    ring = ExactPolynomials(top.algebra)
+    m1, m2, _, g1, g2, g3 = ring.coordinates
+    momentum = m1 * g1 + m2 * g2 + ring.coordinates[2] * g3
+    u, v = (ring.of(co.Polynomial({(0,) * 6: c})) for c in lever)
+    rate = ring.along([-f for f in ring.field(ring.of(polynomial_of(top.hamiltonian)))], ring.of(F))
+    assert rate == (v * m1 - u * m2) * momentum / int(size) and rate != 0
+    level = (1.0, 0.5, -0.5, 0.0, 0.6, 0.6)  # m . gamma = 0
+    assert_bounded(top, level, F={"F": F})
+    run = co.integrate(top, (1.0, 0.5, -0.5, 0.6, 0.8, 0.0), (0, 5), 0.01, co.Taylor(16), observe={"F": F})
+    assert np.ptp(run.observed["F"]) > 0.01  # off the level set it is none
+    x0 = np.array(level)
+
+    def field(x):
+        omega = x[:3] / [size, size, size / 4]
+        return np.concatenate([np.cross(x[:3], omega) + np.cross(x[3:], [*lever, 0]), np.cross(x[3:], omega)])
+
+    coarse, fine = errors(top, x0, by_hand(field, x0, 4.0), 4.0, 0.05, co.Splitting(order=2))
+    assert 3.0 < coarse / fine < 5.4
+
+
+def test_the_blocks_of_the_group_element_of_a_heavy_top():
+    w = np.array([0.3, -0.4, 0.8])
+    top = co.systems.heavy_top(FULL, w)
+    h = 1e-3
+    sol = co.integrate(top, (1.0, 0.5, -0.7, 0.6, 0.0, 0.8), (0.0, 1.0), h, co.Splitting(order=4), attitude=True)
+    A, r = sol.attitude[:, :3, :3], sol.attitude[:, :3, 3]
+    m, gamma = (np.einsum("kij,kj->ki", A, part) for part in (sol.x[:, :3], sol.x[:, 3:]))
+    rounding = 64 * U * len(sol.t)
+    assert np.abs(gamma - gamma[0]).max() < rounding
+    assert np.abs(m + np.cross(r, gamma) - m[0]).max() < rounding
+    slope = (r[2:] - r[:-2]) / (2 * h)
+    assert np.abs(slope - A[1:-1] @ w).max() < h**2  # a sixth of the third derivative is below 1
+    assert np.abs(r[-1]).max() > 0.1
+
+
+S = co.systems
+WRONG = [
+    (S.heavy_top, {"lever": (1, 2)}, r"lever has shape \(2,\); give 3 finite numbers"),
+    (S.heavy_top, {"lever": (1, np.inf, 0)}, "lever"),
+    (S.heavy_top, {"inertia": np.diag([1.0, -1.0, 2.0])}, "not positive definite"),
+    (S.lagrange_top, {"equatorial": 0}, "equatorial is 0; every principal moment must be positive"),
+    (S.lagrange_top, {"axial": -1}, "axial is -1"),
+    (S.kovalevskaya_top, {"lever": (1, 2, 3)}, "lever has shape"),
+    (S.kovalevskaya_top, {"equatorial": -2.0}, "equatorial"),
+    (S.goryachev_chaplygin_top, {"equatorial": 0.0}, "equatorial"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "given", "message"), WRONG)
+def test_wrong_parameters(make, given, message):
+    with pytest.raises(ValueError, match=message):
+        make(**given)
