@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from coadjoint.runs.start import Start
     from coadjoint.runs.times import Times
 
-# What a solution needs of the state of a run. Of a large state only these are kept; of a small one the copy takes longer
-# than a step.
+# What a solution needs of the state of a run. Only these are kept of a large state. To copy from a small one would
+# take longer than a step.
 REPORTED = ("worst", "status", "evaluations", "iterations")
 FEW_NUMBERS = 2**20
 
