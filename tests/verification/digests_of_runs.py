@@ -16,7 +16,14 @@ from .carried import run_with
 from .schemes_under_test import schemes, serves
 from .systems_under_test import all_cases, full_matrix
 
-CASES = ("so(3), diagonal", "A3,7, full", "e(3), heavy top", "so(4), full, another basis", "sl(2), driven", "skew J, no Jacobi identity")
+CASES = (
+    "so(3), diagonal",
+    "A3,7, full",
+    "e(3), heavy top",
+    "so(4), full, another basis",
+    "sl(2), driven",
+    "skew J, no Jacobi identity",
+)
 SCHEMES = (
     "Splitting 1 adjoint",
     "Splitting 2 coordinates",
