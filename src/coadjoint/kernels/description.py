@@ -60,6 +60,7 @@ WRITTEN: Mapping[str, Mapping[str, int]] = {
 USED: Mapping[str, Iterable[str]] = {
     "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED"),
     "Outcome": ("INTERRUPTED", "NO_MEMORY"),
+    "StreamKind": ("TRIDIAGONAL", "CIRCULANT", "WEIGHTS"),
     "Solver": ("EXPLICIT", "ITERATED", "IMPLICIT", "STRUCTURE", "GRADIENT"),
     "Limit": (
         "TENTHS",

@@ -89,6 +89,32 @@ def function_tables(system: System, function: int, fractions: Sequence[float] = 
     return _stepping(step_address("step_function"), fractions, *made, ())
 
 
+def step_numbers(
+    system: System, step: str, whole: Sequence[int], coefficients: Sequence[float], fractions: Sequence[float] = (1.0,)
+) -> Compiled:
+    """Return the tables of a step of this library that reads nothing of the system but these numbers.
+
+    Parameters
+    ----------
+    system : GeneralSystem
+        For its dimension.
+    step : str
+        The name of the step.
+    whole, coefficients : sequences
+        What it reads.
+    fractions : sequence of float
+        Lengths of the substeps of a step.
+
+    Returns
+    -------
+    Compiled
+        With a `Stepping`.
+    """
+    none = invariants_table([], system.dim)
+    made = _tables(system, group_of(system, None), none.tables, whole, coefficients, True)
+    return _stepping(step_address(step), fractions, *made, none.keep)
+
+
 def tables_around(system: System, step: str, inner: CompiledLoop, restored: Mapping[str, Any]) -> Compiled:
     """Return the tables of a step that takes a step of another loop, and then restores invariants.
 

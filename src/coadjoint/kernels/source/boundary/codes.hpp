@@ -37,6 +37,10 @@ namespace turns {
 CODES(Turn, TURNS)
 }  // namespace turns
 
+// How a matrix W is mapped to its stream matrix, diagonal by diagonal or entry by entry.
+#define STREAMS(_) _(TRIDIAGONAL, 0) _(CIRCULANT, 1) _(WEIGHTS, 2)
+CODES(StreamKind, STREAMS)
+
 // How the stages of a Runge-Kutta method are found.
 #define SOLVERS(_) _(EXPLICIT, 0) _(ITERATED, 1) _(IMPLICIT, 2) _(STRUCTURE, 3) _(GRADIENT, 4)
 CODES(Solver, SOLVERS)

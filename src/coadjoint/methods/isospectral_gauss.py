@@ -1,0 +1,172 @@
+"""Isospectral Gauss methods: W' = [P, W] for matrices, with the spectrum of W constant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError
+from coadjoint.given import read_whole
+from coadjoint.methods.base import Representation
+from coadjoint.methods.gauss_coefficients import gauss_legendre
+from coadjoint.methods.properties import Properties
+from coadjoint.methods.stepped import SteppedMethod
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.kinds import System
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.wording import short
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.work import Work
+
+Matrix = NDArray[Any]
+
+MOST_STAGES = 8
+MOST_ITERATIONS = 192
+FIRST_TESTED = 3  # early corrections may rise before they fall
+SMALL = 2.0**17 * UNIT_ROUNDOFF  # of the entries: only below it may a correction be round-off
+ITERATIONS = 5  # of a step that is worth taking, about
+
+
+@dataclass(frozen=True)
+class IsospectralGauss(SteppedMethod):
+    """Isospectral Gauss methods for matrices: Poisson maps that keep the whole spectrum; implicit, of order 2 s.
+
+    ``V_i = 1 + h sum_j a_ij P_j V_j``, ``M_i = V_i W V_i*``, ``P_i = stream(M_i)``, and ``W += h sum_i b_i [P_i, M_i]``
+    with the coefficients of Gauss: V_i is unitary at the end of the step, so that W is turned and not changed. One
+    stage is the isospectral midpoint rule, ``W = M - (h/2)[P, M] - (h^2/4) P M P``, which takes two products of
+    matrices an iteration, a third of what two stages take. Choose it for every `MatrixSystem`. The equations are
+    iterated until the corrections stop falling; one stage begins where the three steps before lead, and sums are
+    compensated.
+
+    Parameters
+    ----------
+    stages : int
+        s, from 1 to 8.
+
+    Raises
+    ------
+    TypeError, ValueError
+        `stages` is no whole number from 1 to 8.
+
+    References
+    ----------
+    K. Modin, M. Viviani, "Lie-Poisson methods for isospectral flows", Found. Comput. Math. 20 (2020) 889; M. Viviani,
+    "A minimal-variable symplectic method for isospectral flows", BIT 60 (2020) 741.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> s = co.systems.sphere_euler(N=8)
+    >>> W0 = s.algebra.projected(np.random.default_rng(1).standard_normal((8, 8)) * 1j)
+    >>> sol = co.integrate(s, W0, t_span=(0, 10), step=0.1, method=co.IsospectralGauss())
+    >>> sol.x.shape, bool(np.abs(s.spectrum(sol.x[-1]) - s.spectrum(W0)).max() < 1e-13)
+    ((101, 8, 8), True)
+    """
+
+    stages: int = 1
+
+    explicit = False
+    symmetric = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stages", read_whole(self.stages, "stages", 1, MOST_STAGES))
+
+    @property
+    def order(self) -> int:
+        """2 s."""
+        return 2 * self.stages
+
+    @classmethod
+    def examples(cls) -> Sequence[IsospectralGauss]:
+        return [cls(1), cls(2), cls(3)]
+
+    def properties(self, system: System) -> Properties:
+        """Return what is kept: the bracket and every Casimir.
+
+        Raises
+        ------
+        ValueError
+            The system is no `MatrixSystem`.
+        """
+        if not isinstance(system, MatrixSystem):
+            raise ValueError(
+                f"IsospectralGauss moves matrices, but {getattr(system, 'name', short(system))} is no MatrixSystem; "
+                "take Splitting or GaussLegendre"
+            )
+        return Properties(poisson=True, energy=False, casimirs="all", attitude="none")
+
+    def loop_of_substeps(
+        self, system: System, h: float, representation: Representation, fractions: Sequence[float]
+    ) -> CompiledLoop:
+        """Return the loop over steps of this kind."""
+        from coadjoint.kernels.loop import CompiledLoop, remembered
+        from coadjoint.kernels.matrix_tables import matrix_tables
+        from coadjoint.kernels.stepping import STEP_LOOP
+
+        a, b = _coefficients(self.stages)
+        found = matrix_tables(system, "isospectral_gauss", self.stages, (*a.ravel(), *b), fractions)
+        return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=remembered(STEP_LOOP, found.tables))
+
+    def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
+        """Return the work of its products."""
+        from coadjoint.methods.work import Work
+
+        products = 2 if self.stages == 1 else 3 * self.stages
+        cost = substeps * products * 4.0 * system.algebra.N**3
+        return Work(lambda iterations, evaluations: max(1.0, iterations) * cost)
+
+    def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
+        """Return one step of a matrix (N, N) or of its numbers (dim,), read in NumPy.
+
+        Raises
+        ------
+        IntegrationError
+            The iteration does not converge.
+        """
+        self.properties(system)
+        flat = np.ndim(x) == 1
+        W = system.from_vector(x) if flat else np.asarray(x)
+        found = W + self._increment(system, W, h)
+        return np.asarray(system.to_vector(found) if flat else found)
+
+    def _increment(self, system: MatrixSystem, W: Matrix, h: Any) -> Matrix:
+        a, b = _coefficients(self.stages)
+        one = np.eye(len(W))
+        P0 = system.stream(W)
+        V = [one + h * row.sum() * P0 for row in a]
+        least = np.inf
+        for k in range(1, MOST_ITERATIONS + 1):
+            M = [v @ W @ np.conj(v.T) for v in V]
+            P = [system.stream(m) for m in M]
+            K = [p @ v for p, v in zip(P, V, strict=True)]
+            new = [one + h * sum(c * slope for c, slope in zip(row, K, strict=True)) for row in a]
+            change = max(float(np.abs(n - v).max()) for n, v in zip(new, V, strict=True))
+            V = new
+            if change == 0.0 or (change <= SMALL and k >= FIRST_TESTED and not change < least):
+                return np.asarray(h * sum(c * (p @ m - m @ p) for c, p, m in zip(b, P, M, strict=True)))
+            least = min(least, change)
+        raise IntegrationError(
+            f"the stages of {self} do not converge with a step of {float(h):g}; take a smaller one",
+            step=1,
+            time=0.0,
+            residual=change,
+        )
+
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return one step and its derivative by the numbers of the state, by the implicit function theorem.
+
+        The equation of the middle values, linearized, is solved by the same iteration for every direction.
+        """
+        raise TypeError(f"{self} has no derivative of its step yet")
+
+
+def _coefficients(stages: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    _, b, mu = gauss_legendre(stages)
+    return mu * b[None, :], b

@@ -1,0 +1,1 @@
+"""Systems whose state is a matrix."""

@@ -1,0 +1,183 @@
+"""Streams: linear maps from a matrix W to P in W' = [P, W], which act on the diagonals of W or on its entries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.given import read_finite
+from coadjoint.wording import short
+
+Floats = npt.NDArray[np.float64]
+Matrix = npt.NDArray[Any]
+
+
+@runtime_checkable
+class Stream(Protocol):
+    """A symmetric linear map of matrices.
+
+    ``kind`` and ``table`` are for the kernels: one of the codes `StreamKind`, and its numbers as
+    ``matrices/stream.hpp`` describes them; kind None where the map is a Python function.
+    """
+
+    @property
+    def kind(self) -> str | None:
+        """The code of the kernels."""
+
+    @property
+    def table(self) -> Floats:
+        """What the kernels read."""
+
+    def __call__(self, W: Matrix) -> Matrix:
+        """Return P."""
+
+    def inverse(self, P: Matrix) -> Matrix:
+        """Return W."""
+
+
+@dataclass(frozen=True, eq=False)
+class DiagonalSolve:
+    """P solves a symmetric tridiagonal equation on each diagonal of a skew-Hermitian matrix.
+
+    Parameters
+    ----------
+    main : (N, N)
+        ``main[i, m]`` stands on the diagonal of the equation of diagonal m, for the entry (i, i + m); unused beyond it.
+    beside : (N, N)
+        ``beside[i, m]`` couples the entries (i - 1, i - 1 + m) and (i, i + m).
+    factor : float
+        P is multiplied by it.
+
+    Notes
+    -----
+    Where the equation of the main diagonal is singular, by the matrices that are multiples of the unit, P has trace
+    zero.
+    """
+
+    main: Floats
+    beside: Floats
+    factor: float = 1.0
+
+    kind = "TRIDIAGONAL"
+
+    def __post_init__(self) -> None:
+        N = len(self.main)
+        below, inverse = np.zeros((N, N)), np.zeros((N, N))
+        pivot = self.main[0].copy()
+        inverse[0] = self.factor / pivot
+        for i in range(1, N):
+            m = slice(0, N - i)
+            below[i, m] = self.beside[i, m] / pivot[m]
+            pivot = self.main[i, m] - below[i, m] * self.beside[i, m]
+            last = i == N - 1 and abs(pivot[0]) <= 1e-10 * abs(self.main[i, 0])
+            inverse[i, m] = 0.0 if last else self.factor / pivot
+        object.__setattr__(self, "table", np.stack([below, inverse]).ravel())
+
+    def __call__(self, W: Matrix) -> Matrix:
+        N = len(self.main)
+        below, inverse = self.table.reshape(2, N, N)  # type: ignore[attr-defined]
+        P = np.zeros_like(W)
+        for m in range(N):
+            y = np.diagonal(W, m, -2, -1).copy()
+            for i in range(1, N - m):
+                y[..., i] -= below[i, m] * y[..., i - 1]
+            y *= inverse[: N - m, m]
+            for i in range(N - m - 2, -1, -1):
+                y[..., i] -= below[i + 1, m] * y[..., i + 1]
+            if m == 0 and inverse[N - 1, 0] == 0.0:
+                y -= y.mean(axis=-1, keepdims=True)
+            rows = np.arange(N - m)
+            P[..., rows + m, rows] = -np.conj(y)
+            P[..., rows, rows + m] = y
+        return P
+
+    def inverse(self, P: Matrix) -> Matrix:
+        N, W = len(self.main), np.zeros_like(P)
+        for m in range(N):
+            y, rows = np.diagonal(P, m, -2, -1), np.arange(N - m)
+            w = self.main[: N - m, m] * y
+            w[..., 1:] += self.beside[1 : N - m, m] * y[..., :-1]
+            w[..., :-1] += self.beside[1 : N - m, m] * y[..., 1:]
+            W[..., rows + m, rows] = -np.conj(w / self.factor)
+            W[..., rows, rows + m] = w / self.factor
+        return W
+
+
+@dataclass(frozen=True, eq=False)
+class Circulants:
+    """P is a circulant matrix times each cyclic diagonal of a skew-Hermitian matrix of odd size.
+
+    Parameters
+    ----------
+    spectrum : (N, N)
+        ``spectrum[d, k]``: the factors of the discrete Fourier transform of diagonal d, the entries (a, a + d mod N),
+        even in k, and the same for d and N - d; zero where nothing is left of a mode.
+    """
+
+    spectrum: Floats
+
+    kind = "CIRCULANT"
+
+    def __post_init__(self) -> None:
+        N = len(self.spectrum)
+        columns = np.fft.ifft(self.spectrum, axis=1).real
+        object.__setattr__(self, "table", np.ascontiguousarray(columns[: (N + 1) // 2]).ravel())
+
+    def __call__(self, W: Matrix) -> Matrix:
+        return self._scaled(W, self.spectrum)
+
+    def inverse(self, P: Matrix) -> Matrix:
+        with np.errstate(divide="ignore"):
+            return self._scaled(P, np.where(self.spectrum == 0.0, 0.0, 1.0 / self.spectrum))
+
+    def _scaled(self, W: Matrix, spectrum: Floats) -> Matrix:
+        N = len(spectrum)
+        rows = np.arange(N)
+        columns = (rows[None, :] + rows[:, None]) % N  # columns[d, a]
+        diagonals = W[..., rows[None, :], columns]
+        P = np.empty_like(W)
+        P[..., rows[None, :], columns] = np.fft.ifft(np.fft.fft(diagonals, axis=-1) * spectrum, axis=-1)
+        return P
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """P_ij = w_ij W_ij, such as the angular velocity of a body of N dimensions, w_ij = 1 / (a_i + a_j).
+
+    Parameters
+    ----------
+    weights : (N, N)
+        Symmetric.
+
+    Raises
+    ------
+    ValueError
+        Not square, symmetric and finite.
+
+    Examples
+    --------
+    >>> Weights([[0.0, 2.0], [2.0, 0.0]])(np.array([[0.0, 1.0], [-1.0, 0.0]]))
+    array([[ 0.,  2.],
+           [-2., -0.]])
+    """
+
+    weights: Floats
+
+    kind = "WEIGHTS"
+
+    def __post_init__(self) -> None:
+        w = read_finite(self.weights, "weights")
+        if w.ndim != 2 or w.shape[0] != w.shape[1] or not np.array_equal(w, w.T):
+            raise ValueError(f"weights is {short(self.weights)}; give a symmetric (N, N)")
+        object.__setattr__(self, "weights", w)
+        object.__setattr__(self, "table", w.ravel())
+
+    def __call__(self, W: Matrix) -> Matrix:
+        return self.weights * W
+
+    def inverse(self, P: Matrix) -> Matrix:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.weights == 0.0, 0.0, P / self.weights)
