@@ -82,3 +82,32 @@ def symbol(name: str) -> str:
     if re.fullmatch(r"[\w|^*+. -]*[|^*][\w|^*+. -]*", name):
         return "$" + re.sub(r"([a-z])(\d+)", r"\1_{\2}", name).replace("*", r"\,") + "$"
     return name.replace("$", r"\$")
+
+
+GREEK = ("alpha", "beta", "gamma", "theta", "phi", "psi", "omega", "mu", "rho", "sigma")
+
+
+def coordinate(name: str) -> str:
+    r"""Return the name of a coordinate as mathematical text.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``"x1"``, ``"gamma3"`` or ``"E"``; what is longer stays plain text.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> print(coordinate("x12"), coordinate("gamma3"), coordinate("E"), coordinate("zonal wind"))
+    $x_{12}$ $\gamma_{3}$ $E$ zonal wind
+    """
+    found = re.fullmatch(r"([A-Za-z]+?)_?([\d,]*)([+-]?)", name)
+    if found is None or (len(found[1]) > 2 and found[1] not in GREEK):
+        return name.replace("$", r"\$")
+    letters = rf"\{found[1]}" if found[1] in GREEK else found[1]
+    below = f"_{{{found[2]}}}" if found[2] else ""
+    above = f"^{{{found[3]}}}" if found[3] else ""
+    return f"${letters}{below}{above}$"
