@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
@@ -120,8 +121,10 @@ class Drawn:
         if told:
             return told
         basis = getattr(self.system.algebra, "basis", ())
-        plain = tuple(f"e{i + 1}" for i in range(n))
-        return tuple(basis) if len(basis) == n and tuple(basis) != plain else tuple(f"x{i + 1}" for i in range(n))
+        if len(basis) != n:
+            return tuple(f"x{i + 1}" for i in range(n))
+        # e1, e2, ... are names of basis elements where nobody has named them; x_i is the coordinate of e_i.
+        return tuple(re.sub(r"^e(?=\d)", "x", name) for name in basis)
 
     def label(self, i: int) -> str:
         """Return the name of a coordinate as mathematical text."""

@@ -12,6 +12,7 @@ from coadjoint.extras import need
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.telling_run import telling_run
 from coadjoint.systems.ready_made import ready_made_systems, telling_of
+from coadjoint.wording import short
 
 PAGE = "index.html"
 DOTS = 110  # to the inch
@@ -109,7 +110,7 @@ def file_of(name: str) -> str:
 
 def _told(solution: Solution) -> str:
     system = solution.system
-    given = ", ".join(f"{key}={value!r}" for key, value in (getattr(system, "parameters", None) or {}).items())
+    given = ", ".join(f"{key}={short(value)}" for key, value in (getattr(system, "parameters", None) or {}).items())
     start, end = solution.t_span
     drift = solution.drift()["energy"]
     return (

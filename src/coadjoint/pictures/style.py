@@ -101,10 +101,10 @@ def coordinate(name: str) -> str:
 
     Examples
     --------
-    >>> print(coordinate("x12"), coordinate("gamma3"), coordinate("E"), coordinate("zonal wind"))
-    $x_{12}$ $\gamma_{3}$ $E$ zonal wind
+    >>> print(coordinate("x12"), coordinate("gamma3"), coordinate("S1[7]"), coordinate("E"), coordinate("zonal wind"))
+    $x_{12}$ $\gamma_{3}$ $S_{1}^{[7]}$ $E$ zonal wind
     """
-    found = re.fullmatch(r"([A-Za-z]+?)_?([\d,]*)([+-]?)", name)
+    found = re.fullmatch(r"([A-Za-z]+?)_?([\d,]*)(\[\d+\])?", name)
     if found is None or (len(found[1]) > 2 and found[1] not in GREEK):
         return name.replace("$", r"\$")
     letters = rf"\{found[1]}" if found[1] in GREEK else found[1]
