@@ -74,12 +74,18 @@ def symbol(name: str) -> str:
     --------
     >>> print(symbol("|x|^2"), symbol("energy"), symbol("log C"), symbol("x1*x3 + x2^2"), symbol("my integral"))
     $|x|^2$ $H$ $\log C$ $x_{1}\,x_{3} + x_{2}^2$ my integral
+    >>> print(symbol("|x|^2 [12]"), symbol("|total L|^2"))
+    $|x|^2$ [12] |total L|^2
     """
     if name == "energy":
         return "$H$"
     if re.fullmatch(r"log \w", name):
         return rf"$\log {name[4:]}$"
-    if re.fullmatch(r"[\w|^*+. -]*[|^*][\w|^*+. -]*", name):
+    copy = re.fullmatch(r"(.+) (\[\d+\])", name)
+    if copy is not None:
+        return f"{symbol(copy[1])} {copy[2]}"
+    words = re.search(r"[A-Za-z]{3}", name) is not None
+    if re.fullmatch(r"[\w|^*+. -]*[|^*][\w|^*+. -]*", name) and not words:
         return "$" + re.sub(r"([a-z])(\d+)", r"\1_{\2}", name).replace("*", r"\,") + "$"
     return name.replace("$", r"\$")
 

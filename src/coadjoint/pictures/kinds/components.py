@@ -63,7 +63,7 @@ def components(
                 draw_series(axes, drawn.t, values, drawn.close, label=label if m == 0 else None, **shown)
         what = drawn.quantity if quantity is None else quantity
         title = f"components of the {what}"
-        if functions is not None or by_member:
+        if quantity is not None or functions is not None or by_member:
             title = f"{what} over time"
         if chosen is None and functions is None and len(places) < n:
             title += f" ({len(places)} of {n})"

@@ -13,6 +13,8 @@ from coadjoint.pictures.sites import places_of_sites
 from coadjoint.pictures.style import INK
 
 FLAT = ("plane", "side")
+SHADES = ("#0072B2", "#8A8A8A", "#D55E00")
+"""Down, in the plane, up: the middle is dark enough for arrows on white."""
 
 
 @kind("spins")
@@ -47,10 +49,13 @@ def spins(drawn: Drawn, at: float = 1.0, seen: str = "plane") -> Paint:
     size = float(np.linalg.norm(S, axis=1).max()) or 1.0
 
     def paint(axes: Any) -> None:
+        from matplotlib.colors import LinearSegmentedColormap
+
         u, v = S[:, flat[0]] / size, S[:, flat[1]] / size
-        style = {"angles": "xy", "scale_units": "xy", "scale": 1.15, "pivot": "mid", "cmap": "coolwarm"}
+        shades = LinearSegmentedColormap.from_list("out of the plane", SHADES)
+        style = {"angles": "xy", "scale_units": "xy", "scale": 1.05, "pivot": "mid", "cmap": shades}
         drawn_arrows = axes.quiver(
-            *places.T, u, v, S[:, out] / size, clim=(-1.0, 1.0), width=0.005, headwidth=4.0, minlength=0.0, **style
+            *places.T, u, v, S[:, out] / size, clim=(-1.0, 1.0), width=0.006, headwidth=4.0, minlength=0.0, **style
         )
         axes.plot(*places.T, ".", markersize=1.5, color=INK, zorder=0)
         bar = axes.figure.colorbar(drawn_arrows, ax=axes, shrink=0.7, pad=0.02)
