@@ -19,6 +19,7 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.telling import Picture, Telling
 from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
@@ -28,7 +29,28 @@ LARGEST = 1e50
 LARGEST_SQUARE = 64  # particles up to which the energy of the centre, which couples all, is given
 
 
-@ready_made
+def _lumps(x: Any, system: Any) -> list[tuple[Any, ...]]:
+    """Return the centre and the second moments of each lump, per mass, for states (k, n)."""
+    found = []
+    for a, w in enumerate(system.parameters["weights"]):
+        n = len(system.parameters["weights"])
+        second = x[:, 2 * n + 1 + 3 * a : 2 * n + 4 + 3 * a].T / w
+        found.append((x[:, a], x[:, n + a] / w, *second))
+    return found
+
+
+@ready_made(
+    telling=Telling(
+        x0=(-1.0, 0.5, 0.0, 0.5, 1.0, 0.02, 0.0, 0.04, 0.05, 0.0, 0.02),
+        t_span=(0.0, 12.0),
+        step=0.02,
+        says="Two lumps in a harmonic well that attract each other by the fourth power of their distance: their "
+        "centers oscillate (thin lines), and the ellipses of their widths turn and stretch; each keeps its area.",
+        pictures=(Picture("phase ellipse", lumps=_lumps, times=7, labels=("position $q$", "velocity $p/w$")),),
+        components=Picture("components", chosen=(0, 1, 5, 8), quantity="positions and widths"),
+        quantity="state",
+    )
+)
 def decorated_particles(
     weights: npt.ArrayLike = (1.0, 1.0), external: Any = (0.0, 0.0, 0.5), pair: Any = (0.0, 0.0, 0.0, 0.0, 0.25)
 ) -> LiePoissonSystem:

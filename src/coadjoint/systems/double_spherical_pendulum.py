@@ -15,10 +15,36 @@ from coadjoint.systems.double_pendulum_energy import pendulum_energy
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 from coadjoint.systems.unit_range import read_in_range
 
 
-@ready_made
+def _swinging() -> npt.NDArray[np.float64]:
+    """Return both rods horizontal, at a right angle, the lower one pushed sideways."""
+    return np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.5, 0.0, -0.3, 0.0, 0.2, 1.0])
+
+
+@ready_made(
+    telling=Telling(
+        x0=_swinging,
+        t_span=(0.0, 20.0),
+        step=0.02,
+        says="Two pendulums, one at the end of the other, pulled aside and pushed across: the directions of both rods, "
+        "on one sphere. The motion is chaotic; the vertical angular momentum stays.",
+        pictures=(
+            Picture(
+                "directions",
+                vectors={"upper rod": (0, 1, 2), "lower rod": (3, 4, 5)},
+                axes_named=("$X$", "$Y$", "$Z$"),
+                title="directions of the rods in space",
+                view=(35.0, -20.0),
+            ),
+        ),
+        components=Picture("components", chosen=(2, 5), quantity="height of the rods' ends"),
+        coordinates=("q1", "q2", "q3", "q4", "q5", "q6", "p1", "p2", "p3", "p4", "p5", "p6", "z"),
+        quantity="state",
+    )
+)
 def double_spherical_pendulum(
     masses: npt.ArrayLike = (1.0, 1.0), lengths: npt.ArrayLike = (1.0, 1.0), gravity: float = 1.0
 ) -> LiePoissonSystem:

@@ -22,12 +22,47 @@ from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.spin_precession import turned
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.telling import Picture, Telling
 from coadjoint.systems.unit_range import read_in_range
 
 Floats = npt.NDArray[np.float64]
 
 
-@ready_made
+def _librating() -> npt.NDArray[np.float64]:
+    """Return a circle of radius 5 with the body turned away from the radius by 40 degrees, and a little across."""
+    radius, mass, turned = 5.0, 100.0, np.radians(40.0)
+    rate = radius**-1.5
+    c, s = np.cos(turned), np.sin(turned)
+    return np.array(
+        [0.005, 0.0, 2.5 * rate, *(mass * radius * rate * np.array([s, c, 0.0])), c * radius, -s * radius, 0.0, 1.0]
+    )
+
+
+def _pitch(x: Any) -> Any:
+    """Return the angle of the radius from the first axis, in the plane of the first two."""
+    return np.degrees(np.arctan2(x[..., 7], x[..., 6]))
+
+
+@ready_made(
+    telling=Telling(
+        x0=_librating,
+        t_span=(0.0, 300.0),
+        step=0.1,
+        says="A satellite on a circle: the gradient of gravity turns the axis of the smallest moment toward the "
+        "center, beyond which it swings to and fro. Right, the directions of the radius and of the orbital "
+        "momentum as the body sees them.",
+        pictures=(
+            Picture(
+                "directions",
+                vectors={"radius": (6, 7, 8), "momentum": (3, 4, 5)},
+                title="as the body sees them",
+                view=(55.0, 25.0),
+            ),
+        ),
+        components=Picture("components", functions={"pitch": _pitch}, quantity="angle of the radius [degrees]"),
+        quantity="state",
+    )
+)
 def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gravity: float = 1.0) -> LiePoissonSystem:
     """Return a rigid satellite in a central gravity field: orbit, rotation, and the gravity gradient between them.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.spin_integrals import total_spins
 from coadjoint.systems.spin_precession import precession
+from coadjoint.systems.telling import Picture, Telling
 from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
@@ -33,7 +34,46 @@ LEVI_CIVITA[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
 LEVI_CIVITA[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0
 
 
-@ready_made
+SIDE = 18
+
+
+def _vortices() -> Floats:
+    """Return spins in the plane that turn once around each of two sites, and point up there."""
+    x, y = np.indices((SIDE, SIDE)) - 0.5 * (SIDE - 1)
+    turned, tilt = 0.5 * np.pi, np.zeros_like(x)
+    for side in (-3.5, 3.5):
+        turned = turned + np.arctan2(y, x - side)
+        tilt = tilt + np.exp(-0.4 * ((x - side) ** 2 + y**2))
+    flat = np.sqrt(1.0 - np.minimum(tilt, 1.0) ** 2)
+    return np.stack([flat * np.cos(turned), flat * np.sin(turned), tilt], axis=-1).ravel()
+
+
+def _mean(axis: int, x: Any) -> Any:
+    return x[..., axis::3].mean(axis=-1)
+
+
+_MEANS = {f"S{axis + 1}": partial(_mean, axis) for axis in range(3)}
+
+
+def _named(dim: int) -> tuple[str, ...]:
+    return tuple(f"S{axis + 1}[{site + 1}]" for site in range(dim // 3) for axis in range(3))
+
+
+@ready_made(
+    telling=Telling(
+        x0=_vortices,
+        t_span=(0.0, 36.0),
+        step=0.05,
+        says="Two vortices of one sense in a square of 18 x 18 spins that prefer to lie in the plane: in the middle of "
+        "each, spins point up. They go around each other, and radiate a little. Arrows are the components in the "
+        "plane, colours what points up or down.",
+        pictures=(Picture("spins", at=0.0), Picture("spins", at=1.0)),
+        components=Picture("components", functions=_MEANS, quantity="mean spin"),
+        parameters={"lattice": "square", "shape": (SIDE, SIDE), "tensor": (1.0, 1.0, 0.85)},
+        coordinates=_named,
+        quantity="spin",
+    )
+)
 def spin_lattice(
     lattice: Any = "chain",
     shape: Any = 2,

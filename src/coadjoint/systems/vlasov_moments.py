@@ -18,6 +18,7 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.telling import Picture, Telling
 from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
@@ -27,7 +28,19 @@ MOST_LETTERS = 10_000
 _MOMENT = re.compile(r"\bx([0-9,]+)\b")
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=(1.0, 0.0, 0.2),
+        t_span=(0.0, 12.0),
+        step=0.02,
+        says="A beam in a harmonic well that also pulls itself together: its ellipse in phase space turns and "
+        "pulsates, and keeps its area, the emittance. Right, the moments on their hyperboloid, on which the area "
+        "is constant.",
+        pictures=(Picture("phase ellipse", moments=(0, 1, 2), until=0.15, times=8), Picture("coadjoint orbit")),
+        parameters={"degree": 2, "potential": "1/2*x20 + 0.3*x20^2"},
+        quantity="moments",
+    )
+)
 def vlasov_moments(degree: int = 4, potential: Any = "1/2*x20 + 1/4*x40") -> LiePoissonSystem:
     """Return particles of mass 1 in a line as moments ``x_ij = <q^i p^j>``, ``H = x02/2 + V(x20, x40, ...)``.
 
