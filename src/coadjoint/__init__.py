@@ -24,6 +24,7 @@ __version__ = "0.1.0"
 _HOME = {
     "IntegrationError": "coadjoint.errors",
     "Invariant": "coadjoint.algebra.invariant",
+    "IsospectralGauss": "coadjoint.methods.isospectral_gauss",
     "LieAlgebra": "coadjoint.algebra.lie_algebra",
     "Polynomial": "coadjoint.algebra.polynomial",
     "Hamiltonian": "coadjoint.systems.hamiltonian",
@@ -42,6 +43,8 @@ _HOME = {
     "ModifiedGaussLegendre": "coadjoint.methods.modified_gauss_legendre",
     "Projected": "coadjoint.methods.projected",
     "RadauEnergy": "coadjoint.methods.radau_energy",
+    "MatrixAlgebra": "coadjoint.algebra.matrix_states",
+    "MatrixSystem": "coadjoint.systems.matrices.matrix_system",
     "SphericalMidpoint": "coadjoint.methods.spherical_midpoint",
     "Splitting": "coadjoint.methods.splitting",
     "Taylor": "coadjoint.methods.taylor",
@@ -114,6 +117,9 @@ if TYPE_CHECKING:
     from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
     from coadjoint.methods.projected import Projected as Projected
     from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy
+    from coadjoint.algebra.matrix_states import MatrixAlgebra as MatrixAlgebra
+    from coadjoint.methods.isospectral_gauss import IsospectralGauss as IsospectralGauss
+    from coadjoint.systems.matrices.matrix_system import MatrixSystem as MatrixSystem
     from coadjoint.methods.spherical_midpoint import SphericalMidpoint as SphericalMidpoint
     from coadjoint.methods.splitting import Splitting as Splitting
     from coadjoint.methods.taylor import Taylor as Taylor

@@ -18,7 +18,11 @@ from coadjoint.runs.shifted_attitude import Unshift, plainly
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.kinds import System
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.quadratic import Quadratic
 
+NOTHING = Quadratic(0.0)
+"""Stands for an invariant that the loops do not follow."""
 Turned = Callable[[Start, Times, NamedArrays, int], NDArray[np.float64]]
 
 
@@ -79,6 +83,21 @@ class Loops(ABC):
         """Return whether `turned` might make elements that are not finite from those of the loops, which are."""
         return isinstance(self.turned, Unshift) and self.turned.may_overflow(start, times)
 
+    def measure(self, times: Times, saved: NDArray[Any], values: NDArray[Any], worst: NDArray[Any]) -> None:
+        """Fill in, after a run, the invariants that the loops do not follow; of most systems there are none.
+
+        Parameters
+        ----------
+        times : Times
+            The steps.
+        saved : (k, members, n) array
+            The saved states.
+        values : (k, members, invariants) array
+            Where the invariants there go.
+        worst : (members, tenths, invariants) array
+            Where their largest deviations in each tenth of the run go.
+        """
+
     @abstractmethod
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in a loop, once, or None."""
@@ -122,7 +141,9 @@ class SystemLoops(Loops):
 
         followed = system.casimirs if casimirs is None else casimirs
         prepared = prepared or method.loop(system, h, representation)
-        watch = watch_tables(system, followed)
+        self._measured = isinstance(system, MatrixSystem)
+        self._system = system
+        watch = watch_tables(system, dict.fromkeys(followed, NOTHING) if self._measured else followed)
         self.names = ["energy", *followed]
         self.size, self.memory = system.dim, prepared.memory
         self._shifted = representation is not None and bool(prepared.shift)
@@ -140,6 +161,20 @@ class SystemLoops(Loops):
     def crew(self, first: int, last: int, base: int = 0) -> Crew:
         """Return the members first to last - 1 as a crew; `base` as for `Crew`."""
         return Crew(*self._given, first, last, base=base)
+
+    def measure(self, times: Times, saved: NDArray[Any], values: NDArray[Any], worst: NDArray[Any]) -> None:
+        """Take the energy and the invariants of the saved matrices."""
+        if not self._measured:
+            return
+        system = self._system
+        numbers = times.saved
+        tenth = np.where(numbers > 0, (numbers - 1) * worst.shape[1] // max(1, times.steps), 0)
+        start: NDArray[Any] | None = None
+        for k, states in enumerate(saved):
+            W = system.from_vector(states)
+            values[k] = np.stack([system.energy(W), *system.casimirs_at(W).values()], axis=-1)
+            start = values[k] if start is None else start
+            worst[:, tenth[k]] = np.fmax(worst[:, tenth[k]], np.abs(values[k] - start))
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop."""

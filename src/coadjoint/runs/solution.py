@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from coadjoint.methods.base import Method
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.wording import short
 
 if TYPE_CHECKING:
@@ -187,6 +189,8 @@ class Solution:
     def x(self) -> NDArray[np.float64]:
         """Momenta."""
         found = self._picked(self._series("x"))
+        if isinstance(self.system, MatrixSystem):
+            return self.system.from_vector(found)
         shape = getattr(self.system, "shape", None)
         return found if shape is None else found.reshape(*found.shape[:-1], *shape)
 

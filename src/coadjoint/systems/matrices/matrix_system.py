@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.matrix_states import MatrixAlgebra
-from coadjoint.given import read_choice, read_title, read_whole
+from coadjoint.given import read_title, read_whole
 from coadjoint.systems.closed_form import checked_exact, checked_parameters, solution_of
 from coadjoint.systems.matrices.streams import Stream
+from coadjoint.systems.points import checked_sign
 from coadjoint.wording import short
 
 Matrix = npt.NDArray[Any]
@@ -110,7 +111,7 @@ class MatrixSystem:
         if not isinstance(stream, Stream):
             raise TypeError(f"stream is {short(stream)}; give a Stream, such as Weights(w)")
         self.algebra, self.stream = algebra, stream
-        self.energy_sign = read_choice(energy_sign, "energy_sign", (1, -1))
+        self.energy_sign = checked_sign(energy_sign)
         self.name = read_title(name, "name")
         self.parameters, self._exact = checked_parameters(parameters), checked_exact(exact)
         even = 1 if algebra.complex else 2
