@@ -14,6 +14,7 @@ from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.kernels.description import codes
 from coadjoint.kernels.library import kernels, listening_kernels
 from coadjoint.kernels.structures import pointed
+from coadjoint.program.parts import Parts
 
 # Tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop.
 ARGUMENTS = [ctypes.c_void_p] * 3 + [ctypes.c_int64] * 3 + [ctypes.c_void_p] * 4 + [ctypes.c_int64] * 2
@@ -36,6 +37,10 @@ class CompiledLoop:
         What was taken off the Hamiltonian, Casimirs and factors: it turns the group element at output.
     memory : int
         How many numbers a member remembers from step to step.
+    parts : Parts or None
+        The parts whose flows it takes, where it is made of flows.
+    inner : CompiledLoop or None
+        The loop whose steps a step takes inside.
     """
 
     name: str
@@ -43,6 +48,8 @@ class CompiledLoop:
     keep: tuple[Any, ...] = ()
     shift: tuple[tuple[Polynomial, float], ...] = ()
     memory: int = 0
+    parts: Parts | None = None
+    inner: CompiledLoop | None = None
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user has raised in the loop, once, if it did."""

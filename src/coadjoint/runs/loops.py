@@ -105,6 +105,15 @@ class SystemLoops(Loops):
         The invariants that are followed beside the energy; None is all Casimirs of the system.
     prepared : CompiledLoop, optional
         The loop, where it is not that of `method` alone.
+
+    Attributes
+    ----------
+    prepared : CompiledLoop
+        The loop.
+    watch : Watch
+        The invariants.
+    block : int
+        So many members go side by side.
     """
 
     def __init__(
@@ -128,14 +137,14 @@ class SystemLoops(Loops):
         self._shifted = representation is not None and bool(prepared.shift)
         self.turned = Unshift(system, prepared.shift, representation) if self._shifted else plainly
         self._keep = watch.keep
-        self._prepared = prepared
-        self._block = limit("LARGEST_CROWD") if system.dim <= limit("WIDEST") else 1
+        self.prepared, self.watch = prepared, watch.tables
+        self.block = limit("LARGEST_CROWD") if system.dim <= limit("WIDEST") else 1
         # Made C structures here, once for all plans.
         self._given = prepared.name, pointed(prepared.tables), pointed(watch.tables)
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return one round with a crew for each worker. Members that the kernels advance side by side share a crew."""
-        return [[self.crew(*places) for places in shared_out(0, members, workers, self._block)]]
+        return [[self.crew(*places) for places in shared_out(0, members, workers, self.block)]]
 
     def crew(self, first: int, last: int, base: int = 0) -> Crew:
         """Return the members first to last - 1 as a crew; `base` as for `Crew`."""
@@ -143,7 +152,7 @@ class SystemLoops(Loops):
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop."""
-        return self._prepared.raised()
+        return self.prepared.raised()
 
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the given elements; for a shifted run unit elements, which `turned` multiplies by the given ones."""
