@@ -106,22 +106,25 @@ def test_an_input_that_is_zero_moves_as_without(name, method):
     assert np.array_equal(ready.run(x, SPANS[0]).x, ready.run(x, SPANS[0], linear=np.zeros(len(x))).x)
 
 
-def test_every_kind_of_hamiltonian_with_a_linear_term():
+def kinds():
+    """Hamiltonians with a linear term, and the same with other coefficients of the last two coordinates."""
     well = (lambda y: 0.25 * y**4, lambda y: y**3, lambda y: 3 * y**2)
     cubic = co.Polynomial({(3, 0, 0): 0.2, (0, 2, 0): 0.5, (0, 0, 2): 0.25, (0, 1, 0): 0.3, (0, 0, 1): -0.4})
-    pieces = [
+    yield cubic, co.Polynomial({**cubic.monomials, (0, 1, 0): 0.6, (0, 0, 1): -0.7})
+    first, second, third = (
         ((0,), co.Separable({0: well})),
-        ((1,), co.Quadratic(0.5, linear=[0.3])),
-        ((2,), co.Quadratic(1.0).bind(1)),
-    ]
+        ((1,), co.Quadratic([0.5], [0.3])),
+        ((2,), co.Separable({0: well})),
+    )
+    fields = [((k,), co.Quadratic(0.0, linear=[b])) for k, b in ((1, 0.6), (2, -0.7))]
+    changed = ((1,), co.Quadratic([0.5], [0.6]))
+    yield co.SplitHamiltonian([first, second, third]), co.SplitHamiltonian([first, changed, third, fields[1]])
+    yield co.Separable({0: well, 2: well}), co.SplitHamiltonian([first, third, *fields])
+
+
+def test_every_kind_of_hamiltonian_with_a_linear_term():
     x, new = np.array([0.4, -0.3, 0.5]), np.array([0.6, -0.7])
-    other = co.Polynomial({**cubic.monomials, (0, 1, 0): 0.6, (0, 0, 1): -0.7})
-    made = [
-        ((0,), co.Separable({0: well})),
-        ((1,), co.Quadratic([0.5], linear=[0.6])),
-        ((2,), co.Quadratic([1.0], linear=[-0.7])),
-    ]
-    for H, anew in ((cubic, other), (co.SplitHamiltonian(pieces), co.SplitHamiltonian(made))):
+    for H, anew in kinds():
         for method in (co.Splitting(order=2), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")):
             ready = co.prepare(co.LiePoissonSystem(co.algebras.sl(2), H), method, STEP, inputs=(1, 2))
             expected = co.integrate(co.LiePoissonSystem(co.algebras.sl(2), anew), x, SPANS[0], STEP, ready.method)
@@ -272,12 +275,11 @@ def test_refusals():
             co.prepare(body, None, 0.1, inputs=inputs)
     with pytest.raises(TypeError, match="inputs are for one system"):
         co.prepare(co.batch([body, body]), None, 0.1, inputs=True)
-    well = (lambda y: 0.5 * y**2, lambda y: y, lambda y: 1.0)
-    alone = co.LiePoissonSystem(co.algebras.so(3), co.Separable({0: well, 1: well}))
-    with pytest.raises(TypeError, match="Separable, which has no linear term"):
-        co.prepare(alone, None, 0.1, inputs=True)
-    split_up = co.SplitHamiltonian([((0,), co.Separable({0: well})), ((1,), co.Quadratic(1.0))])
-    with pytest.raises(ValueError, match="coordinate 0 belongs to 0 pieces"):
+    whole = co.Hamiltonian(lambda x: x[0] ** 2, lambda x: np.array([2 * x[0], 0.0, 0.0]))
+    with pytest.raises(TypeError, match="Hamiltonian, which has no linear term"):
+        co.prepare(co.LiePoissonSystem(co.algebras.so(3), whole), co.GaussLegendre(2), 0.1, inputs=True)
+    split_up = co.SplitHamiltonian([((0,), co.Quadratic(2.0)), ((0,), co.Quadratic(1.0))])
+    with pytest.raises(ValueError, match="pieces 0 and 1 of the SplitHamiltonian are polynomials in coordinate 0"):
         co.prepare(co.LiePoissonSystem(co.algebras.so(3), split_up), None, 0.1, inputs=True)
 
 

@@ -89,14 +89,15 @@ class _Block:
                 starts.append(count)
                 count += len(field.value)
         self.template = np.concatenate([np.zeros(0), *pieces])
-        self.pointers, self.starts = np.array(pointers, dtype=np.int64), 8 * np.array(starts, dtype=np.int64)
+        self.pointers = [(place, 8 * start) for place, start in zip(pointers, starts, strict=True)]
         self.raw = np.concatenate([np.frombuffer(bytes(table.filled), dtype=np.int64) for table in tables])
         self.kinds = [table.kind for table in tables]
 
     def structures(self, block: Floats, columns: int, inner: Sequence[int] = ()) -> list[Any]:
         """Return copies of the structures that read the block, whose rows have so many columns."""
-        raw = self.raw.copy()
-        raw[self.pointers] = ctypes.addressof(number_at(block)) + columns * self.starts
+        raw, here = self.raw.copy(), ctypes.addressof(number_at(block))
+        for place, start in self.pointers:
+            raw[place] = here + columns * start
         found = [kind.from_buffer(raw, 8 * first) for kind, first in zip(self.kinds, self.words, strict=False)]
         for place, table in zip(inner, found[2:], strict=True):
             block.view(np.int64)[place] = ctypes.addressof(table)

@@ -95,10 +95,22 @@ class Crew:
         self, loop: str, tables: Any, watch: Any, first: int, last: int, stride: int = 0, base: int = 0
     ) -> None:
         self.count = last - first
-        given, members = (pointed(tables), pointed(watch)), np.arange(base, last)
-        self._keep = given, members
-        places = members.ctypes.data, first - base, last - base, stride
-        self._advance = partial(_loop(loop), *map(ctypes.byref, given), *places)
+        members = np.arange(base, last)
+        self._places = members.ctypes.data, first - base, last - base, stride
+        self._loop, self._members = _loop(loop), members
+        self._read(pointed(tables), pointed(watch))
+
+    def _read(self, tables: Any, watch: Any) -> None:
+        self._given = tables, watch
+        self._advance = partial(self._loop, ctypes.byref(tables), ctypes.byref(watch), *self._places)
+
+    def reading(self, tables: Any, watch: Any) -> Crew:
+        """Return the same members with other tables, `pointed`; in less time than a new crew takes."""
+        other: Crew = object.__new__(Crew)
+        other.count, other._places = self.count, self._places
+        other._loop, other._members = self._loop, self._members
+        other._read(tables, watch)
+        return other
 
     def advance(
         self, layout: Layout, schedule: Any, saved: NamedArrays, state: NamedArrays, k0: int, k1: int, stop: Stop

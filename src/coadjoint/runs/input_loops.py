@@ -48,6 +48,10 @@ class InputLoops:
         except NotPlaced as reason:
             raise ValueError(f"{method} takes no inputs for {inputs.system.name}: {reason}") from None
 
+    def make_all(self) -> None:
+        """Make now what would be made when it is first needed."""
+        self.base.make_all()
+
     def at(self, linear: Floats) -> Loops:
         """Return the loops of one call, from its linear term, (n,) or (members, n)."""
         try:
@@ -74,19 +78,21 @@ class LoopsOfCall(Loops):
             self._given = [tuple(given)]
 
     def plan(self, members: int, points: int, square: int, workers: int) -> Plan:
-        """Return the plan of the run, its layout that of the last call."""
+        """Return the plan of the run; its layout, and crews that share tables, are as in the last call."""
         known = self._base.plan(members, points, square, workers)
-        return Plan(known.key, known.layout, self.rounds(members, workers))
+        if len(self._given) == 1 and not self._stride:
+            rounds = [[crew.reading(*self._given[0]) for crew in crews] for crews in known.rounds]
+        else:
+            rounds = self.rounds(members, workers)
+        return Plan(known.key, known.layout, rounds)
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
-        """Return the crews of all members, which share tables, or have tables of their own."""
+        """Return the crews of members that have inputs of their own: in common tables, or each in its own."""
         loop = self._base.prepared.name
-        if len(self._given) > 1:
-            crews = [Crew(loop, *own, m, m + 1, base=m) for m, own in enumerate(self._given)]
-            return in_rounds(crews, workers)
-        block = limit("LARGEST_CROWD") if self._stride else self._base.block
-        places = shared_out(0, members, workers, block)
-        return [[Crew(loop, *self._given[0], *own, self._stride) for own in places]]
+        if self._stride:
+            places = shared_out(0, members, workers, limit("LARGEST_CROWD"))
+            return [[Crew(loop, *self._given[0], *own, self._stride) for own in places]]
+        return in_rounds([Crew(loop, *own, m, m + 1, base=m) for m, own in enumerate(self._given)], workers)
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop."""

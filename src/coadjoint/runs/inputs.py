@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
-from coadjoint.given import read_numbers
+from coadjoint.given import are_finite, read_numbers
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System
 from coadjoint.systems.linear_term import check_linear, linear_of, with_linear
@@ -63,6 +63,8 @@ class Inputs:
             self.coordinates = {"linear": _coordinates(given, "linear", system.dim)}
         if not self.coordinates:
             raise ValueError("inputs names none; give True, coordinates, or a mapping from names to coordinates")
+        whole = (name for name, where in self.coordinates.items() if np.array_equal(where, np.arange(system.dim)))
+        self._all = next(whole, "")
         self.changing = np.concatenate([where.ravel() for where in self.coordinates.values()])
         if len(np.unique(self.changing)) < len(self.changing):
             twice = int(np.flatnonzero(np.bincount(self.changing) > 1)[0])
@@ -79,6 +81,11 @@ class Inputs:
         ValueError, TypeError
             No such input, or its value has another shape or is not finite.
         """
+        if len(given) == 1 and self._all in given:
+            # Every coefficient, in the order of the coordinates: nothing is to be put together.
+            numbers = read_numbers(given[self._all], self._all)
+            if numbers.shape == self.linear.shape and are_finite(numbers):
+                return numbers
         found, members = {}, None
         for name, value in given.items():
             where = self.coordinates.get(name)
@@ -90,7 +97,7 @@ class Inputs:
                 if not several or not len(numbers) or members not in (None, len(numbers)):
                     raise self._misshapen(name, numbers.shape, members)
                 members = len(numbers)
-            if not np.isfinite(numbers).all():
+            if not are_finite(numbers):
                 raise ValueError(f"{name} contains NaN or infinity; every coefficient must be finite")
             found[name] = numbers
         linear = self.linear.copy() if members is None else np.tile(self.linear, (members, 1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any
@@ -77,7 +77,17 @@ class Loops(ABC):
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
         """Return whether `turned` might make elements that are not finite from those of the loops, which are."""
-        return isinstance(self.turned, Unshift) and self.turned.may_overflow(start, times)
+        return any(unshift.may_overflow(start, times) for unshift in self.unshifts)
+
+    def make_all(self) -> None:
+        """Make now what would be made when it is first needed."""
+        for unshift in self.unshifts:
+            unshift.make()
+
+    @property
+    def unshifts(self) -> Sequence[Unshift]:
+        """What `turned` takes back, for each system where a Casimir was taken off."""
+        return [self.turned] if isinstance(self.turned, Unshift) else []
 
     @abstractmethod
     def raised(self) -> BaseException | None:

@@ -263,5 +263,5 @@ def prepare(
     ready = PreparedRun(
         system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads, inputs=inputs
     )
-    ready.loops(ready.step)
+    ready.loops(ready.step).make_all()
     return ready

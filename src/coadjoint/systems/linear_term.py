@@ -12,6 +12,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.systems.hamiltonian import HamiltonianLike, PolynomialHamiltonian
 from coadjoint.systems.kinds import System
 from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.separable import Separable
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
 from coadjoint.wording import short
 
@@ -23,8 +24,8 @@ def linear_of(H: HamiltonianLike, n: int) -> Floats:
 
     Parameters
     ----------
-    H : Quadratic, Polynomial or SplitHamiltonian
-        Bound to n coordinates. A piece that is a function of Python has no linear term of its own.
+    H : Quadratic, Polynomial, SplitHamiltonian or Separable
+        Bound to n coordinates. Functions of Python have no linear term of their own.
     n : int
         Number of coordinates.
 
@@ -35,7 +36,7 @@ def linear_of(H: HamiltonianLike, n: int) -> Floats:
     Raises
     ------
     TypeError
-        The Hamiltonian is a function, or of a kind of the user.
+        The Hamiltonian is one function of all coordinates, or of a kind of the user.
 
     Examples
     --------
@@ -47,6 +48,8 @@ def linear_of(H: HamiltonianLike, n: int) -> Floats:
         assert term.form is not None
         return np.array(term.form.linear)
     found = np.zeros(n)
+    if isinstance(H, Separable):
+        return found
     if isinstance(H, PolynomialHamiltonian):
         for exponents, coefficient in H.polynomial.monomials.items():
             if sum(exponents) == 1:
@@ -58,8 +61,8 @@ def linear_of(H: HamiltonianLike, n: int) -> Floats:
                 found[list(coordinates)] += linear_of(piece, len(coordinates))
         return found
     raise TypeError(
-        f"the Hamiltonian is a {type(H).__name__}, which has no linear term that could change; give a Quadratic or a "
-        "Polynomial, or a SplitHamiltonian with such a piece"
+        f"the Hamiltonian is a {type(H).__name__}, which has no linear term that could change; give a Quadratic, a "
+        "Polynomial, a Separable or a SplitHamiltonian"
     )
 
 
@@ -88,7 +91,8 @@ def with_linear(system: System, linear: Floats) -> System:
     TypeError
         The Hamiltonian has no linear term that could change.
     ValueError
-        No piece of a SplitHamiltonian, or more than one, has a coordinate whose coefficient is another one.
+        Several pieces of a SplitHamiltonian are polynomials in a coordinate whose coefficient is another one. (Where
+        none is, the coordinate gets a piece of its own.)
 
     Examples
     --------
@@ -121,31 +125,33 @@ def _other(H: HamiltonianLike, linear: Floats) -> HamiltonianLike:
         return PolynomialHamiltonian(Polynomial(monomials, dim=n))
     if isinstance(H, SplitHamiltonian):
         return _other_split(H, linear)
+    if isinstance(H, Separable):
+        pieces = []
+        for term in H.functions():
+            given: tuple[Any, ...] = (term.value, term.gradient, *([] if term.hessian is None else [term.hessian]))
+            pieces.append(((int(term.coordinates[0]),), Separable({0: given})))
+        return _other_split(SplitHamiltonian(pieces).bind(len(linear)), linear)
     raise TypeError(f"the Hamiltonian is a {type(H).__name__}, which has no linear term that could be another one")
 
 
 def _other_split(H: SplitHamiltonian, linear: Floats) -> SplitHamiltonian:
     changed = np.flatnonzero(linear != linear_of(H, len(linear))).tolist()
-    owners: dict[int, int] = {}
+    found = list(zip(H.coordinates, H.pieces, strict=True))
     for k in changed:
-        own = [p for p, (where, piece) in enumerate(zip(H.coordinates, H.pieces, strict=True)) if k in where]
-        able = [p for p in own if _has_linear(H.pieces[p])]
-        if len(able) != 1:
+        able = [p for p, (where, piece) in enumerate(found) if k in where and _has_linear(piece)]
+        if len(able) > 1:
             raise ValueError(
-                f"the linear coefficient of coordinate {k} belongs to {len(able)} pieces of the SplitHamiltonian that "
-                f"are polynomials; one piece must have it, such as (({k},), Quadratic(0.0, linear=[1.0]))"
+                f"pieces {able[0]} and {able[1]} of the SplitHamiltonian are polynomials in coordinate {k}, whose "
+                "linear coefficient may belong to either; leave the coordinate in one of them"
             )
-        owners[k] = able[0]
-    pieces = []
-    for p, (where, piece) in enumerate(zip(H.coordinates, H.pieces, strict=True)):
-        mine = [k for k, owner in owners.items() if owner == p]
-        if mine:
-            own_linear = linear_of(piece, len(where))
-            for k in mine:
-                own_linear[where.index(k)] = linear[k]
-            piece = _other(piece, own_linear)
-        pieces.append((where, piece))
-    return SplitHamiltonian(pieces).bind(len(linear))
+        if not able:
+            found.append(((k,), Quadratic(0.0, linear=linear[k : k + 1])))
+            continue
+        where, piece = found[able[0]]
+        own = linear_of(piece, len(where))
+        own[where.index(k)] = linear[k]
+        found[able[0]] = where, _other(piece, own)
+    return SplitHamiltonian(found).bind(len(linear))
 
 
 def check_linear(system: Any) -> None:
