@@ -8,7 +8,7 @@ exact sum of inputs that the scheme has told.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from typing import Any, NamedTuple
 
@@ -21,11 +21,14 @@ from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.structures import ARRAYS, SCALARS, VARIED, pointed
 from coadjoint.memory import check_room
 from coadjoint.program.offsets_of_squares import ExactSum, offsets_of_squares
+from coadjoint.program.parts import Parts
 
 Floats = NDArray[np.float64]
 
-# The place of the address of an inner table among the whole numbers of a step: see `tables_around`.
-ADDRESS_OF_INNER = 1
+# The numbers that can be written into a copy, the whole numbers that addresses stand among, and the offsets of angles:
+# row after row of its terms stand the angles of the parts.
+WRITTEN = ("constants", "numbers")
+WHOLE, OFFSETS = "tables.whole", "terms.offset"
 
 
 class NotPlaced(ValueError):
@@ -52,58 +55,88 @@ def fields_of(table: Any, kind: Any, base: int = 0, path: str = "") -> Iterator[
 
 
 class _Table:
-    """One C structure, and the same of another system."""
+    """One table of a run, beside the same of another system.
 
-    def __init__(self, one: Any, other: Any, inner: bool = False) -> None:
-        self.filled = pointed(one)
+    It stands at the address that the table number `holder` has at a place of its whole numbers; or nothing holds it.
+    """
+
+    def __init__(self, one: Any, other: Any, parts: Parts | None = None, holder: int = -1, place: int = -1) -> None:
+        self.filled, self.parts, self.holder, self.place = pointed(one), parts, holder, place
         self.kind = type(self.filled)
-        self.fields = list(fields_of(one, self.kind))
-        others = list(fields_of(other, self.kind))
-        self.changed: list[tuple[Field, NDArray[np.int64], Floats]] = []
-        for mine, theirs in zip(self.fields, others, strict=True):
-            if inner and mine.name == "tables.whole":
-                continue
-            if mine.token == "constants" and mine.value.shape == theirs.value.shape:
+        self.pairs = list(zip(fields_of(one, self.kind), fields_of(other, self.kind), strict=True))
+
+    def changed(self, holding: bool) -> Iterator[tuple[Field, NDArray[np.int64], Floats]]:
+        """Yield the fields that are not the same in both, where they are not, and what the other table has."""
+        for mine, theirs in self.pairs:
+            if mine.token == "addresses" or (holding and mine.name == WHOLE):
+                continue  # functions that were compiled twice, and tables that are compared themselves
+            if mine.token in WRITTEN and mine.value.shape == theirs.value.shape:
                 places = np.flatnonzero(mine.value.view(np.int64) != theirs.value.view(np.int64))
                 if len(places):
-                    self.changed.append((mine, places, theirs.value))
-            elif mine.token == "addresses" and mine.value.shape == theirs.value.shape:
-                continue  # of the same functions, compiled twice
+                    yield mine, places, theirs.value
             elif not np.array_equal(mine.value, theirs.value):
                 raise NotPlaced(f"its table has {mine.name} that depend on them")
 
 
-class _Block:
-    """Constants of several tables one after the other, with what is to be written there and into the structures."""
+def _tables_of(one: CompiledLoop, other: CompiledLoop, watches: tuple[Any, Any]) -> list[_Table]:
+    """Return the tables of a loop, of the invariants, and those at addresses in them."""
+    tables = [_Table(one.tables, other.tables, one.parts), _Table(*watches)]
+    waiting = [(0, one, other)]
+    while waiting:
+        number, mine, theirs = waiting.pop()
+        for place, held in mine.held.items():
+            beside = theirs.held[place]
+            if isinstance(held, CompiledLoop):
+                waiting.append((len(tables), held, beside))
+                tables.append(_Table(held.tables, beside.tables, held.parts, number, place))
+            else:
+                tables.append(_Table(held, beside, None, number, place))
+    return tables
 
-    def __init__(self, tables: Sequence[_Table], chosen: Sequence[Sequence[Field]], sizes: Sequence[int]) -> None:
-        words = list(accumulate((size // 8 for size in sizes), initial=0))
-        self.words, pieces, pointers, starts = words, [], [], []
+
+class _Block:
+    """Arrays of several tables one after the other, and copies of the tables that read them there."""
+
+    def __init__(self, tables: Sequence[_Table], chosen: Sequence[Sequence[Field]]) -> None:
+        self.kinds = [table.kind for table in tables]
+        self.words = list(accumulate((ctypes.sizeof(kind) // 8 for kind in self.kinds), initial=0))
         self.start: dict[tuple[int, str], int] = {}
-        count = 0
+        pieces, self.pointers, count = [np.zeros(1)], [], 1
         for number, fields in enumerate(chosen):
             for field in fields:
                 self.start[number, field.name] = count
+                self.pointers.append((self.words[number] + field.offset // 8, 8 * count))
                 pieces.append(np.ascontiguousarray(field.value).view(np.float64))
-                pointers.append(words[number] + field.offset // 8)
-                starts.append(count)
                 count += len(field.value)
-        self.template = np.concatenate([np.zeros(0), *pieces])
-        self.pointers = [(place, 8 * start) for place, start in zip(pointers, starts, strict=True)]
+        self.template = np.concatenate(pieces)
         self.raw = np.concatenate([np.frombuffer(bytes(table.filled), dtype=np.int64) for table in tables])
-        self.kinds = [table.kind for table in tables]
+        self.held = [
+            (number, self.start[table.holder, WHOLE] + table.place)
+            for number, table in enumerate(tables)
+            if table.holder >= 0
+        ]
 
-    def structures(self, block: Floats, columns: int, inner: Sequence[int] = ()) -> list[Any]:
-        """Return copies of the structures that read the block, whose rows have so many columns."""
+    def structures(self, block: Floats, columns: int) -> tuple[Any, Any]:
+        """Return copies of the first two tables, which read the block; each of its rows has so many columns."""
         raw, here = self.raw.copy(), ctypes.addressof(number_at(block))
         for place, start in self.pointers:
             raw[place] = here + columns * start
-        found = [kind.from_buffer(raw, 8 * first) for kind, first in zip(self.kinds, self.words, strict=False)]
-        for place, table in zip(inner, found[2:], strict=True):
-            block.view(np.int64)[place] = ctypes.addressof(table)
+        for number, place in self.held:
+            block.view(np.int64)[place] = raw.ctypes.data + 8 * self.words[number]
+        scheme, watch = (
+            kind.from_buffer(raw, 8 * first) for kind, first in zip(self.kinds[:2], self.words, strict=False)
+        )
         # A structure keeps the memory alive that it stands in, and now also what it points to.
-        found[0].source = found[1].source = block
-        return found
+        scheme.source = watch.source = block
+        return scheme, watch
+
+
+class _Written(NamedTuple):
+    """Which rows of a block are which inputs, and which follow a rule."""
+
+    rows: NDArray[np.int64]
+    inputs: NDArray[np.int64]
+    rules: list[tuple[int, ExactSum]]
 
 
 class InputTables:
@@ -121,13 +154,14 @@ class InputTables:
 
     Attributes
     ----------
-    nested : bool
-        Whether a step takes steps of another loop inside; members then need tables of their own.
+    apart : bool
+        Whether members with inputs of their own need tables of their own: other tables stand at addresses in them, or
+        an input stands where the kernels read one number for all members.
 
     Raises
     ------
     NotPlaced
-        The tables differ in something else than constants that are inputs, or exact sums of inputs.
+        The tables differ in something else than numbers that are inputs, or exact sums of inputs.
     """
 
     def __init__(
@@ -136,89 +170,60 @@ class InputTables:
         watches: tuple[Any, Any],
         inputs: tuple[Floats, Floats],
     ) -> None:
-        inner = list(_inside(*loops))
-        self.nested = bool(inner)
-        around = [own.inner is not None for own in (loops[0], *(pair[0] for pair in inner))]
-        tables = [_Table(loops[0].tables, loops[1].tables, around[0]), _Table(*watches)]
-        tables += [_Table(one.tables, other.tables, own) for (one, other), own in zip(inner, around[1:], strict=True)]
-        sizes = [ctypes.sizeof(table.kind) for table in tables]
-        held = [n for n, own in enumerate([around[0], False, *around[1:]]) if own]
-        chosen = []
+        tables = self._tables = _tables_of(*loops, watches)
+        holders = {table.holder for table in tables}
+        known = {pair: k for k, pair in enumerate(zip(*(own.tolist() for own in inputs), strict=True))}
+        sources: list[tuple[int, str, int, int | ExactSum]] = []
+        chosen: list[list[Field]] = []
+        self.apart = len(tables) > 2
         for number, table in enumerate(tables):
-            names = {field.name for field, _, _ in table.changed} | ({"tables.whole"} if number in held else set())
-            chosen.append([field for field in table.fields if field.name in names])
-        self._shared = _Block(tables, chosen, sizes)
-        self._inner = [self._shared.start[number, "tables.whole"] + ADDRESS_OF_INNER for number in held]
-        varied = [[field for field in table.fields if field.token in VARIED] for table in tables]
-        self._each = None if self.nested else _Block(tables, varied, sizes)
-        parts = [loops[0].parts, None, *(pair[0].parts for pair in inner)]
-        rules = [{} if own is None else offsets_of_squares(own) for own in parts]
-        self._keep = tables
-        self._found = [
-            (number, field.name, int(place), _source(field, int(place), values, inputs, rules[number]))
-            for number, table in enumerate(tables)
-            for field, places, values in table.changed
-            for place in places
-        ]
-        self._copies = self._written(self._shared)
-        self._copies_of_each = None if self._each is None else self._written(self._each)
-
-    def _written(self, block: _Block) -> tuple[NDArray[np.int64], NDArray[np.int64], list[tuple[int, ExactSum]]]:
-        """Return at which places of a block which inputs stand, and the places with their rules."""
-        places = [(block.start[number, name] + place, source) for number, name, place, source in self._found]
-        plain = [(place, source) for place, source in places if isinstance(source, int)]
-        at, of = np.array(plain, dtype=np.int64).reshape(-1, 2).T
-        return at.copy(), of.copy(), [(place, rule) for place, rule in places if not isinstance(rule, int)]
+            chosen.append([field for field, _ in table.pairs if number in holders and field.name == WHOLE])
+            for field, places, theirs in table.changed(number in holders):
+                chosen[-1].append(field)
+                self.apart = self.apart or field.token not in VARIED
+                rules = {} if table.parts is None or field.name != OFFSETS else offsets_of_squares(table.parts)
+                for place in places.tolist():
+                    pair = field.value[place].item(), theirs[place].item()
+                    rule = rules.get(place)
+                    if pair in known:
+                        sources.append((number, field.name, place, known[pair]))
+                    elif rule is not None and pair == (rule.at(inputs[0]), rule.at(inputs[1])):
+                        sources.append((number, field.name, place, rule))
+                    else:
+                        raise NotPlaced(f"its table has {field.name} that are neither inputs nor exact sums of inputs")
+        self._shared = _Block(tables, chosen)
+        self._in_shared = _written(self._shared, sources)
+        if not self.apart:
+            varied = [[field for field, _ in table.pairs if field.token in VARIED] for table in tables]
+            self._each = _Block(tables, varied)
+            self._in_each = _written(self._each, sources)
 
     def shared(self, inputs: Floats) -> tuple[Any, Any]:
         """Return the structures of the scheme and of the invariants for inputs (m,) that all members have."""
-        block, (at, of, rules) = self._shared.template.copy(), self._copies
-        if not len(block):
-            block = np.zeros(1)
-        block[at] = inputs[of]
-        for place, rule in rules:
-            block[place] = rule.at(inputs)
-        found = self._shared.structures(block, 1, self._inner)
-        return found[0], found[1]
+        block, written = self._shared.template.copy(), self._in_shared
+        block[written.rows] = inputs[written.inputs]
+        for row, rule in written.rules:
+            block[row] = rule.at(inputs)
+        return self._shared.structures(block, 1)
 
     def each(self, inputs: Floats) -> tuple[Any, Any, int]:
-        """Return them for inputs (members, m), and how many columns the constants have; not where it is `nested`."""
-        assert self._each is not None and self._copies_of_each is not None
+        """Return them for inputs (members, m), and how many columns the constants have; not where members are apart."""
         members, crowd = len(inputs), limit("LARGEST_CROWD")
         columns = -(-members // crowd) * crowd
-        template, (at, of, rules) = self._each.template, self._copies_of_each
+        template, written = self._each.template, self._in_each
         check_room(8 * columns * len(template), f"the tables of {members} members with inputs of their own")
-        block = np.repeat(template if len(template) else np.zeros(1), columns).reshape(-1, columns)
+        block = np.repeat(template, columns).reshape(-1, columns)
         # Lanes may read beyond the last member: the last one again.
-        block[at, :members], block[at, members:] = inputs[:, of].T, inputs[-1, of][:, None]
-        for place, rule in rules:
-            block[place, :members] = [rule.at(own) for own in inputs]
-            block[place, members:] = block[place, members - 1]
-        found = self._each.structures(block.reshape(-1), columns)
-        return found[0], found[1], columns
+        padded = np.pad(inputs, ((0, columns - members), (0, 0)), mode="edge")
+        block[written.rows] = padded[:, written.inputs].T
+        for row, rule in written.rules:
+            block[row, :members] = [rule.at(own) for own in inputs]
+            block[row, members:] = block[row, members - 1]
+        return *self._each.structures(block.reshape(-1), columns), columns
 
 
-def _inside(one: CompiledLoop, other: CompiledLoop) -> Iterator[tuple[CompiledLoop, CompiledLoop]]:
-    """Yield the loops that are inside of others, from the outermost on."""
-    while one.inner is not None and other.inner is not None:
-        one, other = one.inner, other.inner
-        yield one, other
-
-
-def _source(
-    field: Field,
-    place: int,
-    theirs: Floats,
-    inputs: tuple[Floats, Floats],
-    rules: Mapping[int, ExactSum],
-) -> int | ExactSum:
-    """Return which input a constant is, or the rule that it follows."""
-    here, there = field.value[place], theirs[place]
-    same = np.flatnonzero((inputs[0] == here) & (inputs[1] == there))
-    if len(same):
-        return int(same[0])
-    # Row after row of its terms stand the angles of the parts.
-    rule = rules.get(place) if field.name == "terms.offset" else None
-    if rule is not None and rule.at(inputs[0]) == here and rule.at(inputs[1]) == there:
-        return rule
-    raise NotPlaced(f"its table has {field.name} that are neither an input nor an exact sum of inputs")
+def _written(block: _Block, sources: Sequence[tuple[int, str, int, int | ExactSum]]) -> _Written:
+    places = [(block.start[number, name] + place, source) for number, name, place, source in sources]
+    plain = [(row, source) for row, source in places if isinstance(source, int)]
+    rows, inputs = np.array(plain, dtype=np.int64).reshape(-1, 2).T.copy()
+    return _Written(rows, inputs, [(row, rule) for row, rule in places if not isinstance(rule, int)])

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any
 
@@ -39,8 +40,9 @@ class CompiledLoop:
         How many numbers a member remembers from step to step.
     parts : Parts or None
         The parts whose flows it takes, where it is made of flows.
-    inner : CompiledLoop or None
-        The loop whose steps a step takes inside.
+    held : mapping of int to CompiledLoop or NamedTuple
+        What the step reads at addresses: the place of the address among the whole numbers of its tables -> a loop whose
+        steps it takes inside, or a table.
     """
 
     name: str
@@ -49,7 +51,7 @@ class CompiledLoop:
     shift: tuple[tuple[Polynomial, float], ...] = ()
     memory: int = 0
     parts: Parts | None = None
-    inner: CompiledLoop | None = None
+    held: Mapping[int, Any] = field(default_factory=dict)
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user has raised in the loop, once, if it did."""

@@ -123,13 +123,13 @@ class Projected(Method):
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop over steps that take one of the loop of the base each."""
         from coadjoint.kernels.loop import CompiledLoop, remembered
-        from coadjoint.kernels.step_tables import tables_around
+        from coadjoint.kernels.step_tables import PLACE_OF_INNER, tables_around
         from coadjoint.kernels.stepping import STEP_LOOP
 
         inner = self.base.loop(system, h)
         found = tables_around(system, "projected", inner, self.restored(system))
         memory = remembered(STEP_LOOP, found.tables)
-        return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=memory, inner=inner)
+        return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=memory, held={PLACE_OF_INNER: inner})
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, read in NumPy for any number type; the values that are kept are those at x.

@@ -67,11 +67,11 @@ class LoopsOfCall(Loops):
 
     def __init__(self, made: InputLoops, linear: Floats) -> None:
         base, tables = made.base, made.tables
-        self._base, self._nested, self._stride = base, tables.nested, 0
+        self._base, self._stride = base, 0
         self.names, self.size, self.memory, self.turned = base.names, base.size, base.memory, base.turned
         if linear.ndim == 1:
             self._given = [tables.shared(linear)]
-        elif tables.nested:
+        elif tables.apart:
             self._given = [tables.shared(own) for own in linear]
         else:
             *given, self._stride = tables.each(linear)
