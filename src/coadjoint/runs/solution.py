@@ -26,9 +26,10 @@ if TYPE_CHECKING:
     from coadjoint.runs.start import Start
     from coadjoint.runs.times import Times
 
-# What a solution needs of the state of a run. Of a large state only these are kept.
+# What a solution needs of the state of a run. Only these are kept of a large state. To copy from a small one would
+# take longer than a step.
 REPORTED = ("worst", "status", "evaluations", "iterations")
-FEW_NUMBERS = 2**12
+FEW_NUMBERS = 2**20
 
 
 @dataclass(frozen=True)

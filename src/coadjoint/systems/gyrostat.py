@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.given import read_finite
+from coadjoint.systems.closed_form import all_finite, start_and_times
 from coadjoint.systems.free_rigid_body import fixed_axis
 from coadjoint.systems.inertia import axis_of_symmetry, inverse_inertia, momentum_along, principal, read_vector
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -90,9 +91,7 @@ def _symmetric(m: Floats, k: Floats, axis: Floats, x0: Any, t: Any, attitude: An
     ``Omega = n x + s axis`` with n the inverse moment across the axis and a constant s. So x turns about the axis by
     ``-s t``, and ``A(t) = A(0) exp(n t hat(x(0))) exp(s t hat(axis))``.
     """
-    start, times = read_vector(x0, "x0"), read_finite(t, "t")
-    if times.ndim > 1:
-        raise ValueError(f"t has shape {times.shape}; give one finite time or several, (k,)")
+    start, times = start_and_times(x0, t, 3)
     first = np.eye(3)
     if not isinstance(attitude, bool | np.bool_):
         first = read_finite(attitude, "attitude")
@@ -104,8 +103,7 @@ def _symmetric(m: Floats, k: Floats, axis: Floats, x0: Any, t: Any, attitude: An
         several = np.atleast_1d(times)
         turned = fixed_axis(spin, several)
         x, A = start @ turned, first @ fixed_axis(n * start, several) @ turned
-    if not (np.isfinite(x).all() and np.isfinite(A).all()):
-        raise ValueError(f"the closed form overflows from x0 = {short(start.tolist())}; take smaller numbers")
+    all_finite(np.concatenate([x.ravel(), A.ravel()]), start, times)
     if times.ndim == 0:
         x, A = x[0], A[0]
     return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, A)
