@@ -238,12 +238,12 @@ def test_offsets_of_squares_are_exact():
         algebra, M, _ = ALGEBRAS[name]
         linear = rng.standard_normal(algebra.dim) * 10.0 ** rng.integers(-8, 8, algebra.dim)
         parts = split(co.LiePoissonSystem(algebra, co.Quadratic(M, linear=linear)))
-        rules = offsets_of_squares(parts)
-        assert len(rules) == algebra.dim
-        for angle, rule in rules.items():
-            exact = sum(f * Fraction(linear[k]) for k, f in zip(rule.coordinate, rule.factor, strict=True))
-            assert Fraction(exact, rule.denominator) == Fraction(parts.offset[angle])
-            assert rule.at(linear) == float(parts.offset[angle])
+        ((angles, rule),) = offsets_of_squares(parts)
+        assert angles == list(range(algebra.dim))
+        for angle, factors, below, value in zip(angles, rule.factors, rule.denominators, rule.at(linear), strict=True):
+            exact = sum(f * Fraction(linear[k]) for k, f in zip(rule.coordinates, factors, strict=True))
+            assert Fraction(exact, below) == Fraction(parts.offset[angle])
+            assert value == float(parts.offset[angle])
 
 
 def test_refusals():

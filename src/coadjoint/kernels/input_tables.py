@@ -20,7 +20,7 @@ from coadjoint.kernels.description import limit
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.structures import ARRAYS, SCALARS, VARIED, pointed
 from coadjoint.memory import check_room
-from coadjoint.program.offsets_of_squares import ExactSum, offsets_of_squares
+from coadjoint.program.offsets_of_squares import ExactSums, offsets_of_squares
 from coadjoint.program.parts import Parts
 
 Floats = NDArray[np.float64]
@@ -132,11 +132,11 @@ class _Block:
 
 
 class _Written(NamedTuple):
-    """Which rows of a block are which inputs, and which follow a rule."""
+    """Which rows of a block are which inputs, and which are sums of inputs."""
 
     rows: NDArray[np.int64]
     inputs: NDArray[np.int64]
-    rules: list[tuple[int, ExactSum]]
+    rules: list[tuple[NDArray[np.int64], ExactSums]]
 
 
 class InputTables:
@@ -173,7 +173,8 @@ class InputTables:
         tables = self._tables = _tables_of(*loops, watches)
         holders = {table.holder for table in tables}
         known = {pair: k for k, pair in enumerate(zip(*(own.tolist() for own in inputs), strict=True))}
-        sources: list[tuple[int, str, int, int | ExactSum]] = []
+        copies: list[tuple[int, str, int, int]] = []
+        sums: list[tuple[int, str, list[int], ExactSums]] = []
         chosen: list[list[Field]] = []
         self.apart = len(tables) > 2
         for number, table in enumerate(tables):
@@ -181,29 +182,31 @@ class InputTables:
             for field, places, theirs in table.changed(number in holders):
                 chosen[-1].append(field)
                 self.apart = self.apart or field.token not in VARIED
-                rules = {} if table.parts is None or field.name != OFFSETS else offsets_of_squares(table.parts)
-                for place in places.tolist():
+                summed: set[int] = set()
+                if table.parts is not None and field.name == OFFSETS:
+                    for angles, rule in offsets_of_squares(table.parts):
+                        found = field.value[angles].tolist(), theirs[angles].tolist()
+                        if found == tuple(map(rule.at, inputs)):
+                            sums.append((number, field.name, angles, rule))
+                            summed.update(angles)
+                for place in [place for place in places.tolist() if place not in summed]:
                     pair = field.value[place].item(), theirs[place].item()
-                    rule = rules.get(place)
-                    if pair in known:
-                        sources.append((number, field.name, place, known[pair]))
-                    elif rule is not None and pair == (rule.at(inputs[0]), rule.at(inputs[1])):
-                        sources.append((number, field.name, place, rule))
-                    else:
+                    if pair not in known:
                         raise NotPlaced(f"its table has {field.name} that are neither inputs nor exact sums of inputs")
+                    copies.append((number, field.name, place, known[pair]))
         self._shared = _Block(tables, chosen)
-        self._in_shared = _written(self._shared, sources)
+        self._in_shared = _written(self._shared, copies, sums)
         if not self.apart:
             varied = [[field for field, _ in table.pairs if field.token in VARIED] for table in tables]
             self._each = _Block(tables, varied)
-            self._in_each = _written(self._each, sources)
+            self._in_each = _written(self._each, copies, sums)
 
     def shared(self, inputs: Floats) -> tuple[Any, Any]:
         """Return the structures of the scheme and of the invariants for inputs (m,) that all members have."""
         block, written = self._shared.template.copy(), self._in_shared
         block[written.rows] = inputs[written.inputs]
-        for row, rule in written.rules:
-            block[row] = rule.at(inputs)
+        for rows, rule in written.rules:
+            block[rows] = rule.at(inputs)
         return self._shared.structures(block, 1)
 
     def each(self, inputs: Floats) -> tuple[Any, Any, int]:
@@ -214,16 +217,20 @@ class InputTables:
         check_room(8 * columns * len(template), f"the tables of {members} members with inputs of their own")
         block = np.repeat(template, columns).reshape(-1, columns)
         # Lanes may read beyond the last member: the last one again.
-        padded = np.pad(inputs, ((0, columns - members), (0, 0)), mode="edge")
+        padded = inputs.take(np.minimum(np.arange(columns), members - 1), axis=0)
         block[written.rows] = padded[:, written.inputs].T
-        for row, rule in written.rules:
-            block[row, :members] = [rule.at(own) for own in inputs]
-            block[row, members:] = block[row, members - 1]
+        for rows, rule in written.rules:
+            block[rows, :members] = np.transpose([rule.at(own) for own in inputs])
+            block[rows, members:] = block[rows, members - 1 : members]
         return *self._each.structures(block.reshape(-1), columns), columns
 
 
-def _written(block: _Block, sources: Sequence[tuple[int, str, int, int | ExactSum]]) -> _Written:
-    places = [(block.start[number, name] + place, source) for number, name, place, source in sources]
-    plain = [(row, source) for row, source in places if isinstance(source, int)]
-    rows, inputs = np.array(plain, dtype=np.int64).reshape(-1, 2).T.copy()
-    return _Written(rows, inputs, [(row, rule) for row, rule in places if not isinstance(rule, int)])
+def _written(
+    block: _Block,
+    copies: Sequence[tuple[int, str, int, int]],
+    sums: Sequence[tuple[int, str, list[int], ExactSums]],
+) -> _Written:
+    rows = np.array([block.start[number, name] + place for number, name, place, _ in copies], dtype=np.int64)
+    inputs = np.array([source for *_, source in copies], dtype=np.int64)
+    rules = [(block.start[number, name] + np.array(places), rule) for number, name, places, rule in sums]
+    return _Written(rows, inputs, rules)

@@ -6,6 +6,7 @@ The forms l_r of the squares of x.M.x/2 do not depend on the linear term b; sum_
 from __future__ import annotations
 
 from math import lcm
+from operator import mul
 from typing import NamedTuple
 
 import numpy as np
@@ -17,37 +18,38 @@ from coadjoint.program.parts import Parts
 from coadjoint.program.squares import LARGEST_RATIONAL
 
 
-class ExactSum(NamedTuple):
-    """The number sum of factor[k] b[coordinate[k]], over `denominator`, rounded once."""
+class ExactSums(NamedTuple):
+    """Some sums over k of factors[r][k] b[coordinates[k]], each over denominators[r], rounded once."""
 
-    coordinate: tuple[int, ...]
-    factor: tuple[int, ...]
-    denominator: int
+    coordinates: tuple[int, ...]
+    factors: tuple[tuple[int, ...], ...]
+    denominators: tuple[int, ...]
 
-    def at(self, b: NDArray[np.float64]) -> float:
-        """Return the sum for finite floats b, correctly rounded.
+    def at(self, b: NDArray[np.float64]) -> list[float]:
+        """Return the sums for finite floats b, correctly rounded.
 
         Raises
         ------
         OverflowError
-            It is too large for float64.
+            One is too large for float64.
 
         Examples
         --------
-        >>> ExactSum((0, 1), (1, -2), 3).at(np.array([1.0, 0.25]))
-        0.16666666666666666
+        >>> ExactSums((0, 1), ((1, -2), (1, 0)), (3, 4)).at(np.array([1.0, 0.25]))
+        [0.16666666666666666, 0.25]
         """
-        exact = [b[k].item().as_integer_ratio() for k in self.coordinate]
+        exact = [b[k].item().as_integer_ratio() for k in self.coordinates]
         # The denominators of floats are powers of two, so that the largest is a multiple of all.
-        common = max((below for _, below in exact), default=1)
-        total = sum(
-            factor * above * (common // below) for factor, (above, below) in zip(self.factor, exact, strict=True)
-        )
-        return total / (self.denominator * common)
+        common = max([below for _, below in exact])
+        whole = [above * (common // below) for above, below in exact]
+        return [
+            sum(map(mul, factors, whole)) / (below * common)
+            for factors, below in zip(self.factors, self.denominators, strict=True)
+        ]
 
 
-def offsets_of_squares(parts: Parts) -> dict[int, ExactSum]:
-    """Return for the angles of completed squares how their offsets follow from the linear term of the Hamiltonian.
+def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums]]:
+    """Return how the offsets of completed squares follow from the linear term of the Hamiltonian.
 
     Parameters
     ----------
@@ -56,17 +58,17 @@ def offsets_of_squares(parts: Parts) -> dict[int, ExactSum]:
 
     Returns
     -------
-    dict
-        Angle -> the exact sum. Angles of single coordinates that no square holds are left out.
+    list of (angles, ExactSums)
+        For each set of coupled coordinates the angles of its squares, and their offsets. Single coordinates are left
+        out: their offset is the coefficient.
 
     Examples
     --------
     >>> import coadjoint as co
     >>> from coadjoint.program.split import split
     >>> M = [[1.0, 0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 2.0]]
-    >>> parts = split(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M, linear=[1.0, 2.0, 3.0])))
-    >>> {angle: (rule.coordinate, rule.factor, rule.denominator) for angle, rule in offsets_of_squares(parts).items()}
-    {0: ((0,), (1,), 1), 1: ((0, 1), (-1, 2), 2)}
+    >>> offsets_of_squares(split(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M, linear=[1.0, 2.0, 3.0]))))
+    [([0, 1], ExactSums(coordinates=(0, 1), factors=((1, 0), (-1, 2)), denominators=(1, 2)))]
     """
     forms = parts.forms
     linear = np.ones(len(parts.offset), dtype=bool)
@@ -78,15 +80,15 @@ def offsets_of_squares(parts: Parts) -> dict[int, ExactSum]:
     # Nodes are the angles, then the coordinates.
     count, coordinate = len(parts.offset), forms.coordinate[entries].astype(np.int64)
     label = connected(count + int(coordinate.max(initial=-1)) + 1, owner[entries], count + coordinate)
-    found: dict[int, ExactSum] = {}
     clusters: dict[int, list[int]] = {}
     for angle in angles.tolist():
         clusters.setdefault(int(label[angle]), []).append(angle)
+    found = []
     for own in clusters.values():
         rows = [_row(parts, angle) for angle in own]
         coordinates = sorted({k for row in rows for k in row})
         if 1 < len(coordinates) <= LARGEST_RATIONAL and len(own) <= len(coordinates):
-            found |= zip(own, _inverse(rows, coordinates), strict=True)
+            found.append((own, _inverse(rows, coordinates)))
     return found
 
 
@@ -95,7 +97,7 @@ def _row(parts: Parts, angle: int) -> dict[int, object]:
     return dict(zip(parts.forms.coordinate[entries].tolist(), parts.forms.value[entries].tolist(), strict=True))
 
 
-def _inverse(rows: list[dict[int, object]], coordinates: list[int]) -> list[ExactSum]:
+def _inverse(rows: list[dict[int, object]], coordinates: list[int]) -> ExactSums:
     """Return beta of sum_r beta_r l_r = b, for linearly independent forms."""
     from flint import fmpq_mat
 
@@ -106,10 +108,9 @@ def _inverse(rows: list[dict[int, object]], coordinates: list[int]) -> list[Exac
         for i, k in enumerate(coordinates)
     ]
     reduced, _ = fmpq_mat(m, r + m, [entry for line in augmented for entry in line]).rref()
-    found = []
+    factors, denominators = [], []
     for a in range(r):
-        entries = [(coordinates[j], reduced[a, r + j]) for j in range(m) if reduced[a, r + j] != 0]
-        below = lcm(*(int(value.denominator) for _, value in entries)) if entries else 1
-        factors = tuple(int(value.numerator) * (below // int(value.denominator)) for _, value in entries)
-        found.append(ExactSum(tuple(k for k, _ in entries), factors, below))
-    return found
+        exact = [reduced[a, r + j] for j in range(m)]
+        denominators.append(lcm(*(int(value.denominator) for value in exact)))
+        factors.append(tuple(int(value.numerator) * (denominators[-1] // int(value.denominator)) for value in exact))
+    return ExactSums(tuple(coordinates), tuple(factors), tuple(denominators))

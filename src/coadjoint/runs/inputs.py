@@ -84,7 +84,7 @@ class Inputs:
         if len(given) == 1 and self._all in given:
             # Every coefficient, in the order of the coordinates: nothing is to be put together.
             numbers = read_numbers(given[self._all], self._all)
-            if numbers.shape == self.linear.shape and are_finite(numbers):
+            if numbers.shape[-1:] == self.linear.shape and numbers.ndim <= 2 and len(numbers) and are_finite(numbers):
                 return numbers
         found, members = {}, None
         for name, value in given.items():

@@ -158,7 +158,8 @@ def with_group(
         raise ValueError("attitude contains NaN or infinity; every entry must be finite")
     if not _surely_regular(initial) and np.any(_ranks(initial) < size):
         raise ValueError("attitude is a singular matrix; a group element has an inverse")
-    groups = np.broadcast_to(initial, (len(momenta), size, size)).copy()
+    shared = initial.ndim == 2 and len(momenta) > 1
+    groups = np.tile(initial, (len(momenta), 1, 1)) if shared else initial.reshape(-1, size, size)
     return Start(momenta, groups, representation, single)
 
 
@@ -178,7 +179,8 @@ def _surely_regular(matrices: NDArray[np.float64]) -> bool:
     largest = max(map(abs, matrices.ravel().tolist())) if matrices.size <= FEW else 0.0
     if largest == 0.0:
         return False
-    return bool(np.all(np.abs(np.linalg.det(matrices / largest)) > (2.0 * d) ** (d + 2) * UNIT_ROUNDOFF))
+    least = min(map(abs, np.linalg.det(matrices.reshape(-1, d, d) / largest).tolist()))
+    return least > (2.0 * d) ** (d + 2) * UNIT_ROUNDOFF
 
 
 def _ranks(matrices: NDArray[np.float64]) -> NDArray[np.int64]:
