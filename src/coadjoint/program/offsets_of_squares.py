@@ -38,7 +38,7 @@ class ExactSums(NamedTuple):
         >>> ExactSums((0, 1), ((1, -2), (1, 0)), (3, 4)).at(np.array([1.0, 0.25]))
         [0.16666666666666666, 0.25]
         """
-        exact = [b[k].item().as_integer_ratio() for k in self.coordinates]
+        exact = [value.as_integer_ratio() for value in b.take(self.coordinates).tolist()]
         # The denominators of floats are powers of two, so that the largest is a multiple of all.
         common = max([below for _, below in exact])
         whole = [above * (common // below) for above, below in exact]
