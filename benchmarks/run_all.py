@@ -22,6 +22,7 @@ SECTIONS = {
     "gauss_legendre": "Gauss-Legendre",
     "round_off": "Round-off",
     "lyapunov": "Tangent vectors",
+    "systems": "The ready-made systems",
     "work_against_precision": "Work against precision",
     "automatic_parts": "Automatic parts",
     "first_result": "The first result",

@@ -316,17 +316,43 @@ class Solution:
 
         return dataset_of(self)
 
-    def plot(self) -> Figure:
-        """Return a figure: drift, components, and for three dimensions the orbit on its coadjoint orbit.
+    def plot(self, panels: Any = None, components: Any = None, axes: Any = None) -> Figure:
+        """Return a figure: drift, components, and what the system wants to show first.
+
+        Lines are drawn only where the saved points lie close enough to show what lies between them, otherwise dots; an
+        envelope where there are more oscillations than a printed line can show.
+
+        Parameters
+        ----------
+        panels : sequence of str or Picture, optional
+            Kinds of pictures instead, such as ``["drift", "body axis"]``; `coadjoint.pictures.solution.draw_solution`
+            says more.
+        components : sequence of int or str, optional
+            The coordinates that are drawn over time, by number from 0 or by name.
+        axes : Axes or sequence of Axes, optional
+            Where to draw, one for each panel.
 
         Returns
         -------
         matplotlib.figure.Figure
             Not shown, not saved.
+
+        Raises
+        ------
+        TypeError, ValueError
+            No such panel or coordinate, with the nearest name; or a panel that this run cannot show, with the reason.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+        >>> sol = co.integrate(body, (0.01, 1.0, 0.01), (0, 40), 0.05, attitude=True)
+        >>> [axes.get_title() for axes in sol.plot(["body axis"]).axes]
+        ['body axis 2 in space']
         """
         from coadjoint.pictures.solution import draw_solution
 
-        return draw_solution(self)
+        return draw_solution(self, panels, components, axes)
 
 
 def check_solution(solution: Any) -> None:

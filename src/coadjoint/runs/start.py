@@ -159,7 +159,7 @@ def with_group(
     if not _surely_regular(initial) and np.any(_ranks(initial) < size):
         raise ValueError("attitude is a singular matrix; a group element has an inverse")
     shared = initial.ndim == 2 and len(momenta) > 1
-    groups = np.tile(initial, (len(momenta), 1, 1)) if shared else initial.reshape(-1, size, size)
+    groups = np.tile(initial, (len(momenta), 1, 1)) if shared else np.ascontiguousarray(initial).reshape(-1, size, size)
     return Start(momenta, groups, representation, single)
 
 

@@ -17,12 +17,33 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.rigid_body import rotations
+from coadjoint.systems.starts import over_sphere
+from coadjoint.systems.telling import Picture, Telling
 from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=partial(over_sphere, 16),
+        t_span=(0.0, 60.0),
+        step=0.05,
+        says="Sixteen motions with one size of the momentum: without rotors their curves would be symmetric about "
+        "the planes of the principal axes; the rotors shift the equilibria and leave fewer of them.",
+        pictures=(
+            Picture(
+                "directions",
+                vectors={"x": (0, 1, 2)},
+                axes_named=("$x_1$", "$x_2$", "$x_3$"),
+                title="motions on the sphere of one momentum",
+                view=(35.0, 22.0),
+            ),
+        ),
+        components=Picture("components", chosen=(1,)),
+        quantity="angular momentum",
+    )
+)
 def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (0.25, 0.5, 0.75)) -> LiePoissonSystem:
     """Return a body that carries rotors, ``x' = x cross Omega`` with ``Omega = I^-1 (x - k)``.
 
