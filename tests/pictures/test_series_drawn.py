@@ -62,10 +62,11 @@ def test_the_envelope_holds_every_value_and_gaps():
 def test_lines_where_the_motion_between_points_is_flat(every, joined, span):
     run = co.integrate(BODY, (1.0, 0.2, 0.5), span, 0.05, save_every=every)
     assert Drawn(run).close is joined
-    lines = run.plot([Picture("components")]).axes[0].lines
+    lines = run.plot([Picture("components")], axes=Figure().add_subplot()).axes[0].lines
     assert {line.get_linestyle() for line in lines} == {"-" if joined else "None"}
-    (orbit,) = run.plot("coadjoint orbit").axes
-    assert orbit.lines[0].get_linestyle() == ("-" if joined else "None")
+    axes = Figure().add_subplot()
+    run.plot(Picture("phase portrait", across=0, up=2), axes=axes)
+    assert axes.lines[0].get_linestyle() == ("-" if joined else "None")
 
 
 def test_a_motion_seen_once_in_a_period_is_not_joined():

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.given import read_choice, read_whole
+from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.style import coordinate
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.batch import Batch
@@ -144,13 +145,15 @@ class Drawn:
 
         Raises
         ------
-        ValueError
-            There is no such coordinate.
+        CannotShow
+            There is no such coordinate; the nearest name is given.
         """
-        n = self.x.shape[-1]
-        if isinstance(chosen, str):
-            return self.names.index(read_choice(chosen, "coordinate", self.names))
-        return read_whole(chosen, "a coordinate", 0, n - 1)
+        try:
+            if isinstance(chosen, str):
+                return self.names.index(read_choice(chosen, "coordinate", self.names))
+            return read_whole(chosen, "a coordinate", 0, self.x.shape[-1] - 1)
+        except ValueError as reason:
+            raise CannotShow(str(reason)) from None
 
     @cached_property
     def kept(self) -> npt.NDArray[np.int64]:

@@ -15,12 +15,14 @@ from coadjoint.pictures.style import INK, colour, coordinate, key, plain_axes
 
 MOST_COMPONENTS = 8
 
+Function = Callable[[Any], Any]
+
 
 @kind("components", over_time=True)
 def components(
     drawn: Drawn,
-    chosen: Sequence[int | str] | None = None,
-    functions: Mapping[str, Callable[[Any], Any]] | None = None,
+    chosen: Sequence[int | str] | Callable[[int], Sequence[int]] | None = None,
+    functions: Mapping[str, Function] | Callable[[int], Mapping[str, Function]] | None = None,
     flips: int | str | None = None,
     quantity: str | None = None,
 ) -> Paint:
@@ -30,11 +32,11 @@ def components(
     ----------
     drawn : Drawn
         The run.
-    chosen : sequence of int or str, optional
-        Which, by number from 0 or by name.
-    functions : mapping of str to callable, optional
+    chosen : sequence of int or str, or callable, optional
+        Which, by number from 0 or by name; or a function of the dimension that returns them.
+    functions : mapping of str to callable, or callable, optional
         Name to function of the states, (..., n) to (...): drawn in place of components, or beside those that are
-        `chosen`.
+        `chosen`. Or a function of the dimension that returns them.
     flips : int or str, optional
         A component whose changes of sign are marked, with the time from one to the next.
     quantity : str, optional
@@ -45,6 +47,8 @@ def components(
     Paint
     """
     n = drawn.x.shape[-1]
+    chosen = chosen(n) if callable(chosen) else chosen
+    functions = functions(n) if callable(functions) else functions
     places = [drawn.place(i) for i in chosen or ()]
     if chosen is None and functions is None:
         places = spread(n, MOST_COMPONENTS).tolist()
