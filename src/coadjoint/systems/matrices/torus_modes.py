@@ -1,0 +1,91 @@
+"""Fourier modes of the torus as matrices: w_n and W = -i N / (4 pi) sum_n w_n T_n."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import pi
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.wording import short
+
+Complexes = npt.NDArray[np.complex128]
+
+
+def representatives(N: int) -> npt.NDArray[np.int64]:
+    """Return 0, 1, ..., (N - 1)/2, -(N - 1)/2, ..., -1.
+
+    Examples
+    --------
+    >>> representatives(5)
+    array([ 0,  1,  2, -2, -1])
+    """
+    n = np.arange(N)
+    return np.where(n > N // 2, n - N, n)
+
+
+def matrix_of_modes(w: Complexes) -> Complexes:
+    """Return W of w, shape (..., N, N), ``w[n1 mod N, n2 mod N]``.
+
+    The entry (a, a + n2) of T_n is exp(2 pi i n1 (n2 + 2 a)/N): a discrete Fourier transform along each cyclic
+    diagonal.
+
+    Examples
+    --------
+    >>> w = np.zeros((3, 3), dtype=complex)
+    >>> w[1, 0], w[2, 0] = 1.0, 1.0
+    >>> np.abs(matrix_of_modes(w) / (-3j / (4 * np.pi)) - np.diag([2.0, -1.0, -1.0])).max() < 1e-14
+    True
+    """
+    N = w.shape[-1]
+    a, d = np.arange(N)[:, None], np.arange(N)[None, :]
+    # sum over n1 of w[n1, d] omega^(n1 (d + 2 a))
+    along = np.fft.ifft(w, axis=-2) * N
+    signed = representatives(N)[None, :]
+    W = np.empty_like(along)
+    W[..., a, (a + d) % N] = along[..., (signed + 2 * a) % N, d]
+    return -1j * N / (4 * pi) * W
+
+
+def modes_of_matrix(W: Complexes) -> Complexes:
+    """Return w of W: the inverse of `matrix_of_modes`."""
+    N = W.shape[-1]
+    a, d = np.arange(N)[:, None], np.arange(N)[None, :]
+    along = np.empty_like(W)
+    along[..., (representatives(N)[None, :] + 2 * a) % N, d] = W[..., a, (a + d) % N]
+    return np.fft.fft(along, axis=-2) / N / (-1j * N / (4 * pi))
+
+
+def read_modes(given: Any, N: int) -> Complexes:
+    """Return modes (N, N) from a mapping of (n1, n2) to w; those of -n are added where they are missing.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No mapping, a mode beyond (N - 1)/2, (0, 0), or w of n and -n that are not conjugate.
+
+    Examples
+    --------
+    >>> read_modes({(1, 0): 0.5 + 1j}, 3)[2, 0]
+    (0.5-1j)
+    """
+    if not isinstance(given, Mapping):
+        raise TypeError(f"modes is {short(given)}; give a mapping of (n1, n2) to w")
+    w, half = np.zeros((N, N), dtype=np.complex128), N // 2
+    seen: dict[tuple[int, int], complex] = {}
+    for mode, value in given.items():
+        try:
+            n1, n2 = (int(n) for n in mode)
+            number = complex(value)
+        except (TypeError, ValueError):
+            raise TypeError(f"modes has {short(mode)}: {short(value)}; give (n1, n2): w") from None
+        if max(abs(n1), abs(n2)) > half or (n1, n2) == (0, 0) or not np.isfinite(number):
+            raise ValueError(f"mode {short(mode)}: give n1, n2 from {-half} to {half}, not both 0, and a finite w")
+        seen[n1, n2] = number
+    for (n1, n2), number in seen.items():
+        if abs(seen.get((-n1, -n2), number.conjugate()) - number.conjugate()) > 1e-12 * abs(number):
+            raise ValueError(f"modes ({n1}, {n2}) and ({-n1}, {-n2}) are not conjugate: the vorticity would not be real")
+        w[n1, n2], w[-n1, -n2] = number, number.conjugate()
+    return w
