@@ -11,6 +11,7 @@ Floats = npt.NDArray[np.float64]
 
 COLUMNS = 600
 """Stretches of time that a printed line can tell apart."""
+LARGEST = 1e280  # beyond it a scale with its margins leaves float64
 TOO_MANY = COLUMNS // 2
 """Turning points of a series that is drawn as an envelope: fewer than two columns for each half of an oscillation."""
 
@@ -23,7 +24,7 @@ def draw_series(axes: Any, t: Floats, values: Floats, joined: bool, label: str |
     axes : matplotlib.axes.Axes
         Where.
     t, values : ndarray, shape (k,)
-        Times and values; where a value is not finite nothing is drawn.
+        Times and values; where a value is not finite, or beyond 1e280, nothing is drawn.
     joined : bool
         Whether lines between the points show what lies between them. Otherwise there are dots alone.
     label : str, optional
@@ -31,6 +32,7 @@ def draw_series(axes: Any, t: Floats, values: Floats, joined: bool, label: str |
     **style
         ``color``, ``linewidth`` and ``alpha``.
     """
+    values = np.where(np.abs(values) < LARGEST, values, np.nan)
     turns = turning_points(values)
     if turns > TOO_MANY or (len(t) > 8 * COLUMNS and not joined):
         middle, low, high = envelope(t, values, COLUMNS)
