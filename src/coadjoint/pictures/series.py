@@ -49,6 +49,30 @@ def draw_series(axes: Any, t: Floats, values: Floats, joined: bool, label: str |
     axes.plot(t, values, label=label, linestyle="none", marker="o", markersize=2.0, markeredgewidth=0.0, **style)
 
 
+def draw_members(axes: Any, t: Floats, members: Floats, joined: bool, colour: str, label: str | None) -> None:
+    """Draw a series of each member, thin and light where there are several.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Where.
+    t : ndarray, shape (k,)
+        Times.
+    members : ndarray, shape (members, k)
+        Values.
+    joined : bool
+        As for `draw_series`.
+    colour : str
+        Of all.
+    label : str or None
+        For the key.
+    """
+    width, strength = (0.5, 0.5) if len(members) > 1 else (0.9, 1.0)
+    for m, values in enumerate(members):
+        shown = label if m == 0 else None
+        draw_series(axes, t, values, joined, label=shown, color=colour, linewidth=width, alpha=strength)
+
+
 def _mostly_alone(values: Floats) -> bool:
     """Say whether a tenth of the points stand between gaps, where a line does not show them."""
     known = np.isfinite(values)

@@ -43,8 +43,8 @@ def field(
     k = round(part * (len(drawn.t) - 1))
     edge = np.linspace(0.0, read_positive(width(drawn.system), "width"), CELLS + 1)
     waves = np.asarray(modes(drawn.system, *np.meshgrid(edge, edge)))
-    if len(waves) != drawn.x.shape[-1]:
-        raise CannotShow(f"the field has {len(waves)} modes, and the state has {drawn.x.shape[-1]} coordinates")
+    if len(waves) != drawn.n:
+        raise CannotShow(f"the field has {len(waves)} modes, and the state has {drawn.n} coordinates")
     values = np.tensordot(drawn.x[0, k], waves, axes=1)
     # One scale for all times: no wave is larger than 1, so that this is never left.
     size = float(np.abs(np.tensordot(np.abs(drawn.x[0]), np.abs(waves).max(axis=(1, 2)), axes=1)).max()) or 1.0
