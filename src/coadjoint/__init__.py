@@ -88,6 +88,7 @@ if TYPE_CHECKING:
     from coadjoint.algebra import catalogue as algebras
     from coadjoint.algebra.invariant import Invariant as Invariant
     from coadjoint.algebra.lie_algebra import LieAlgebra as LieAlgebra
+    from coadjoint.algebra.matrix_states import MatrixAlgebra as MatrixAlgebra
     from coadjoint.algebra.polynomial import Polynomial as Polynomial
     from coadjoint.analysis.certificate import Certificate as Certificate
     from coadjoint.analysis.certify import certify as certify
@@ -112,14 +113,12 @@ if TYPE_CHECKING:
     from coadjoint.methods.composition import Composition as Composition
     from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta as ExplicitRungeKutta
     from coadjoint.methods.gauss_legendre import GaussLegendre as GaussLegendre
+    from coadjoint.methods.isospectral_gauss import IsospectralGauss as IsospectralGauss
     from coadjoint.methods.iterated_gauss_legendre import IteratedGaussLegendre as IteratedGaussLegendre
     from coadjoint.methods.kahan import Kahan as Kahan
     from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
     from coadjoint.methods.projected import Projected as Projected
     from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy
-    from coadjoint.algebra.matrix_states import MatrixAlgebra as MatrixAlgebra
-    from coadjoint.methods.isospectral_gauss import IsospectralGauss as IsospectralGauss
-    from coadjoint.systems.matrices.matrix_system import MatrixSystem as MatrixSystem
     from coadjoint.methods.spherical_midpoint import SphericalMidpoint as SphericalMidpoint
     from coadjoint.methods.splitting import Splitting as Splitting
     from coadjoint.methods.taylor import Taylor as Taylor
@@ -131,6 +130,7 @@ if TYPE_CHECKING:
     from coadjoint.systems.batch import batch as batch
     from coadjoint.systems.hamiltonian import Hamiltonian as Hamiltonian
     from coadjoint.systems.lie_poisson import LiePoissonSystem as LiePoissonSystem
+    from coadjoint.systems.matrices.matrix_system import MatrixSystem as MatrixSystem
     from coadjoint.systems.poisson import PoissonSystem as PoissonSystem
     from coadjoint.systems.quadratic import Quadratic as Quadratic
     from coadjoint.systems.separable import Separable as Separable

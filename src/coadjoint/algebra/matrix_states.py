@@ -134,7 +134,9 @@ class MatrixAlgebra:
         except (TypeError, ValueError):
             raise TypeError(f"{what} is {short(given)}; give a matrix of {self}") from None
         if A.shape[-2:] != self.shape or A.ndim > 3:
-            raise ValueError(f"{what} has the shape {A.shape}; it must be {self.shape} or (members, {self.N}, {self.N})")
+            raise ValueError(
+                f"{what} has the shape {A.shape}; it must be {self.shape} or (members, {self.N}, {self.N})"
+            )
         if not np.isfinite(A).all():
             raise ValueError(f"{what} contains NaN or infinity; every entry must be finite")
         near = self.projected(A)

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
-import numpy as np
-
 from coadjoint.kernels.description import codes
 from coadjoint.kernels.step_tables import step_numbers
 from coadjoint.kernels.tables import Compiled
@@ -63,4 +61,4 @@ def matrix_tables(
     stream = system.stream
     kind = codes("StreamKind")[stream.kind]
     whole = [kind, system.algebra.N, product_address(system.complex), stages, int(system.complex)]
-    return step_numbers(system, step, whole, np.concatenate([[1.0], coefficients, stream.table]), fractions)
+    return step_numbers(system, step, whole, [1.0, *coefficients, *stream.table.tolist()], fractions)

@@ -30,7 +30,6 @@ MOST_STAGES = 8
 MOST_ITERATIONS = 192
 FIRST_TESTED = 3  # early corrections may rise before they fall
 SMALL = 2.0**17 * UNIT_ROUNDOFF  # of the entries: only below it may a correction be round-off
-ITERATIONS = 5  # of a step that is worth taking, about
 
 
 @dataclass(frozen=True)
@@ -95,11 +94,7 @@ class IsospectralGauss(SteppedMethod):
         ValueError
             The system is no `MatrixSystem`.
         """
-        if not isinstance(system, MatrixSystem):
-            raise ValueError(
-                f"IsospectralGauss moves matrices, but {getattr(system, 'name', short(system))} is no MatrixSystem; "
-                "take Splitting or GaussLegendre"
-            )
+        matrices_of(system)
         return Properties(poisson=True, energy=False, casimirs="all", attitude="none")
 
     def loop_of_substeps(
@@ -119,7 +114,7 @@ class IsospectralGauss(SteppedMethod):
         from coadjoint.methods.work import Work
 
         products = 2 if self.stages == 1 else 3 * self.stages
-        cost = substeps * products * 4.0 * system.algebra.N**3
+        cost = substeps * products * 4.0 * matrices_of(system).algebra.N ** 3
         return Work(lambda iterations, evaluations: max(1.0, iterations) * cost)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
@@ -130,11 +125,11 @@ class IsospectralGauss(SteppedMethod):
         IntegrationError
             The iteration does not converge.
         """
-        self.properties(system)
+        matrices = matrices_of(system)
         flat = np.ndim(x) == 1
-        W = system.from_vector(x) if flat else np.asarray(x)
-        found = W + self._increment(system, W, h)
-        return np.asarray(system.to_vector(found) if flat else found)
+        W = matrices.from_vector(x) if flat else np.asarray(x)
+        found = W + self._increment(matrices, W, h)
+        return np.asarray(matrices.to_vector(found) if flat else found)
 
     def _increment(self, system: MatrixSystem, W: Matrix, h: Any) -> Matrix:
         a, b = _coefficients(self.stages)
@@ -160,11 +155,30 @@ class IsospectralGauss(SteppedMethod):
         )
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its derivative by the numbers of the state, by the implicit function theorem.
+        """Return one step and its derivative by the numbers of the state, by differences.
 
-        The equation of the middle values, linearized, is solved by the same iteration for every direction.
+        Raises
+        ------
+        ValueError
+            The system is no `MatrixSystem`.
         """
-        raise TypeError(f"{self} has no derivative of its step yet")
+        return super().tangent(matrices_of(system), x, t, h)  # type: ignore[arg-type]
+
+
+def matrices_of(system: Any) -> MatrixSystem:
+    """Return a system of matrices; refuse another one.
+
+    Raises
+    ------
+    ValueError
+        It is another one.
+    """
+    if not isinstance(system, MatrixSystem):
+        raise ValueError(
+            f"IsospectralGauss moves matrices, but {getattr(system, 'name', short(system))} is no MatrixSystem; take "
+            "Splitting or GaussLegendre"
+        )
+    return system
 
 
 def _coefficients(stages: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

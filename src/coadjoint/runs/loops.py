@@ -107,6 +107,7 @@ class Loops(ABC):
         worst : (members, tenths, invariants) array
             Where their largest deviations in each tenth of the run go.
         """
+        return
 
     @abstractmethod
     def raised(self) -> BaseException | None:
@@ -160,9 +161,8 @@ class SystemLoops(Loops):
 
         followed = system.casimirs if casimirs is None else casimirs
         prepared = prepared or method.loop(system, h, representation)
-        self._measured = isinstance(system, MatrixSystem)
-        self._system = system
-        watch = watch_tables(system, dict.fromkeys(followed, NOTHING) if self._measured else followed)
+        self._matrices = system if isinstance(system, MatrixSystem) else None
+        watch = watch_tables(system, dict.fromkeys(followed, NOTHING) if self._matrices else followed)
         self.names = ["energy", *followed]
         self.size, self.memory = system.dim, prepared.memory
         self._shifted = representation is not None and bool(prepared.shift)
@@ -183,9 +183,9 @@ class SystemLoops(Loops):
 
     def measure(self, times: Times, saved: NDArray[Any], values: NDArray[Any], worst: NDArray[Any]) -> None:
         """Take the energy and the invariants of the saved matrices."""
-        if not self._measured:
+        system = self._matrices
+        if system is None:
             return
-        system = self._system
         numbers = times.saved
         tenth = np.where(numbers > 0, (numbers - 1) * worst.shape[1] // max(1, times.steps), 0)
         start: NDArray[Any] | None = None

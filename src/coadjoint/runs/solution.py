@@ -14,7 +14,6 @@ from coadjoint.methods.base import Method
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.wording import short
 
 if TYPE_CHECKING:

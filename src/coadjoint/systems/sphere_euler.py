@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
-
 from coadjoint.algebra.matrix_states import MatrixAlgebra
 from coadjoint.given import read_whole
 from coadjoint.systems.matrices.hoppe_yau import laplacian
@@ -35,8 +32,8 @@ def sphere_euler(N: int = 32) -> MatrixSystem:
     Notes
     -----
     V. Zeitlin, "Self-consistent finite-mode approximations for the hydrodynamics of an incompressible fluid on
-    nonrotating and rotating spheres", Phys. Rev. Lett. 93, 264501 (2004); J. Hoppe and S.-T. Yau, Comm. Math. Phys. 195,
-    67 (1998).
+    nonrotating and rotating spheres", Phys. Rev. Lett. 93, 264501 (2004); J. Hoppe and S.-T. Yau, Comm. Math. Phys.
+    195, 67 (1998).
 
     Examples
     --------
@@ -52,6 +49,3 @@ def sphere_euler(N: int = 32) -> MatrixSystem:
         name="sphere_euler",
         parameters={"N": N},
     )
-
-
-Floats = npt.NDArray[np.float64]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import pi
 from typing import Any
 
 import numpy as np
@@ -99,6 +98,3 @@ def torus_euler(N: int = 33) -> TorusEuler:
     return TorusEuler(
         MatrixAlgebra("su", N), Circulants(spectrum), energy_sign=-1, name="torus_euler", parameters={"N": N}
     )
-
-
-KAPPA = 1.0 / (4.0 * pi)

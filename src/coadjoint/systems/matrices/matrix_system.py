@@ -125,7 +125,9 @@ class MatrixSystem:
     def _check_stream(self) -> None:
         rng = np.random.default_rng(1)
         A, B = (
-            self.algebra.projected(rng.standard_normal(self.shape) + 1j * self.complex * rng.standard_normal(self.shape))
+            self.algebra.projected(
+                rng.standard_normal(self.shape) + 1j * self.complex * rng.standard_normal(self.shape)
+            )
             for _ in range(2)
         )
         if not self.complex:
@@ -173,7 +175,7 @@ class MatrixSystem:
 
     def spectrum(self, x: Any) -> Floats:
         """Return the eigenvalues of -i W, real and rising, of matrices (..., N, N)."""
-        return np.linalg.eigvalsh(-1j * np.asarray(x))
+        return np.asarray(np.linalg.eigvalsh(-1j * np.asarray(x)), dtype=np.float64)
 
     def exact(self, x0: Any, t: Any) -> Matrix:
         """Return the solution in closed form; refuse where none is known."""

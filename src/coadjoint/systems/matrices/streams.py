@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -60,6 +60,7 @@ class DiagonalSolve:
     main: Floats
     beside: Floats
     factor: float = 1.0
+    table: Floats = field(init=False, repr=False)
 
     kind = "TRIDIAGONAL"
 
@@ -78,7 +79,7 @@ class DiagonalSolve:
 
     def __call__(self, W: Matrix) -> Matrix:
         N = len(self.main)
-        below, inverse = self.table.reshape(2, N, N)  # type: ignore[attr-defined]
+        below, inverse = self.table.reshape(2, N, N)
         P = np.zeros_like(W)
         for m in range(N):
             y = np.diagonal(W, m, -2, -1).copy()
@@ -118,6 +119,7 @@ class Circulants:
     """
 
     spectrum: Floats
+    table: Floats = field(init=False, repr=False)
 
     kind = "CIRCULANT"
 
@@ -165,6 +167,7 @@ class Weights:
     """
 
     weights: Floats
+    table: Floats = field(init=False, repr=False)
 
     kind = "WEIGHTS"
 

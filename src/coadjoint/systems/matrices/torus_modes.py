@@ -86,6 +86,8 @@ def read_modes(given: Any, N: int) -> Complexes:
         seen[n1, n2] = number
     for (n1, n2), number in seen.items():
         if abs(seen.get((-n1, -n2), number.conjugate()) - number.conjugate()) > 1e-12 * abs(number):
-            raise ValueError(f"modes ({n1}, {n2}) and ({-n1}, {-n2}) are not conjugate: the vorticity would not be real")
+            raise ValueError(
+                f"modes ({n1}, {n2}) and ({-n1}, {-n2}) are not conjugate: the vorticity would not be real"
+            )
         w[n1, n2], w[-n1, -n2] = number, number.conjugate()
     return w
