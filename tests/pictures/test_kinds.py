@@ -228,3 +228,19 @@ def test_the_vorticity_is_that_of_the_waves_and_moves_by_its_equation():
     other = co.integrate(co.systems.toda(2), np.ones(3), (0, 1), 0.5)
     with pytest.raises(CannotShow, match="1 modes"):
         shown(other, Picture("field", modes=lambda system, X, Y: [X], width=lambda system: 1.0))
+
+
+def test_the_error_is_the_distance_from_the_closed_form():
+    body = co.systems.rigid_body((1, 2, 3))
+    starts = np.array([(1.0, 0.2, 0.5), (0.1, -1.0, 0.3)])
+    run = co.integrate(body, starts, (2.0, -4.0), 0.1)
+    axes = shown(run, "error")
+    assert len(axes.lines) == 2 and axes.get_yscale() == "log"
+    for m, line in enumerate(axes.lines):
+        exact = np.array([body.exact(starts[m], t - 2.0) for t in run.t])
+        wanted = np.linalg.norm(run.x[:, m] - exact, axis=1) / np.linalg.norm(starts[m])
+        np.testing.assert_allclose(line.get_ydata()[1:], wanted[1:], atol=1e-13)
+        assert not line.get_ydata()[0] > 1e-15 and wanted[-1] > 1e-6
+    for other in (co.systems.heavy_top(), co.batch([body, co.systems.rigid_body((1, 2, 4))])):
+        with pytest.raises(CannotShow, match="no closed form is known for"):
+            shown(co.integrate(other, np.ones(other.dim), (0.0, 1.0), 0.1), "error")
