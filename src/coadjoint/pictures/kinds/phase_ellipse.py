@@ -53,7 +53,7 @@ def phase_ellipse(
         qq, qp, pp = (x[:, drawn.place(i)] for i in moments)
         shown: Sequence[Lump] = [(0.0 * qq, 0.0 * qq, qq, qp, pp)]
     elif lumps is not None:
-        shown = lumps(x, drawn.system)
+        shown = lumps(x, drawn.family)
     else:
         raise TypeError("a phase ellipse needs the coordinates of moments, or a function that gives lumps")
     end = len(drawn.t) if until is None else max(2, int(round(until * (len(drawn.t) - 1))) + 1)
