@@ -1,5 +1,7 @@
 """Each kind of picture shows what it says, by its numbers."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection, QuadMesh
@@ -7,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 import coadjoint as co
+from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.globe import Globe
 from coadjoint.pictures.register import CannotShow, kinds
 from coadjoint.pictures.sites import places_of_sites
@@ -165,6 +168,47 @@ def test_a_driven_energy_changes_and_does_not_drift():
     axes = shown(co.integrate(driven, (0.2, 0.5, 1.0), (0.0, 5.0), 0.1, co.GaussLegendre(2)), "drift")
     assert axes.get_title().startswith("change of the driven energy")
     assert axes.get_legend().get_texts()[0].get_text() == "$H$, driven"
+
+
+def test_with_forces_invariants_change_and_what_their_work_leaves_is_the_error():
+    """A damped body: x' = x cross Omega - c x, in closed form where it spins about an axis."""
+    t = np.linspace(0.0, 4.0, 81)
+    body = co.systems.rigid_body((1, 2, 3))
+    x = np.array([0.0, 0.0, 2.0]) * np.exp(-0.25 * t)[:, None]
+    errors = {"energy": 1e-9 * t**2, "|x|^2": -1e-12 * t}
+    exact = {"energy": x[:, 2] ** 2 / 6.0, "|x|^2": x[:, 2] ** 2}
+    system = SimpleNamespace(
+        name="rigid_body with damping",
+        system=body,
+        dim=3,
+        algebra=body.algebra,
+        hamiltonian=body.hamiltonian,
+        casimirs=body.casimirs,
+        vector_field=lambda x, t: body.vector_field(x) - 0.25 * np.asarray(x),
+    )
+    halves = [{name: part * (values - values[0]) for name, values in exact.items()} for part in (0.75, 0.25)]
+    run = SimpleNamespace(
+        t=t,
+        x=x,
+        system=system,
+        failed=None,
+        energy=exact["energy"] + errors["energy"],
+        casimirs={"|x|^2": exact["|x|^2"] + errors["|x|^2"]},
+        work={"damping": halves[0], "damping 2": halves[1]},
+    )
+    drawn = Drawn(run)
+    assert drawn.telling is telling_of("rigid_body") and drawn.close
+    axes = Figure().add_subplot()
+    kinds()["drift"].prepare(drawn)(axes)
+    assert "change of the energy $H$ and the Casimirs" in axes.get_title() and "drift" not in axes.get_title()
+    change, left, _, casimir_left = axes.lines
+    assert (change.get_linestyle(), left.get_linestyle()) == ("-", ":")
+    np.testing.assert_allclose(change.get_ydata()[1:], np.abs(exact["energy"] - exact["energy"][0])[1:], rtol=1e-6)
+    np.testing.assert_allclose(left.get_ydata()[1:], errors["energy"][1:], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(casimir_left.get_ydata()[1:], -errors["|x|^2"][1:], rtol=0, atol=4e-15)
+    space = Figure().add_subplot(projection="3d")
+    kinds()["coadjoint orbit"].prepare(drawn)(space)
+    assert "at its start" in space.get_title()
 
 
 def test_observed_quantities_are_drawn():

@@ -121,7 +121,7 @@ class Drawn:
 
     @cached_property
     def left(self) -> Mapping[str, Floats] | None:
-        """What is left of the change of each invariant beside the work of the forces; None without forces."""
+        """The change of each invariant less the work of the forces on it, which is an error; None without forces."""
         work = getattr(self.solution, "work", None)
         if not work:
             return None

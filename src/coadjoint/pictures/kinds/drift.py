@@ -23,7 +23,7 @@ def drift(drawn: Drawn) -> Paint:
 
     Where the Hamiltonian depends on time the energy is meant to change, and the picture says so. Of many Casimirs the
     worst four have lines, and a band reaches from the smallest to the largest deviation of all. Where forces change the
-    invariants, dotted lines show what is left of the change beside their work: that is the error of the run.
+    invariants, dotted lines show what is left of the change less their work: that is the error of the run.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def drift(drawn: Drawn) -> Paint:
             label = "$H$, driven" if name == "energy" and drawn.driven else symbol(name)
             draw_members(axes, drawn.t, visible, drawn.close, colour(i), label)
             if drawn.left is not None:
-                _draw_left(axes, drawn, name, colour(i), None if i else "$H$ beside their work")
+                _draw_left(axes, drawn, name, colour(i), None if i else "$H$ less their work")
         axes.set(yscale="log", ylabel="absolute deviation from start")
         plain = "drift of the energy $H$ and the Casimirs"
         title = "change of the driven energy $H$, drift of the Casimirs" if drawn.driven else plain
