@@ -288,3 +288,12 @@ def test_the_error_is_the_distance_from_the_closed_form():
     for other in (co.systems.heavy_top(), co.batch([body, co.systems.rigid_body((1, 2, 4))])):
         with pytest.raises(CannotShow, match="no closed form is known for"):
             shown(co.integrate(other, np.ones(other.dim), (0.0, 1.0), 0.1), "error")
+
+
+def test_a_run_of_no_step_and_functions_that_are_not_finite():
+    moments = co.systems.vlasov_moments(2, "1/2*x20")
+    axes = shown(co.integrate(moments, (1.0, 0.3, 0.5), (0.0, 0.0), 0.1), Picture("phase ellipse", moments=(0, 1, 2)))
+    assert len(axes.lines) == 2
+    lattice = co.systems.toda(3)
+    run = co.integrate(lattice, (0.1, 0.2, 0.3, 0.0, 0.5), (0.0, 1.0), 0.1)  # a_1 = 0: the first two are far apart
+    assert len(run.plot().axes[2].lines) == 3
