@@ -122,7 +122,9 @@ class Splitting(FlowMethod):
             raise ValueError(f"adjoint=True is for order 1, a single sweep, not for order {self.order}")
         read_choice(self.rotation, "rotation", ("exact", "rational"))
         if isinstance(self.parts, str):
-            read_choice(self.parts, "choice of parts", ("auto", "coordinates"))
+            read_choice(self.parts, "choice of parts", ("auto", "coordinates", "free_body"))
+            if self.parts == "free_body" and self.rotation == "rational":
+                raise ValueError('parts="free_body" has no rational rotations; take rotation="exact"')
         elif isinstance(self.parts, Mapping):
             object.__setattr__(self, "parts", ChosenParts.from_mapping(self.parts))
         elif not isinstance(self.parts, ChosenParts):
@@ -275,7 +277,7 @@ class Splitting(FlowMethod):
 
 
 def _sets_of_coordinates(parts: Any) -> tuple[tuple[int, ...], ...]:
-    rule = "it must be 'auto', 'coordinates', or sets of coordinates such as [[0, 1], [2]]"
+    rule = "it must be 'auto', 'coordinates', 'free_body', or sets of coordinates such as [[0, 1], [2]]"
     groups = [read_list(group, "a set of parts", rule) for group in read_list(parts, "parts", rule)]
     sets = tuple(tuple(read_whole(i, "a coordinate in parts", 0, MOST_COORDINATES) for i in group) for group in groups)
     seen: set[int] = set()

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coadjoint.kernels.description import limit
-from coadjoint.program.describe import action_work, share_work
+from coadjoint.program.describe import action_work, bodies_of, share_work
 from coadjoint.program.table import Program
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -22,6 +22,8 @@ FLOW = 0.2
 MULTIPLICATION = 0.04
 FUNCTION = 0.6
 COMPENSATED = 1.3
+# The turn of a free body over a short time.
+BODY = 10.0
 ITERATION = 0.5
 LANES = 8
 VECTOR_MULTIPLICATION = 0.05
@@ -92,6 +94,9 @@ def _part_work(program: Program, number: int, compensated: bool) -> float:
     multiplications, functions = share_work(program, number)
     cost = FLOW + MULTIPLICATION * multiplications + FUNCTION * functions
     acting = action_work(program.state, number)
+    if bodies := bodies_of(program, number):
+        cost += BODY * len(bodies)
+        acting = acting[0], 0  # sines come with the body
     cost += (MULTIPLICATION * acting[0] + FUNCTION * acting[1]) * (COMPENSATED if compensated else 1.0)
     if program.group is not None:
         # The rows of a group element are turned side by side, by one sine.

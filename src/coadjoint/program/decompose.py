@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.program.chosen_parts import ChosenParts
+from coadjoint.program.free_bodies import free_bodies
 from coadjoint.program.order_of_parts import CLEARLY, best_orders
 from coadjoint.program.parts import Parts
 from coadjoint.program.shift import QuadraticCasimir, Shift, candidate_shifts, quadratic_casimirs, shifted_terms
@@ -54,7 +55,8 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     ----------
     system : LiePoissonSystem
         The system.
-    choice : "auto", "coordinates", sequence of sequences of int, or ChosenParts
+    choice : "auto", "coordinates", "free_body", sequence of sequences of int, or ChosenParts
+        ``"free_body"`` takes free rigid bodies as parts (see `free_bodies`), in the order of the smallest h^2 term.
         ``"auto"`` makes few parts: it joins commuting coordinates, takes off multiples of quadratic Casimirs where that
         removes a part or lowers the h^2 term, and orders the parts so that the h^2 term over a fixed sample is the
         smallest. All other choices are taken as they stand.
@@ -71,6 +73,10 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     """
     if isinstance(choice, ChosenParts):
         return _chosen(system, choice)
+    if isinstance(choice, str) and choice == "free_body":
+        if system not in _BODIES:
+            _BODIES[system] = _with_bodies(system)
+        return _BODIES[system]
     if not isinstance(choice, str) or choice != "auto":
         parts = split(system, choice)
         return Decomposition(parts, (), ChosenParts(tuple(range(len(parts)))))
@@ -96,6 +102,7 @@ def decompose_all(systems: Sequence[LiePoissonSystem]) -> None:
 
 # Systems do not change. What was found for one is kept as long as the system lives, and serves all of its runs.
 _FOUND: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
+_BODIES: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
 
 
 class Candidate(NamedTuple):
@@ -175,6 +182,12 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
         if not found or (comparing and len(parts) == fewest):
             found.append(Candidate(shift, parts))
     return found
+
+
+def _with_bodies(system: LiePoissonSystem) -> Decomposition:
+    parts = free_bodies(system)
+    order, _ = best_orders([(system, parts)], _sample(system.dim))[0]
+    return _decomposition(parts, {}, ChosenParts(order))
 
 
 def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:

@@ -9,7 +9,7 @@ from typing import Any
 from coadjoint.program.actions import Action
 from coadjoint.program.blocks import Kind
 from coadjoint.program.decompose import decompose
-from coadjoint.program.parts import Part
+from coadjoint.program.parts import BodyShare, Part
 from coadjoint.program.sweeps import Swept
 from coadjoint.program.table import Program, build_program
 from coadjoint.program.term_table import LINEAR
@@ -120,7 +120,17 @@ def _part(system: LiePoissonSystem, program: Program, number: int, part: Part) -
         blocks[Kind(int(action.kind[run])).name] += int(action.angles[run]) * int(action.repeat[run])
     acting, shares = action_work(action, number), share_work(program, number)
     multiplications, functions = acting[0] + shares[0], acting[1] + shares[1]
-    return PartDescription(tuple(_name(system, form) for form in part.forms), dict(blocks), multiplications, functions)
+    bodies = bodies_of(program, number)
+    names = tuple(_name(system, form) for form in part.forms)
+    if bodies:
+        names = tuple("free body of " + ", ".join(system.algebra.basis[i] for i in body.coordinates) for body in bodies)
+    return PartDescription(names, dict(blocks), multiplications, functions)
+
+
+def bodies_of(program: Program, number: int) -> list[BodyShare]:
+    """Return the free bodies that one part is made of."""
+    shares = range(int(program.parts.share[number]), int(program.parts.share[number + 1]))
+    return [body for s, body in program.parts.bodies.items() if s in shares]
 
 
 def action_work(action: Action, number: int) -> tuple[int, int]:

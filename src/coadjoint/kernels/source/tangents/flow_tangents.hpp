@@ -80,6 +80,16 @@ struct FlowTraveller {
         const double tau = tables.tau[r];
         const A moment = t + A(tables.moment[r] * h);
         A* theta = angles.theta.at;
+        if (is_called(tables, part)) {
+            for (uint32_t k = low; k < high; ++k)
+                called_changes(tables, tables.called[k], tau, x, vectors, rows,
+                               changes.at + (terms.row[k] - base) * rows);
+            const Turns<A> turns = turns_of_part(tables, Shared{}, part, tau, x, angles);
+            act_called<care>(tables.state, Shared{}, part, turns, Vectors<A>{x, dx, 1, scratch.at}, size);
+            act_called<PLAIN>(tables.state, Shared{}, part, turns, Vectors<V>{vectors, nullptr, rows, wide.at}, size);
+            add_turned(tables.state, part, x, changes.at, vectors, rows);
+            return;
+        }
         for (uint32_t k = low; k < high; ++k) {
             gradient_rows(terms, Shared{}, tables.addresses, k, x, moment, theta, base, angles.arguments.at,
                           angles.calls.data());
