@@ -68,13 +68,21 @@ inline double angle_of(double sine, double cosine) {
     return cosine < 0.0 ? (sine < 0.0 ? -0.5 * TWO_PI : 0.5 * TWO_PI) - angle : angle;
 }
 
+// The turn by the angle of (along, across), whose length is `size`.
 template <class A>
-INLINE void set_turn(const Turns<A>& turns, int k, const A& sine, const A& cosine) {
-    turns.sine[k] = sine;
-    turns.lowered[k] = select(cosine < A(0.0), cosine - A(1.0), -(sine * sine) / (A(1.0) + absolute(cosine)));
+INLINE void set_turn(const Turns<A>& turns, int k, const A& across, const A& along, const A& size) {
+    const A sum = along + size, inverse = A(1.0) / (size * sum);
+    turns.sine[k] = across * sum * inverse;
+    turns.lowered[k] = -(across * across) * inverse;
+    const auto backward = along < A(0.0);
+    if (__builtin_expect(any(backward), 0)) {
+        turns.sine[k] = select(backward, across / size, turns.sine[k]);
+        turns.lowered[k] = select(backward, along / size - A(1.0), turns.lowered[k]);
+    }
     if (!turns.direct)
         for (int lane = 0; lane < Numbers<A>::lanes; ++lane)
-            set_lane(turns.angle[k], lane, angle_of(lane_of(sine, lane), lane_of(cosine, lane)));
+            set_lane(turns.angle[k], lane,
+                     angle_of(lane_of(turns.sine[k], lane), 1.0 + lane_of(turns.lowered[k], lane)));
 }
 
 // Whether four turns are minus a quaternion, which matters where a block turns by half the angle.
@@ -99,21 +107,22 @@ INLINE void turns_of(const Quaternion<A>& q, const Turns<A>& turns) {
     const A tilt = 2.0 * (wy - x * z);                              // -R31
     const A a = 2.0 * fma(y, z, wx), b = (ww + zz) - (xx + yy);     // R32, R33
     const A c = 2.0 * fma(x, y, wz), d = (ww + xx) - (yy + zz);     // R21, R11
-    const A level = square_root(fma(a, a, b * b)), across = A(1.0) / level, over = A(1.0) / size;
-    A sine[BODY_TURNS] = {A(0.0), a * across, tilt * over, c * across};
-    A cosine[BODY_TURNS] = {A(1.0), b * across, level * over, d * across};
+    const A level = square_root(fma(a, a, b * b));
+    A across[BODY_TURNS] = {A(0.0), a, tilt, c}, along[BODY_TURNS] = {A(1.0), b, level, d};
+    A length[BODY_TURNS] = {A(1.0), level, size, level};
     const auto upright = A(UPRIGHT) * size < absolute(tilt);
     if (__builtin_expect(any(upright), 0)) {
         const A f = 2.0 * (y * z - wx), g = 2.0 * fma(x, z, wy);    // R23, R13
-        const A beside = square_root(fma(a, a, tilt * tilt)), along = A(1.0) / beside;
-        const A other_sine[BODY_TURNS] = {a * along, A(0.0), beside * over, f * along};
-        const A other_cosine[BODY_TURNS] = {tilt * along, A(1.0), b * over, g * along};
+        const A beside = square_root(fma(a, a, tilt * tilt)), one(1.0), zero(0.0);
+        const A other_across[BODY_TURNS] = {a, zero, beside, f}, other_along[BODY_TURNS] = {tilt, one, b, g};
+        const A other_length[BODY_TURNS] = {beside, one, size, beside};
         for (int k = 0; k < BODY_TURNS; ++k) {
-            sine[k] = select(upright, other_sine[k], sine[k]);
-            cosine[k] = select(upright, other_cosine[k], cosine[k]);
+            across[k] = select(upright, other_across[k], across[k]);
+            along[k] = select(upright, other_along[k], along[k]);
+            length[k] = select(upright, other_length[k], length[k]);
         }
     }
-    for (int k = 0; k < BODY_TURNS; ++k) set_turn(turns, k, sine[k], cosine[k]);
+    for (int k = 0; k < BODY_TURNS; ++k) set_turn(turns, k, across[k], along[k], length[k]);
     if (turns.direct || all(A(0.5) * size < ww * select(w < A(0.0), A(0.0), A(1.0)))) return;
     for (int lane = 0; lane < Numbers<A>::lanes; ++lane) {
         double angle[BODY_TURNS];

@@ -8,21 +8,22 @@
 // the series of P and of the roots converge in a few terms.
 //
 // The body turns by the shortest rotation from z to z(s), and then about z(s) by an angle whose rate is a smooth
-// function of z(s): Gauss's quadrature with seven points is exact to rounding over such a piece.
+// function of z(s): Gauss's quadrature with five points is exact to rounding over such a piece.
 #pragma once
 
 #include "numbers/dual.hpp"
-#include "boundary/codes.hpp"
 
 namespace coadjoint {
 
-constexpr int NODES = 8;  // the seven points of the quadrature, and the end of the piece
-constexpr double NODE[NODES] = {0.025446043828620736, 0.12923440720030277, 0.2970774243113014, 0.5,
-                                0.7029225756886985, 0.8707655927996972, 0.9745539561713793, 1.0};
-constexpr double SHARE[NODES] = {0.06474248308443485, 0.13985269574463832, 0.19091502525255946, 0.2089795918367347,
-                                 0.19091502525255946, 0.13985269574463832, 0.06474248308443485, 0.0};
+// The five points of the quadrature, the end of the piece, and what fills the lanes.
+constexpr int POINTS = 6, WIDTH = 8;
+constexpr double NODE[WIDTH] = {0.046910077030668004, 0.23076534494715845, 0.5,
+                                0.7692346550528415, 0.953089922969332, 1.0, 1.0, 1.0};
+constexpr double SHARE[POINTS - 1] = {0.11846344252809454, 0.23931433524968324, 0.28444444444444444,
+                                      0.23931433524968324, 0.11846344252809454};
 
-constexpr double PIECE = 0.25;  // the longest time, in units of 1/(|z| max |a|)
+constexpr double PIECE = 0.125;       // the longest time, in units of 1/(|z| max |a|)
+constexpr double MOST_PIECES = 65536; // in one flow; a longer one would have lost the motion anyway
 
 template <class A>
 struct Quaternion {
@@ -42,10 +43,10 @@ INLINE A dot(const A* u, const A* v) {
     return fma(u[2], v[2], fma(u[1], v[1], u[0] * v[0]));
 }
 
-// What one piece of time has at all of its points: m, a, z, p, and s^2 P(s) = 1 + c2 s^4 + c3 s^6 + ... + c9 s^18.
+// What one piece of time has at all of its points: m, a, z, p, and s^2 P(s) = 1 + c2 s^4 + c3 s^6 + ... + c6 s^12.
 template <class A>
 struct BodyPiece {
-    A m[3], a[3], z[3], p[3], middle, energy, length2, c[8];
+    A m[3], a[3], z[3], p[3], middle, energy, length2, c[5];
 
     BodyPiece() = default;
 
@@ -64,9 +65,6 @@ struct BodyPiece {
         c[2] = (c[0] * c[0]) * A(1.0 / 3.0);
         c[3] = (c[0] * c[1]) * A(3.0 / 11.0);
         c[4] = fma(c[0] + c[0], c[2], c[1] * c[1]) * A(1.0 / 13.0);
-        c[5] = fma(c[0], c[3], c[1] * c[2]) * A(1.0 / 10.0);
-        c[6] = fma(c[0] + c[0], c[4], fma(c[1] + c[1], c[3], c[2] * c[2])) * A(3.0 / 85.0);
-        c[7] = fma(c[0], c[5], fma(c[1], c[4], c[2] * c[3])) * A(1.0 / 19.0);
     }
 
     // The same numbers on wider lanes.
@@ -77,7 +75,7 @@ struct BodyPiece {
             m[i] = widened(other.m[i]), a[i] = widened(other.a[i]);
             z[i] = widened(other.z[i]), p[i] = widened(other.p[i]);
         }
-        for (int k = 0; k < 8; ++k) c[k] = widened(other.c[k]);
+        for (int k = 0; k < 5; ++k) c[k] = widened(other.c[k]);
     }
 
     template <class B>
@@ -90,9 +88,8 @@ struct BodyPiece {
 
     // At s, with square = s^2: by how much z has changed, and the rate of the turn about z(s), over |z|.
     INLINE A at(const A& s, const A& square, A* change) const {
-        A r = c[7];
-        for (int k = 6; k >= 0; --k) r = fma(square, r, c[k]);
-        r = (square * square) * r;
+        const A fourth = square * square;
+        const A r = fourth * fma(fourth, fma(fourth, c[4], fma(square, c[3], c[2])), fma(square, c[1], c[0]));
         const A lowered = fma(-square, middle, r);  // D - 1
         A root[3];                                  // C_i - 1
         for (int i = 0; i < 3; ++i) root[i] = lowered_root(fma(square, p[i], lowered));
@@ -108,49 +105,47 @@ struct BodyPiece {
         return (dot(turn, change) + (energy + energy)) / (dot(z, change) + (length2 + length2));
     }
 
-    // sqrt(1 + e) - 1 for |e| < 0.05, by the binomial series: the first neglected term is below 2^-57 of it.
+    // sqrt(1 + e) - 1 for |e| < 0.011, by the binomial series: the first neglected term is below 2^-57 of it.
     static INLINE A lowered_root(const A& e) {
-        constexpr double factor[] = {1.0 / 2,         -1.0 / 8,        1.0 / 16,         -5.0 / 128,     7.0 / 256,
-                                     -21.0 / 1024,    33.0 / 2048,     -429.0 / 32768,   715.0 / 65536,  -2431.0 / 262144,
-                                     4199.0 / 524288, -29393.0 / 4194304};
-        A sum(factor[11]);
-        for (int k = 10; k >= 0; --k) sum = fma(e, sum, A(factor[k]));
-        return e * sum;
+        const A ee = e * e;
+        const A low = fma(ee, fma(e, A(-5.0 / 128), A(1.0 / 16)), fma(e, A(-1.0 / 8), A(1.0 / 2)));
+        const A high = fma(ee, fma(e, A(-429.0 / 32768), A(33.0 / 2048)), fma(e, A(-21.0 / 1024), A(7.0 / 256)));
+        return e * fma(ee * ee, high, low);
     }
 };
 
 // How one number, and how lanes, go through all points of a piece: side by side, or one after the other. Each point is
 // computed by the same operations.
-typedef Lanes<NODES> Points;
+typedef Lanes<WIDTH> Wide;
 
-INLINE double added_up(const double* rates) {
-    double sum = SHARE[0] * rates[0];
-    for (int k = 1; k < NODES - 1; ++k) sum = fma(SHARE[k], rates[k], sum);
-    return sum;
+template <class A>
+INLINE A added_up(const A* rates) {
+    return fma(A(SHARE[2]), rates[2], A(SHARE[0]) * rates[0] + A(SHARE[1]) * rates[1]) +
+           (A(SHARE[3]) * rates[3] + A(SHARE[4]) * rates[4]);
 }
 
 INLINE double through_points(const BodyPiece<double>& piece, double* change) {
-    const BodyPiece<Points> wide(piece);
-    const Points s = load<Points>(NODE);
-    Points changes[3];
-    double rates[NODES];
+    const BodyPiece<Wide> wide(piece);
+    const Wide s = load<Wide>(NODE);
+    Wide changes[3];
+    double rates[WIDTH];
     store(rates, wide.at(s, s * s, changes));
-    for (int i = 0; i < 3; ++i) change[i] = changes[i][NODES - 1];
+    for (int i = 0; i < 3; ++i) change[i] = changes[i][POINTS - 1];
     return added_up(rates);
 }
 
 INLINE Dual<double> through_points(const BodyPiece<Dual<double>>& piece, Dual<double>* change) {
-    const BodyPiece<Dual<Points>> wide(piece);
-    const Dual<Points> s(load<Points>(NODE));
-    Dual<Points> changes[3];
-    const Dual<Points> found = wide.at(s, s * s, changes);
-    const auto all_of = [&](const Points& lanes) {
-        double rates[NODES];
+    const BodyPiece<Dual<Wide>> wide(piece);
+    const Dual<Wide> s(load<Wide>(NODE));
+    Dual<Wide> changes[3];
+    const Dual<Wide> found = wide.at(s, s * s, changes);
+    const auto all_of = [&](const Wide& lanes) {
+        double rates[WIDTH];
         store(rates, lanes);
         return added_up(rates);
     };
-    const auto last_of = [](const Dual<Points>& d) {
-        constexpr int last = NODES - 1;
+    const auto last_of = [](const Dual<Wide>& d) {
+        constexpr int last = POINTS - 1;
         return Dual<double>(d.value[last], d.slope[0][last], d.slope[1][last], d.slope[2][last]);
     };
     for (int i = 0; i < 3; ++i) change[i] = last_of(changes[i]);
@@ -159,25 +154,22 @@ INLINE Dual<double> through_points(const BodyPiece<Dual<double>>& piece, Dual<do
 
 template <class A>
 NOINLINE A through_points(const BodyPiece<A>& piece, A* change) {
-    A sum(0.0);
-    for (int k = 0; k < NODES; ++k) {
+    A rates[POINTS];
+    for (int k = 0; k < POINTS; ++k) {
         const A s(NODE[k]);
-        const A rate = piece.at(s, s * s, change), share(SHARE[k]);
-        if (k == 0)
-            sum = share * rate;
-        else if (k < NODES - 1)
-            sum = fma(share, rate, sum);
+        rates[k] = piece.at(s, s * s, change);
     }
-    return sum;
+    return added_up(rates);
 }
 
 // The quaternion of one piece of time, which is contained in m and a; moves z.
 template <class A, class Mask>
 INLINE Quaternion<A> turn_in_piece(const A* m, const A* a, A* z, const Mask& moving) {
-    const BodyPiece<A> piece(m, a, z);
+    BodyPiece<A> piece(m, a, z);
+    piece.length2 = select(moving, piece.length2, A(1.0));
     A change[3], shortest[3], about[3];
     const A rate = through_points(piece, change);
-    const A length2 = select(moving, piece.length2, A(1.0)), length = square_root(length2);
+    const A length2 = piece.length2, length = square_root(length2);
     const Rotation<A> turn = rotation_by(A(0.5) * (length * rate));
     const A cosine = turn.lowered + A(1.0), sine = turn.sine / length;
     const A doubled = length2 + length2;
@@ -212,7 +204,7 @@ template <class A>
 INLINE A value_of(const Dual<A>& a) { return a.value; }
 
 // The quaternion of the turn over the time tau from the momentum z along the principal axes; no numbers where the time
-// is more than MOST_SUBSTEPS pieces. R is A, or A with its derivatives by z.
+// is more than MOST_PIECES pieces. R is A, or A with its derivatives by z.
 template <class A, class R>
 INLINE Quaternion<R> body_turn(const A* moments, const R* momentum, double tau) {
     R z[3];
@@ -226,10 +218,10 @@ INLINE Quaternion<R> body_turn(const A* moments, const R* momentum, double tau) 
     const A widest = larger(absolute(differences[0]), larger(absolute(differences[1]), absolute(differences[2])));
     const A y[3] = {value_of(z[0]), value_of(z[1]), value_of(z[2])};
     const A reach = (widest * absolute(time)) * square_root(dot(y, y)) * A(1.0 / PIECE);
-    const auto sound = reach <= A(double(MOST_SUBSTEPS));
+    const auto sound = reach <= A(MOST_PIECES);
     const A near = select(sound, reach, A(1.0)), rounded = (near + A(ROUND)) - A(ROUND);
     const A count = larger(A(1.0), select(rounded < near, rounded + A(1.0), rounded));
-    const A each = time / count;
+    const A each = __builtin_expect(all(count == A(1.0)), 1) ? time : time / count;
     const auto moving = A(0.0) < size;
     R m[3], a[3];
     for (int i = 0; i < 3; ++i) m[i] = R(moments[i] * each), a[i] = R(differences[i] * each);
