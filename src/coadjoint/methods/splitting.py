@@ -41,11 +41,14 @@ class Splitting(FlowMethod):
         1: one sweep X_1(h), ..., X_n(h) through the parts. 2: ``X1(h/2) ... Xn(h) ... X1(h/2)`` (Lemma 4.1).
         4, 6, 8, 10: a symmetric composition of 5, 11, 21, 35 steps of order 2, of smallest error at equal cost on a
         rigid body.
-    parts : "auto", "coordinates", sequence of sequences of int, or ChosenParts
+    parts : "auto", "coordinates", "free_body", sequence of sequences of int, or ChosenParts
         ``"auto"``: commuting coordinates share a part, couplings inside a part are exact; multiples of quadratic
         Casimirs are taken off H where that removes a part or lowers the error, and the parts are ordered, by the
         algebra and H alone: the same system always gets the same (`describe` shows them). ``"coordinates"``: the
-        paper's, one coordinate each. Sets of coordinates are used as given, in that order. What `tuned` chose for a
+        paper's, one coordinate each. ``"free_body"``: coordinates that span so(3), with all of the energy that is
+        quadratic in them, move as free rigid bodies, exactly, and turn everything else; a heavy top is then a free body
+        and gravity, a gyrostat a free body and a rotation about the axis of its rotors, and a rigid body alone has no
+        error but rounding. It costs about six rotations, and pays where what is added to the body is weak. Sets of coordinates are used as given, in that order. What `tuned` chose for a
         state is explicit as well. Where M is not diagonal and couples coordinates that do not commute, the parts are
         completed squares.
     compensated : bool, optional

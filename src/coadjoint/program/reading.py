@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action
-from coadjoint.program.body_reading import Moving, flow_of_bodies, largest_of, pieces
 from coadjoint.program.blocks import CUBIC_HEADER, MOST_SUBSTEPS, Kind
+from coadjoint.program.body_reading import Moving, flow_of_bodies, largest_of, pieces
 from coadjoint.program.elementary import elementary
 from coadjoint.program.numbers import array_of, roundoff
 from coadjoint.program.rational_rotations import bent

@@ -84,26 +84,6 @@ def first_kind(sine: float, cosine: float, complement: float) -> float:
     return math.copysign(2.0 * float(elliprf(0.0, complement, 1.0)), sine) - part
 
 
-def third_kind(nu: float, phi: Floats, complement: float) -> Floats:
-    """Return Legendre's Pi(nu; phi | k^2) for any amplitude and nu <= 0, by Carlson's R_F and R_J.
-
-    Examples
-    --------
-    >>> third_kind(0.0, np.array([4.0]), 1.0)
-    array([4.])
-    """
-    from scipy.special import elliprf, elliprj
-
-    half_turns = np.rint(phi / math.pi)
-    sine, cosine = np.sin(phi), np.cos(phi)
-    sine = np.where(half_turns % 2 == 0, sine, -sine)
-    delta = cosine**2 + complement * sine**2
-    part = sine * elliprf(cosine**2, delta, 1.0)
-    part += nu / 3.0 * sine**3 * elliprj(cosine**2, delta, 1.0, 1.0 - nu * sine**2)
-    complete = float(elliprf(0.0, complement, 1.0)) + nu / 3.0 * float(elliprj(0.0, complement, 1.0, 1.0 - nu))
-    return np.asarray(2.0 * complete * half_turns + part)
-
-
 def _cross_matrix(w: Floats) -> Floats:
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
@@ -214,7 +194,9 @@ def _general(masses: list[Fraction], x0: list[Fraction], t: Floats) -> tuple[Flo
     cosine, sine = float(x0[a]) / size_a, float(x0[b]) / size_b
     radius = math.hypot(cosine, sine)
     cosine, sine = cosine / radius, sine / radius
-    phases = _Phases(length2, (ma, mc), (mb - mc) * under_a, exact_complement if complement else Fraction(0), exact_nu, t)
+    phases = _Phases(
+        length2, (ma, mc), (mb - mc) * under_a, exact_complement if complement else Fraction(0), exact_nu, t
+    )
     if complement == 0.0:
         u0 = math.asinh(sine / cosine)
         u = np.append(u0 + phases.u, u0)
