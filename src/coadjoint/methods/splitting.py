@@ -15,6 +15,7 @@ from coadjoint.methods.flow_method import FlowMethod
 from coadjoint.methods.properties import Properties
 from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES, SplittingScheme
 from coadjoint.program.chosen_parts import ChosenParts
+from coadjoint.program.decompose import check_free_bodies
 from coadjoint.program.sweeps import Sweep
 from coadjoint.systems.kinds import System, check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -48,9 +49,9 @@ class Splitting(FlowMethod):
         paper's, one coordinate each. ``"free_body"``: coordinates that span so(3), with all of the energy that is
         quadratic in them, move as free rigid bodies, exactly, and turn everything else; a heavy top is then a free body
         and gravity, a gyrostat a free body and a rotation about the axis of its rotors, and a rigid body alone has no
-        error but rounding. It costs about six rotations, and pays where what is added to the body is weak. Sets of coordinates are used as given, in that order. What `tuned` chose for a
-        state is explicit as well. Where M is not diagonal and couples coordinates that do not commute, the parts are
-        completed squares.
+        error but rounding. It costs about six rotations, and pays where what is added to the body is weak. Sets of
+        coordinates are used as given, in that order. What `tuned` chose for a state is explicit as well. Where M is not
+        diagonal and couples coordinates that do not commute, the parts are completed squares.
     compensated : bool, optional
         Compensated summation of the momentum; None is no. (The group element is always compensated.) Without it the
         Casimirs of a rigid body, a heavy top and a body on so(4) are off by 5e-13, 3e-13 and 8e-13 of abs(x)^2 after
@@ -253,7 +254,8 @@ class Splitting(FlowMethod):
         Raises
         ------
         ValueError
-            For a system without a Lie algebra, whose split flows are not linear.
+            For a system without a Lie algebra, whose split flows are not linear; with ``parts="free_body"`` for one
+            without free bodies.
         """
         check_one_system(system)
         if isinstance(system, PoissonSystem):
@@ -261,6 +263,8 @@ class Splitting(FlowMethod):
                 f"Splitting needs a Lie algebra, which {system.name} does not have (its split flows are not linear); "
                 "use GaussLegendre or ModifiedGaussLegendre"
             )
+        if self.parts == "free_body":
+            check_free_bodies(system, type(self).__name__)
         return Properties(poisson=True, energy=False, casimirs="all", attitude="every representation")
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.program.blocks import MOST_SUBSTEPS
 
 if TYPE_CHECKING:
+    from coadjoint.program.actions import Action
     from coadjoint.program.reading import Reading
 
 Vectors = NDArray[Any]
@@ -57,9 +58,26 @@ def flow_of_bodies(reading: Reading, part: int, tau: Any, moving: Moving) -> Non
             terms.append(body.next_term(terms, tau / count))
             if reading.negligible(terms):
                 break
-        for k, sums in enumerate(zip(*terms, strict=True)):
-            if sums[0] is not None:
-                moving[k][...] = sum(reversed(sums[1:]), 0 * sums[0]) + sums[0]
+        for start, *more in zip(*terms, strict=True):
+            if start is not None:
+                start[...] = sum(reversed(more), 0 * start) + start
+
+
+class _Entries(NamedTuple):
+    """Entries of a matrix, or of several, one after the other: `owner` is the generator that each belongs to."""
+
+    owner: NDArray[np.int64]
+    row: NDArray[np.int64]
+    column: NDArray[np.int64]
+    value: NDArray[Any]
+
+    def times(self, rates: NDArray[Any], vectors: Vectors) -> Vectors:
+        """Return sum_a rate_a D_a on vectors (n,) or (n, m)."""
+        factors = rates[self.owner] * self.value
+        moved = vectors[self.column] * (factors if vectors.ndim == 1 else factors[:, None])
+        result = 0 * vectors
+        np.add.at(result, self.row, moved)
+        return result
 
 
 class _Bodies:
@@ -68,48 +86,48 @@ class _Bodies:
     def __init__(self, reading: Reading, part: int) -> None:
         program = reading.program
         first, last = (program.terms.row[program.share[p]] for p in (part, part + 1))
-        self.rows = range(int(first), int(last))
         self.terms = program.terms
-        self.state = [reading.generator(program.state, part, a) for a in range(len(self.rows))]
-        self.group = [reading.generator(program.group, part, a) for a in range(len(self.rows))] if program.group else []
+        # The first turn of a body has no weights.
+        self.rows = [r for r in range(int(first), int(last)) if self.terms.entry[r] < self.terms.entry[r + 1]]
+        angles = [r - int(first) for r in self.rows]
+        self.state = _entries(reading, program.state, part, angles)
+        self.group = None if program.group is None else _entries(reading, program.group, part, angles)
 
     def speed(self, x: Vectors) -> Any:
         """Return a bound of how fast vectors turn."""
-        largest = [max([abs(value) for value in own.values()], default=0) for own in self.state]
-        return sum(abs(rate) * most for rate, most in zip(self.rates(x), largest, strict=True))
+        return sum(abs(rate) * max(abs(self.state.value), default=0) for rate in self.rates(x))
 
-    def rates(self, x: Vectors) -> list[Any]:
+    def rates(self, x: Vectors) -> NDArray[Any]:
         """Return the angular velocities along the generators, or their changes by the columns of x."""
-        terms = self.terms
-        return [
-            sum((terms.weight[e] * x[terms.column[e]] for e in range(terms.entry[r], terms.entry[r + 1])), 0 * x[0])
-            for r in self.rows
-        ]
+        terms, found = self.terms, np.empty((len(self.rows), *x.shape[1:]), dtype=x.dtype)
+        for a, r in enumerate(self.rows):
+            entries = range(terms.entry[r], terms.entry[r + 1])
+            found[a] = sum((terms.weight[e] * x[terms.column[e]] for e in entries), 0 * x[0])
+        return found
 
     def next_term(self, terms: Sequence[Moving], tau: Any) -> Moving:
         """Return the term of one order more, with its power of the time."""
         n = len(terms)
-        x, group, tangent = 0 * terms[0].x, terms[0].group, terms[0].tangent
-        group, tangent = (None if item is None else 0 * item for item in (group, tangent))
+        sums: list[Any] = [None if item is None else 0 * item for item in terms[0]]
         for k, term in enumerate(terms):
-            before = terms[n - 1 - k]
-            for a, rate in enumerate(self.rates(term.x)):
-                x = x + rate * _applied(self.state[a], before.x)
-                if group is not None and before.group is not None:
-                    group = group + rate * _applied(self.group[a], before.group)
-                if tangent is not None and before.tangent is not None:
-                    tangent = tangent + rate * _applied(self.state[a], before.tangent)
-            if tangent is not None and term.tangent is not None:
-                for a, change in enumerate(self.rates(term.tangent)):
-                    tangent = tangent + np.multiply.outer(_applied(self.state[a], before.x), change)
-        return Moving(*(None if item is None else item * tau / n for item in (x, group, tangent)))  # type: ignore[arg-type]
+            before, rates = terms[n - 1 - k], self.rates(term.x)
+            for place, entries in enumerate((self.state, self.group, self.state)):
+                vectors = before[place]
+                if vectors is not None and entries is not None:
+                    sums[place] = sums[place] + entries.times(rates, vectors)
+            if term.tangent is not None:
+                changes, state = self.rates(term.tangent), self.state
+                np.add.at(sums[2], state.row, (state.value * before.x[state.column])[:, None] * changes[state.owner])
+        x, group, tangent = (None if item is None else item * tau / n for item in sums)
+        assert x is not None
+        return Moving(x, group, tangent)
 
 
-def _applied(entries: dict[tuple[int, int], Any], vectors: Vectors) -> Vectors:
-    result = 0 * vectors
-    for (i, j), value in entries.items():
-        result[i] = result[i] + value * vectors[j]
-    return result
+def _entries(reading: Reading, action: Action, part: int, angles: Sequence[int]) -> _Entries:
+    matrices = [reading.generator(action, part, q) for q in angles]
+    found = [(a, *place, value) for a, matrix in enumerate(matrices) for place, value in matrix.items()]
+    owner, row, column = (np.array([entry[k] for entry in found], dtype=np.int64) for k in range(3))
+    return _Entries(owner, row, column, np.array([entry[3] for entry in found]))
 
 
 def largest_of(term: Iterable[Vectors | None]) -> Any:

@@ -18,7 +18,7 @@ from coadjoint.program.order_of_parts import CLEARLY, best_orders
 from coadjoint.program.parts import Parts
 from coadjoint.program.shift import QuadraticCasimir, Shift, candidate_shifts, quadratic_casimirs, shifted_terms
 from coadjoint.program.shift_counts import numbers_of_parts
-from coadjoint.program.split import split
+from coadjoint.program.split import NotSplit, split
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 SEED = 1993
@@ -182,6 +182,14 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
         if not found or (comparing and len(parts) == fewest):
             found.append(Candidate(shift, parts))
     return found
+
+
+def check_free_bodies(system: LiePoissonSystem, scheme: str) -> None:
+    """Refuse by name a system that has no free bodies, or whose other terms do not split."""
+    try:
+        decompose(system, "free_body")
+    except NotSplit as reason:
+        raise ValueError(f"{scheme} cannot serve {system.name}: {reason}") from None
 
 
 def _with_bodies(system: LiePoissonSystem) -> Decomposition:

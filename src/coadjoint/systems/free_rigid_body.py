@@ -194,9 +194,9 @@ def _general(masses: list[Fraction], x0: list[Fraction], t: Floats) -> tuple[Flo
     cosine, sine = float(x0[a]) / size_a, float(x0[b]) / size_b
     radius = math.hypot(cosine, sine)
     cosine, sine = cosine / radius, sine / radius
-    phases = _Phases(
-        length2, (ma, mc), (mb - mc) * under_a, exact_complement if complement else Fraction(0), exact_nu, t
-    )
+    if complement == 0.0:
+        exact_complement = Fraction(0)
+    phases = _Phases(length2, (ma, mc), (mb - mc) * under_a, exact_complement, exact_nu, t)
     if complement == 0.0:
         u0 = math.asinh(sine / cosine)
         u = np.append(u0 + phases.u, u0)
@@ -280,11 +280,7 @@ class _Phases:
                 rest = square / ball(1 - nu)
                 over = rest / 3 * acb.elliptic_rj(acb(0), acb(square), one, acb(rest)).real
                 gained = -4 * factor * ball(nu / (1 - nu)) * over
-            _, psi = remainders(linear, 2 * arb.pi(), t, bits)
-            turns = [fraction_of(gained) * count for count in counts]
-            whole = 2 * fraction_of(arb.pi())
-            more = [float(turn - whole * math.floor(turn / whole)) for turn in turns]
-        self.psi = psi + np.array(more)
+            _, self.psi = remainders(linear, 2 * arb.pi(), t, bits, gained, counts)
 
 
 def across_integral(nu: float, phi: Floats, complement: float) -> Floats:

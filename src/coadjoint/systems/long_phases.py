@@ -32,7 +32,9 @@ def working_bits(t: Floats, rate: float, period: float) -> int:
     return 2 * KEPT_BITS + sum(max(0, math.frexp(size)[1]) for size in sizes if math.isfinite(size))
 
 
-def remainders(rate: Any, period: Any, t: Floats, bits: int) -> tuple[list[int], Floats]:
+def remainders(
+    rate: Any, period: Any, t: Floats, bits: int, jump: Any = None, jumps: Sequence[int] = ()
+) -> tuple[list[int], Floats]:
     """Return the whole periods in rate * t for each time, and what is left.
 
     Parameters
@@ -43,6 +45,9 @@ def remainders(rate: Any, period: Any, t: Floats, bits: int) -> tuple[list[int],
         Times, taken as they are.
     bits : int
         Behind the point.
+    jump : arb, optional
+        Of the phase; and how many of them there are up to each time.
+    jumps : sequence of int
 
     Returns
     -------
@@ -58,10 +63,11 @@ def remainders(rate: Any, period: Any, t: Floats, bits: int) -> tuple[list[int],
     ([2, 3000], array([0.25, 0.  ]))
     """
     step, whole = (math.floor(fraction_of(value) * 2**bits) for value in (rate, period))
+    leap = 0 if jump is None else math.floor(fraction_of(jump) * 2**bits)
     counts, rests = [], []
-    for time in t.tolist():
+    for time, leaps in zip(t.tolist(), jumps or [0] * t.size, strict=True):
         above, below = time.as_integer_ratio()
-        phase = step * above // below
+        phase = step * above // below + leap * leaps
         counts.append((2 * phase + whole) // (2 * whole))
         rests.append((phase - counts[-1] * whole) / 2**bits)
     return counts, np.array(rests)
