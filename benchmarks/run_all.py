@@ -24,6 +24,7 @@ SECTIONS = {
     "lyapunov": "Tangent vectors",
     "work_against_precision": "Work against precision",
     "automatic_parts": "Automatic parts",
+    "free_body": "Free bodies as parts",
     "first_result": "The first result",
     "attitude": "The attitude in short calls",
     "cost_curves": "Cost curves",
