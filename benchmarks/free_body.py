@@ -85,7 +85,7 @@ def _error(system: Any, x0: np.ndarray, method: Any, steps: int, reference: np.n
 def _costs(system: Any, x0: np.ndarray, methods: Mapping[str, Any], rounds: int) -> tuple[float, float]:
     """Return the time of a step with a free body over that with rotations alone: for one, and for each of many."""
     found = []
-    for start, steps in ((x0, 1024), (np.tile(x0, (64, 1)), 64)):
+    for start, steps in ((x0, 4096), (np.tile(x0, (64, 1)), 1024)):
         best = dict.fromkeys(methods, np.inf)
         ready = {name: co.prepare(system, method, SPAN / 1024, watch=False) for name, method in methods.items()}
         for _ in range(rounds):

@@ -49,7 +49,7 @@ class Splitting(FlowMethod):
         paper's, one coordinate each. ``"free_body"``: coordinates that span so(3), with all of the energy that is
         quadratic in them, move as free rigid bodies, exactly, and turn everything else; a heavy top is then a free body
         and gravity, a gyrostat a free body and a rotation about the axis of its rotors, and a rigid body alone has no
-        error but rounding. It costs about six rotations, and pays where what is added to the body is weak. Sets of
+        error but rounding. It costs about seven rotations, and pays where what is added to the body is weak. Sets of
         coordinates are used as given, in that order. What `tuned` chose for a state is explicit as well. Where M is not
         diagonal and couples coordinates that do not commute, the parts are completed squares.
     compensated : bool, optional

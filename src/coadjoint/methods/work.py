@@ -23,7 +23,7 @@ MULTIPLICATION = 0.04
 FUNCTION = 0.6
 COMPENSATED = 1.3
 # The turn of a free body over a short time.
-BODY = 6.0
+BODY = 7.0
 ITERATION = 0.5
 LANES = 8
 VECTOR_MULTIPLICATION = 0.05
