@@ -101,6 +101,11 @@ class FlowMethod(Method):
         """Return the scheme with the automatic parts of this system, which it must have as a field."""
         from coadjoint.program.decompose import decompose
 
+        if isinstance(self.parts, str) and self.parts == "free_body":
+            raise ValueError(
+                f"{self} takes no inputs: free bodies turn about the linear term, and all parts are ordered for it; "
+                'take parts="auto"'
+            )
         automatic = isinstance(self.parts, ChosenParts) or (isinstance(self.parts, str) and self.parts == "auto")
         if not automatic or not isinstance(system, LiePoissonSystem):
             return self
