@@ -28,6 +28,7 @@ SECTIONS = {
     "automatic_parts": "Automatic parts",
     "first_result": "The first result",
     "attitude": "The attitude in short calls",
+    "short_calls": "Inputs in short calls",
     "cost_curves": "Cost curves",
     "large_algebras": "Large algebras",
 }

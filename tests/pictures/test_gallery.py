@@ -14,6 +14,7 @@ from coadjoint.pictures.register import CannotShow, kind, kinds, read_picture
 from coadjoint.runs.telling_run import telling_run
 from coadjoint.systems.ready_made import telling_of, told_systems
 from coadjoint.systems.telling import Picture, Telling
+from long import long_where
 
 
 def inside(figure: Figure) -> list[str]:
@@ -38,7 +39,11 @@ def test_every_ready_made_system_says_what_is_seen_first():
     assert shown <= set(kinds())
 
 
-@pytest.mark.parametrize("name", co.systems.names())
+# Functions take seconds to compile, and many spins a second to draw.
+SLOW = {"double_spherical_pendulum", "satellite", "separable_cosh", "sklyanin", "spin_lattice"}
+
+
+@pytest.mark.parametrize("name", long_where(SLOW, co.systems.names()))
 def test_the_telling_run_is_true_and_can_be_shown(name):
     run, told = telling_run(name), telling_of(name)
     size = np.abs(run.energy).max() + np.ptp(run.energy)
@@ -55,7 +60,11 @@ def test_the_telling_run_is_true_and_can_be_shown(name):
 
 # One system at least for each kind of picture that systems declare
 @pytest.mark.parametrize(
-    "name", ["rigid_body", "lagrange_top", "kirchhoff_body", "maxwell_bloch", "toda_ring", "so_n_body"]
+    "name",
+    long_where(
+        {"lagrange_top", "maxwell_bloch", "so_n_body"},
+        ["rigid_body", "lagrange_top", "kirchhoff_body", "maxwell_bloch", "toda_ring", "so_n_body", "fluid_triad"],
+    ),
 )
 def test_nothing_reaches_out_of_the_picture(name):
     figure = telling_run(name).plot()
@@ -110,6 +119,34 @@ def test_systems_of_another_dimension_fall_back():
     assert "8 of 10" in figure.axes[1].get_title()
     flat = co.integrate(co.systems.so_n_body((1.0, 2.0, 3.0)), (0.1, 1.0, 0.2), (0.0, 5.0), 0.05).plot()
     assert [axes.name for axes in flat.axes] == ["rectilinear", "rectilinear", "3d"]
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        co.systems.toda(2),
+        co.systems.toda(9),
+        co.systems.toda_ring(2),
+        co.systems.toda_ring(5),
+        co.systems.so_n_body((1.0, 2.0, 3.0)),
+        co.systems.manakov_top((1.0, 2.0, 4.0, 7.0, 9.0), (1.0, 3.0, 2.0, 5.0, 1.0)),
+        co.systems.spin_lattice("chain", 1),
+        co.systems.spin_lattice([(0, 1), (1, 3), (2, 3)], 4),
+        co.systems.spin_lattice("cubic", (2, 2, 2)),
+        co.systems.vlasov_moments(6),
+        co.systems.decorated_particles([1.0]),
+        co.systems.decorated_particles([1.0, 2.0, 3.0]),
+        pytest.param(co.systems.separable_cosh("e(3)", np.ones(6)), marks=pytest.mark.long),
+    ],
+    ids=lambda system: f"{system.name}-{system.dim}",
+)
+def test_other_sizes_than_the_gallerys_are_drawn(system):
+    x0 = 0.2 + 0.1 * np.cos(np.arange(system.dim))
+    figure = co.integrate(system, x0, (0.0, -0.5), 0.1).plot()
+    assert len(figure.axes) >= 2 and len(figure.axes[1].lines) > 0
+    if system.dim > 3:  # surfaces take time
+        crowd = co.integrate(system, np.stack([x0, 1.1 * x0]), (0.0, 0.5), 0.1).plot()
+        assert "2 members" in crowd.get_suptitle()
 
 
 def test_lagranges_top_turns_as_its_momenta_say():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import fields, is_dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -15,10 +16,13 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Method, Representation
 from coadjoint.methods.formal_numbers import is_short
+from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.program.numbers import Number
+from coadjoint.program.split import NotSplit
 from coadjoint.program.sweeps import Sweep
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.linear_term import with_all_present
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -93,6 +97,24 @@ class FlowMethod(Method):
         """Return the scheme itself."""
         return self
 
+    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
+        """Return the scheme with the automatic parts of this system, which it must have as a field."""
+        from coadjoint.program.decompose import decompose
+
+        automatic = isinstance(self.parts, ChosenParts) or (isinstance(self.parts, str) and self.parts == "auto")
+        if not automatic or not isinstance(system, LiePoissonSystem):
+            return self
+        if not is_dataclass(self) or all(field.name != "parts" for field in fields(self)):
+            raise TypeError(
+                f"{self} has no field for its parts, which it chooses for each Hamiltonian anew; give it one"
+            )
+        self.properties(system)
+        try:
+            choice = decompose(with_all_present(system, coordinates), self.parts).choice
+        except NotSplit:
+            return self  # the loop refuses by name what does not split
+        return replace(self, parts=replace(choice, linear=tuple(coordinates)))
+
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop over the rows of the table."""
         return self._loop_over(self.program(system, group=representation), h)
@@ -103,7 +125,7 @@ class FlowMethod(Method):
         from coadjoint.kernels.tables import flow_tables
 
         found = flow_tables(program, h, bool(self.compensated))
-        return CompiledLoop(FLOW_LOOP, found.tables, found.keep, program.shift)
+        return CompiledLoop(FLOW_LOOP, found.tables, found.keep, program.shift, parts=program.parts)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
         """Return the loop over the rows of the table, with tangent vectors."""

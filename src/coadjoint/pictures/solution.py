@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.extras import need
@@ -78,19 +79,24 @@ def _components(drawn: Drawn, chosen: Any) -> Picture:
 def _declared(drawn: Drawn, plain: Picture) -> list[tuple[Kind, Paint]]:
     """Return drift, components and observed quantities, and the pictures of the system that this run can show."""
     wanted = () if drawn.telling is None else drawn.telling.pictures
-    first = _shown(drawn, (Picture("drift"), plain, Picture("observed")))
+    own = drawn.telling is not None and plain is drawn.telling.components
+    # What the system declares may name coordinates that this one of its family does not have.
+    series = (_shown(drawn, (plain,)) if own else []) or [_prepared(drawn, Picture("components") if own else plain)]
+    first = _shown(drawn, (Picture("drift"),)) + series + _shown(drawn, (Picture("observed"),))
     return first + (_shown(drawn, wanted) or _shown(drawn, (Picture("coadjoint orbit"),)))
 
 
 def _shown(drawn: Drawn, pictures: Sequence[Picture]) -> list[tuple[Kind, Paint]]:
     found = []
     for picture in pictures:
-        kind, read = read_picture(picture)
-        try:
-            found.append((kind, kind.prepare(drawn, **read.options)))
-        except CannotShow:
-            continue
+        with suppress(CannotShow):
+            found.append(_prepared(drawn, picture))
     return found
+
+
+def _prepared(drawn: Drawn, picture: str | Picture) -> tuple[Kind, Paint]:
+    kind, read = read_picture(picture)
+    return kind, kind.prepare(drawn, **read.options)
 
 
 def _asked(drawn: Drawn, panels: Any, plain: Picture) -> list[tuple[Kind, Paint]]:
@@ -98,11 +104,7 @@ def _asked(drawn: Drawn, panels: Any, plain: Picture) -> list[tuple[Kind, Paint]
     given = (panels,) if isinstance(panels, str | Picture) else read_list(panels, "panels", rule)
     if not given:
         raise ValueError(f"panels is empty; {rule}")
-    found = []
-    for panel in given:
-        kind, picture = read_picture(_as_declared(drawn, plain, panel))
-        found.append((kind, kind.prepare(drawn, **picture.options)))
-    return found
+    return [_prepared(drawn, _as_declared(drawn, plain, panel)) for panel in given]
 
 
 def _as_declared(drawn: Drawn, plain: Picture, panel: Any) -> Any:

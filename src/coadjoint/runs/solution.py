@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import FrozenInstanceError, dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -124,7 +124,6 @@ class Solution:
     ((11, 3), ['energy', '|x|^2'])
     """
 
-    system: System | Batch
     method: Method
     watched: bool
     observed: Mapping[str, NDArray[np.float64]]
@@ -136,11 +135,11 @@ class Solution:
     _start: Start
     _names: list[str]
     _turned: Turned
+    _system: System | Batch | partial[System | Batch]
 
     def __init__(self, run: Run, kept: int, observed: Observed | None) -> None:
         loops, state = run.loops, run.state.arrays
         self.__dict__.update(
-            system=run.system,
             method=run.method,
             watched=run.watching,
             observed={},
@@ -152,6 +151,7 @@ class Solution:
             _start=run.start,
             _names=loops.names,
             _turned=loops.turned,
+            _system=run.system,
         )
         if observed is not None:
             series = observed.along(self.t, self._series("x"))
@@ -179,6 +179,11 @@ class Solution:
         return series[:, 0] if self._start.single else series
 
     @cached_property
+    def system(self) -> System | Batch:
+        """What moved; of a run with inputs the system with those."""
+        return self._system() if isinstance(self._system, partial) else self._system
+
+    @cached_property
     def t(self) -> NDArray[np.float64]:
         """The saved times."""
         return self._times.at(self._times.saved[: self._kept])
@@ -187,7 +192,7 @@ class Solution:
     def x(self) -> NDArray[np.float64]:
         """Momenta."""
         found = self._picked(self._series("x"))
-        shape = getattr(self.system, "shape", None)
+        shape = getattr(self._system, "shape", None)
         return found if shape is None else found.reshape(*found.shape[:-1], *shape)
 
     @cached_property
@@ -356,7 +361,7 @@ def check_solution(solution: Any) -> None:
         raise TypeError(f"solution is {short(solution)}; it must be a Solution, from co.integrate")
 
 
-PARTS = ("system", "method", "watched", "observed") + tuple(
+PARTS = ("method", "watched", "observed") + tuple(
     name for name, value in vars(Solution).items() if isinstance(value, cached_property)
 )
 """What a copy of a solution has."""

@@ -29,6 +29,12 @@ LARGEST = 1e50
 LARGEST_SQUARE = 64  # particles up to which the energy of the centre, which couples all, is given
 
 
+def _places_and_widths(dim: int) -> list[int]:
+    """Return the coordinates q and x20 of at most four lumps."""
+    n = (dim - 1) // 5
+    return [*range(n)][:4] + [2 * n + 1 + 3 * a for a in range(n)][:4]
+
+
 def _lumps(x: Any, system: Any) -> list[tuple[Any, ...]]:
     """Return the centre and the second moments of each lump, per mass, for states (k, n)."""
     found = []
@@ -45,9 +51,10 @@ def _lumps(x: Any, system: Any) -> list[tuple[Any, ...]]:
         t_span=(0.0, 12.0),
         step=0.02,
         says="Two lumps in a harmonic well that attract each other by the fourth power of their distance: their "
-        "centers oscillate (thin lines), and the ellipses of their widths turn and stretch; each keeps its area.",
+        "centers oscillate (thin lines), and the ellipses of their widths turn and stretch; each keeps its "
+        "area.",
         pictures=(Picture("phase ellipse", lumps=_lumps, times=7, labels=("position $q$", "velocity $p/w$")),),
-        components=Picture("components", chosen=(0, 1, 5, 8), quantity="positions and widths"),
+        components=Picture("components", chosen=_places_and_widths, quantity="positions and widths"),
         quantity="state",
     )
 )

@@ -43,7 +43,14 @@ def _position(i: int, x: Any) -> Any:
     return places[..., i] - places.mean(axis=-1)
 
 
-_PARTICLES = {f"q{i + 1}": partial(_position, i) for i in range(4)}
+def _particles(dim: int) -> dict[str, Any]:
+    """Return the positions of at most eight particles as functions of the state."""
+    return {f"q{i + 1}": partial(_position, i) for i in range(min(8, (dim + 1) // 2))}
+
+
+def _some_velocities(dim: int) -> range:
+    """Return the coordinates b of some sites."""
+    return range(0, dim // 2, max(1, dim // 16))
 
 
 def _bump() -> Floats:
@@ -59,8 +66,8 @@ def _bump() -> Floats:
         step=0.02,
         says="Four particles that repel each other meet, and fly apart: all a go to zero, and the b to the "
         "eigenvalues of the matrix L, sorted. Below, the particles as they move about their center.",
-        components=Picture("components", chosen=("b1", "b2", "b3", "b4", "a1", "a2", "a3"), quantity="state"),
-        pictures=(Picture("components", functions=_PARTICLES, quantity="position of the particles"),),
+        components=Picture("components", quantity="state"),
+        pictures=(Picture("components", functions=_particles, quantity="position of the particles"),),
         coordinates=partial(_names, 1),
         quantity="state",
     )
@@ -126,7 +133,7 @@ def toda(sites: int = 4) -> LiePoissonSystem:
                 title="$a_i$, large where two particles are close",
             ),
         ),
-        components=Picture("components", chosen=("b1", "b7", "b25", "b31"), quantity="velocity $b_i$"),
+        components=Picture("components", chosen=_some_velocities, quantity="velocity $b_i$"),
         parameters={"sites": 48},
         coordinates=partial(_names, 0),
         quantity="state",
