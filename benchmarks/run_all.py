@@ -25,6 +25,7 @@ SECTIONS = {
     "systems": "The ready-made systems",
     "work_against_precision": "Work against precision",
     "automatic_parts": "Automatic parts",
+    "free_body": "Free bodies as parts",
     "first_result": "The first result",
     "attitude": "The attitude in short calls",
     "short_calls": "Inputs in short calls",

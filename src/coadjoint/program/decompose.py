@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.program.chosen_parts import ChosenParts
+from coadjoint.program.free_bodies import free_bodies
 from coadjoint.program.offsets_of_squares import with_offsets_of
 from coadjoint.program.order_of_parts import CLEARLY, best_orders
 from coadjoint.program.parts import Parts
 from coadjoint.program.shift import QuadraticCasimir, Shift, candidate_shifts, quadratic_casimirs, shifted_terms
 from coadjoint.program.shift_counts import numbers_of_parts
-from coadjoint.program.split import split
+from coadjoint.program.split import NotSplit, split
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.linear_term import linear_of, with_all_present
 
@@ -56,7 +57,8 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     ----------
     system : LiePoissonSystem
         The system.
-    choice : "auto", "coordinates", sequence of sequences of int, or ChosenParts
+    choice : "auto", "coordinates", "free_body", sequence of sequences of int, or ChosenParts
+        ``"free_body"`` takes free rigid bodies as parts (see `free_bodies`), in the order of the smallest h^2 term.
         ``"auto"`` makes few parts: it joins commuting coordinates, takes off multiples of quadratic Casimirs where that
         removes a part or lowers the h^2 term, and orders the parts so that the h^2 term over a fixed sample is the
         smallest. All other choices are taken as they stand.
@@ -73,6 +75,10 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     """
     if isinstance(choice, ChosenParts):
         return _chosen(system, choice)
+    if isinstance(choice, str) and choice == "free_body":
+        if system not in _BODIES:
+            _BODIES[system] = _with_bodies(system)
+        return _BODIES[system]
     if not isinstance(choice, str) or choice != "auto":
         parts = split(system, choice)
         return Decomposition(parts, (), ChosenParts(tuple(range(len(parts)))))
@@ -98,6 +104,7 @@ def decompose_all(systems: Sequence[LiePoissonSystem]) -> None:
 
 # Systems do not change. What was found for one is kept as long as the system lives, and serves all of its runs.
 _FOUND: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
+_BODIES: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
 
 
 class Candidate(NamedTuple):
@@ -177,6 +184,20 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
         if not found or (comparing and len(parts) == fewest):
             found.append(Candidate(shift, parts))
     return found
+
+
+def check_free_bodies(system: LiePoissonSystem, scheme: str) -> None:
+    """Refuse by name a system that has no free bodies, or whose other terms do not split."""
+    try:
+        decompose(system, "free_body")
+    except NotSplit as reason:
+        raise ValueError(f"{scheme} cannot serve {system.name}: {reason}") from None
+
+
+def _with_bodies(system: LiePoissonSystem) -> Decomposition:
+    parts = free_bodies(system)
+    order, _ = best_orders([(system, parts)], _sample(system.dim))[0]
+    return _decomposition(parts, {}, ChosenParts(order))
 
 
 def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:

@@ -32,6 +32,31 @@ class FunctionShare:
 
 
 @dataclass(frozen=True)
+class BodyShare:
+    """The flow of a free rigid body: its forms do not commute, and its angles change on the way.
+
+    The rows of the share are linear like others, and their forms and weights are the energy. They are the coordinates
+    3, 1, 2, 3 of the triple, the first without weights: the turns that compiled loops write the flow as.
+
+    Parameters
+    ----------
+    coordinates : (int, int, int)
+        The triple.
+    matrix : tuple of tuples, (3, 3)
+        The energy is x.M.x/2 on the triple.
+    scale : (float, float, float)
+        The basis elements times these have the brackets [1, 2] = 3, [2, 3] = 1, [3, 1] = 2.
+    """
+
+    coordinates: tuple[int, int, int]
+    matrix: tuple[tuple[float, ...], ...]
+    scale: tuple[float, float, float]
+
+
+SpecialShare = PolynomialShare | FunctionShare | BodyShare
+
+
+@dataclass(frozen=True)
 class Part:
     """The commuting forms of one exact flow, to be shown.
 
@@ -59,8 +84,8 @@ class Parts(Sequence[Part]):
         One row for each angle; the row is empty in other shares.
     row : ndarray of int64, shape (shares + 1,)
         Where the angles of each share begin.
-    special : mapping of int to PolynomialShare or FunctionShare
-        The shares that are not linear.
+    special : mapping of int to PolynomialShare, FunctionShare or BodyShare
+        The shares that are not linear, or whose forms do not commute. A part has shares of free bodies alone, or none.
     share : ndarray of int64, shape (parts + 1,)
         Where the shares of each part begin.
     timed : ndarray of bool, shape (parts,)
@@ -73,7 +98,7 @@ class Parts(Sequence[Part]):
         offset: NDArray[Any],
         weights: SparseRows,
         row: Integers,
-        special: Mapping[int, PolynomialShare | FunctionShare],
+        special: Mapping[int, SpecialShare],
         share: Integers,
         timed: NDArray[np.bool_],
     ) -> None:
@@ -114,6 +139,11 @@ class Parts(Sequence[Part]):
             joined_starts([piece.share for piece in pieces]),
             np.concatenate([piece.timed for piece in pieces]),
         )
+
+    @property
+    def bodies(self) -> dict[int, BodyShare]:
+        """The shares that are free bodies."""
+        return {s: share for s, share in self.special.items() if isinstance(share, BodyShare)}
 
     def with_rules(self, offset: NDArray[Any], weights: SparseRows) -> Parts:
         """Return the same forms with other angles."""

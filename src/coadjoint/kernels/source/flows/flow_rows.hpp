@@ -1,7 +1,7 @@
 // The rows of a program, read from their table, and what a loop over steps is given.
 #pragma once
 
-#include "flows/actions.hpp"
+#include "flows/called_parts.hpp"
 #include "boundary/crew.hpp"
 
 namespace coadjoint {
@@ -14,6 +14,21 @@ struct AngleRoom {
     explicit AngleRoom(int64_t longest)
         : theta(longest), turned(longest), arguments(longest), calls(2 * longest + 2) {}
 };
+
+// The turns of a part whose shares are called.
+template <class A, class C>
+Turns<A> turns_of_part(const FlowTables& tables, const C& constants, uint32_t part, double tau, const A* x,
+                       AngleRoom<A>& room) {
+    const Turns<A> turns{room.theta.at, room.turned.at, room.arguments.at, tables.direct[part] != 0};
+    for (uint32_t k = tables.share[part], first = tables.terms.row[k]; k < tables.share[part + 1]; ++k) {
+        const uint32_t own = tables.terms.row[k] - first;
+        called_turns(tables, constants, tables.called[k], tau, x,
+                     Turns<A>{turns.angle + own, turns.sine + own, turns.lowered + own, turns.direct});
+    }
+    return turns;
+}
+
+inline bool is_called(const FlowTables& tables, uint32_t part) { return tables.called[tables.share[part]] >= 0; }
 
 // Apply row r: angles from its share, then the action on the momentum and on the group element.
 template <Care care, bool carry, class A, class G, class C>
@@ -29,6 +44,12 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
         lone = linear_row(terms, constants, row, x.at);
     } else {
         const uint32_t low = tables.share[part], high = tables.share[part + 1];
+        if (tables.called[low] >= 0) {
+            const Turns<A> turns = turns_of_part(tables, constants, part, tau, x.at, room);
+            act_called<care>(tables.state, constants, part, turns, x, tables.state.size);
+            if constexpr (carry) act_called<CORRECTED>(tables.group, constants, part, turns, group, tables.group.size);
+            return;
+        }
         const A moment = t + A(tables.moment[r] * h);
         for (uint32_t k = low; k < high; ++k)
             gradient_rows(terms, constants, tables.addresses, k, x.at, moment, room.theta.at, terms.row[low],
@@ -75,7 +96,10 @@ inline int64_t work_of_step(const FlowLoop& loop) {
     const uint32_t first = tables.section[1], last = tables.section[3];
     int64_t work = work_of_terms(loop.watch.terms, 0, loop.watch.terms.size);
     for (uint32_t r = first; r < last; ++r)
-        work += 16 + work_of_terms(tables.terms, tables.share[tables.part[r]], tables.share[tables.part[r] + 1]);
+        if (is_called(tables, tables.part[r]))
+            work += WORK_OF_A_BODY * (tables.share[tables.part[r] + 1] - tables.share[tables.part[r]]);
+        else
+            work += 16 + work_of_terms(tables.terms, tables.share[tables.part[r]], tables.share[tables.part[r] + 1]);
     work += work_of_rows(tables, tables.state, first, last);
     if (tables.group.size > 0) work += tables.group.size * work_of_rows(tables, tables.group, first, last);
     return work;
