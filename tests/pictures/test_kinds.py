@@ -11,6 +11,7 @@ from coadjoint.pictures.globe import Globe
 from coadjoint.pictures.register import CannotShow, kinds
 from coadjoint.pictures.sites import places_of_sites
 from coadjoint.systems.lattices import CELLS, graph
+from coadjoint.systems.ready_made import telling_of
 from coadjoint.systems.telling import Picture
 
 
@@ -198,3 +199,48 @@ def test_a_globe_shows_the_near_side_strong_and_the_far_side_faint():
     np.testing.assert_allclose(near.get_xdata()[drawn], np.sin(turn[drawn]), atol=1e-12)
     globe.mark(np.array([-1.0, 0.0, 0.0]), "C1")
     assert axes.lines[-1].get_markerfacecolor() == "white"
+
+
+def test_the_vorticity_is_that_of_the_waves_and_moves_by_its_equation():
+    """w_t = -u . grad w, kept to the waves: by finite differences on the plane, not by the bracket."""
+    triad = co.systems.fluid_triad(first=(1.0, 0.0), second=(0.0, 2.0))
+    run = co.integrate(triad, (0.4, 0.9, -0.3), (0.0, 1.0), 0.125)
+    telling = telling_of("fluid_triad").pictures[0].options
+    edge = 2.0 * np.pi * np.arange(64) / 64
+    waves = telling["modes"](triad, *np.meshgrid(edge, edge))
+    assert telling["width"](triad) == pytest.approx(4.0 * np.pi)
+    x = run.x[-1]
+    w = np.tensordot(x, waves, axes=1)
+    # stream function: w = Laplace psi, each wave divided by -k^2; u = (-psi_y, psi_x)
+    psi = -np.tensordot(x / np.array([1.0, 4.0, 5.0]), waves, axes=1)
+
+    def slopes(f):
+        k = np.fft.fftfreq(64, 1 / 64)
+        hat = np.fft.fft2(f)
+        return np.fft.ifft2(1j * k * hat).real, np.fft.ifft2(1j * k[:, None] * hat).real
+
+    (w_x, w_y), (psi_x, psi_y) = slopes(w), slopes(psi)
+    rate = psi_y * w_x - psi_x * w_y
+    kept = [2.0 * np.mean(rate * wave) for wave in waves]
+    np.testing.assert_allclose(kept, triad.vector_field(x), atol=1e-12)
+    axes = shown(run, Picture("field", **telling))
+    assert axes.get_title() == "vorticity at $t$ = 0" and axes.get_aspect() == 1.0
+    other = co.integrate(co.systems.toda(2), np.ones(3), (0, 1), 0.5)
+    with pytest.raises(CannotShow, match="1 modes"):
+        shown(other, Picture("field", modes=lambda system, X, Y: [X], width=lambda system: 1.0))
+
+
+def test_the_error_is_the_distance_from_the_closed_form():
+    body = co.systems.rigid_body((1, 2, 3))
+    starts = np.array([(1.0, 0.2, 0.5), (0.1, -1.0, 0.3)])
+    run = co.integrate(body, starts, (2.0, -4.0), 0.1)
+    axes = shown(run, "error")
+    assert len(axes.lines) == 2 and axes.get_yscale() == "log"
+    for m, line in enumerate(axes.lines):
+        exact = np.array([body.exact(starts[m], t - 2.0) for t in run.t])
+        wanted = np.linalg.norm(run.x[:, m] - exact, axis=1) / np.linalg.norm(starts[m])
+        np.testing.assert_allclose(line.get_ydata()[1:], wanted[1:], atol=1e-13)
+        assert not line.get_ydata()[0] > 1e-15 and wanted[-1] > 1e-6
+    for other in (co.systems.heavy_top(), co.batch([body, co.systems.rigid_body((1, 2, 4))])):
+        with pytest.raises(CannotShow, match="no closed form is known for"):
+            shown(co.integrate(other, np.ones(other.dim), (0.0, 1.0), 0.1), "error")

@@ -35,7 +35,7 @@ def spins(drawn: Drawn, at: float = 1.0, seen: str = "plane") -> Paint:
     -------
     Paint
     """
-    n = drawn.x.shape[-1]
+    n = drawn.n
     if n % 3:
         raise CannotShow(f"the state has {n} coordinates, which are no spins of three")
     parameters = drawn.system.parameters or {}
