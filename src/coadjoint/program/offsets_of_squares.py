@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.connected import connected
 from coadjoint.algebra.exact import rational
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
+from coadjoint.program.parts import Parts, PolynomialShare, SpecialShare
 from coadjoint.program.squares import LARGEST_RATIONAL
 from coadjoint.systems.linear_term import PRESENT
 
@@ -117,7 +117,7 @@ def with_offsets_of(parts: Parts, linear: NDArray[np.float64]) -> Parts:
     return Parts(parts.forms, offset, parts.weights, parts.row, special, parts.share, parts.timed)
 
 
-def _without_present(share: PolynomialShare | FunctionShare) -> PolynomialShare | FunctionShare:
+def _without_present(share: SpecialShare) -> SpecialShare:
     if not isinstance(share, PolynomialShare):
         return share
     monomials = {e: c for e, c in share.polynomial.monomials.items() if c != PRESENT}
