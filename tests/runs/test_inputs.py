@@ -317,6 +317,16 @@ def test_refusals():
         co.prepare(co.LiePoissonSystem(co.algebras.so(3), split_up), None, 0.1, inputs=True)
 
 
+def test_squares_of_many_coordinates_take_no_inputs():
+    large = co.LiePoissonSystem(co.algebras.so(7), co.Quadratic(full_matrix(1, 21)), sign=-1)
+    with pytest.raises(ValueError, match=r"squares of more than 16 coupled coordinates.*GaussLegendre"):
+        co.prepare(large, co.Splitting(order=2, parts="coordinates"), 0.1, inputs=True)
+    x, linear = np.linspace(-0.5, 0.5, 21), np.linspace(0.3, -0.3, 21)
+    sol = co.prepare(large, co.GaussLegendre(1), STEP, inputs=True).run(x, (0, STEP), linear=linear)
+    anew = co.LiePoissonSystem(large.algebra, co.Quadratic(full_matrix(1, 21), linear=linear), sign=-1)
+    assert np.array_equal(sol.x, co.integrate(anew, x, (0, STEP), STEP, co.GaussLegendre(1)).x)
+
+
 def test_steps_that_are_calls_of_python_take_no_inputs():
     class Called(co.methods.StepMethod):
         order, explicit, symmetric, compiles = 1, True, False, False

@@ -42,6 +42,8 @@ class Drawn:
         As given.
     system : LiePoissonSystem or PoissonSystem
         That of the first member.
+    family : LiePoissonSystem or PoissonSystem
+        The same, without the forces that it may have.
     telling : Telling or None
         What is known of the system by its name.
     of_members : int
@@ -58,7 +60,9 @@ class Drawn:
         self.solution = solution
         first = solution.system[0] if isinstance(solution.system, Batch) else solution.system
         self.system: Any = first
-        self.telling: Telling | None = telling_of(first.name)
+        # A system with forces wraps the one that has a name and parameters.
+        self.family: Any = getattr(first, "system", first)
+        self.telling: Telling | None = telling_of(self.family.name)
         self.single = solution.failed is None
         # A matrix of complex numbers is drawn as its real and imaginary parts, in turns.
         states = np.ascontiguousarray(solution.x)
@@ -114,6 +118,18 @@ class Drawn:
     def driven(self) -> bool:
         """Whether the Hamiltonian depends on time, so that the energy is no invariant."""
         return bool(getattr(self.system.hamiltonian, "timed", False))
+
+    @cached_property
+    def left(self) -> Mapping[str, Floats] | None:
+        """The change of each invariant less the work of the forces on it, which is an error; None without forces."""
+        work = getattr(self.solution, "work", None)
+        if not work:
+            return None
+        found = {}
+        for name, values in self.invariants.items():
+            done = [self.of_each(by[name]) for by in work.values() if name in by]
+            found[name] = values - values[:, :1] - sum(done)
+        return found
 
     @property
     def quantity(self) -> str:

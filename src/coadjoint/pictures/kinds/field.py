@@ -41,8 +41,8 @@ def field(
     """
     part = min(max(read_number(at, "at"), 0.0), 1.0)
     k = round(part * (len(drawn.t) - 1))
-    edge = np.linspace(0.0, read_positive(width(drawn.system), "width"), CELLS + 1)
-    waves = np.asarray(modes(drawn.system, *np.meshgrid(edge, edge)))
+    edge = np.linspace(0.0, read_positive(width(drawn.family), "width"), CELLS + 1)
+    waves = np.asarray(modes(drawn.family, *np.meshgrid(edge, edge)))
     if len(waves) != drawn.n:
         raise CannotShow(f"the field has {len(waves)} modes, and the state has {drawn.n} coordinates")
     values = np.tensordot(drawn.x[0, k], waves, axes=1)
