@@ -71,6 +71,7 @@ _HOME = {
 }
 _MODULES = {
     "algebras": "coadjoint.algebra.catalogue",
+    "forces": "coadjoint.systems.forces",
     "systems": "coadjoint.systems",
     "methods": "coadjoint.methods",
 }
@@ -122,6 +123,7 @@ if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import prepare as prepare
     from coadjoint.runs.solution import Solution as Solution
     from coadjoint.runs.stepper import stepper as stepper
+    from coadjoint.systems import forces as forces
     from coadjoint.systems.batch import batch as batch
     from coadjoint.systems.hamiltonian import Hamiltonian as Hamiltonian
     from coadjoint.systems.lie_poisson import LiePoissonSystem as LiePoissonSystem

@@ -36,6 +36,8 @@ class CompiledLoop:
         What was taken off the Hamiltonian, Casimirs and factors: it turns the group element at output.
     memory : int
         How many numbers a member remembers from step to step.
+    accounts : tuple of (str, str)
+        What forces have done is added up behind the coordinates of a state: for each place the force and the invariant.
     """
 
     name: str
@@ -43,6 +45,7 @@ class CompiledLoop:
     keep: tuple[Any, ...] = ()
     shift: tuple[tuple[Polynomial, float], ...] = ()
     memory: int = 0
+    accounts: tuple[tuple[str, str], ...] = ()
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user has raised in the loop, once, if it did."""

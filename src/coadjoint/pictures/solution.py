@@ -75,7 +75,7 @@ class _thinned:
         x = solution.x[:, None] if solution.x.ndim == 2 else solution.x
         self.of_members, self.of_components = x.shape[1], x.shape[2]
         members = _spread(x.shape[1], MOST_MEMBERS)
-        self.t = solution.t[keep]
+        self.t, self.forced = solution.t[keep], bool(solution.work)
         self.x = np.swapaxes(x[np.ix_(keep, members)], 0, 1)
 
         def series(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -104,7 +104,12 @@ def _draw_drift(axes: Any, drawn: _thinned) -> None:
             width, strength = (0.5, 0.5) if several else (0.9, 1.0)
             axes.plot(drawn.t, visible, color=colour(i), linewidth=width, alpha=strength, label=label)
     axes.set(yscale="log", ylabel="absolute deviation from start")
-    axes.set_title("drift of the energy $H$ and the Casimirs, at the saved points")
+    what = (
+        "change of the energy $H$ and the Casimirs, with forces"
+        if drawn.forced
+        else "drift of the energy $H$ and the Casimirs"
+    )
+    axes.set_title(f"{what}, at the saved points")
     if not shown:
         axes.text(0.5, 0.5, "no deviation in any bit", transform=axes.transAxes, ha="center", fontsize=9)
     plain_axes(axes)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.given import read_flag, read_whole
 from coadjoint.methods.base import Method
+from coadjoint.methods.forced import serving
 from coadjoint.methods.splitting import Splitting
 from coadjoint.runs.batch_loops import BatchLoops
 from coadjoint.runs.loops import Loops, SystemLoops
@@ -54,8 +55,9 @@ class PreparedRun:
         workers = None if threads is None else read_whole(threads, "threads (None is all cores)", floats=True)
         check_system(system)
         self.system, self.method, self.step = system, scheme, checked_step(step)
+        self._scheme = serving(system, scheme)
         self._attitude, self._watching = attitude, watching
-        self._representations = representations_of(system, scheme, attitude)
+        self._representations = representations_of(system, self._scheme, attitude)
         self._observe = check_observe({} if observe is None else observe)
         self._threads = workers or os.cpu_count() or 1
         self._made: dict[float, Loops] = {}
@@ -129,8 +131,8 @@ class PreparedRun:
 
     def _loops(self, h: float) -> Loops:
         if isinstance(self.system, Batch):
-            return BatchLoops(self.system, self.method, h, self._representations)
-        return SystemLoops(self.system, self.method, h, self._representations[0])
+            return BatchLoops(self.system, self._scheme, h, self._representations)
+        return SystemLoops(self.system, self._scheme, h, self._representations[0])
 
     def _observed_at(self, x0: NDArray[np.float64]) -> Observed:
         with self._making:

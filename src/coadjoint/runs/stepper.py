@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from coadjoint.given import read_number
 from coadjoint.memory import check_room
 from coadjoint.methods.base import Method
+from coadjoint.methods.forced import serving
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times
+from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_one_system
 from coadjoint.systems.points import QUIET
 from coadjoint.wording import short
@@ -37,8 +39,10 @@ class Stepper:
         self.h = read_number(h, "h")
         if self.h == 0.0:
             raise ValueError(f"h is {self.h!r}; it must not be zero")
-        check_one_system(system)
-        method.properties(system)
+        if not isinstance(system, ForcedSystem):
+            check_one_system(system)
+        self._scheme = serving(system, method)
+        self._scheme.properties(system)
         self.system, self.method = system, method
         self._prepared: dict[bool | str, PreparedRun] = {}
 
@@ -116,7 +120,7 @@ class Stepper:
         TypeError
             If the Hamiltonian was given without second derivatives.
         """
-        return self.method.tangent(self.system, *self._place(x, t), self.h)[1]
+        return self._scheme.tangent(self.system, *self._place(x, t), self.h)[1]
 
     @QUIET
     def tangent_by(self, x: Any, t: float = 0.0) -> str:
@@ -132,7 +136,7 @@ class Stepper:
         str
             The first two are exact to round-off; differences have some nine digits.
         """
-        return self.method.tangent_by(self.system, *self._place(x, t), self.h)
+        return self._scheme.tangent_by(self.system, *self._place(x, t), self.h)
 
     def _place(self, x: Any, t: float) -> tuple[NDArray[np.float64], float]:
         momenta, single = momenta_of(self.system, x)
