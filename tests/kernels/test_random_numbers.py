@@ -25,9 +25,10 @@ def normals(words):
     return out
 
 
-def deviates(seed, stream, moment, count):
+def deviates(seed, stream, moment, count, part=0):
     out = np.empty(count)
-    numbers = ctypes.c_uint64(seed), ctypes.c_uint64(stream), ctypes.c_double(moment), ctypes.c_int64(count)
+    numbers = ctypes.c_uint64(seed), ctypes.c_uint64(stream), ctypes.c_double(moment), ctypes.c_uint64(part)
+    numbers += (ctypes.c_int64(count),)
     kernels().probe_deviates(*numbers, address(out))
     return out
 
@@ -95,11 +96,15 @@ def test_deviates_are_normal_and_independent():
 
 
 def test_the_plain_reading_draws_the_same():
-    for seed, stream, moment, count in ((0, 0, 0.0, 1), (2**63 - 1, 5, -1.75, 7), (12, 2**62, 1e300, 4)):
-        assert (
-            np.max(np.abs(deviates(seed, stream, moment, count) - normal_deviates(seed, stream, moment, count)))
-            < 64 * U
-        )
-    assert words_of(7, 3, -0.0, 4).tolist() == words_of(7, 3, 0.0, 4).tolist()
+    for seed, stream, moment, part, count in ((0, 0, 0.0, 0, 1), (2**63 - 1, 5, -1.75, 1, 7), (12, 2**62, 1e300, 1, 4)):
+        drawn = deviates(seed, stream, moment, count, part)
+        assert np.max(np.abs(drawn - normal_deviates(seed, stream, moment, part, count))) < 64 * U
+    assert words_of(7, 3, -0.0, 0, 4).tolist() == words_of(7, 3, 0.0, 0, 4).tolist()
     assert deviates(7, 3, -0.0, 4).tolist() == deviates(7, 3, 0.0, 4).tolist()
     assert deviates(7, 3, 0.5, 9)[:4].tolist() == deviates(7, 3, 0.5, 4).tolist()
+    every = [
+        deviates(*which, 4, part).tolist()
+        for which in ((7, 3, 0.5), (8, 3, 0.5), (7, 4, 0.5), (7, 3, 0.25))
+        for part in (0, 1)
+    ]
+    assert len({tuple(one) for one in every}) == 8

@@ -16,10 +16,9 @@ from coadjoint.files.configuration_parts import ConfigurationError, method_of_fi
 from coadjoint.files.polynomials import read_polynomial
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import Method
-from coadjoint.methods.forced import serving
+from coadjoint.methods.forced import check_serves, serving
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import times_of
-from coadjoint.systems.kinds import System
 
 MOST_BYTES = 2**28
 MOST_NESTED = 64
@@ -70,7 +69,7 @@ class Configuration:
     """
 
     path: str
-    system: System
+    system: Any
     x0: Any
     t_span: tuple[float, float]
     step: float
@@ -245,10 +244,10 @@ def _deepest(text: str) -> int:
 
 
 def _configuration(name: str, text: str, file: File) -> Configuration:
-    system = system_of_file(name, file)
+    system: Any = system_of_file(name, file)
     method = method_of_file(name, file.method)
     with section(name, "method"):
-        serving(system, method).properties(system)
+        check_serves(system, method)
     with section(name, "run"):
         times_of(file.run.t_span, file.run.step, file.run.save_every)
     with section(name, "initial.x"):

@@ -31,7 +31,8 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
 
     Variables over ``time`` (and ``member`` for an ensemble): ``x`` over ``component``, ``energy``, ``casimir_<name>``,
     ``observed_<name>``, ``attitude`` over ``row`` and ``column``; ``drift`` over ``invariant`` and ``tenth`` of the
-    run, and in its place with forces ``change``, ``balance``, and ``work`` over ``account``; ``x0`` and ``attitude0``, the initial state; ``failed`` for an ensemble. Original names are in the attribute
+    run, and in its place with forces ``change``, ``balance``, and ``work`` over ``account``; ``x0`` and ``attitude0``,
+    the initial state; ``failed`` for an ensemble. Original names are in the attribute
     ``long_name``. Attributes: version, system and method (JSON), step, times, and what cannot be stored (functions).
 
     Parameters

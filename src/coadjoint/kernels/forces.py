@@ -17,10 +17,16 @@ from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.step_tables import places_of, step_tables_of
 from coadjoint.kernels.structures import pointed
 from coadjoint.kernels.tables import Compiled, watch_tables
+from coadjoint.systems.forces.base import Noise
+
+NOTHING = np.zeros(1, dtype=np.int64)
 
 
 class ForceTable(NamedTuple):
-    """A force as the kernels read it; `account` is where what it has done begins, `accounts` how many invariants."""
+    """A force as the kernels read it; `account` is where what it has done begins, `accounts` how many invariants.
+
+    The directions of a noise fall into `sets` that commute; set s has the directions begin[s] to begin[s + 1].
+    """
 
     kind: int
     account: int
@@ -32,6 +38,9 @@ class ForceTable(NamedTuple):
     amplitude: float = 0.0
     seed: int = 0
     stream: int = 0
+    sets: int = 0
+    begin: NDArray[np.int64] = NOTHING
+    direction: NDArray[np.int64] = NOTHING
 
 
 class Account(NamedTuple):
@@ -42,7 +51,7 @@ class Account(NamedTuple):
 
 
 def accounts_of(system: Any) -> tuple[Account, ...]:
-    """Return the accounts of a system with forces, force by force: the energy, and the Casimirs where it breaks them."""
+    """Return the accounts of a system with forces: of each force the energy, and the Casimirs where it breaks them."""
     found = []
     for label, force in zip(system.labels, system.forces, strict=True):
         followed = ["energy", *(() if force.casimirs else system.casimirs)]
@@ -75,10 +84,14 @@ class _Reader:
         self._compile(torque, arguments, self.n, "the torque")
         return self._table("OF_TIME" if arguments == "t" else "OF_STATE")
 
-    def on_orbit(
-        self, metric: NDArray[Any], root: NDArray[Any], amplitude: float, seed: int, stream: int
-    ) -> ForceTable:
-        return self._table("ON_ORBIT", metric, root, amplitude=amplitude, seed=seed, stream=stream)
+    def on_orbit(self, metric: NDArray[Any], root: NDArray[Any], noise: Noise | None) -> ForceTable:
+        if noise is None:
+            return self._table("ON_ORBIT", metric, root)
+        begin = np.cumsum([0, *map(len, noise.sets)], dtype=np.int64)
+        direction = np.array([a for some in noise.sets for a in some], dtype=np.int64)
+        counts = {"sets": len(noise.sets), "begin": begin, "direction": direction}
+        drawn = {"amplitude": noise.amplitude, "seed": noise.seed, "stream": noise.stream}
+        return self._table("ON_ORBIT", metric, root, **drawn, **counts)
 
     def flow(self, function: Callable[..., Any]) -> ForceTable:
         self._compile(function, "x, t, tau", self.n + 1, "the flow of a force")
@@ -132,7 +145,7 @@ def forced_tables(system: Any, inner: CompiledLoop, representation: Any) -> Comp
     for label, force in zip(system.labels, system.forces, strict=True):
         count = sum(account.force == label for account in accounts)
         reader = _Reader(system.dim, first, count)
-        table = pointed(force.given_to(reader, system.dim))
+        table = pointed(force.given_to(reader, system.system))
         first += count
         tables.append(table)
         keep += [table, *reader.keep]

@@ -22,7 +22,7 @@ WAYS = ("formula", "complex step", "differences")
 
 
 def serving(system: Any, method: Method) -> Method:
-    """Return the scheme that a run of a system takes: the given one, or that between flows of forces.
+    """Return the scheme that a run of a system takes: the given one, or where it has forces that between their flows.
 
     Parameters
     ----------
@@ -34,8 +34,20 @@ def serving(system: Any, method: Method) -> Method:
     Returns
     -------
     Method
+
+    Raises
+    ------
+    TypeError
+        The scheme is already `Forced`.
     """
+    if isinstance(method, Forced):
+        raise TypeError(f"{method} is what runs make of {method.base} on a system with forces; give that")
     return Forced(method) if isinstance(system, ForcedSystem) else method
+
+
+def check_serves(system: Any, method: Method) -> None:
+    """Refuse by name a system that a scheme cannot serve, with forces or without."""
+    serving(system, method).properties(system)
 
 
 @dataclass(frozen=True)
@@ -44,12 +56,21 @@ class Forced(Method):
 
     A step is the half flows of the forces in their order, a step of the base for the Hamiltonian part, and the half
     flows in the opposite order. Every step of the base begins anew. `integrate`, `prepare` and `stepper` take it by
-    themselves.
+    themselves where a system has forces; it tells what is kept, and what breaks the rest.
 
     Parameters
     ----------
     base : Method
         Any scheme that serves the Hamiltonian part.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> spin = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 0, 1): -1.0}))
+    >>> damped = spin.with_forces(co.forces.DoubleBracketDamping(0.1))
+    >>> found = co.methods.Forced(co.Splitting()).properties(damped)
+    >>> found.casimirs, found.poisson, found.broken_by
+    ('all', False, ('Poisson map: DoubleBracketDamping',))
     """
 
     base: Method
@@ -79,9 +100,12 @@ class Forced(Method):
 
     def properties(self, system: Any) -> Properties:
         """Return what is kept of the Hamiltonian part, less what the forces break."""
+        if not isinstance(system, ForcedSystem):
+            raise TypeError(f"{system.name} has no forces; take {type(self.base).__name__} alone")
         inner = declared_by(self.base, system.system)
         breaking = [label for label, force in zip(system.labels, system.forces, strict=True) if not force.casimirs]
-        broken = [("Poisson map", inner.poisson, system.labels), ("energy", inner.energy, system.labels)]
+        every = list(system.labels)
+        broken = [("Poisson map", inner.poisson, every), ("energy", inner.energy, every)]
         broken += [("Casimirs", inner.casimirs != "none", breaking)]
         said = tuple(f"{what}: {', '.join(by)}" for what, had, by in broken if had and by)
         return Properties(False, False, "none" if breaking else inner.casimirs, inner.attitude, said)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start, momenta_of, representations_of, with_group
 from coadjoint.runs.times import Times, checked_step, span_of, times_between
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_system
 from coadjoint.wording import short
 
@@ -39,7 +40,7 @@ class PreparedRun:
 
     def __init__(
         self,
-        system: System | Batch,
+        system: System | ForcedSystem | Batch,
         method: Method | None,
         step: float,
         *,
@@ -54,10 +55,11 @@ class PreparedRun:
         watching = read_flag(watch, "watch")
         workers = None if threads is None else read_whole(threads, "threads (None is all cores)", floats=True)
         check_system(system)
-        self.system, self.method, self.step = system, scheme, checked_step(step)
+        self.system: Any = system
+        self.method, self.step = scheme, checked_step(step)
         self._scheme = serving(system, scheme)
         self._attitude, self._watching = attitude, watching
-        self._representations = representations_of(system, self._scheme, attitude)
+        self._representations = representations_of(cast(Any, system), self._scheme, attitude)
         self._observe = check_observe({} if observe is None else observe)
         self._threads = workers or os.cpu_count() or 1
         self._made: dict[float, Loops] = {}
@@ -143,7 +145,7 @@ class PreparedRun:
 
 
 def prepare(
-    system: System | Batch,
+    system: System | ForcedSystem | Batch,
     method: Method | None,
     step: float,
     *,
@@ -159,7 +161,7 @@ def prepare(
 
     Parameters
     ----------
-    system : LiePoissonSystem, PoissonSystem or Batch
+    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
         What moves.
     method : Method or None
         The scheme; `Splitting()` of order 2 if None.

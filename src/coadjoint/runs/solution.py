@@ -155,7 +155,8 @@ class Solution:
             _turned=loops.turned,
         )
         if observed is not None:
-            series = observed.along(self.t, self._series("x")[..., : self.system.dim])
+            # Behind the coordinates there may be accounts, which nothing that is observed reads.
+            series = observed.along(self.t, self._series("x"))
             self.__dict__["observed"] = {name: self._picked(values) for name, values in series.items()}
 
     def __setattr__(self, name: str, value: Any) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from coadjoint.given import read_number
 from coadjoint.memory import check_room
 from coadjoint.methods.base import Method
-from coadjoint.methods.forced import serving
+from coadjoint.methods.forced import check_serves, serving
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times
@@ -25,7 +25,7 @@ class Stepper:
 
     Parameters
     ----------
-    system : LiePoissonSystem or PoissonSystem
+    system : LiePoissonSystem, PoissonSystem or ForcedSystem
         What moves.
     method : Method
         The scheme.
@@ -33,7 +33,7 @@ class Stepper:
         The step; negative for backward.
     """
 
-    def __init__(self, system: System, method: Method, h: float) -> None:
+    def __init__(self, system: System | ForcedSystem, method: Method, h: float) -> None:
         if not isinstance(method, Method):
             raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
         self.h = read_number(h, "h")
@@ -42,8 +42,9 @@ class Stepper:
         if not isinstance(system, ForcedSystem):
             check_one_system(system)
         self._scheme = serving(system, method)
-        self._scheme.properties(system)
-        self.system, self.method = system, method
+        check_serves(system, method)
+        self.system: Any = system
+        self.method = method
         self._prepared: dict[bool | str, PreparedRun] = {}
 
     def __repr__(self) -> str:
@@ -148,12 +149,12 @@ class Stepper:
         return momenta[0], read_number(t, "t")
 
 
-def stepper(system: System, method: Method, h: float) -> Stepper:
+def stepper(system: System | ForcedSystem, method: Method, h: float) -> Stepper:
     """Return one step of a scheme as a function, for maps, certificates and Lyapunov exponents.
 
     Parameters
     ----------
-    system : LiePoissonSystem or PoissonSystem
+    system : LiePoissonSystem, PoissonSystem or ForcedSystem
         What moves.
     method : Method
         The scheme.

@@ -12,7 +12,7 @@ TYPE_CHECKING = False
 _HOME = {
     "DoubleBracketDamping": "coadjoint.systems.forces.double_bracket",
     "Force": "coadjoint.systems.forces.base",
-    "HeatBath": "coadjoint.systems.forces.double_bracket",
+    "HeatBath": "coadjoint.systems.forces.heat_bath",
     "LinearDamping": "coadjoint.systems.forces.linear_damping",
     "OwnForce": "coadjoint.systems.forces.own_force",
     "Torque": "coadjoint.systems.forces.torque",
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from coadjoint.systems.forces.described import get as get
     from coadjoint.systems.forces.described import names as names
     from coadjoint.systems.forces.double_bracket import DoubleBracketDamping as DoubleBracketDamping
-    from coadjoint.systems.forces.double_bracket import HeatBath as HeatBath
+    from coadjoint.systems.forces.heat_bath import HeatBath as HeatBath
     from coadjoint.systems.forces.linear_damping import LinearDamping as LinearDamping
     from coadjoint.systems.forces.own_force import OwnForce as OwnForce
     from coadjoint.systems.forces.torque import Torque as Torque

@@ -5,13 +5,22 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 from numpy.typing import NDArray
 
 from coadjoint.wording import short
 
 LONGEST = 80
+
+
+class Noise(NamedTuple):
+    """A noise by its amplitude, its seed and the stream of its first member; and sets of directions that commute."""
+
+    amplitude: float
+    seed: int
+    stream: int
+    sets: tuple[tuple[int, ...], ...]
 
 
 class ForceReader(Protocol):
@@ -26,7 +35,7 @@ class ForceReader(Protocol):
     def function(self, torque: Callable[..., Any], arguments: str) -> Any:
         """Take x' = torque, a function of "t", "x" or "x, t"."""
 
-    def on_orbit(self, metric: NDArray[Any], root: NDArray[Any], amplitude: float, seed: int, stream: int) -> Any:
+    def on_orbit(self, metric: NDArray[Any], root: NDArray[Any], noise: Noise | None) -> Any:
         """Take x' = sign J(x) (P sign J(x) grad H + amplitude L noise); P and L are numbers, (n,) or (n, n)."""
 
     def flow(self, function: Callable[..., Any]) -> Any:
@@ -117,15 +126,15 @@ class Force(ABC):
         """
 
     @abstractmethod
-    def given_to(self, reader: ForceReader, n: int) -> Any:
+    def given_to(self, reader: ForceReader, system: Any) -> Any:
         """Give the force to a reader, in one of the kinds that it takes; return what it gave.
 
         Parameters
         ----------
         reader : ForceReader
             What reads it.
-        n : int
-            Number of coordinates.
+        system : LiePoissonSystem or PoissonSystem
+            What it acts on.
         """
 
     def parameters(self) -> Mapping[str, Any]:

@@ -9,7 +9,8 @@ from typing import Any
 from coadjoint.errors import unknown_name
 from coadjoint.given import read_choice
 from coadjoint.systems.forces.base import Force
-from coadjoint.systems.forces.double_bracket import DoubleBracketDamping, HeatBath
+from coadjoint.systems.forces.double_bracket import DoubleBracketDamping
+from coadjoint.systems.forces.heat_bath import HeatBath
 from coadjoint.systems.forces.linear_damping import LinearDamping
 from coadjoint.systems.forces.own_force import OwnForce
 from coadjoint.systems.forces.torque import Torque

@@ -1,4 +1,4 @@
-"""Damping that stays on the coadjoint orbit, and the heat bath that it comes from."""
+"""Damping that stays on the coadjoint orbit."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.given import read_number, read_whole
-from coadjoint.systems.forces.base import Force, ForceReader
+from coadjoint.given import read_number
+from coadjoint.systems.forces.base import Force, ForceReader, Noise
 from coadjoint.systems.forces.matrices import applied, check_dimension, read_matrix, root_of
-from coadjoint.systems.forces.normal_deviates import normal_deviates
 
 MOST = 192
 SMALL = 2.0**-40
 MOST_TERMS = 60
-LARGEST_SEED = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -91,17 +89,14 @@ class DoubleBracketDamping(Force):
     def _pull(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         return self.alpha * applied(self.metric, system.vector_field(x, t))
 
-    def _noise(self, n: int, t: Any, tau: Any) -> NDArray[np.float64]:
-        return np.zeros(n)
-
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        noise, middle, last = self._noise(system.dim, t, tau), x, np.inf
+        middle, last = x, np.inf
         for _ in range(MOST):
-            v = tau * self._pull(system, middle, t + 0.5 * tau) + noise
-            before, middle = middle, _exponential(system, 0.5 * v, x)
+            v = tau * self._pull(system, middle, t + 0.5 * tau)
+            before, middle = middle, exponential(system, 0.5 * v, x)
             moved = float(np.sum(np.abs(middle - before)))
             if moved == 0.0 or (moved >= 0.5 * last and moved <= SMALL * float(np.sum(np.abs(x)))):
-                return _exponential(system, v, x)
+                return exponential(system, v, x)
             last = moved
         raise IntegrationError(
             f"the midpoint rule of {type(self).__name__} did not converge; take a smaller step",
@@ -110,97 +105,13 @@ class DoubleBracketDamping(Force):
             residual=last,
         )
 
-    def _amplitude(self) -> float:
-        return 0.0
-
-    def given_to(self, reader: ForceReader, n: int) -> Any:
-        metric = self.alpha * np.asarray(self.metric)
+    def given_to(self, reader: ForceReader, system: Any) -> Any:
         root = root_of(self.metric, "metric")
-        return reader.on_orbit(metric, root, self._amplitude(), getattr(self, "seed", 0), getattr(self, "stream", 0))
+        return reader.on_orbit(self.alpha * np.asarray(self.metric), root, self.noise(system))
 
-
-@dataclass(frozen=True)
-class HeatBath(DoubleBracketDamping):
-    """A heat bath for spins, and for any coadjoint orbit: damping, and the noise of its temperature.
-
-    ``dx = J(x) (grad H dt + sign alpha P J(x) grad H dt + sqrt(2 alpha k T) L o dW)`` in the sense of Stratonovich, with
-    L L^T = P and independent Wiener processes W. Its stationary density on an orbit is that of Boltzmann,
-    exp(-H / kT), with respect to the symplectic volume of the orbit: for spins the surface of their spheres.
-
-    The flow is the stochastic midpoint rule on the orbit, by exponentials: every Casimir is kept to round-off, for every
-    draw, and no increment has to be cut off for it to be solvable. With a symmetric splitting the averages over the
-    stationary density have an error of the second order in the step. A path converges with order 1/2 to 1.
-
-    The noise is a function of the seed, the number of the member and the time, and of nothing else: the same on any
-    number of threads, with or without other members, however often the run is cut. Two spans that follow each other
-    have different noise. A run backward is refused.
-
-    Parameters
-    ----------
-    alpha : float
-        Strength of the damping, as for `DoubleBracketDamping`.
-    metric : float, (n,) or (n, n) array_like
-        As for `DoubleBracketDamping`.
-    temperature : float
-        Boltzmann's constant times the temperature, in units of the energy; zero or positive.
-    seed : int
-        Of the noise, from 0 to 2^63 - 1. Give one: there is no default, so that no two runs share a noise by accident.
-    stream : int
-        The member m of a run has the noise number ``stream + m`` of the seed. With stream=m a member alone has the bits
-        that it has as number m of an ensemble.
-
-    Raises
-    ------
-    ValueError, TypeError
-        Negative, or of another shape, or no finite numbers; no seed.
-
-    References
-    ----------
-    W. F. Brown, Thermal fluctuations of a single-domain particle, Physical Review 130 (1963); J. H. Mentink,
-    M. V. Tretyakov, A. Fasolino, M. I. Katsnelson, Th. Rasing, Stable and fast semi-implicit integration of the
-    stochastic Landau-Lifshitz equation, Journal of Physics: Condensed Matter 22 (2010); A. Arnaudon, A. L. De Castro,
-    D. D. Holm, Noise and dissipation on coadjoint orbits, Journal of Nonlinear Science 28 (2018).
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> field = co.Polynomial({(0, 0, 1): -1.0})
-    >>> bath = co.forces.HeatBath(0.5, temperature=0.5, seed=7)
-    >>> spin = co.LiePoissonSystem(co.algebras.so(3), field).with_forces(bath)
-    >>> sol = co.integrate(spin, [(0.0, 0.6, 0.8)] * 3, t_span=(0, 10), step=0.125)
-    >>> bool(sol.balance()["|x|^2"] < 1e-13)
-    True
-    """
-
-    temperature: float = 0.0
-    seed: Any = None
-    stream: int = 0
-
-    reversible: ClassVar[bool] = False
-    random: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        temperature = read_number(self.temperature, "temperature of HeatBath")
-        if temperature < 0.0:
-            raise ValueError(f"temperature of HeatBath is {temperature!r}; it must be zero or positive")
-        object.__setattr__(self, "temperature", temperature)
-        if self.seed is None:
-            raise TypeError("HeatBath needs a seed, a whole number: runs with the same seed have the same noise")
-        object.__setattr__(self, "seed", read_whole(self.seed, "seed of HeatBath", 0, LARGEST_SEED))
-        object.__setattr__(self, "stream", read_whole(self.stream, "stream of HeatBath", 0, 2**62))
-
-    def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        raise TypeError("HeatBath is a noise, which has no field; its mean part is that of DoubleBracketDamping")
-
-    def _amplitude(self) -> float:
-        return float(np.sqrt(2.0 * self.alpha * self.temperature))
-
-    def _noise(self, n: int, t: Any, tau: Any) -> NDArray[np.float64]:
-        if tau < 0.0:
-            raise ValueError("HeatBath is a noise, which does not run backward")
-        deviates = normal_deviates(self.seed, self.stream, float(t), n)
-        return np.asarray(self._amplitude() * np.sqrt(float(tau)) * applied(root_of(self.metric, "metric"), deviates))
+    def noise(self, system: Any) -> Noise | None:
+        """Return the noise that belongs to the damping; none by default."""
+        return None
 
 
 def _product(system: Any, x: NDArray[Any], u: NDArray[Any]) -> NDArray[Any]:
@@ -208,7 +119,7 @@ def _product(system: Any, x: NDArray[Any], u: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(system.sign * (system.algebra.structure_matrix(x) @ u))
 
 
-def _exponential(system: Any, v: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
+def exponential(system: Any, v: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
     """Return exp(D_v) x, D_v x = sign J(x) v, by its series in substeps."""
     D = system.sign * np.asarray(system.algebra.coadjoint(v), dtype=np.float64)
     pieces = max(1, int(np.ceil(np.max(np.sum(np.abs(D), axis=1), initial=0.0))))

@@ -16,8 +16,8 @@ from coadjoint.systems.forces.matrices import applied, check_dimension, read_mat
 class LinearDamping(Force):
     """Linear damping towards a state, ``x' = -rate (x - toward)``: friction, viscosity of modes, relaxation.
 
-    Its flow is exact, ``x - toward`` times ``exp(-rate tau)``, also for a rate that is large against the step. It breaks
-    energy and Casimirs. Where the length of a spin is to stay, take `DoubleBracketDamping`.
+    Its flow is exact, ``x - toward`` times ``exp(-rate tau)``, also for a rate that is large against the step. It
+    breaks energy and Casimirs. Where the length of a spin is to stay, take `DoubleBracketDamping`.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class LinearDamping(Force):
         check_dimension(self.toward, "toward of LinearDamping", system)
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        return -applied(self.rate, x - np.asarray(self.toward))
+        return np.asarray(applied(self.rate, np.asarray(self.toward) - x))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         from scipy.linalg import expm
@@ -68,5 +68,5 @@ class LinearDamping(Force):
             return np.asarray(x + expm(whole)[:n, n])
         return np.asarray(x + np.expm1(-tau * rate) * away)
 
-    def given_to(self, reader: ForceReader, n: int) -> Any:
-        return reader.damping(np.asarray(self.rate), np.broadcast_to(np.asarray(self.toward), (n,)))
+    def given_to(self, reader: ForceReader, system: Any) -> Any:
+        return reader.damping(np.asarray(self.rate), np.broadcast_to(np.asarray(self.toward), (system.dim,)))

@@ -116,5 +116,5 @@ class OwnForce(Force):
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         return np.asarray(self.function(x, t, tau))
 
-    def given_to(self, reader: ForceReader, n: int) -> Any:
+    def given_to(self, reader: ForceReader, system: Any) -> Any:
         return reader.flow(self.function)

@@ -96,7 +96,7 @@ class Torque(Force):
         four = self.field(system, x + tau * three, t + tau)
         return np.asarray(x + tau * (one + 2.0 * two + 2.0 * three + four) / 6.0)
 
-    def given_to(self, reader: ForceReader, n: int) -> Any:
+    def given_to(self, reader: ForceReader, system: Any) -> Any:
         if callable(self.torque):
             return reader.function(self.torque, self._arguments())
         return reader.constant(np.asarray(self.torque))

@@ -36,8 +36,8 @@ EXPORT void probe_philox(const uint64_t* counter, uint64_t key, uint64_t other, 
 EXPORT void probe_normal(const uint64_t* words, int64_t count, double* out) {
     for (int64_t k = 0; k < count; ++k) out[k] = normal_of(words[k]);
 }
-EXPORT void probe_deviates(uint64_t seed, uint64_t stream, double moment, int64_t count, double* out) {
-    normal_deviates(seed, stream, moment, count, out);
+EXPORT void probe_deviates(uint64_t seed, uint64_t stream, double moment, uint64_t part, int64_t count, double* out) {
+    normal_deviates(seed, stream, moment, part, count, out);
 }
 
 EXPORT double probe_fma(double a, double b, double c) { return fma(a, b, c); }

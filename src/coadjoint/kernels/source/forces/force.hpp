@@ -151,18 +151,41 @@ class Force {
 
     int64_t defined(const double* x) const { return finite(n, x) ? DONE : UNDEFINED; }
 
-    // x' = sign J(x) b with b = P sign J(x) grad H, P >= 0, and noise in b. The midpoint rule on the coadjoint orbit:
-    // x_new = exp(D_v) x with v = tau b at exp(D_v / 2) x. All that moves x are exponentials, so that every Casimir is
-    // kept, also where the iteration ends early; and however large the noise, the iteration does not see it grow.
+    // x' = sign J(x) b with b = P sign J(x) grad H, P >= 0, between two halves of the noise in b. All that moves x are
+    // exponentials, so that every Casimir is kept, also where an iteration ends early.
     int64_t stay_on_orbit(double* x, double t, double tau, int64_t member) {
-        double *v = two.data(), *noise = three.data(), *middle = four.data(), *before = five.data(), *u = six.data();
-        std::fill_n(noise, n, 0.0);
-        if (table.amplitude > 0.0) {
-            normal_deviates(uint64_t(table.seed), uint64_t(table.stream + member), t, n, u);
-            apply_metric(table.aim, true, u, noise);
-            const double size = table.amplitude * std::sqrt(tau);
-            for (int64_t i = 0; i < n; ++i) noise[i] *= size;
+        const bool random = table.amplitude > 0.0;
+        if (random && !shake(x, t, tau, 0, member)) return failed(two.data());
+        const int64_t status = settle(x, t, tau);
+        if (status != DONE) return status;
+        return !random || shake(x, t, tau, 1, member) ? DONE : failed(two.data());
+    }
+
+    // Half of the noise of the time tau. Directions that commute move together, by an exponential whose law is exact;
+    // the sets follow each other, in the second half the other way: a symmetric splitting, of weak order two.
+    bool shake(double* x, double t, double tau, int half, int64_t member) {
+        double *v = two.data(), *deviates = three.data();
+        const double size = table.amplitude * std::sqrt(0.5 * tau);
+        normal_deviates(uint64_t(table.seed), uint64_t(table.stream + member), t, uint64_t(half), n, deviates);
+        for (int64_t k = 0; k < table.sets; ++k) {
+            const int64_t set = half ? table.sets - 1 - k : k;
+            std::fill_n(v, n, 0.0);
+            for (int64_t e = table.begin[set]; e < table.begin[set + 1]; ++e) {
+                const int64_t a = table.direction[e];
+                const double length = size * deviates[a];
+                if (table.shape == FULL)
+                    for (int64_t i = a; i < n; ++i) v[i] = fma(table.aim[i * n + a], length, v[i]);
+                else
+                    v[a] = table.aim[table.shape == DIAGONAL ? a : 0] * length;
+            }
+            if (!exponent(v, 1.0, x, x)) return false;
         }
+        return true;
+    }
+
+    // The midpoint rule on the coadjoint orbit: x_new = exp(D_v) x with v = tau b at exp(D_v / 2) x.
+    int64_t settle(double* x, double t, double tau) {
+        double *v = two.data(), *middle = four.data(), *before = five.data(), *u = six.data();
         std::copy_n(x, n, middle);
         double last = std::numeric_limits<double>::infinity(), first = last, scale = 0.0;
         for (int64_t i = 0; i < n; ++i) scale += absolute(x[i]);
@@ -170,8 +193,7 @@ class Force {
             ++evaluations;
             gradient(field, constants, middle, t + 0.5 * tau, u, room);
             product(field, constants, middle, u, tau, one.data(), room);
-            apply_metric(table.rate, false, one.data(), v);
-            for (int64_t i = 0; i < n; ++i) v[i] += noise[i];
+            apply_metric(one.data(), v);
             std::copy_n(middle, n, before);
             if (!exponent(v, 0.5, x, middle)) return failed(v);
             residual = 0.0;
@@ -189,15 +211,15 @@ class Force {
 
     int64_t failed(const double* v) const { return finite(n, v) ? UNDEFINED : OVERFLOWED; }
 
-    // Set out to M y, or to L y for the lower triangle L.
-    void apply_metric(const double* M, bool lower, const double* y, double* out) const {
+    // Set out to P y.
+    void apply_metric(const double* y, double* out) const {
         for (int64_t i = 0; i < n; ++i) {
             if (table.shape != FULL) {
-                out[i] = M[table.shape == DIAGONAL ? i : 0] * y[i];
+                out[i] = table.rate[table.shape == DIAGONAL ? i : 0] * y[i];
                 continue;
             }
             double sum = 0.0;
-            for (int64_t j = 0, stop = lower ? i + 1 : n; j < stop; ++j) sum = fma(M[i * n + j], y[j], sum);
+            for (int64_t j = 0; j < n; ++j) sum = fma(table.rate[i * n + j], y[j], sum);
             out[i] = sum;
         }
     }

@@ -76,14 +76,14 @@ inline double normal_of(uint64_t word) {
     return word & 1 ? -size : size;
 }
 
-// Independent normal deviates for the coordinates of a member, from a moment on: a function of these, of the seed and
-// of nothing else.
-inline void normal_deviates(uint64_t seed, uint64_t stream, double moment, int64_t count, double* out) {
+// Independent normal deviates for the coordinates of a member, from a moment on, and for each part of what begins then:
+// a function of these, of the seed and of nothing else.
+inline void normal_deviates(uint64_t seed, uint64_t stream, double moment, uint64_t part, int64_t count, double* out) {
     uint64_t when;
     moment += 0.0;  // minus zero is zero
     std::memcpy(&when, &moment, 8);
     for (int64_t first = 0; first < count; first += 4) {
-        const Words words = philox({{uint64_t(first / 4), when, stream, 0}}, seed, 0);
+        const Words words = philox({{uint64_t(first / 4), when, stream, part}}, seed, 0);
         for (int64_t k = first; k < count && k < first + 4; ++k) out[k] = normal_of(words.at[k - first]);
     }
 }
