@@ -14,7 +14,7 @@ from coadjoint.systems.forces.double_bracket import DoubleBracketDamping, expone
 from coadjoint.systems.forces.matrices import Plain, applied, root_of
 from coadjoint.systems.forces.normal_deviates import normal_deviates
 
-LARGEST_SEED = 2**63 - 1
+LARGEST_SEED = 2**62
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class HeatBath(DoubleBracketDamping):
     temperature : float
         Boltzmann's constant times the temperature, in units of the energy; zero or positive.
     seed : int
-        Of the noise, from 0 to 2^63 - 1. Give one: there is no default, so that no two runs share a noise by accident.
+        Of the noise, from 0 to 2^62. Give one: there is no default, so that no two runs share a noise by accident.
     stream : int
         The member m of a run has the noise number ``stream + m`` of the seed. With stream=m a member alone has the bits
         that it has as number m of an ensemble.
@@ -89,7 +89,7 @@ class HeatBath(DoubleBracketDamping):
         if self.seed is None:
             raise TypeError("HeatBath needs a seed, a whole number: runs with the same seed have the same noise")
         object.__setattr__(self, "seed", read_whole(self.seed, "seed of HeatBath", 0, LARGEST_SEED))
-        object.__setattr__(self, "stream", read_whole(self.stream, "stream of HeatBath", 0, 2**62))
+        object.__setattr__(self, "stream", read_whole(self.stream, "stream of HeatBath", 0, LARGEST_SEED))
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         raise TypeError("HeatBath is a noise, which has no field; its mean part is that of DoubleBracketDamping")
