@@ -26,6 +26,7 @@ _HOME = {
     "Invariant": "coadjoint.algebra.invariant",
     "LieAlgebra": "coadjoint.algebra.lie_algebra",
     "Polynomial": "coadjoint.algebra.polynomial",
+    "ForcedSystem": "coadjoint.systems.forced",
     "Hamiltonian": "coadjoint.systems.hamiltonian",
     "LiePoissonSystem": "coadjoint.systems.lie_poisson",
     "PoissonSystem": "coadjoint.systems.poisson",
@@ -125,6 +126,7 @@ if TYPE_CHECKING:
     from coadjoint.runs.stepper import stepper as stepper
     from coadjoint.systems import forces as forces
     from coadjoint.systems.batch import batch as batch
+    from coadjoint.systems.forced import ForcedSystem as ForcedSystem
     from coadjoint.systems.hamiltonian import Hamiltonian as Hamiltonian
     from coadjoint.systems.lie_poisson import LiePoissonSystem as LiePoissonSystem
     from coadjoint.systems.poisson import PoissonSystem as PoissonSystem

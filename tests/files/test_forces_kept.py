@@ -59,7 +59,7 @@ def test_functions_are_not_kept_and_said_so():
     forced = BODY.with_forces(FORCES[0], co.forces.Torque(lambda t: np.array([0.0, 0.0, np.sin(t)])))
     record = record_of(forced)
     assert record["not_stored"] == ["force: Torque"]
-    with pytest.raises(ValueError, match="functions are not stored .force: Torque"):
+    with pytest.raises(ValueError, match=r"functions are not stored .force: Torque"):
         system_of(record)
     damaged = record_of(BODY.with_forces(FORCES[1]))
     damaged["forces"][0]["torqe"] = damaged["forces"][0].pop("torque")

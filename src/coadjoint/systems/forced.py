@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import title
+from coadjoint.given import read_list, read_number, read_numbers, title
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.points import QUIET, point
 from coadjoint.wording import short
@@ -52,6 +52,7 @@ class ForcedSystem:
     closed_form: Callable[..., Any] | None = None
 
     def __init__(self, system: Any, forces: Sequence[Force]) -> None:
+        forces = read_list(forces, "what was given as forces", "give a list of forces of co.forces")
         if not forces:
             raise TypeError("with_forces was given no force; give one or more, such as co.forces.LinearDamping(0.1)")
         for force in forces:
@@ -61,7 +62,7 @@ class ForcedSystem:
         drawn = [(force.seed, force.stream) for force in forces if force.random]  # type: ignore[attr-defined]
         if len(set(drawn)) < len(drawn):
             raise ValueError("two forces draw the same noise; give each a seed of its own")
-        self.system, self.forces = system, tuple(forces)
+        self.system, self.forces = system, forces
 
     def with_forces(self, *forces: Force) -> ForcedSystem:
         """Return the system with these forces after those that it has.
@@ -155,7 +156,7 @@ class ForcedSystem:
         TypeError
             A force is a noise.
         """
-        y = point(x, self.dim)
+        y, t = point(read_numbers(x, "x"), self.dim), read_number(t, "t")
         return np.asarray(
             sum((force.field(self.system, y, t) for force in self.forces), start=self.system.vector_field(y, t))
         )
@@ -192,7 +193,7 @@ class ForcedSystem:
         >>> body.power([0.0, 0.0, 2.0])
         {'LinearDamping': -0.5}
         """
-        y = point(x, self.dim)
+        y, t = point(read_numbers(x, "x"), self.dim), read_number(t, "t")
         slope = self.hamiltonian.gradient(y, t)
         pairs = zip(self.labels, self.forces, strict=True)
         return {label: float(slope @ force.field(self.system, y, t)) for label, force in pairs}

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import in_one_line
 from coadjoint.given import read_flag, read_title
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments, sample_points
@@ -85,7 +86,7 @@ class OwnForce(Force):
                 with np.errstate(all="ignore"):
                     found, still = (np.asarray(self.function(x, SAMPLE_TIME, tau)) for tau in (MOMENT, 0.0))
             except Exception as error:  # at a point outside its domain a function of the user may raise anything
-                failure = str(error)
+                failure = in_one_line(str(error), 200)
                 continue
             for result in (found, still):
                 if result.shape != (n,) or result.dtype.kind not in "fiu":

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import in_one_line
+from coadjoint.given import read_numbers
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.matrices import check_dimension, read_matrix
-from coadjoint.systems.user_functions import SAMPLE_TIME, evaluate, sample_points, takes_time
+from coadjoint.systems.user_functions import SAMPLE_TIME, sample_points, takes_time
 
 # Nodes and weights of Gauss' formula with five points on (-1, 1).
 NODES = (-0.9061798459386640, -0.5384693101056831, 0.0, 0.5384693101056831, 0.9061798459386640)
@@ -68,19 +70,22 @@ class Torque(Force):
             return
         arguments, n, failure = self._arguments(), system.dim, ""
         for x in sample_points(n):
-            found = evaluate(self.torque, SAMPLE_TIME if arguments == "t" else x, arguments == "x, t")
-            if not isinstance(found, Exception):
-                if found.shape != (n,):
-                    raise ValueError(f"the torque returns shape {found.shape}; {system.name} needs ({n},)")
-                return
-            failure = str(found)
+            try:
+                with np.errstate(all="ignore"):
+                    value = self.torque(*_given(arguments, x, SAMPLE_TIME))
+            except (ArithmeticError, ValueError, TypeError, IndexError) as reason:  # perhaps outside its domain
+                failure = in_one_line(str(reason), 200)
+                continue
+            found = read_numbers(value, "what the torque returns")
+            if found.shape != (n,):
+                raise ValueError(f"the torque returns shape {found.shape}; {system.name} needs ({n},)")
+            return
         raise ValueError(f"the torque fails at every sample point ({failure}); correct the function")
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         if not callable(self.torque):
             return np.asarray(self.torque)
-        arguments = {"t": (t,), "x": (x,), "x, t": (x, t)}[self._arguments()]
-        return np.asarray(self.torque(*arguments))
+        return np.asarray(self.torque(*_given(self._arguments(), x, t)))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if not callable(self.torque):
@@ -100,3 +105,7 @@ class Torque(Force):
         if callable(self.torque):
             return reader.function(self.torque, self._arguments())
         return reader.constant(np.asarray(self.torque))
+
+
+def _given(arguments: str, x: Any, t: Any) -> tuple[Any, ...]:
+    return {"t": (t,), "x": (x,), "x, t": (x, t)}[arguments]
