@@ -99,7 +99,8 @@ def test_linear_damping_alone_is_the_exponential_of_its_matrix():
     n, aim, x0 = 5, np.linspace(-1, 1, 5), np.ones(5)
     still = co.LiePoissonSystem(co.LieAlgebra.from_brackets(n, {}), co.Quadratic(full(n, 7)), casimirs={})
     R = np.diag(np.linspace(0.5, 40, n)) + rng.uniform(-0.4, 0.4, (n, n))
-    for rate, whole in ((R, R), (np.diag(R), np.diag(np.diag(R))), (0.7, 0.7 * np.eye(n))):
+    turning = 3.0 * (np.triu(np.ones((n, n)), 1) - np.tril(np.ones((n, n)), -1)) + 0.1 * np.eye(n)
+    for rate, whole in ((R, R), (turning, turning), (np.diag(R), np.diag(np.diag(R))), (0.7, 0.7 * np.eye(n))):
         sol = co.integrate(still.with_forces(co.forces.LinearDamping(rate, aim)), x0, (0, 1), 0.25, save_every=4)
         exact = aim + expm(-whole) @ (x0 - aim)
         assert np.max(np.abs(sol.x[-1] - exact)) < 512 * UNIT_ROUNDOFF
@@ -207,12 +208,23 @@ def test_the_balance_is_the_error_of_the_scheme():
             assert np.max(left) <= sol.balance()[name] + 1e-14 <= bound + 1e-14
             assert sol.balance()[name].tenths.shape == (10,)
             assert abs(sol.change()[name] - np.max(np.abs(change))) < 0.02
+        # Each account is the integral of the power of its force, by Simpson's rule.
+        powers = [forced.power(x, t) for x, t in zip(sol.x, sol.t, strict=True)]
+        for label, of_force in sol.work.items():
+            rates = np.array([power[label] for power in powers])
+            spent = (rates[0] + rates[-1] + 4 * rates[1:-1:2].sum() + 2 * rates[2:-1:2].sum()) * 0.25 / 3
+            assert abs(of_force["energy"][-1] - spent) < 2e-3 < 5e-3 < abs(spent)
         assert np.max(np.abs(changes["energy"])) > 0.03
     assert float(sol.balance()["energy"]) > 1e-6, "the splitting has an error of the second order"
     halved = co.integrate(forced, state(6), (0, 4), 2**-6, co.Splitting()).balance()["energy"]
     assert 1.7 < np.log2(sol.balance()["energy"] / halved) < 2.3
     with pytest.raises(TypeError, match="changed by its forces; take balance"):
         sol.drift()
+
+
+def turned_by_three(x, t, tau):
+    c, s = np.cos(3 * tau), np.sin(3 * tau)
+    return np.array([c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]])
 
 
 def test_balances_of_multivalued_casimirs():
@@ -225,14 +237,18 @@ def test_balances_of_multivalued_casimirs():
     # x1 and x2 shrink alike, so that the angle is left alone: log C loses 2 * 0.05 t.
     assert abs(sol.work["LinearDamping"][name][-1] + 0.1 * 6) < 1e-12
     assert sol.balance()[name] < 1e-12
+    # A force that turns x1 and x2 by 3 t, over the jump of the angle many times: log C loses 2 * 0.7 * 3 t.
+    turning = co.forces.OwnForce(turned_by_three, name="turning")
+    sol = co.integrate(spiral.system.with_forces(turning), (0.6, 0.1, 0.4), (0, 6), 2**-6, co.Splitting())
+    assert abs(abs(sol.work["turning"][name][-1]) - 2 * 0.7 * 3 * 6) < 1e-12 and sol.balance()[name] < 1e-12
 
 
 @pytest.mark.parametrize("attitude", [True, "coadjoint"])
 def test_the_attitude_goes_with_the_hamiltonian_part(attitude):
     """About its axis a body under a torque turns by the integral of x3/I3; rotations stay orthogonal."""
-    body = AXES.with_forces(co.forces.Torque((0.0, 0.0, 0.4)))
+    body = co.systems.rigid_body(inertia=(1.0, 1.0, 1.5)).with_forces(co.forces.Torque((0.0, 0.0, 0.4)))
     sol = co.integrate(body, (0.0, 0.0, 0.5), (0, 5), 2**-5, co.Splitting(), attitude=attitude)
-    angle = (0.5 * 5 + 0.4 * 12.5) / 2.0
+    angle = (0.5 * 5 + 0.4 * 12.5) / 1.5
     found = sol.attitude[-1]
     assert abs(found[0, 0] - np.cos(angle)) < 1e-13 and abs(abs(found[1, 0]) - abs(np.sin(angle))) < 1e-13
     tumbling = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.LinearDamping(0.1))
