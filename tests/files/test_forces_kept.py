@@ -55,6 +55,12 @@ def test_a_run_is_repeated_from_its_dataset_bit_for_bit(kept):
     assert np.array_equal(copy["HeatBath"]["energy"], sol.work["HeatBath"]["energy"])
 
 
+def test_a_batch_is_repeated():
+    systems = co.batch([BODY.with_forces(FORCES[0], force) for force in (FORCES[1], co.forces.Torque((0.1, 0.0, 0.0)))])
+    sol = co.integrate(systems, X, (0, 2), 0.125)
+    assert np.array_equal(rebuild(dataset_of(sol)).x, sol.x) and not np.array_equal(sol.x[-1, 0], sol.x[-1, 1])
+
+
 def test_functions_are_not_kept_and_said_so():
     forced = BODY.with_forces(FORCES[0], co.forces.Torque(lambda t: np.array([0.0, 0.0, np.sin(t)])))
     record = record_of(forced)

@@ -6,6 +6,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import coadjoint as co
+from coadjoint.analysis.round_off import round_off, spatial_momentum
 from coadjoint.methods.forced import Forced
 from coadjoint.rounding import UNIT_ROUNDOFF
 
@@ -287,6 +288,26 @@ def test_the_same_bits_alone_in_a_crowd_on_threads_and_cut(method):
     assert np.array_equal(step(starts, 0.25), whole.x[1])
 
 
+def test_a_batch_has_the_bits_of_its_members():
+    """Other constants, rates and temperatures, one for each; the noise of a member has its number."""
+    parts = [on(co.algebras.e(3), -1, seed) for seed in (1, 2, 3)]
+    rates, metric = (0.1, (0.3,) * 6, full(6, 9)), positive(6, 1)
+    for method in (co.Splitting(), co.GaussLegendre(2)):
+
+        def forced(m, stream):
+            bath = co.forces.HeatBath(0.1, metric, temperature=0.1 * m, seed=4, stream=stream)
+            return parts[m].with_forces(co.forces.LinearDamping(rates[m]), bath)
+
+        batch = co.batch([forced(m, 0) for m in range(3)])
+        sol = co.integrate(batch, state(6), (0, 1), 2**-4, method, attitude="coadjoint", threads=2)
+        for m in range(3):
+            alone = co.integrate(forced(m, m), state(6), (0, 1), 2**-4, method, attitude="coadjoint")
+            assert np.array_equal(sol.x[:, m], alone.x) and np.array_equal(sol.attitude[:, m], alone.attitude)
+            assert sol.balance()["energy"].members[m] == alone.balance()["energy"]
+            done, own = (s.work["LinearDamping"]["energy"] for s in (sol, alone))
+            assert np.array_equal(done[:, m], own)
+
+
 def test_what_is_broken_is_labelled():
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     damped = body.with_forces(
@@ -310,16 +331,29 @@ def test_what_makes_no_sense_is_refused_by_name():
         lambda: co.choose(damped, x0, (0, 1), 1e-6),
         lambda: co.integrate(damped, x0, (0, 1), accuracy=1e-6),
         lambda: co.certify(damped, co.Splitting(), x0, step=0.1),
+        lambda: co.lyapunov(damped, x0, (0, 1), 0.1),
         lambda: co.Splitting().properties(damped),
         lambda: co.GaussLegendre(2).properties(damped),
         lambda: co.modified_field(damped, co.Splitting(), 4),
     ):
         with pytest.raises(TypeError, match="rigid_body with LinearDamping has forces"):
             ask()
+    crowd = co.integrate(damped, [x0, x0], (0, 2), 0.125, attitude="coadjoint")
+    for judge in (round_off, spatial_momentum):
+        with pytest.raises(TypeError, match="has forces, which change what is kept"):
+            judge(crowd)
+    with pytest.raises(TypeError, match="no closed form is known for rigid_body with LinearDamping"):
+        damped.exact(x0, 1.0)
+    with pytest.raises(TypeError, match="is what runs make of Splitting"):
+        co.integrate(damped, x0, (0, 1), 0.125, Forced(co.Splitting()))
+    with pytest.raises(TypeError, match="rigid_body has no forces; take Splitting alone"):
+        Forced(co.Splitting()).properties(body)
     with pytest.raises(TypeError, match="for one LiePoissonSystem"):
         co.modified_hamiltonian(damped, co.Splitting())
-    with pytest.raises(TypeError, match="member 0 of the batch"):
-        co.batch([damped])
+    with pytest.raises(ValueError, match="has the forces Torque and member 0 has LinearDamping"):
+        co.batch([damped, body.with_forces(co.forces.Torque((0.0, 0.0, 1.0)))])
+    with pytest.raises(ValueError, match="is a LiePoissonSystem and member 0 a ForcedSystem"):
+        co.batch([damped, body])
     hot = body.with_forces(co.forces.HeatBath(0.1, temperature=1, seed=0))
     with pytest.raises(ValueError, match="HeatBath does not run backward"):
         co.integrate(hot, x0, (1, 0), 0.125)

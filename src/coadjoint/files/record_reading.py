@@ -56,17 +56,17 @@ def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> Syst
     ValueError: system.parameters: inertia has shape (2,); give three principal moments, or a symmetric (3, 3)
     """
     given = record if isinstance(record, Entry) else Entry(dict(record), "system")
-    if "forces" in given:
-        return _forced_of(given, dim)
     if "members" not in given:
-        return _member_of(given, dim)
+        return _one_of(given, dim)
     given.only("name", "members", "not_stored")
-    members = [_member_of(member, dim) for member in given["members"].entries()]
+    members = [_one_of(member, dim) for member in given["members"].entries()]
     with made_of(given["members"]):
         return Batch(members)
 
 
-def _forced_of(record: Entry, dim: int | None) -> ForcedSystem:
+def _one_of(record: Entry, dim: int | None) -> System | ForcedSystem:
+    if "forces" not in record:
+        return _member_of(record, dim)
     record.only("name", "forces", "system", "not_stored")
     _check_stored(record, record["name"].text())
     forces = []

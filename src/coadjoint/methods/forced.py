@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.base import Method, Representation, declared_by
 from coadjoint.methods.properties import Properties
+from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 
@@ -42,7 +43,8 @@ def serving(system: Any, method: Method) -> Method:
     """
     if isinstance(method, Forced):
         raise TypeError(f"{method} is what runs make of {method.base} on a system with forces; give that")
-    return Forced(method) if isinstance(system, ForcedSystem) else method
+    one = system[0] if isinstance(system, Batch) else system
+    return Forced(method) if isinstance(one, ForcedSystem) else method
 
 
 def check_serves(system: Any, method: Method) -> None:

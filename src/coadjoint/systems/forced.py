@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.given import read_list, read_number, read_numbers, title
+from coadjoint.systems.closed_form import solution_of
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.points import QUIET, point
 from coadjoint.wording import short
@@ -160,6 +161,10 @@ class ForcedSystem:
         return np.asarray(
             sum((force.field(self.system, y, t) for force in self.forces), start=self.system.vector_field(y, t))
         )
+
+    def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
+        """Refuse: no closed form of a motion with forces is known here."""
+        return solution_of(None, self.name)(x0, t, attitude)
 
     def energy(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return H(x, t)."""
