@@ -14,7 +14,7 @@ ONE_THREAD := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 FIRST ?= 0
 COUNT ?= 3000
 
-.PHONY: demo test core mutants soak sanitize compilers aarch64 bench kernels package packages release-checks clean
+.PHONY: demo test long core mutants soak sanitize compilers aarch64 bench kernels package packages release-checks clean
 
 demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -23,7 +23,11 @@ test: kernels
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(ONE_THREAD) $(BIN)/pytest -n 2
+	$(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long"
+
+# More seeds, schemes and compilers than `make test` has time for.
+long: kernels
+	$(ONE_THREAD) $(BIN)/pytest -n 2 -m long
 
 # What the package promises without its extras, installed into a virtual environment that has nothing else.
 core:
@@ -45,7 +49,7 @@ sanitize: kernels
 	cd tests && ../$(BIN)/python sanitize.py address
 	cd tests && ../$(BIN)/python sanitize.py threads
 
-# The same bits by GCC and by Clang, with and without fused products; `make test` builds one of the four.
+# The same bits by GCC and by Clang, with and without fused products; `make long` builds one of the four.
 compilers: kernels
 	COADJOINT_COMPILERS=all $(BIN)/pytest tests/verification/test_compilers.py
 

@@ -22,10 +22,12 @@ SECTIONS = {
     "gauss_legendre": "Gauss-Legendre",
     "round_off": "Round-off",
     "lyapunov": "Tangent vectors",
+    "systems": "The ready-made systems",
     "work_against_precision": "Work against precision",
     "automatic_parts": "Automatic parts",
     "first_result": "The first result",
     "attitude": "The attitude in short calls",
+    "short_calls": "Inputs in short calls",
     "cost_curves": "Cost curves",
     "large_algebras": "Large algebras",
 }

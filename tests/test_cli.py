@@ -139,15 +139,19 @@ def test_failed_run_without_output(folder, capsys):
     ("arguments", "said"),
     [
         (["rnu"], "coadjoint: unknown command 'rnu'; did you mean 'run'?"),
-        (["zzzzz"], "coadjoint: unknown command 'zzzzz'; there are certify, methods, reproduce, run, systems"),
+        (["zzzzz"], "coadjoint: unknown command 'zzzzz'; there are certify, gallery, methods, reproduce, run, systems"),
         (["run"], "coadjoint: missing argument 'FILE' (see 'coadjoint run --help')"),
         (["run", "body.toml", "--ot", "x"], "coadjoint: unknown option '--ot'; did you mean '--out'?"),
         (["--verzion"], "coadjoint: unknown option '--verzion'; did you mean '--version'?"),
         (["run", "body.toml", "--out"], "coadjoint: option '--out' requires an argument"),
         (
-            ["systems", "more"],
+            ["systems", "rigid_body", "more"],
             "coadjoint: got unexpected extra argument (more) (see 'coadjoint systems --help')",
         ),
+        (["systems", "rigidbody"], "coadjoint: unknown system 'rigidbody'; did you mean 'rigid_body'?"),
+        (["gallery", "lagrangetop"], "coadjoint: unknown system 'lagrangetop'; did you mean 'lagrange_top'?"),
+        (["systems", "--json", "x.json"], "coadjoint: --json writes what is said of one system; give its name"),
+        (["systems", "toda", "--json", "x.txt"], "x.txt: the suffix says the format; it must be .json"),
         (["run", "none.toml"], "none.toml: cannot be read (No such file or directory)"),
         (["run", "."], ".: cannot be read (Is a directory)"),
         (["run", "body.toml", "--out", "run.csv"], "run.csv: the suffix says the format; it must be .nc or .zarr"),
@@ -156,6 +160,10 @@ def test_failed_run_without_output(folder, capsys):
             "run.bmp: the suffix says the format; it must be .png, .pdf or .svg",
         ),
         (["run", "body.toml", "--out", "no/run.nc"], "no/run.nc: the folder no does not exist; make it first"),
+        (
+            ["gallery", "toda", "--out", "body.toml"],
+            "coadjoint: --out body.toml: cannot be made a folder (File exists); give another",
+        ),
         (
             ["reproduce", "--out", "body.toml"],
             "coadjoint: --out body.toml: cannot be made a folder (File exists); give another",
@@ -296,3 +304,21 @@ def test_as_a_module(folder):
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "none.toml: cannot be read (No such file or directory)\n"
+
+
+def test_systems_says_all_of_one(folder, capsys):
+    assert cli.main(["systems", "gyrostat", "--json", "told.json"]) == 0
+    said = capsys.readouterr()
+    assert said.err == "" and said.out.startswith("gyrostat(inertia=(1.0, 2.0, 3.0), rotors=(0.25, 0.5, 0.75))")
+    assert "so(3); dimension 3, rank 2" in said.out and "mass times length squared over time" in said.out
+    assert said.out.endswith("written: told.json\n")
+    assert json.loads((folder / "told.json").read_text())["casimirs"] == {"|x|^2": "x1^2 + x2^2 + x3^2"}
+
+
+def test_gallery_draws_and_writes_a_page(folder, capsys):
+    assert cli.main(["gallery", "so_n_body", "so_n_body", "--out", "seen/here"]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert said.out.splitlines() == ["1 of 1: so_n_body", f"written: {Path('seen/here/index.html')}"]
+    assert sorted(p.name for p in (folder / "seen/here").iterdir()) == ["index.html", "so_n_body.png"]
+    assert (folder / "seen/here/so_n_body.png").read_bytes().startswith(b"\x89PNG")

@@ -16,6 +16,8 @@ import click
 
 from coadjoint import __version__
 from coadjoint.errors import in_one_line, nearest
+from coadjoint.extras import need
+from coadjoint.wording import short
 
 UNREAD = 141  # nobody reads what is printed
 
@@ -189,13 +191,44 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
 
 
 @commands.command("systems")
-def list_systems() -> None:
-    """List the ready-made systems with their parameters."""
+@click.argument("name", required=False)
+@click.option("--json", "mapping", metavar="PATH", help="Where to write all that is said of NAME: .json.")
+def list_systems(name: str | None, mapping: str | None) -> None:
+    """List the ready-made systems with their parameters, or say of one, NAME, what it is and how to begin.
+
+    Of one: its parameters with their units, algebra, Casimirs, integrals, whether there are a closed form and an
+    attitude, and the scheme and step to begin with.
+    """
     from coadjoint.systems.ready_made import ready_made_systems
 
-    for name, builder in sorted(ready_made_systems().items()):
+    known = ready_made_systems()
+    if name is not None:
+        return _show_system(_known_system(name, tuple(known)), mapping)
+    if mapping is not None:
+        raise click.UsageError("--json writes what is said of one system; give its name")
+    for each, builder in sorted(known.items()):
         signature = inspect.signature(builder).parameters
-        _describe(name, {key: p.default for key, p in signature.items()}, inspect.getdoc(builder) or "")
+        _describe(each, {key: p.default for key, p in signature.items()}, inspect.getdoc(builder) or "")
+
+
+def _known_system(name: str, known: Sequence[str]) -> str:
+    if name not in known:
+        raise click.UsageError(f"unknown system {short(name)}; {_did_you_mean(name, sorted(known))}")
+    return name
+
+
+def _show_system(name: str, mapping: str | None) -> None:
+    import json
+
+    from coadjoint.files.output import TEXTS, check_target, write_text
+    from coadjoint.runs.system_text import system_text, told_of
+
+    target = None if mapping is None else check_target(mapping, TEXTS)
+    told = told_of(name)
+    click.echo(system_text(told))
+    if target is not None:
+        write_text(json.dumps(told, indent=1), target)
+        click.echo(f"written: {target}")
 
 
 @commands.command("methods")
@@ -219,16 +252,45 @@ def reproduce(out: str) -> None:
     """Repeat the experiments of Reich (1993), print a table of them and draw their figures."""
     experiments = importlib.import_module("coadjoint.experiments.reich1993")
     experiments.check_packages()
+    result = experiments.reproduce(_folder(out), click.echo)
+    for row in result.table:
+        click.echo(f"{row.verdict:18}  {row.place}: {row.statement}\n{'':20}{row.measured}")
+    for figure in result.figures:
+        click.echo(f"written: {figure}")
+
+
+def _folder(out: str) -> Path:
+    """Return a folder, made where it does not exist."""
     folder = Path(out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as reason:
         raise click.UsageError(f"--out {out}: cannot be made a folder ({reason.strerror}); give another") from None
-    result = experiments.reproduce(folder, click.echo)
-    for row in result.table:
-        click.echo(f"{row.verdict:18}  {row.place}: {row.statement}\n{'':20}{row.measured}")
-    for figure in result.figures:
-        click.echo(f"written: {figure}")
+    return folder
+
+
+@commands.command("gallery")
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.option("--out", metavar="DIR", default="gallery", show_default=True, help="Folder for pictures and page.")
+def draw_gallery(names: tuple[str, ...], out: str) -> None:
+    """Run every ready-made system, or those with a NAME, for a telling time; draw them, and write a page.
+
+    The page is index.html, beside the pictures.
+    """
+    from coadjoint.files.output import write_figure, write_page
+    from coadjoint.systems.ready_made import told_systems
+
+    need("a gallery", "matplotlib")
+    known = told_systems()
+    wanted = [_known_system(name, known) for name in dict.fromkeys(names)] or known
+    if not names:
+        need("a gallery of all systems", "numba")
+    folder = _folder(out)
+    from coadjoint.pictures.gallery import PAGE, gallery
+
+    page = gallery(wanted, lambda figure, name: write_figure(figure, folder / name), click.echo)
+    write_page(page, folder / PAGE)
+    click.echo(f"written: {folder / PAGE}")
 
 
 def _did_you_mean(name: str, known: Sequence[str]) -> str:

@@ -45,7 +45,7 @@ def need(what: str, *packages: str) -> None:
     --------
     >>> need("progress=True", "tqdm")
     """
-    missing = [name for name in packages if not _installed(name)]
+    missing = [name for name in packages if not installed(name)]
     if not missing:
         return
     extras = ",".join(dict.fromkeys(EXTRAS[name] for name in missing))
@@ -58,7 +58,14 @@ def need(what: str, *packages: str) -> None:
     )
 
 
-def _installed(name: str) -> bool:
+def installed(name: str) -> bool:
+    """Say whether a package is there; it is not imported.
+
+    Examples
+    --------
+    >>> installed("numpy")
+    True
+    """
     try:
         return importlib.util.find_spec(name) is not None
     except ValueError:  # the module was put into sys.modules without a specification

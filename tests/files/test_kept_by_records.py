@@ -176,8 +176,16 @@ def test_parameters_of_systems(parameter):
 # What is no number or list of numbers, or fits only beside another parameter: what is given, and other values.
 OTHERS = {
     ("clebsch_body", "inertia"): ({}, [(2.0, 2.0, 2.0)]),
+    ("double_spherical_pendulum", "masses"): ({}, [(1.5, 0.75)]),  # compiled for each
     ("kirchhoff_body", "coupling"): ({}, [[[0.2, 0.5, -0.1], [0.0, -0.3, 0.4], [0.3, 0.1, 0.25]]]),
+    ("satellite", "inertia"): ({}, [(2.0, 1.5, 1.0)]),
     ("separable_cosh", "algebra"): ({}, ["sl(2)"]),
+    ("spin_lattice", "dm"): ({}, [(0.1, 0.2, 0.3)]),
+    ("spin_lattice", "field"): ({}, [(0.1, 0.2, 0.3)]),
+    ("spin_lattice", "lattice"): ({"shape": 3}, ["ring"]),
+    ("spin_lattice", "periodic"): ({"shape": 3}, [True]),
+    ("vlasov_moments", "degree"): ({}, [6]),
+    ("vlasov_moments", "potential"): ({}, ["1/4*x20 + 0.1*x20^2"]),
     ("separable_cosh", "constants"): ({"algebra": "A3,7", "constants": {"a": 2.0}}, [{"a": 0.5}]),
 }
 
@@ -205,7 +213,10 @@ def test_parameters_of_ready_made_systems(name, parameter):
         assert looks_of(again) == looks_of(system) and (again.closed_form is None) == (system.closed_form is None)
         attitude = system.algebra is not None and (system.representation is not None or "coadjoint")
         method = GaussLegendre(2) if system.algebra is None else co.Splitting(order=2)
-        if parameter == parameters(make)[0] or not isinstance(system.hamiltonian, co.Separable):  # compiled once
+        if name == "double_spherical_pendulum":  # has no exact flows of parts
+            method, attitude = GaussLegendre(2), "coadjoint"
+        functions = any(term.called for term in system.hamiltonian.terms())
+        if parameter == parameters(make)[0] or not functions:  # compiled once
             assert_same_motion(system, attitude=attitude, method=method, x0=np.cos(np.arange(system.dim)))
 
 

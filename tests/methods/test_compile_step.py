@@ -59,6 +59,9 @@ def test_it_runs_as_its_reading_says(step):
     assert np.max(np.abs(sol.x - python.x)) < 1e-14 and sol.stats.evaluations == 10
     crowd = co.integrate(system, np.stack([x0, 2 * x0, -x0]), (0, 1), 0.1, scheme(0.5), threads=2)
     assert np.array_equal(crowd.x[:, 0], sol.x)
+    ready = co.prepare(system, scheme(0.5), 0.1, inputs=True)
+    other = co.LiePoissonSystem(system.algebra, co.Quadratic(np.diag(np.arange(1.0, 7)) + 0.1, x0))
+    assert np.array_equal(ready.run(x0, (0, 1), linear=x0).x, co.integrate(other, x0, (0, 1), 0.1, scheme(0.5)).x)
     assert np.max(np.abs(co.stepper(system, scheme(), 0.1).tangent(x0) - np.eye(6) - 0.1 * system.jacobian(x0))) < 1e-15
 
 

@@ -127,6 +127,16 @@ def test_ensembles_batches_and_threads_are_the_members_alone():
         assert np.array_equal(together.x[:, m], co.integrate(body, states[m], (0, 1), 0.05, OwnKahan()).x)
 
 
+def test_inputs_reach_compiled_steps():
+    system, linear = SYSTEMS["e(3), full"], 0.2 * np.cos(np.arange(6.0))
+    other = co.LiePoissonSystem(system.algebra, co.Quadratic(np.diag(np.arange(1.0, 7)) + 0.1, linear))
+    ready = co.prepare(system, OwnKahan(), 0.05, inputs=True)
+    once = co.integrate(other, start_of(system), (0, 1), 0.05, OwnKahan())
+    assert np.array_equal(ready.run(start_of(system), (0, 1), linear=linear).x, once.x)
+    several = ready.run(start_of(system), (0, 1), linear=np.stack([0 * linear, linear]))
+    assert np.array_equal(several.x[:, 1], once.x) and not np.array_equal(several.x[:, 0], once.x)
+
+
 def test_watching_saving_and_observing():
     system = SYSTEMS["so(3)"]
     sol = co.integrate(system, (1, 0.2, 0.5), (0, 2), 0.05, OwnKahan(), save_every=7, observe={"first": lambda x: x[0]})

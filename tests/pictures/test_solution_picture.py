@@ -133,10 +133,16 @@ def test_fixed_point_says_that_nothing_moves() -> None:
 
 def test_long_runs_are_thinned_to_what_can_be_seen() -> None:
     body = co.systems.rigid_body(inertia=(1, 2, 3))
-    run = co.integrate(body, (0.1, 1.0, 0.1), (0.0, 4500.0), 0.1)
-    line = run.plot().axes[1].lines[0]
-    assert len(line.get_xdata()) <= 20_001
-    assert line.get_xdata()[-1] == run.t[-1]
+    run = co.integrate(body, (0.1, 1.0, 0.1), (0.0, 18000.0), 0.1)
+    _, components, orbit = run.plot().axes
+    (path,) = (line for line in orbit.lines if len(line.get_data_3d()[0]) > 1)
+    assert len(path.get_data_3d()[0]) <= 20_001
+    # 180 001 points and more than 600 turning points of each component: three envelopes that reach as far as they do
+    assert [band.get_label() for band in components.collections] == ["$x_{1}$", "$x_{2}$", "$x_{3}$"]
+    for i, band in enumerate(components.collections):
+        corners = band.get_paths()[0].vertices
+        assert corners[:, 0].max() == run.t[-1]
+        assert (corners[:, 1].min(), corners[:, 1].max()) == (run.x[:, i].min(), run.x[:, i].max())
 
 
 def test_nothing_global_changes(body_run: co.Solution, tmp_path) -> None:

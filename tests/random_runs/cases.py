@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,17 @@ from .hamiltonians import matrix, some_hamiltonian
 MEMBERS = (1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 31, 32, 33, 34, 40)
 STEPS = (0, 1, 2, 3, 5, 7, 8, 11, 16, 17, 23, 29, 40)
 LARGEST_BATCH = 300  # numbers in the states of a batch: each member is taken apart by itself
+# Drawn with options of their own; of all other schemes that are registered, their examples are.
+DRAWN = (
+    co.Splitting,
+    co.GaussLegendre,
+    co.ModifiedGaussLegendre,
+    co.IteratedGaussLegendre,
+    co.ExplicitRungeKutta,
+    co.RadauEnergy,
+    co.Taylor,
+    co.Composition,
+)
 TRIPLE_JUMP = (1 / (2 - 2 ** (1 / 3)), 1 - 2 / (2 - 2 ** (1 / 3)), 1 / (2 - 2 ** (1 / 3)))
 
 
@@ -44,7 +57,7 @@ class Case:
 
 def some_method(rng: np.random.Generator) -> Any:
     """Return a random scheme with random options."""
-    kind = rng.integers(12)
+    kind = rng.integers(14)
     if kind <= 3:
         compensated = (None, True, False)[rng.integers(3)]
         if rng.random() < 0.25:
@@ -75,8 +88,17 @@ def some_method(rng: np.random.Generator) -> Any:
     if kind <= 10:
         order = int(rng.choice([1, 2, 3, 5, 8, 16, 17, 24, 33, 64]))
         return co.Taylor(order, projected=bool(rng.random() < 0.7))
-    bases = (co.Splitting(order=2), co.GaussLegendre(1), co.Splitting(order=2, compensated=True))
-    return co.Composition(bases[rng.integers(3)], TRIPLE_JUMP)
+    if kind == 11:
+        bases = (co.Splitting(order=2), co.GaussLegendre(1), co.Splitting(order=2, compensated=True))
+        return co.Composition(bases[rng.integers(3)], TRIPLE_JUMP)
+    return other_schemes()[rng.integers(len(other_schemes()))]
+
+
+@cache
+def other_schemes() -> Sequence[Any]:
+    """Return the examples of the registered schemes that are not drawn with options of their own."""
+    classes = (co.methods.registry.scheme(name) for name in co.methods.names())
+    return [method for scheme in classes if scheme not in DRAWN for method in scheme.examples()]
 
 
 def crowd(rng: np.random.Generator, members: int, n: int) -> np.ndarray:

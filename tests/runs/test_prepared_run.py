@@ -226,3 +226,18 @@ def test_a_solution_of_many_members_does_not_hold_their_state():
     one = co.integrate(BODY, X, (0, 1), 0.1)
     assert sol.stats.evaluations == len(many) * one.stats.evaluations and not sol.failed.any()
     assert np.array_equal(sol.drift()["energy"].tenths[-1], one.drift()["energy"].tenths)
+
+
+@pytest.mark.parametrize("size", [1e-200, 1.0, 1e200])
+def test_a_group_element_that_is_nearly_singular_is_refused(size):
+    ready = co.prepare(BODY, co.Splitting(order=2), 0.1, attitude=True)
+    random = np.random.default_rng(3).standard_normal((3, 3))
+    nearly = random.copy()
+    nearly[2] = nearly[0] - nearly[1]
+    nearly[2, 2] += 2.0**-53
+    with pytest.raises(ValueError, match="singular"):
+        ready.run(X, (0, 1), attitude=size * nearly)
+    with pytest.raises(ValueError, match="singular"):
+        ready.run(X, (0, 1), attitude=0.0 * random)
+    steep = np.diag([1.0, 1.0, 1e-14])
+    assert np.array_equal(ready.run(X, (0, 1), attitude=size * steep).attitude[0], size * steep)

@@ -14,7 +14,8 @@ from motions import (
     polynomial_of,
     turned,
 )
-from scipy.special import ellipj
+from scipy.integrate import quad
+from scipy.special import ellipj, ellipk
 
 import coadjoint as co
 from coadjoint.algebra.exact_polynomials import ExactPolynomials
@@ -81,6 +82,50 @@ def test_steady_precession_of_lagranges_top(order, up):
         named = co.systems.lagrange_top(one, three, w)
         np.testing.assert_array_equal(named.vector_field(ordered(1.0)), top.vector_field(ordered(1.0)))
         assert named.integrals == top.integrals and list(named.integrals) == ["m3"]
+
+
+@pytest.mark.parametrize("height", [1.5, -1.5])
+@pytest.mark.parametrize("spin", [0.5, 3.0])
+def test_nutation_of_lagranges_top(height, spin):
+    """u = gamma3 nutates by (u')^2 = f(u), f of third degree, between two of its roots: by an elliptic sine.
+
+    With c = m3 and b = m . gamma, (I1 u')^2 = 2 I1 (1 - u^2)(E - c^2 / 2 I3 - w u) - (b - c u)^2. The run starts where
+    u' = 0. Then gamma' = gamma x Omega also gives how fast gamma turns about the third axis, by an integral over time.
+    """
+    one, three, tilt, across = 1.5, 0.6, 0.8, 0.4
+    top = co.systems.lagrange_top(one, three, height)
+    x0 = np.array([across, 0.0, spin, np.sin(tilt), 0.0, np.cos(tilt)])
+    b, rest = x0[:3] @ x0[3:], across**2 / (2 * one) + height * np.cos(tilt)
+    cubic = np.polynomial.Polynomial([1, 0, -1]) * np.polynomial.Polynomial([2 * one * rest, -2 * one * height])
+    cubic -= np.polynomial.Polynomial([b, -spin]) ** 2
+    low, middle, high = np.sort(np.real(cubic.roots()))
+    # the motion goes on between the roots within [-1, 1]; the third lies beyond, on the side of the sign of the height
+    near, far, third = (low, middle, high) if height > 0 else (high, middle, low)
+    k2, rate = (far - near) / (third - near), np.sqrt(abs(height) * abs(third - near) / (2 * one))
+    K = ellipk(k2)
+    from_far = abs(x0[5] - far) < 1e-9
+    assert from_far or abs(x0[5] - near) < 1e-9, "the start is a turning point"
+
+    def height_of_axis(t):
+        return near + (far - near) * ellipj(rate * t + (K if from_far else 0.0), k2)[0] ** 2
+
+    T = 7.0
+    # psi is the angle of (gamma1, gamma2): psi' = -Omega3 + (m1 gamma1 + m2 gamma2) gamma3 / I1 (1 - gamma3^2)
+    psi = quad(
+        lambda t: (
+            -spin / three + (b - spin * height_of_axis(t)) * height_of_axis(t) / one / (1 - height_of_axis(t) ** 2)
+        ),
+        0.0,
+        T,
+        epsabs=1e-13,
+        epsrel=1e-13,
+        limit=200,
+    )[0]
+    u, radius = height_of_axis(T), np.sqrt(1 - height_of_axis(T) ** 2)
+    for scheme in (co.Taylor(order=20), co.GaussLegendre(6)):
+        end = co.integrate(top, x0, (0.0, T), 0.05, scheme).x[-1]
+        np.testing.assert_allclose(end[3:], [radius * np.cos(psi), radius * np.sin(psi), u], rtol=0, atol=1e-11)
+        assert end[:3] @ end[3:] == pytest.approx(b, abs=1e-13) and end[2] == pytest.approx(spin, abs=1e-13)
 
 
 def test_a_spherical_top_keeps_the_momentum_along_its_lever():

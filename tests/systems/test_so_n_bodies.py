@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from motions import FULL, U, assert_bounded, assert_order, bracket, polynomial_of
-from scipy.linalg import solve_sylvester
+from scipy.linalg import expm, solve_sylvester
 
 import coadjoint as co
 
@@ -96,6 +96,35 @@ def test_the_body_of_three_dimensions_is_the_rigid_body_and_manakovs_top():
         rtol=0,
         atol=8 * U,
     )
+
+
+def test_a_symmetric_body_of_four_dimensions_in_closed_form():
+    """For (a, a, a, b) the block of the first three axes is constant, and the last column turns by it."""
+    a, b, t = 1.25, 0.5, 6.0
+    body = co.systems.so_n_body((a, a, a, b))
+    x0 = np.array([0.5, -0.75, 0.25, 1.0, 0.5, -0.5])
+    X = matrix_of(body, x0)
+    exact = X.copy()
+    exact[:3, 3] = expm((1 / (a + b) - 1 / (2 * a)) * t * X[:3, :3]) @ X[:3, 3]
+    exact[3, :3] = -exact[:3, 3]
+    states = np.linalg.lstsq(body.representation.reshape(6, 16).T, exact.ravel(), rcond=None)[0]
+    assert_order(body, x0, states, t, 0.25)
+
+
+def test_a_body_of_four_dimensions_that_moves_in_three():
+    """Rows and columns of one axis stay zero: a free body whose moments are sums of two of the values."""
+    values, left_out, t = np.array([1.0, 2.5, 0.5, 1.75]), 1, 6.0
+    body, kept = co.systems.so_n_body(values), [0, 2, 3]
+    rigid = co.systems.rigid_body(values[kept].sum() - values[kept])
+    y0 = np.array([0.75, -0.5, 1.0])
+
+    def state(y):
+        X = np.zeros((4, 4))
+        X[np.ix_(kept, kept)] = np.array([[0, -y[2], y[1]], [y[2], 0, -y[0]], [-y[1], y[0], 0]])
+        return np.linalg.lstsq(body.representation.reshape(6, 16).T, X.ravel(), rcond=None)[0]
+
+    assert not matrix_of(body, state(y0))[left_out].any()
+    assert_order(body, state(y0), state(rigid.exact(y0, t)), t, 0.25)
 
 
 S = co.systems

@@ -16,7 +16,14 @@ from .carried import run_with
 from .schemes_under_test import schemes, serves
 from .systems_under_test import all_cases, full_matrix
 
-CASES = ("A3,7, full", "e(3), heavy top", "so(4), full, another basis", "sl(2), driven", "skew J, no Jacobi identity")
+CASES = (
+    "so(3), diagonal",
+    "A3,7, full",
+    "e(3), heavy top",
+    "so(4), full, another basis",
+    "sl(2), driven",
+    "skew J, no Jacobi identity",
+)
 SCHEMES = (
     "Splitting 1 adjoint",
     "Splitting 2 coordinates",
@@ -54,7 +61,10 @@ def arrays_of(solution: co.Solution) -> list[np.ndarray]:
 def runs() -> Iterator[tuple[str, co.Solution]]:
     """Run every scheme on every system that it serves, alone and as a crowd, and batches."""
     systems, methods = all_cases(), schemes()
-    chosen = {name: methods[name] for name in SCHEMES} | {"rational": co.Splitting(order=2, rotation="rational")}
+    chosen = {name: methods[name] for name in SCHEMES}
+    named = {type(method) for method in chosen.values()}
+    chosen |= {name: method for name, method in methods.items() if type(method) not in named}
+    chosen["rational"] = co.Splitting(order=2, rotation="rational")
     for scheme, method in chosen.items():
         for case in CASES:
             system, x0, _ = systems[case]

@@ -55,6 +55,7 @@ def builds() -> list[tuple[str, int]]:
     return every if os.environ.get("COADJOINT_COMPILERS") == "all" else every[:1]
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not builds(), reason="there is no compiler here, or the processor has no levels")
 @pytest.mark.parametrize(("name", "level"), builds())
 def test_another_compiler_gives_the_same_bits(name, level, tmp_path):

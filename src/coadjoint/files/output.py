@@ -27,13 +27,15 @@ class OutputError(ValueError):
 DATASETS = (".nc", ".zarr")
 FIGURES = (".png", ".pdf", ".svg")
 TEXTS = (".json",)
+PAGES = (".html",)
 PACKAGES = {
     ".nc": ("xarray", "h5netcdf", "h5py"),
     ".zarr": ("xarray", "zarr"),
     **dict.fromkeys(FIGURES, ("matplotlib",)),
     ".json": (),
+    ".html": (),
 }
-NAMED = {".nc": "NetCDF", ".zarr": "Zarr", ".json": "JSON", **dict.fromkeys(FIGURES, "a figure")}
+NAMED = {".nc": "NetCDF", ".zarr": "Zarr", ".json": "JSON", ".html": "a page", **dict.fromkeys(FIGURES, "a figure")}
 
 
 def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
@@ -209,7 +211,28 @@ def write_text(text: str, path: str | Path) -> None:
     ...     Path(f"{folder}/empty.json").read_text()
     '{}'
     """
-    target = check_target(path, TEXTS)
+    _write(text, check_target(path, TEXTS))
+
+
+def write_page(text: str, path: str | Path) -> None:
+    """Write a page, HTML, whole or not at all.
+
+    Parameters
+    ----------
+    text : str
+        From `coadjoint.pictures.gallery.gallery`, for instance.
+    path : str or Path
+        The target, an ``.html`` file, replaced if it exists.
+
+    Raises
+    ------
+    OutputError
+        As `check_target`.
+    """
+    _write(text, check_target(path, PAGES))
+
+
+def _write(text: str, target: Path) -> None:
     with Unfinished(target) as unfinished:
         unfinished.place.write_text(text, encoding="utf-8")
         unfinished.finish()

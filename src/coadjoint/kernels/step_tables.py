@@ -20,6 +20,9 @@ from coadjoint.program.term_table import TermTable
 from coadjoint.program.unshift import unshift_tables
 from coadjoint.systems.kinds import System, tabulated
 
+PLACE_OF_INNER = 1
+"""Where among the whole numbers the address of the tables of an inner loop stands."""
+
 
 class CompiledStep(Protocol):
     """What a scheme with a compiled step says of itself."""

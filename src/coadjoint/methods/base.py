@@ -331,6 +331,28 @@ class Method(ABC):
         Work
         """
 
+    def settled(self, system: System) -> Method:
+        """Return the same scheme with what it chooses by itself for a system written out: parts, for instance.
+
+        Systems that differ in constants alone then have tables of one structure.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        Method
+            The scheme itself, where it chooses nothing.
+
+        Raises
+        ------
+        TypeError
+            What it chooses cannot be written out.
+        """
+        return self
+
     def restored(self, system: System) -> Mapping[str, Any] | None:
         """Return the invariants that a step restores beside the energy; None where not the energy either.
 

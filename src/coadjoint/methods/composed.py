@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -76,6 +76,16 @@ class Composed(Method):
         """Return what the base restores."""
         return self.base.restored(system)
 
+    def settled(self, system: System) -> Method:
+        """Return the composition of the settled base."""
+        return with_settled_base(self, system)
+
+
+def with_settled_base(method: Any, system: System) -> Any:
+    """Return a scheme, a dataclass, around its base with what the base chooses for a system written out."""
+    base = method.base.settled(system)
+    return method if base is method.base else replace(method, base=base)
+
 
 class FlowsOfBase(FlowMethod):
     """Flows of the parts of another scheme."""
@@ -96,6 +106,10 @@ class FlowsOfBase(FlowMethod):
     def rotation(self) -> str:
         """As the base."""
         return self.base.rotation
+
+    def settled(self, system: System) -> Method:
+        """Return the flows of the settled base."""
+        return with_settled_base(self, system)
 
 
 @dataclass(frozen=True)

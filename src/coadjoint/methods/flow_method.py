@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import fields, is_dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Method, Representation
 from coadjoint.methods.formal_numbers import is_short
 from coadjoint.program.numbers import Number
+from coadjoint.program.split import NotSplit
 from coadjoint.program.sweeps import Sweep
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -93,6 +95,22 @@ class FlowMethod(Method):
         """Return the scheme itself."""
         return self
 
+    def settled(self, system: System) -> Method:
+        """Return the scheme with the automatic parts of this system, which it must have as a field."""
+        from coadjoint.program.decompose import decompose
+
+        if not isinstance(self.parts, str) or self.parts != "auto" or not isinstance(system, LiePoissonSystem):
+            return self
+        if not is_dataclass(self) or all(field.name != "parts" for field in fields(self)):
+            raise TypeError(
+                f"{self} has no field for its parts, which it chooses for each Hamiltonian anew; give it one"
+            )
+        self.properties(system)
+        try:
+            return replace(self, parts=decompose(system, "auto").choice)
+        except NotSplit:
+            return self  # the loop refuses by name what does not split
+
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop over the rows of the table."""
         return self._loop_over(self.program(system, group=representation), h)
@@ -103,7 +121,7 @@ class FlowMethod(Method):
         from coadjoint.kernels.tables import flow_tables
 
         found = flow_tables(program, h, bool(self.compensated))
-        return CompiledLoop(FLOW_LOOP, found.tables, found.keep, program.shift)
+        return CompiledLoop(FLOW_LOOP, found.tables, found.keep, program.shift, parts=program.parts)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
         """Return the loop over the rows of the table, with tangent vectors."""

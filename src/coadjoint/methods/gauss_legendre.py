@@ -54,8 +54,8 @@ class GaussLegendre(RungeKuttaMethod):
     until the corrections stop falling, and by Newton's method where that is slow or diverges. With many stages and
     a large step it is a cheap way to high accuracy for any Hamiltonian (`Taylor` is mostly cheaper where that is a
     polynomial); energy (if quadratic) and quadratic Casimirs then wander like the square root of time only. It is not
-    a Poisson map, and Casimirs of higher degree are not kept: for these take `Splitting`. `GaussLegendre(1)` is the
-    implicit midpoint rule.
+    a Poisson map unless the bracket is constant (canonical variables), and Casimirs of higher degree are not kept: for
+    these take `Splitting`. `GaussLegendre(1)` is the implicit midpoint rule.
 
     Parameters
     ----------
@@ -107,10 +107,11 @@ class GaussLegendre(RungeKuttaMethod):
         return 2 * self.stages
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: quadratic invariants; any system is served."""
+        """Return what is kept: quadratic invariants, and the bracket where it is constant; any system is served."""
         check_one_system(system)
         attitude = "none" if system.algebra is None else "coadjoint"
-        return Properties(poisson=False, energy=has_quadratic_energy(system), casimirs="quadratic", attitude=attitude)
+        poisson, energy = _has_constant_bracket(system), has_quadratic_energy(system)
+        return Properties(poisson=poisson, energy=energy, casimirs="quadratic", attitude=attitude)
 
     @property
     def collocation(self) -> list[Fraction]:
@@ -123,3 +124,12 @@ class GaussLegendre(RungeKuttaMethod):
     def forecast(self, ratio: float) -> NDArray[np.float64]:
         """Return the matrix that continues the polynomial of the substep before."""
         return extrapolation(self.stages, ratio)
+
+
+def _has_constant_bracket(system: System) -> bool:
+    """Return whether J(x) depends on coordinates alone whose elements commute with all others, so that it is constant.
+
+    Where it is, these schemes are symplectic: J. Sanz-Serna, BIT 28 (1988) 877.
+    """
+    triples = getattr(system.algebra, "triples", None)
+    return triples is not None and not np.intersect1d(triples.k, np.concatenate([triples.i, triples.j])).size

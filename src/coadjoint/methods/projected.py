@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.base import Method, Representation
+from coadjoint.methods.composed import with_settled_base
 from coadjoint.methods.projection import (
     casimirs_restored,
     polynomial_casimirs,
@@ -122,11 +123,13 @@ class Projected(Method):
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop over steps that take one of the loop of the base each."""
         from coadjoint.kernels.loop import CompiledLoop, remembered
-        from coadjoint.kernels.step_tables import tables_around
+        from coadjoint.kernels.step_tables import PLACE_OF_INNER, tables_around
         from coadjoint.kernels.stepping import STEP_LOOP
 
-        found = tables_around(system, "projected", self.base.loop(system, h), self.restored(system))
-        return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=remembered(STEP_LOOP, found.tables))
+        inner = self.base.loop(system, h)
+        found = tables_around(system, "projected", inner, self.restored(system))
+        memory = remembered(STEP_LOOP, found.tables)
+        return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=memory, held={PLACE_OF_INNER: inner})
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, read in NumPy for any number type; the values that are kept are those at x.
@@ -150,6 +153,10 @@ class Projected(Method):
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         """Return how the base finds it."""
         return self.base.tangent_by(system, x, t, h)
+
+    def settled(self, system: System) -> Method:
+        """Return the projection of the settled base."""
+        return with_settled_base(self, system)
 
     def work(self, system: System, group: Representation = None) -> Work:
         """Return the work of the base, and of a projection."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,13 @@ def surface_casimir(casimirs: Mapping[str, Any]) -> str | None:
     return None
 
 
-def draw_orbit(axes: Any, members: npt.NDArray[np.float64], casimirs: Mapping[str, Any]) -> None:
+def draw_orbit(
+    axes: Any,
+    members: npt.NDArray[np.float64],
+    casimirs: Mapping[str, Any],
+    names: Sequence[str] = ("$x_1$", "$x_2$", "$x_3$"),
+    joined: bool = True,
+) -> None:
     """Draw orbits on the level surface through the first point of the first.
 
     Parameters
@@ -43,35 +49,47 @@ def draw_orbit(axes: Any, members: npt.NDArray[np.float64], casimirs: Mapping[st
         One orbit or several.
     casimirs : mapping
         Name to Casimir, of the system.
+    names : sequence of three str
+        Names of the coordinates.
+    joined : bool
+        Whether lines between the points show the motion; otherwise the points are dots.
     """
     name = surface_casimir(casimirs)
     box = _box_of(members)
-    title = "orbit (no Casimir is known)"
+    what = "orbit" if joined else "points of the orbit"
+    title = f"{what} (no Casimir is known)"
     triangles = np.empty((0, 3, 3))
     if name is not None:
         casimir = casimirs[name]
         triangles, box = _surface(casimir, float(casimir(members[0, 0])), members)
-        title = f"orbit on the level surface of {symbol(name)}"
+        title = f"{what} on the level surface of {symbol(name)}"
         if not len(triangles):
-            title = f"orbit; the level set of {symbol(name)} is no surface"
+            title = f"{what}; the level set of {symbol(name)} is no surface"
         elif len(members) > 1:
             title = f"orbits, and the level surface of {symbol(name)} of the first"
     if len(triangles):
         _draw_surface(axes, triangles)
     several = len(members) > 1
-    for orbit in members:
-        axes.plot(*orbit.T, color=colour(0), linewidth=0.7 if several else 1.0, alpha=0.5 if several else 1.0, zorder=5)
+    for m, orbit in enumerate(members):
+        shade, strength = (colour(m), 0.8) if several else (colour(0), 1.0)
+        style = {"linewidth": 0.8 if several else 1.0} if joined else {"linestyle": "none", "marker": ".", "ms": 2.5}
+        axes.plot(*orbit.T, color=shade, alpha=strength, zorder=5, **style)
         axes.plot(
-            *orbit[:1].T, marker="o", markersize=2.5 if several else 4, color=COLOURS[1], linestyle="none", zorder=6
+            *orbit[:1].T,
+            marker="o",
+            markersize=2.5 if several else 4,
+            color=shade if several else COLOURS[1],
+            linestyle="none",
+            zorder=6,
         )
-    _frame(axes, box)
+    frame_space(axes, box, names)
     axes.set_title(title + "\n(dot: start)", fontsize=9.5, color=INK)
 
 
 def _surface(casimir: Any, level: float, members: npt.NDArray[np.float64]) -> tuple[Any, Any]:
     """Return the triangles of a level surface and their box: a compact one as a whole, else what is near the orbits."""
     period = getattr(casimir, "period", 0.0)
-    radius = 1.1 * float(np.max(np.linalg.norm(members, axis=-1))) or 1.0
+    radius = 1.1 * float(np.nanmax(np.linalg.norm(members, axis=-1))) or 1.0
     cube = np.array([[-radius, radius]] * 3)
     triangles = level_surface(casimir, level, cube, period=period)
     reach = float(np.max(np.abs(triangles), initial=0.0))
@@ -84,7 +102,7 @@ def _surface(casimir: Any, level: float, members: npt.NDArray[np.float64]) -> tu
 
 def _box_of(members: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return a box with room around the orbits."""
-    low, high = members.min(axis=(0, 1)), members.max(axis=(0, 1))
+    low, high = np.nanmin(members, axis=(0, 1)), np.nanmax(members, axis=(0, 1))
     widest = float(np.max(high - low)) or 1.0
     half = np.maximum(0.7 * (high - low), 0.05 * widest)
     middle = 0.5 * (low + high)
@@ -110,13 +128,23 @@ def _draw_surface(axes: Any, triangles: npt.NDArray[np.float64]) -> None:
     surface.set(facecolors=faces, edgecolors="none", antialiased=True, rasterized=True)
 
 
-def _frame(axes: Any, box: npt.NDArray[np.float64]) -> None:
+def frame_space(axes: Any, box: npt.NDArray[np.float64], names: Sequence[str]) -> None:
+    """Give axes in space their limits, thin lines, and names.
+
+    Parameters
+    ----------
+    axes : mpl_toolkits.mplot3d.Axes3D
+        Changed in place.
+    box : ndarray, shape (3, 2)
+        Limits.
+    names : sequence of three str
+        Names of the axes.
+    """
     axes.computed_zorder = False
     axes.set(xlim=box[0], ylim=box[1], zlim=box[2])
     axes.set_box_aspect((1, 1, 1), zoom=0.93)  # the layout does not know of labels in space
-    axes.set_xlabel("$x_1$", fontsize=9, labelpad=-2)
-    axes.set_ylabel("$x_2$", fontsize=9, labelpad=-2)
-    axes.set_zlabel("$x_3$", fontsize=9, labelpad=-2)
+    for set_label, name in zip((axes.set_xlabel, axes.set_ylabel, axes.set_zlabel), names, strict=True):
+        set_label(name, fontsize=9, labelpad=-2)
     axes.tick_params(labelsize=7, width=0.5, pad=0, colors=INK)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))

@@ -1,142 +1,161 @@
-"""A run in one figure: drift of its invariants, its components, and in three dimensions its orbit."""
+"""A run in one figure: what its system wants to show first, beside its components and the drift of its invariants."""
 
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
-
 from coadjoint.extras import need
-from coadjoint.pictures.orbit import draw_orbit
-from coadjoint.pictures.style import colour, key, plain_axes, symbol
+from coadjoint.given import read_list
+from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.register import CannotShow, Kind, Paint, read_picture
 from coadjoint.runs.solution import check_solution
-from coadjoint.systems.batch import Batch
+from coadjoint.systems.telling import Picture
+from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from coadjoint.runs.solution import Solution
 
-MOST_COMPONENTS = 8
-MOST_MEMBERS = 20
-MOST_POINTS = 20_000  # more than a printed line can show
+HIGH = 5.6
+WIDE = {True: 6.0, False: 5.4}  # a column of panels over time, or one picture
 
 
-def draw_solution(solution: Solution) -> Figure:
-    """Return a figure of a run: drift, components, and for three coordinates the orbit on its coadjoint orbit.
+def draw_solution(solution: Solution, panels: Any = None, components: Any = None, axes: Any = None) -> Figure:
+    """Return a figure of a run: drift, components, and the pictures that its system wants to show first.
 
     Parameters
     ----------
     solution : Solution
         One run or an ensemble. Of many members 20 are drawn, and of many coordinates 8, spread evenly; the figure says
         so.
+    panels : sequence of str or Picture, optional
+        Kinds of pictures, by name or with their options; `coadjoint.pictures.register.kinds` has them. By default the
+        drift, the components, what was observed, and what the system declares; where it declares nothing that this run
+        can show, for three coordinates the orbit on its coadjoint orbit.
+    components : sequence of int or str, optional
+        The coordinates that are drawn over time, by number from 0 or by name.
+    axes : Axes or sequence of Axes, optional
+        Where to draw, one for each panel.
 
     Returns
     -------
     matplotlib.figure.Figure
         Neither shown nor saved; ``figure.savefig("run.png")`` does that.
 
+    Raises
+    ------
+    TypeError, ValueError
+        An unknown kind or option, with the nearest name; a picture that this run cannot show, with the reason; or
+        another number of axes than of panels.
+
     Examples
     --------
     >>> import coadjoint as co
     >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 10), step=0.1)
     >>> [axes.get_ylabel() for axes in draw_solution(sol).axes[:2]]
-    ['absolute deviation from start', 'momentum $x_i$']
+    ['absolute deviation from start', 'angular momentum $x_i$']
     """
     check_solution(solution)
     need("drawing a solution", "matplotlib")
+    drawn = Drawn(solution)
+    plain = _components(drawn, components)
+    prepared = _declared(drawn, plain) if panels is None else _asked(drawn, panels, plain)
+    if axes is not None:
+        return _drawn_into(axes, prepared)
+    return _figure(solution, drawn, prepared)
+
+
+def _components(drawn: Drawn, chosen: Any) -> Picture:
+    """Return the picture of components: those that are asked for, else those that the system declares."""
+    if chosen is not None:
+        return Picture("components", chosen=read_list(chosen, "components", "give numbers or names of coordinates"))
+    return Picture("components") if drawn.telling is None else drawn.telling.components
+
+
+def _declared(drawn: Drawn, plain: Picture) -> list[tuple[Kind, Paint]]:
+    """Return drift, components and observed quantities, and the pictures of the system that this run can show."""
+    wanted = () if drawn.telling is None else drawn.telling.pictures
+    own = drawn.telling is not None and plain is drawn.telling.components
+    # What the system declares may name coordinates that this one of its family does not have.
+    series = (_shown(drawn, (plain,)) if own else []) or [_prepared(drawn, Picture("components") if own else plain)]
+    first = _shown(drawn, (Picture("drift"),)) + series + _shown(drawn, (Picture("observed"),))
+    return first + (_shown(drawn, wanted) or _shown(drawn, (Picture("coadjoint orbit"),)))
+
+
+def _shown(drawn: Drawn, pictures: Sequence[Picture]) -> list[tuple[Kind, Paint]]:
+    found = []
+    for picture in pictures:
+        with suppress(CannotShow):
+            found.append(_prepared(drawn, picture))
+    return found
+
+
+def _prepared(drawn: Drawn, picture: str | Picture) -> tuple[Kind, Paint]:
+    kind, read = read_picture(picture)
+    return kind, kind.prepare(drawn, **read.options)
+
+
+def _asked(drawn: Drawn, panels: Any, plain: Picture) -> list[tuple[Kind, Paint]]:
+    rule = "give kinds of pictures, such as ['drift', 'coadjoint orbit']"
+    given = (panels,) if isinstance(panels, str | Picture) else read_list(panels, "panels", rule)
+    if not given:
+        raise ValueError(f"panels is empty; {rule}")
+    return [_prepared(drawn, _as_declared(drawn, plain, panel)) for panel in given]
+
+
+def _as_declared(drawn: Drawn, plain: Picture, panel: Any) -> Any:
+    """Return a kind that is asked for by its name alone as the system declares it, where it does."""
+    told = () if drawn.telling is None else drawn.telling.pictures
+    return next((p for p in (plain, *told) if isinstance(panel, str) and p.kind == panel), panel)
+
+
+def _drawn_into(axes: Any, prepared: list[tuple[Kind, Paint]]) -> Figure:
+    given = (axes,) if hasattr(axes, "plot") else read_list(axes, "axes", "give the axes of each panel")
+    if len(given) != len(prepared):
+        names = ", ".join(kind.name for kind, _ in prepared)
+        raise ValueError(f"axes are {len(given)}, and there are {len(prepared)} panels to draw: {names}")
+    for into, (kind, paint) in zip(given, prepared, strict=True):
+        if not hasattr(into, "plot"):
+            raise TypeError(f"axes holds {short(into)}; give axes of Matplotlib")
+        if (getattr(into, "name", "") == "3d") != (kind.projection == "3d"):
+            wanted = 'axes with projection="3d"' if kind.projection else "flat axes"
+            raise ValueError(f"the picture {kind.name!r} needs {wanted}")
+        paint(into)
+    found: Figure = given[0].figure
+    return found
+
+
+def _figure(solution: Solution, drawn: Drawn, prepared: list[tuple[Kind, Paint]]) -> Figure:
     from matplotlib.figure import Figure
 
-    drawn = _thinned(solution)
-    spatial = drawn.x.shape[-1] == 3
-    figure = Figure(figsize=(11.0, 5.6) if spatial else (7.2, 5.8), layout="constrained")
-    grid = figure.add_gridspec(2, 2 if spatial else 1, width_ratios=[1.0, 1.0] if spatial else None)
-    drift, components = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[1, 0])
-    _draw_drift(drift, drawn)
-    _draw_components(components, drawn)
-    components.sharex(drift)
-    drift.tick_params(labelbottom=False)
-    if spatial:
-        # The surface is that of the first member, which is always drawn.
-        first = solution.system[0] if isinstance(solution.system, Batch) else solution.system
-        draw_orbit(figure.add_subplot(grid[:, 1], projection="3d"), drawn.x, first.casimirs)
-    figure.suptitle(_headline(solution, drawn), fontsize=10.5)
+    rows = [(kind, paint) for kind, paint in prepared if kind.over_time]
+    columns = [(kind, paint) for kind, paint in prepared if not kind.over_time]
+    widths = [WIDE[True]] * bool(rows) + [WIDE[False]] * len(columns)
+    figure = Figure(figsize=(max(7.2, sum(widths)), max(HIGH, 2.4 * len(rows))), layout="constrained")
+    grid = figure.add_gridspec(max(1, len(rows)), len(widths), width_ratios=widths)
+    first: Any = None
+    for place, (_, paint) in enumerate(rows):
+        axes = figure.add_subplot(grid[place, 0], sharex=first)
+        first = first or axes
+        paint(axes)
+        if place < len(rows) - 1:
+            axes.tick_params(labelbottom=False)
+            axes.set_xlabel("")
+    for place, (kind, paint) in enumerate(columns):
+        paint(figure.add_subplot(grid[:, bool(rows) + place], projection=kind.projection))
+    figure.suptitle(_headline(solution, drawn, int(16 * sum(widths)) - 60), fontsize=10.5)
     return figure
 
 
-class _thinned:
-    """What is drawn: times (k,), states (members, k, n) and invariants (members, k), thinned to at most so many."""
-
-    def __init__(self, solution: Solution) -> None:
-        every = max(1, -(-len(solution.t) // MOST_POINTS))
-        keep = np.unique(np.append(np.arange(0, len(solution.t), every), len(solution.t) - 1))
-        x = solution.x[:, None] if solution.x.ndim == 2 else solution.x
-        self.of_members, self.of_components = x.shape[1], x.shape[2]
-        members = _spread(x.shape[1], MOST_MEMBERS)
-        self.t, self.forced = solution.t[keep], bool(solution.work)
-        self.x = np.swapaxes(x[np.ix_(keep, members)], 0, 1)
-
-        def series(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-            return values.reshape(len(values), -1)[np.ix_(keep, members)].T
-
-        self.invariants = {
-            name: series(values) for name, values in {"energy": solution.energy, **solution.casimirs}.items()
-        }
-
-
-def _spread(count: int, most: int) -> npt.NDArray[np.int64]:
-    """Return at most so many of 0 ... count - 1, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
-
-
-def _draw_drift(axes: Any, drawn: _thinned) -> None:
-    shown = False
-    several = len(drawn.x) > 1
-    for i, (name, members) in enumerate(drawn.invariants.items()):
-        for m, values in enumerate(members):
-            deviation = np.abs(values - values[0])
-            shown |= bool(np.any(deviation > 0.0))
-            # Zero has no logarithm: the line has gaps where nothing has changed in any bit.
-            visible = np.where(deviation > 0.0, deviation, np.nan)
-            label = symbol(name) if m == 0 else None
-            width, strength = (0.5, 0.5) if several else (0.9, 1.0)
-            axes.plot(drawn.t, visible, color=colour(i), linewidth=width, alpha=strength, label=label)
-    axes.set(yscale="log", ylabel="absolute deviation from start")
-    what = (
-        "change of the energy $H$ and the Casimirs, with forces"
-        if drawn.forced
-        else "drift of the energy $H$ and the Casimirs"
-    )
-    axes.set_title(f"{what}, at the saved points")
-    if not shown:
-        axes.text(0.5, 0.5, "no deviation in any bit", transform=axes.transAxes, ha="center", fontsize=9)
-    plain_axes(axes)
-    key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-
-
-def _draw_components(axes: Any, drawn: _thinned) -> None:
-    chosen = _spread(drawn.of_components, MOST_COMPONENTS)
-    several = len(drawn.x) > 1
-    for place, i in enumerate(chosen):
-        for m, orbit in enumerate(drawn.x):
-            label = f"$x_{{{i + 1}}}$" if m == 0 else None
-            width, strength = (0.5, 0.5) if several else (0.9, 1.0)
-            axes.plot(drawn.t, orbit[:, i], color=colour(place), linewidth=width, alpha=strength, label=label)
-    title = "components of the momentum"
-    if len(chosen) < drawn.of_components:
-        title += f" ({len(chosen)} of {drawn.of_components})"
-    axes.set(xlabel="time $t$", ylabel="momentum $x_i$", title=title)
-    plain_axes(axes)
-    key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-
-
-def _headline(solution: Solution, drawn: _thinned) -> str:
+def _headline(solution: Solution, drawn: Drawn, letters: int) -> str:
     parts = [solution.system.name, str(solution.method), f"step {solution.step:g}"]
     if len(drawn.x) < drawn.of_members:
         parts.append(f"{len(drawn.x)} of {drawn.of_members} members")
     elif drawn.of_members > 1:
         parts.append(f"{drawn.of_members} members")
     text = ",  ".join(parts).replace("$", r"\$")
-    return "\n".join(textwrap.wrap(text, 110 if drawn.of_components == 3 else 75))
+    return "\n".join(textwrap.wrap(text, max(letters, 75)))

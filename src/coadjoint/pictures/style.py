@@ -74,11 +74,46 @@ def symbol(name: str) -> str:
     --------
     >>> print(symbol("|x|^2"), symbol("energy"), symbol("log C"), symbol("x1*x3 + x2^2"), symbol("my integral"))
     $|x|^2$ $H$ $\log C$ $x_{1}\,x_{3} + x_{2}^2$ my integral
+    >>> print(symbol("|x|^2 [12]"), symbol("|total L|^2"))
+    $|x|^2$ [12] |total L|^2
     """
     if name == "energy":
         return "$H$"
     if re.fullmatch(r"log \w", name):
         return rf"$\log {name[4:]}$"
-    if re.fullmatch(r"[\w|^*+. -]*[|^*][\w|^*+. -]*", name):
+    copy = re.fullmatch(r"(.+) (\[\d+\])", name)
+    if copy is not None:
+        return f"{symbol(copy[1])} {copy[2]}"
+    words = re.search(r"[A-Za-z]{3}", name) is not None
+    if re.fullmatch(r"[\w|^*+. -]*[|^*][\w|^*+. -]*", name) and not words:
         return "$" + re.sub(r"([a-z])(\d+)", r"\1_{\2}", name).replace("*", r"\,") + "$"
     return name.replace("$", r"\$")
+
+
+GREEK = ("alpha", "beta", "gamma", "theta", "phi", "psi", "omega", "mu", "rho", "sigma")
+
+
+def coordinate(name: str) -> str:
+    r"""Return the name of a coordinate as mathematical text.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``"x1"``, ``"gamma3"`` or ``"E"``; what is longer stays plain text.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> print(coordinate("x12"), coordinate("gamma3"), coordinate("S1[7]"), coordinate("E"), coordinate("zonal wind"))
+    $x_{12}$ $\gamma_{3}$ $S_{1}^{[7]}$ $E$ zonal wind
+    """
+    found = re.fullmatch(r"([A-Za-z]+?)_?([\d,]*)(\[\d+\])?", name)
+    if found is None or (len(found[1]) > 2 and found[1] not in GREEK):
+        return name.replace("$", r"\$")
+    letters = rf"\{found[1]}" if found[1] in GREEK else found[1]
+    below = f"_{{{found[2]}}}" if found[2] else ""
+    above = f"^{{{found[3]}}}" if found[3] else ""
+    return f"${letters}{below}{above}$"

@@ -98,9 +98,10 @@ class BatchLoops(Loops):
         """Return what a function of the user raised in the loop of any member."""
         return next((error for found in self._prepared if (error := found.raised())), None)
 
-    def attitude_may_overflow(self, start: Start, times: Times) -> bool:
-        """Return whether the elements of any member might not be finite."""
-        return any(unshift is not None and unshift.may_overflow(start, times) for unshift in self._unshifts)
+    @property
+    def unshifts(self) -> Sequence[Unshift]:
+        """Those of the members."""
+        return [unshift for unshift in self._unshifts if unshift is not None]
 
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         rows, shifted = np.array(as_rows(groups)), [unshift is not None for unshift in self._unshifts]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any
@@ -82,7 +82,17 @@ class Loops(ABC):
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
         """Return whether `turned` might make elements that are not finite from those of the loops, which are."""
-        return isinstance(self.turned, Unshift) and self.turned.may_overflow(start, times)
+        return any(unshift.may_overflow(start, times) for unshift in self.unshifts)
+
+    def make_all(self) -> None:
+        """Make now what would be made when it is first needed."""
+        for unshift in self.unshifts:
+            unshift.make()
+
+    @property
+    def unshifts(self) -> Sequence[Unshift]:
+        """What `turned` takes back, for each system where a Casimir was taken off."""
+        return [self.turned] if isinstance(self.turned, Unshift) else []
 
     @abstractmethod
     def raised(self) -> BaseException | None:
@@ -110,6 +120,15 @@ class SystemLoops(Loops):
         The invariants that are followed beside the energy; None is all Casimirs of the system.
     prepared : CompiledLoop, optional
         The loop, where it is not that of `method` alone.
+
+    Attributes
+    ----------
+    prepared : CompiledLoop
+        The loop.
+    watch : Watch
+        The invariants.
+    block : int
+        So many members go side by side.
     """
 
     def __init__(
@@ -134,14 +153,14 @@ class SystemLoops(Loops):
         self._shifted = representation is not None and bool(prepared.shift)
         self.turned = Unshift(system, prepared.shift, representation) if self._shifted else plainly
         self._keep = watch.keep
-        self._prepared = prepared
-        self._block = limit("LARGEST_CROWD") if system.dim <= limit("WIDEST") else 1
+        self.prepared, self.watch = prepared, watch.tables
+        self.block = limit("LARGEST_CROWD") if system.dim <= limit("WIDEST") else 1
         # Made C structures here, once for all plans.
         self._given = prepared.name, pointed(prepared.tables), pointed(watch.tables)
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return one round with a crew for each worker. Members that the kernels advance side by side share a crew."""
-        return [[self.crew(*places) for places in shared_out(0, members, workers, self._block)]]
+        return [[self.crew(*places) for places in shared_out(0, members, workers, self.block)]]
 
     def crew(self, first: int, last: int, base: int = 0) -> Crew:
         """Return the members first to last - 1 as a crew; `base` as for `Crew`."""
@@ -149,7 +168,7 @@ class SystemLoops(Loops):
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop."""
-        return self._prepared.raised()
+        return self.prepared.raised()
 
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the given elements; for a shifted run unit elements, which `turned` multiplies by the given ones."""

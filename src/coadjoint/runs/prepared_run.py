@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -15,6 +16,8 @@ from coadjoint.methods.base import Method
 from coadjoint.methods.forced import serving
 from coadjoint.methods.splitting import Splitting
 from coadjoint.runs.batch_loops import BatchLoops
+from coadjoint.runs.input_loops import InputLoops
+from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops import Loops, SystemLoops
 from coadjoint.runs.observed import Observed, check_observe
 from coadjoint.runs.run import Run, read_progress
@@ -35,7 +38,7 @@ class PreparedRun:
     Attributes
     ----------
     system, method, step
-        What runs.
+        What runs. With inputs the method has the parts written out that it chose for the system.
     """
 
     def __init__(
@@ -48,6 +51,7 @@ class PreparedRun:
         watch: bool = True,
         observe: Mapping[str, Any] | None = None,
         threads: int | None = None,
+        inputs: Any = None,
     ) -> None:
         scheme = Splitting() if method is None else method
         if not isinstance(scheme, Method):
@@ -55,6 +59,9 @@ class PreparedRun:
         watching = read_flag(watch, "watch")
         workers = None if threads is None else read_whole(threads, "threads (None is all cores)", floats=True)
         check_system(system)
+        self._inputs = None if inputs is None or inputs is False else Inputs(system, inputs)
+        if self._inputs is not None:
+            scheme = scheme.settled(self._inputs.with_all(self._inputs.linear))
         self.system: Any = system
         self.method, self.step = scheme, checked_step(step)
         self._scheme = serving(system, scheme)
@@ -62,7 +69,7 @@ class PreparedRun:
         self._representations = representations_of(cast(Any, system), self._scheme, attitude)
         self._observe = check_observe({} if observe is None else observe)
         self._threads = workers or os.cpu_count() or 1
-        self._made: dict[float, Loops] = {}
+        self._made: dict[float, Loops | InputLoops] = {}
         self._observed: Observed | None = None
         self._making = threading.RLock()
 
@@ -70,7 +77,14 @@ class PreparedRun:
         return f"<prepared run of {self.system!r} by {self.method}, step {self.step:g}>"
 
     def run(
-        self, x0: Any, t_span: tuple[float, float], save_every: int = 1, *, attitude: Any = None, progress: bool = False
+        self,
+        x0: Any,
+        t_span: tuple[float, float],
+        save_every: int = 1,
+        *,
+        attitude: Any = None,
+        progress: bool = False,
+        **inputs: Any,
     ) -> Solution:
         """Integrate from an initial state; the same bits as `integrate`.
 
@@ -86,10 +100,15 @@ class PreparedRun:
             The initial group element of this run, in place of the one that was prepared.
         progress : bool
             Show a progress bar.
+        **inputs : array_like
+            The inputs of this run, by the names that they were prepared with: coefficients of the linear term of H, in
+            the shape of their coordinates, or with an axis of members before it. What is not given is as the system has
+            it.
 
         Returns
         -------
         Solution
+            Its `system` has the linear term of this run, its `method` the parts that were prepared.
 
         Raises
         ------
@@ -100,10 +119,28 @@ class PreparedRun:
         """
         progress = read_progress(progress)
         times = times_between(span_of(t_span), self.step, save_every)
-        return self.follow(times, self.start(x0, attitude), progress)
+        linear = self.linear(inputs)
+        return self.follow(times, self.start(x0, attitude, linear), progress, linear)
 
-    def start(self, x0: Any, attitude: Any = None) -> Start:
-        """Return a checked initial state for `follow`; x0 and attitude as in `run`."""
+    def linear(self, inputs: Mapping[str, Any]) -> NDArray[np.float64] | None:
+        """Return the linear term of a run with inputs, (n,) or (members, n); None where none were prepared."""
+        if self._inputs is not None:
+            return self._inputs.read(inputs)
+        if inputs:
+            raise TypeError(
+                f"the run was given {next(iter(inputs))!r}, and it was prepared without inputs; say in `prepare` which "
+                "coefficients may change, such as inputs=True"
+            )
+        return None
+
+    def system_at(self, linear: NDArray[np.float64] | None) -> Any:
+        """Return a system that `method` serves as it serves the system of a run with this linear term."""
+        if linear is None or self._inputs is None:
+            return self.system
+        return self._inputs.with_all(linear)
+
+    def start(self, x0: Any, attitude: Any = None, linear: NDArray[np.float64] | None = None) -> Start:
+        """Return a checked initial state for `follow`; x0 and attitude as in `run`, and the linear term."""
         representation = self._representations[0]
         if attitude is not None and (representation is None or isinstance(attitude, bool | str)):
             raise ValueError(
@@ -111,18 +148,33 @@ class PreparedRun:
                 f"when it is prepared, with attitude=True or 'coadjoint' (here {short(self._attitude)})"
             )
         momenta, single = momenta_of(self.system, x0)
+        if linear is not None and linear.ndim > 1:
+            if single:
+                momenta, single = np.tile(momenta, (len(linear), 1)), False
+            elif len(momenta) != len(linear):
+                raise ValueError(f"x0 has {len(momenta)} members and the inputs have values for {len(linear)}")
         initial = self._attitude if attitude is None else attitude
         return with_group(self.system, momenta, single, representation, initial)
 
-    def follow(self, times: Times, start: Start, progress: bool = False) -> Solution:
-        """Take the steps of `times`, whose step is the prepared one or its negative, from a checked state."""
+    def follow(
+        self, times: Times, start: Start, progress: bool = False, linear: NDArray[np.float64] | None = None
+    ) -> Solution:
+        """Take the steps of `times`, whose step is the prepared one or its negative, from a checked state.
+
+        `linear` is what `linear` returned, where the run was prepared with inputs.
+        """
         workers = min(len(start.momenta), self._threads)
-        run = Run(self.system, self.method, self.loops(times.h), times, start, self._watching, workers)
+        system: Any = self.system
+        loops = self.loops(times.h)
+        if isinstance(loops, InputLoops):
+            assert linear is not None and self._inputs is not None
+            loops, system = loops.at(linear), partial(self._inputs.system_of, linear)
+        run = Run(system, self.method, loops, times, start, self._watching, workers)
         observed = self._observed_at(start.momenta[0]) if self._observe else None
         run.advance(progress)
         return run.solution(observed)
 
-    def loops(self, h: float) -> Loops:
+    def loops(self, h: float) -> Loops | InputLoops:
         """Return the loops of a step or of its negative; those of each direction are made when first needed."""
         found = self._made.get(h)
         if found is None:
@@ -131,7 +183,9 @@ class PreparedRun:
                 self._made[h] = found
         return found
 
-    def _loops(self, h: float) -> Loops:
+    def _loops(self, h: float) -> Loops | InputLoops:
+        if self._inputs is not None:
+            return InputLoops(self._inputs, self.method, h, self._representations[0])
         if isinstance(self.system, Batch):
             return BatchLoops(self.system, self._scheme, h, self._representations)
         return SystemLoops(self.system, self._scheme, h, self._representations[0])
@@ -153,6 +207,7 @@ def prepare(
     watch: bool = True,
     observe: Mapping[str, Any] | None = None,
     threads: int | None = None,
+    inputs: Any = None,
 ) -> PreparedRun:
     """Make a run ready once, for many short calls: control loops, shooting, maps, ensembles that arrive one by one.
 
@@ -176,6 +231,10 @@ def prepare(
         Name -> `Polynomial` or function of x: further quantities, evaluated at the saved points.
     threads : int, optional
         Threads for the members of an ensemble; None is one for each core.
+    inputs : True, sequence of int, or mapping, optional
+        What may be another one in each run: coefficients of the linear term of H, such as a field, the weight of a top,
+        the momenta of rotors. Coordinates whose coefficients ``run(..., linear=)`` brings, all of them for True; or
+        name -> coordinates, an input for each name. See docs/control.md.
 
     Returns
     -------
@@ -197,7 +256,16 @@ def prepare(
     >>> back = ready.run(there.x[-1], t_span=(5, 0), save_every=100)
     >>> bool(abs(back.x[-1] - there.x[0]).max() < 1e-13)
     True
+
+    The momenta of rotors are others in each run:
+
+    >>> steered = co.prepare(co.systems.rigid_body(inertia=(1, 2, 3)), None, step=0.05, inputs={"rotors": (0, 1, 2)})
+    >>> x = (0.1, 1.0, 0.1)
+    >>> for k in range(3):
+    ...     x = steered.run(x, t_span=(0.5 * k, 0.5 * k + 0.5), rotors=(0.0, -0.1 * k, 0.0)).x[-1]
     """
-    ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads)
-    ready.loops(ready.step)
+    ready = PreparedRun(
+        system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads, inputs=inputs
+    )
+    ready.loops(ready.step).make_all()
     return ready

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,8 @@ class Run:
     Parameters
     ----------
     system, method
-        What runs, for messages and the solution.
+        What runs, for messages and the solution. A `partial` function in place of the system makes it, when the
+        solution is asked for it.
     loops : Loops
         Its compiled loops.
     times : Times
@@ -61,7 +63,7 @@ class Run:
 
     def __init__(
         self,
-        system: System | Batch,
+        system: System | Batch | partial[System | Batch],
         method: Method,
         loops: Loops,
         times: Times,

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.given import FEW
 from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.watching import schedule_of
 from coadjoint.program.unshift import unshift_tables
-from coadjoint.runs.start import FEW, Representation, Start
+from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.kinds import System
 
@@ -63,6 +64,10 @@ class Unshift:
         rho = None if isinstance(self._representation, str) else self._representation
         assert system.algebra is not None
         return Unshifting(unshift_tables(system.algebra, rho, system.sign, shift), rate)
+
+    def make(self) -> None:
+        """Make the tables now."""
+        _ = self._unshifting
 
     def may_overflow(self, start: Start, times: Times) -> bool:
         """Return whether the exponential might overflow before the end: where it grows it could, far from the start."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import FrozenInstanceError, dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,9 +26,10 @@ if TYPE_CHECKING:
     from coadjoint.runs.start import Start
     from coadjoint.runs.times import Times
 
-# What a solution needs of the state of a run. Of a large state only these are kept.
+# What a solution needs of the state of a run. Only these are kept of a large state. To copy from a small one would
+# take longer than a step.
 REPORTED = ("worst", "status", "evaluations", "iterations")
-FEW_NUMBERS = 2**12
+FEW_NUMBERS = 2**20
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,6 @@ class Solution:
     ((11, 3), ['energy', '|x|^2'])
     """
 
-    system: System | Batch
     method: Method
     watched: bool
     observed: Mapping[str, NDArray[np.float64]]
@@ -136,11 +136,11 @@ class Solution:
     _names: list[str]
     _accounts: tuple[tuple[str, str], ...]
     _turned: Turned
+    _system: System | Batch | partial[System | Batch]
 
     def __init__(self, run: Run, kept: int, observed: Observed | None) -> None:
         loops, state = run.loops, run.state.arrays
         self.__dict__.update(
-            system=run.system,
             method=run.method,
             watched=run.watching,
             observed={},
@@ -153,6 +153,7 @@ class Solution:
             _names=loops.names,
             _accounts=loops.accounts,
             _turned=loops.turned,
+            _system=run.system,
         )
         if observed is not None:
             # Behind the coordinates there may be accounts, which nothing that is observed reads.
@@ -181,6 +182,11 @@ class Solution:
         return series[:, 0] if self._start.single else series
 
     @cached_property
+    def system(self) -> System | Batch:
+        """What moved; of a run with inputs the system with those."""
+        return self._system() if isinstance(self._system, partial) else self._system
+
+    @cached_property
     def t(self) -> NDArray[np.float64]:
         """The saved times."""
         return self._times.at(self._times.saved[: self._kept])
@@ -188,8 +194,9 @@ class Solution:
     @cached_property
     def x(self) -> NDArray[np.float64]:
         """Momenta."""
-        found = self._picked(self._series("x"))[..., : self.system.dim]
-        shape = getattr(self.system, "shape", None)
+        # Behind the coordinates there may be accounts of forces.
+        found = self._picked(self._series("x"))[..., : self._start.momenta.shape[1]]
+        shape = getattr(self._system, "shape", None)
         return found if shape is None else found.reshape(*found.shape[:-1], *shape)
 
     @cached_property
@@ -209,7 +216,7 @@ class Solution:
 
         A force that keeps the Casimirs has done nothing to them, and does not list them. Empty without forces.
         """
-        done, dim = self._series("x"), self.system.dim
+        done, dim = self._series("x"), self._start.momenta.shape[1]
         found: dict[str, dict[str, NDArray[np.float64]]] = {}
         for place, (force, invariant) in enumerate(self._accounts):
             found.setdefault(force, {})[invariant] = self._picked(done[..., dim + place])
@@ -367,17 +374,43 @@ class Solution:
 
         return dataset_of(self)
 
-    def plot(self) -> Figure:
-        """Return a figure: drift, components, and for three dimensions the orbit on its coadjoint orbit.
+    def plot(self, panels: Any = None, components: Any = None, axes: Any = None) -> Figure:
+        """Return a figure: drift, components, and what the system wants to show first.
+
+        Lines are drawn only where the saved points lie close enough to show what lies between them, otherwise dots; an
+        envelope where there are more oscillations than a printed line can show.
+
+        Parameters
+        ----------
+        panels : sequence of str or Picture, optional
+            Kinds of pictures instead, such as ``["drift", "body axis"]``; `coadjoint.pictures.solution.draw_solution`
+            says more.
+        components : sequence of int or str, optional
+            The coordinates that are drawn over time, by number from 0 or by name.
+        axes : Axes or sequence of Axes, optional
+            Where to draw, one for each panel.
 
         Returns
         -------
         matplotlib.figure.Figure
             Not shown, not saved.
+
+        Raises
+        ------
+        TypeError, ValueError
+            No such panel or coordinate, with the nearest name; or a panel that this run cannot show, with the reason.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+        >>> sol = co.integrate(body, (0.01, 1.0, 0.01), (0, 40), 0.05, attitude=True)
+        >>> [axes.get_title() for axes in sol.plot(["body axis"]).axes]
+        ['body axis 2 in space']
         """
         from coadjoint.pictures.solution import draw_solution
 
-        return draw_solution(self)
+        return draw_solution(self, panels, components, axes)
 
 
 def check_solution(solution: Any) -> None:
@@ -386,7 +419,7 @@ def check_solution(solution: Any) -> None:
         raise TypeError(f"solution is {short(solution)}; it must be a Solution, from co.integrate")
 
 
-PARTS = ("system", "method", "watched", "observed") + tuple(
+PARTS = ("method", "watched", "observed") + tuple(
     name for name, value in vars(Solution).items() if isinstance(value, cached_property)
 )
 """What a copy of a solution has."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from coadjoint.memory import check_room
 from coadjoint.methods.base import Method
 from coadjoint.methods.forced import check_serves, serving
 from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.forced import ForcedSystem
@@ -31,9 +33,11 @@ class Stepper:
         The scheme.
     h : float
         The step; negative for backward.
+    inputs : True, sequence of int, or mapping, optional
+        What each call may bring, as for `prepare`.
     """
 
-    def __init__(self, system: System | ForcedSystem, method: Method, h: float) -> None:
+    def __init__(self, system: System | ForcedSystem, method: Method, h: float, inputs: Any = None) -> None:
         if not isinstance(method, Method):
             raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
         self.h = read_number(h, "h")
@@ -41,25 +45,28 @@ class Stepper:
             raise ValueError(f"h is {self.h!r}; it must not be zero")
         if not isinstance(system, ForcedSystem):
             check_one_system(system)
-        self._scheme = serving(system, method)
         check_serves(system, method)
         self.system: Any = system
-        self.method = method
+        self.method, self._inputs = method, inputs
         self._prepared: dict[bool | str, PreparedRun] = {}
 
     def __repr__(self) -> str:
         return f"stepper({self.system!r}, {self.method!r}, {self.h!r})"
 
-    def _advance(self, x: Any, t: float, attitude: Any) -> Any:
-        initial = None if isinstance(attitude, bool | str) else attitude
-        kind = True if initial is not None else attitude
-        ready = self._prepared.get(kind)
+    def _ready(self, attitude: bool | str) -> PreparedRun:
+        ready = self._prepared.get(attitude)
         if ready is None:
-            ready = PreparedRun(self.system, self.method, abs(self.h), attitude=kind, watch=False, threads=1)
-            self._prepared[kind] = ready
-        return ready.follow(Times(read_number(t, "t"), self.h, 1, 1), ready.start(x, initial))
+            options: Any = {"attitude": attitude, "watch": False, "threads": 1, "inputs": self._inputs}
+            ready = self._prepared[attitude] = PreparedRun(self.system, self.method, abs(self.h), **options)
+        return ready
 
-    def __call__(self, x: Any, t: float = 0.0) -> NDArray[np.float64]:
+    def _advance(self, x: Any, t: float, attitude: bool | str, initial: Any, inputs: Mapping[str, Any]) -> Solution:
+        ready = self._ready(attitude)
+        linear = ready.linear(inputs)
+        start = ready.start(x, initial, linear)
+        return ready.follow(Times(read_number(t, "t"), self.h, 1, 1), start, linear=linear)
+
+    def __call__(self, x: Any, t: float = 0.0, **inputs: Any) -> NDArray[np.float64]:
         """Return the state after one step.
 
         Parameters
@@ -68,15 +75,69 @@ class Stepper:
             Momentum.
         t : float
             Time at the start of the step, for a Hamiltonian that depends on it.
+        **inputs : array_like
+            What was prepared to change, as in `PreparedRun.run`.
 
         Returns
         -------
         ndarray
             Of the same shape; the same bits as the first step of `integrate`.
         """
-        return np.asarray(self._advance(x, t, False).x[-1])
+        return np.asarray(self._advance(x, t, False, None, inputs).x[-1])
 
-    def group(self, x: Any, t: float = 0.0, attitude: Any = None) -> NDArray[np.float64]:
+    def both(
+        self, x: Any, g: Any = None, t: float = 0.0, *, attitude: bool | str | None = None, **inputs: Any
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return momentum and group element after one step, which is taken once.
+
+        Parameters
+        ----------
+        x : array_like, shape (n,) or (members, n)
+            Momentum before the step.
+        g : array_like, shape (d, d) or (members, d, d), optional
+            Group element before the step; the unit element if None.
+        t : float
+            Time at the start of the step.
+        attitude : True or "coadjoint", optional
+            Which matrices the group elements are: those of the system, or the coadjoint ones. None is the former where
+            the system has a representation.
+        **inputs : array_like
+            What was prepared to change, as in `PreparedRun.run`.
+
+        Returns
+        -------
+        x : ndarray
+            Of the shape of x; the same bits as without the group element.
+        g : ndarray
+            The group element; the same bits as those of `group`.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> import numpy as np
+        >>> step = co.stepper(co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(order=2), 0.1)
+        >>> x, g = np.array([1.0, 0.2, 0.5]), np.eye(3)
+        >>> for _ in range(10):
+        ...     x, g = step.both(x, g)
+        >>> bool(np.allclose(g @ x, [1.0, 0.2, 0.5], atol=1e-14))
+        True
+        """
+        kind = self._matrices(attitude)
+        if not isinstance(kind, bool | str):
+            raise TypeError("attitude of `both` says which matrices, True or 'coadjoint'; give the element before as g")
+        sol = self._advance(x, t, kind, g, inputs)
+        assert sol.attitude is not None
+        return np.asarray(sol.x[-1]), np.asarray(sol.attitude[-1])
+
+    def _matrices(self, attitude: Any) -> Any:
+        """Return which matrices a group element is, where None is what the system has."""
+        if attitude is None:
+            return True if self.system.representation is not None else "coadjoint"
+        if attitude is False:
+            raise ValueError("attitude is False; a group element needs True, 'coadjoint', an initial one, or None")
+        return attitude
+
+    def group(self, x: Any, t: float = 0.0, attitude: Any = None, **inputs: Any) -> NDArray[np.float64]:
         """Return the group element g of the step: attitude after it, for the unit element before it.
 
         Parameters
@@ -88,20 +149,22 @@ class Stepper:
         attitude : bool, "coadjoint", or array_like, optional
             As in `integrate`; None is the system's own representation where it has one, else the coadjoint matrix K
             (with K step(x) = x).
+        **inputs : array_like
+            What was prepared to change, as in `PreparedRun.run`.
 
         Returns
         -------
         ndarray, shape (d, d)
             The element.
         """
-        if attitude is None:
-            attitude = True if self.system.representation is not None else "coadjoint"
-        if attitude is False:
-            raise ValueError("attitude is False; a group element needs True, 'coadjoint', an initial one, or None")
-        return np.asarray(self._advance(x, t, attitude).attitude[-1])
+        kind = self._matrices(attitude)
+        given = not isinstance(kind, bool | str)
+        sol = self._advance(x, t, given or kind, kind if given else None, inputs)
+        assert sol.attitude is not None
+        return np.asarray(sol.attitude[-1])
 
     @QUIET
-    def tangent(self, x: Any, t: float = 0.0) -> NDArray[np.float64]:
+    def tangent(self, x: Any, t: float = 0.0, **inputs: Any) -> NDArray[np.float64]:
         """Return the exact derivative of the step at x, by the chain rule through the scheme.
 
         Parameters
@@ -110,6 +173,8 @@ class Stepper:
             Momentum before the step.
         t : float
             Time at the start of the step.
+        **inputs : array_like
+            What was prepared to change, as in `PreparedRun.run`.
 
         Returns
         -------
@@ -121,10 +186,11 @@ class Stepper:
         TypeError
             If the Hamiltonian was given without second derivatives.
         """
-        return self._scheme.tangent(self.system, *self._place(x, t), self.h)[1]
+        method, system = self._scheme(inputs)
+        return method.tangent(system, *self._place(x, t), self.h)[1]
 
     @QUIET
-    def tangent_by(self, x: Any, t: float = 0.0) -> str:
+    def tangent_by(self, x: Any, t: float = 0.0, **inputs: Any) -> str:
         """Return how `tangent` is found at x: by its "formula", by "complex step", or by "differences".
 
         Parameters
@@ -137,7 +203,17 @@ class Stepper:
         str
             The first two are exact to round-off; differences have some nine digits.
         """
-        return self._scheme.tangent_by(self.system, *self._place(x, t), self.h)
+        method, system = self._scheme(inputs)
+        return method.tangent_by(system, *self._place(x, t), self.h)
+
+    def _scheme(self, inputs: Mapping[str, Any]) -> tuple[Method, Any]:
+        """Return the scheme and the system of a step with these inputs, as they are read in Python."""
+        ready = self._ready(False)
+        linear = ready.linear(inputs)
+        if linear is not None and linear.ndim > 1:
+            raise ValueError(f"{next(iter(inputs))} has values for members; a tangent is taken at one state, with one")
+        system = ready.system_at(linear)
+        return serving(system, ready.method), system
 
     def _place(self, x: Any, t: float) -> tuple[NDArray[np.float64], float]:
         momenta, single = momenta_of(self.system, x)
@@ -149,7 +225,7 @@ class Stepper:
         return momenta[0], read_number(t, "t")
 
 
-def stepper(system: System | ForcedSystem, method: Method, h: float) -> Stepper:
+def stepper(system: System | ForcedSystem, method: Method, h: float, *, inputs: Any = None) -> Stepper:
     """Return one step of a scheme as a function, for maps, certificates and Lyapunov exponents.
 
     Parameters
@@ -160,11 +236,13 @@ def stepper(system: System | ForcedSystem, method: Method, h: float) -> Stepper:
         The scheme.
     h : float
         The step; negative for backward.
+    inputs : True, sequence of int, or mapping, optional
+        What each call may bring, as for `prepare`: coefficients of the linear term of H.
 
     Returns
     -------
     Stepper
-        ``step(x)``, ``step.tangent(x)``, ``step.group(x)``.
+        ``step(x)``, ``step.both(x, g)``, ``step.tangent(x)``, ``step.group(x)``.
 
     Raises
     ------
@@ -183,4 +261,4 @@ def stepper(system: System | ForcedSystem, method: Method, h: float) -> Stepper:
     >>> bool(np.allclose(P @ body.structure_matrix(x) @ P.T, body.structure_matrix(step(x)), atol=1e-15))
     True
     """
-    return Stepper(system, method, h)
+    return Stepper(system, method, h, inputs)

@@ -13,9 +13,26 @@ from coadjoint.systems.inertia import inverse_inertia, read_vector
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=(0.6, 0.4, 1.0, 0.5, 0.3, 0.2),
+        t_span=(0.0, 60.0),
+        step=0.05,
+        says="An integrable body in a fluid: its path winds regularly about the direction of its impulse. Middle, "
+        "the path, with the first axis of the body; right, the impulse as the body sees it.",
+        pictures=(
+            Picture("path in space", axis=0),
+            Picture("directions", vectors={"impulse $p$": (3, 4, 5)}, title="the impulse, seen from the body"),
+        ),
+        components=Picture("components", chosen=(0, 1, 2), quantity="angular impulse"),
+        attitude=True,
+        coordinates=("m1", "m2", "m3", "p1", "p2", "p3"),
+        quantity="impulses",
+    )
+)
 def clebsch_body(
     inertia: npt.ArrayLike = (1.0, 1.0, 1.0), inverse_mass: npt.ArrayLike = (1.0, 1.5, 3.0)
 ) -> LiePoissonSystem:

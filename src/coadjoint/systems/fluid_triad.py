@@ -11,10 +11,22 @@ from coadjoint.given import read_finite
 from coadjoint.systems.body_in_disguise import body_in_disguise
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 from coadjoint.wording import short
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=(0.02, 1.0, 0.02),
+        t_span=(0.0, 80.0),
+        step=0.05,
+        says="The wave of middle length is unstable: its amplitude passes to the two others and comes back with "
+        "the opposite sign. The motion stays on the sphere of constant enstrophy.",
+        pictures=(Picture("coadjoint orbit"),),
+        components=Picture("components", flips=1),
+        quantity="vorticity",
+    )
+)
 def fluid_triad(first: npt.ArrayLike = (1.0, 0.0), second: npt.ArrayLike = (0.5, 1.5)) -> LiePoissonSystem:
     """Return a triad of waves of the two-dimensional Euler equations, a rigid body in disguise.
 

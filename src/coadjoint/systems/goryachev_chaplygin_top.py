@@ -10,9 +10,26 @@ from coadjoint.systems.heavy_top import top_under_gravity
 from coadjoint.systems.inertia import moments_of, read_vector
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=(0.0, 4.0, 3.0, 0.6, -0.48, 0.64),
+        t_span=(0.0, 60.0),
+        step=0.02,
+        says="Without angular momentum about the vertical the top is integrable: the vertical, as the body sees it "
+        "(right), moves within a band of its sphere.",
+        pictures=(
+            Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),
+            Picture("directions", vectors={r"vertical $\gamma$": (3, 4, 5)}, title="the vertical, seen from the body"),
+        ),
+        components=Picture("components", chosen=(0, 1, 2), quantity="angular momentum"),
+        attitude=True,
+        coordinates=("m1", "m2", "m3", "gamma1", "gamma2", "gamma3"),
+        quantity="momentum and vertical",
+    )
+)
 def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0, 0.0)) -> LiePoissonSystem:
     """Return the top of Goryachev and Chaplygin: ``I1 = I2 = 4 I3``, the center of mass in the plane of axes 1 and 2.
 

@@ -10,18 +10,40 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.given import read_finite
+from coadjoint.systems.closed_form import all_finite, start_and_times
 from coadjoint.systems.free_rigid_body import fixed_axis
 from coadjoint.systems.inertia import axis_of_symmetry, inverse_inertia, momentum_along, principal, read_vector
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.rigid_body import rotations
+from coadjoint.systems.starts import over_sphere
+from coadjoint.systems.telling import Picture, Telling
 from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=partial(over_sphere, 16),
+        t_span=(0.0, 60.0),
+        step=0.05,
+        says="Sixteen motions with one size of the momentum: without rotors their curves would be symmetric about "
+        "the planes of the principal axes; the rotors shift the equilibria and leave fewer of them.",
+        pictures=(
+            Picture(
+                "directions",
+                vectors={"x": (0, 1, 2)},
+                axes_named=("$x_1$", "$x_2$", "$x_3$"),
+                title="motions on the sphere of one momentum",
+                view=(35.0, 22.0),
+            ),
+        ),
+        components=Picture("components", chosen=(1,)),
+        quantity="angular momentum",
+    )
+)
 def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (0.25, 0.5, 0.75)) -> LiePoissonSystem:
     """Return a body that carries rotors, ``x' = x cross Omega`` with ``Omega = I^-1 (x - k)``.
 
@@ -90,9 +112,7 @@ def _symmetric(m: Floats, k: Floats, axis: Floats, x0: Any, t: Any, attitude: An
     ``Omega = n x + s axis`` with n the inverse moment across the axis and a constant s. So x turns about the axis by
     ``-s t``, and ``A(t) = A(0) exp(n t hat(x(0))) exp(s t hat(axis))``.
     """
-    start, times = read_vector(x0, "x0"), read_finite(t, "t")
-    if times.ndim > 1:
-        raise ValueError(f"t has shape {times.shape}; give one finite time or several, (k,)")
+    start, times = start_and_times(x0, t, 3)
     first = np.eye(3)
     if not isinstance(attitude, bool | np.bool_):
         first = read_finite(attitude, "attitude")
@@ -104,8 +124,7 @@ def _symmetric(m: Floats, k: Floats, axis: Floats, x0: Any, t: Any, attitude: An
         several = np.atleast_1d(times)
         turned = fixed_axis(spin, several)
         x, A = start @ turned, first @ fixed_axis(n * start, several) @ turned
-    if not (np.isfinite(x).all() and np.isfinite(A).all()):
-        raise ValueError(f"the closed form overflows from x0 = {short(start.tolist())}; take smaller numbers")
+    all_finite(np.concatenate([x.ravel(), A.ravel()]), start, times)
     if times.ndim == 0:
         x, A = x[0], A[0]
     return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, A)

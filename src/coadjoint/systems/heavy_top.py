@@ -15,11 +15,28 @@ from coadjoint.systems.kovalevskaya_integral import kovalevskaya_integral
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 Floats = npt.NDArray[np.float64]
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=(0.3, 0.2, 3.0, 0.6, 0.0, 0.8),
+        t_span=(0.0, 40.0),
+        step=0.02,
+        says="A top without symmetry, its center of mass off every axis: the path of its third axis has no pattern "
+        "that returns. Middle, the axis in space; right, the vertical as the body sees it.",
+        pictures=(
+            Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),
+            Picture("directions", vectors={r"vertical $\gamma$": (3, 4, 5)}, title="the vertical, seen from the body"),
+        ),
+        components=Picture("components", chosen=(0, 1, 2), quantity="angular momentum"),
+        attitude=True,
+        coordinates=("m1", "m2", "m3", "gamma1", "gamma2", "gamma3"),
+        quantity="momentum and vertical",
+    )
+)
 def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (0.75, 0.5, 1.0)) -> LiePoissonSystem:
     """Return a heavy top, ``m' = m cross Omega + gamma cross lever``, ``gamma' = gamma cross Omega``.
 

@@ -12,11 +12,29 @@ from coadjoint.systems.inertia import inverse_inertia, inverse_of, plain, princi
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 Floats = npt.NDArray[np.float64]
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=(0.5, 1.5, 1.0, 0.8, 0.1, 0.1),
+        t_span=(0.0, 40.0),
+        step=0.02,
+        says="A body pushed through a fluid along its light axis turns broadside on: it flutters and tumbles about "
+        "the direction of its impulse. Middle, its path, with its first axis; right, that axis in space, the "
+        "impulse upward.",
+        pictures=(
+            Picture("path in space", axis=0),
+            Picture("body axis", axis=0, up=(3, 4, 5), vertical="impulse"),
+        ),
+        components=Picture("components", chosen=(0, 1, 2), quantity="angular impulse"),
+        attitude=True,
+        coordinates=("m1", "m2", "m3", "p1", "p2", "p3"),
+        quantity="impulses",
+    )
+)
 def kirchhoff_body(
     inertia: npt.ArrayLike = (1.0, 2.0, 3.0),
     mass: npt.ArrayLike = (1.5, 2.5, 2.0),

@@ -9,9 +9,27 @@ from coadjoint.systems.heavy_top import top_under_gravity
 from coadjoint.systems.inertia import moments_of, read_vector
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=(1.0, 0.5, 1.5, 0.6, 0.0, 0.8),
+        t_span=(0.0, 60.0),
+        step=0.02,
+        says="Integrable, and yet intricate: the motion is quasi-periodic on a torus of two dimensions, which the "
+        "paths of the third axis in space (middle) and of the vertical as the body sees it (right) begin to "
+        "fill.",
+        pictures=(
+            Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),
+            Picture("directions", vectors={r"vertical $\gamma$": (3, 4, 5)}, title="the vertical, seen from the body"),
+        ),
+        components=Picture("components", chosen=(0, 1, 2), quantity="angular momentum"),
+        attitude=True,
+        coordinates=("m1", "m2", "m3", "gamma1", "gamma2", "gamma3"),
+        quantity="momentum and vertical",
+    )
+)
 def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0)) -> LiePoissonSystem:
     """Return Kovalevskaya's top: a heavy top with ``I1 = I2 = 2 I3``, the center of mass in the plane of axes 1, 2.
 

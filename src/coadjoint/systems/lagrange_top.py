@@ -9,9 +9,26 @@ from coadjoint.systems.heavy_top import top_under_gravity
 from coadjoint.systems.inertia import moments_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=(0.0, 0.0, 3.0, 0.8660254037844386, 0.0, 0.5),
+        t_span=(0.0, 24.0),
+        step=0.02,
+        says="Released with its axis at rest, inclined by 60 degrees: the axis falls, turns sideways and comes "
+        "back to rest in a cusp, over and over, while it precesses about the vertical.",
+        pictures=(
+            Picture("nutation", axis=2, up=(3, 4, 5)),
+            Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),
+        ),
+        components=Picture("components", chosen=(0, 1, 2), quantity="angular momentum"),
+        attitude=True,
+        coordinates=("m1", "m2", "m3", "gamma1", "gamma2", "gamma3"),
+        quantity="momentum and vertical",
+    )
+)
 def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0) -> LiePoissonSystem:
     """Return Lagrange's top: a heavy top with ``I1 = I2`` and the center of mass on the third axis.
 

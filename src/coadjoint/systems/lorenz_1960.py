@@ -3,15 +3,38 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.given import read_positive
 from coadjoint.systems.body_in_disguise import body_in_disguise
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.starts import over_sphere
+from coadjoint.systems.telling import Picture, Telling
 
 
-@ready_made
+def _states(count: int) -> npt.NDArray[np.float64]:
+    """Return states of one enstrophy, A^2 + F^2 + 2 G^2 = 1."""
+    return over_sphere(count) * (1.0, 1.0, 0.5**0.5)
+
+
+@ready_made(
+    telling=Telling(
+        x0=partial(_states, 14),
+        t_span=(0.0, 30.0),
+        step=0.02,
+        says="Fourteen motions with one enstrophy, on its ellipsoid: the zonal current A and the waves F and G "
+        "exchange their vorticity, around the current, which is stable for k > l, or around the wave G.",
+        pictures=(Picture("coadjoint orbit"),),
+        components=Picture("components", chosen=(0,)),
+        coordinates=("A", "F", "G"),
+        quantity="vorticity",
+    )
+)
 def lorenz_1960(k: float = 2.0, l: float = 1.0) -> LiePoissonSystem:
     """Return the three equations of Lorenz (1960) for a westerly current and a wave, a rigid body in disguise.
 

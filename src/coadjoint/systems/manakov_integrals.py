@@ -175,3 +175,27 @@ def _higher(a: npt.NDArray[Any]) -> dict[str, Polynomial]:
                 found[_name(2 * j, m - 2 * j)] = Polynomial(monomials, dim=ring.dim)
         power = [[dot(row, column) for column in columns] for row in power]
     return found
+
+
+def halves_of_so4(sign: float) -> list[list[float]]:
+    """Return the linear forms of one of the two vectors in so(4), each of which has a constant length.
+
+    Parameters
+    ----------
+    sign : {1.0, -1.0}
+        Which one: ``(x23, -x13, x12) + sign (x14, x24, x34)``.
+
+    Returns
+    -------
+    list, shape (3, 6)
+        For the coordinates x12, x13, x14, x23, x24, x34.
+
+    Examples
+    --------
+    >>> halves_of_so4(-1.0)[0]
+    [0.0, 0.0, -1.0, 1.0, 0.0, 0.0]
+    """
+    forms = [[0.0] * 6 for _ in range(3)]
+    for row, (turn, factor, other) in enumerate(((3, 1.0, 2), (1, -1.0, 4), (0, 1.0, 5))):
+        forms[row][turn], forms[row][other] = factor, sign
+    return forms

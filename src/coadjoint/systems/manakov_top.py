@@ -8,12 +8,30 @@ import numpy.typing as npt
 from coadjoint.given import read_finite
 from coadjoint.systems.inertia import read_vector
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.manakov_integrals import manakov_integrals, planes, rotations
+from coadjoint.systems.manakov_integrals import halves_of_so4, manakov_integrals, planes, rotations
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=(1.0, 0.3, 0.2, 0.1, 0.6, 0.5),
+        t_span=(0.0, 60.0),
+        step=0.05,
+        says="An integrable energy on so(4), which is twice so(3): the momentum is two vectors of constant "
+        "lengths, each on a sphere of its own (both drawn on one), and the paths fill bands with sharp edges.",
+        pictures=(
+            Picture(
+                "directions",
+                vectors={"self-dual part": halves_of_so4(1.0), "anti-self-dual part": halves_of_so4(-1.0)},
+                title="so(4) as two spheres: the directions of both parts",
+            ),
+        ),
+        coordinates=lambda dim: ("x12", "x13", "x14", "x23", "x24", "x34") if dim == 6 else (),
+        quantity="angular momentum",
+    )
+)
 def manakov_top(a: npt.ArrayLike = (1.0, 2.0, 4.0, 7.0), b: npt.ArrayLike = (1.0, 3.0, 2.0, 5.0)) -> LiePoissonSystem:
     """Return Manakov's top on so(n), ``X' = [X, Omega]`` with ``Omega_ij = (b_i - b_j)/(a_i - a_j) x_ij``.
 

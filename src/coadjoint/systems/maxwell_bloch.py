@@ -18,11 +18,45 @@ from coadjoint.systems.free_rigid_body import amplitude, first_kind
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 Floats = npt.NDArray[np.float64]
 
 
-@ready_made
+def _portrait(count: int) -> Floats:
+    """Return starts in the ground state of the atoms, with fields of both signs and growing size."""
+    field = np.concatenate([np.linspace(0.4, 2.8, count), [-2.2, -2.5, -2.8]])
+    return np.stack([field, 0.0 * field, -1.0 + 0.0 * field], axis=-1)
+
+
+def _tipping(x: Any) -> Any:
+    """Return the angle of the Bloch vector from the ground state."""
+    return np.arctan2(-x[..., 1], -x[..., 2])
+
+
+@ready_made(
+    telling=Telling(
+        x0=partial(_portrait, 9),
+        t_span=(0.0, 14.0),
+        step=0.05,
+        says="The pendulum in disguise: swings about the ground state of the atoms, around the separatrix on which "
+        "one pulse of light excites all atoms and is given back, and beyond it pulses that never end. Right, "
+        "the same motions on the cylinder of constant Bloch vector.",
+        pictures=(
+            Picture(
+                "phase portrait",
+                across=_tipping,
+                up=0,
+                labels=("tipping angle from the ground state [rad]", "field $E$"),
+                cyclic=2.0 * math.pi,
+            ),
+            Picture("coadjoint orbit"),
+        ),
+        components=Picture("components", chosen=(0,)),
+        coordinates=("E", "P", "D"),
+        quantity="field",
+    )
+)
 def maxwell_bloch(coupling: float = 1.0) -> LiePoissonSystem:
     """Return the Maxwell-Bloch equations of light in two-level atoms, at resonance, real and without loss.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import numpy.typing as npt
 
@@ -11,6 +13,8 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.rigid_body import so3_body
+from coadjoint.systems.starts import over_sphere
+from coadjoint.systems.telling import Picture, Telling
 
 
 def _three(masses: npt.ArrayLike) -> tuple[float, ...]:
@@ -20,7 +24,17 @@ def _three(masses: npt.ArrayLike) -> tuple[float, ...]:
     return tuple(values.tolist())
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=(1.0, 1.0, 1.0),
+        t_span=(0.0, 20.0),
+        step=0.01,
+        says="Every orbit spirals on the surface of its Casimir from one equilibrium on the third axis to the "
+        "other: the third component falls, and the other two swing up and die away.",
+        pictures=(Picture("coadjoint orbit"),),
+        quantity="state",
+    )
+)
 def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePoissonSystem:
     """Return example 5.1 of the paper: the algebra A3,7 with a diagonal quadratic Hamiltonian.
 
@@ -63,7 +77,27 @@ def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePo
     )
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=partial(over_sphere, 18),
+        t_span=(0.0, 40.0),
+        step=0.05,
+        says="Eighteen motions on the sphere of the momentum: closed curves around the axes of the largest and of "
+        "the smallest moment of inertia, and between them the separatrix through the middle axis, which is "
+        "unstable.",
+        pictures=(
+            Picture(
+                "directions",
+                vectors={"x": (0, 1, 2)},
+                axes_named=("$x_1$", "$x_2$", "$x_3$"),
+                title="motions on the sphere of one momentum",
+                view=(35.0, 22.0),
+            ),
+        ),
+        components=Picture("components", chosen=(1,)),
+        quantity="angular momentum",
+    )
+)
 def paper_rigid_body(masses: npt.ArrayLike = (1.0, 0.5, 1.0 / 3.0)) -> LiePoissonSystem:
     """Return example 5.2 of the paper: the rigid body, ``x' = (M x) cross x``, with its exact solution.
 

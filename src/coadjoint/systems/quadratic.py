@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from fractions import Fraction
 from functools import cached_property
 from typing import Any, Self
@@ -226,6 +227,43 @@ class Quadratic:
         if self.dim != n:
             raise ValueError(f"M is {self.dim} x {self.dim} but the system has dimension {n}; give M for {n}")
         return self
+
+    def with_linear(self, linear: npt.ArrayLike) -> Quadratic:
+        """Return the same Hamiltonian, bound, with another linear part; M is shared.
+
+        Parameters
+        ----------
+        linear : (n,)
+            Coefficients of the linear part.
+
+        Returns
+        -------
+        Quadratic
+
+        Raises
+        ------
+        ValueError
+            `linear` has another length, or is not finite.
+        TypeError
+            The dimension is not known yet, or `linear` does not consist of real numbers.
+
+        Examples
+        --------
+        >>> Quadratic([1.0, 0.5]).with_linear([0.0, 2.0])
+        Quadratic([1.0, 0.5], linear=[0.0, 2.0])
+        """
+        if self.dim is None:
+            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
+        given = real_array(linear, "linear")
+        if given.shape != (self.dim,):
+            raise ValueError(
+                f"linear has the shape {given.shape}; give one coefficient for each of {self.dim} coordinates"
+            )
+        given.flags.writeable = False
+        changed = copy.copy(self)
+        changed.__dict__.pop("_terms", None)
+        changed._linear = given
+        return changed
 
     def _at(self, x: npt.ArrayLike) -> tuple[Quadratic, npt.NDArray[Any]]:
         y = point(x, self.dim)

@@ -6,17 +6,55 @@ import importlib
 import pkgutil
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
+
+from coadjoint.systems.telling import Telling
+from coadjoint.wording import short
 
 Builder = TypeVar("Builder", bound=Callable[..., Any])
 
 _FOUND: dict[str, Callable[..., Any]] = {}
+_TELLINGS: dict[str, Telling] = {}
 
 
-def ready_made(function: Builder) -> Builder:
-    """Register a function that makes a system, under its own name."""
-    _FOUND[function.__name__] = function
-    return function
+@overload
+def ready_made(function: Builder) -> Builder: ...
+
+
+@overload
+def ready_made(*, telling: Telling) -> Callable[[Builder], Builder]: ...
+
+
+def ready_made(function: Any = None, *, telling: Telling | None = None) -> Any:
+    """Register a function that makes a system, under its own name.
+
+    Parameters
+    ----------
+    function : callable
+        What is decorated.
+    telling : Telling, optional
+        What a user of the system wants to see first: of it `Solution.plot` and ``coadjoint gallery`` draw.
+
+    Returns
+    -------
+    callable
+        The function itself; with `telling` alone a decorator.
+
+    Raises
+    ------
+    TypeError
+        `telling` is no `Telling`.
+    """
+    if not isinstance(telling, Telling | None):
+        raise TypeError(f"telling is {short(telling)}; give a coadjoint.systems.telling.Telling")
+
+    def register(made: Builder) -> Builder:
+        _FOUND[made.__name__] = made
+        if telling is not None:
+            _TELLINGS[made.__name__] = telling
+        return made
+
+    return register if function is None else register(function)
 
 
 def ready_made_systems() -> Mapping[str, Callable[..., Any]]:
@@ -35,3 +73,39 @@ def ready_made_systems() -> Mapping[str, Callable[..., Any]]:
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{package.__name__}.{module.name}")
     return MappingProxyType(_FOUND)
+
+
+def telling_of(name: str) -> Telling | None:
+    """Return what a user of a ready-made system wants to see first, or None where nobody has said it.
+
+    Parameters
+    ----------
+    name : str
+        Of a system, ready-made or not.
+
+    Returns
+    -------
+    Telling or None
+
+    Examples
+    --------
+    >>> telling_of("rigid_body").attitude, telling_of("a system of mine")
+    (True, None)
+    """
+    ready_made_systems()
+    return _TELLINGS.get(name)
+
+
+def told_systems() -> tuple[str, ...]:
+    """Return the names of the ready-made systems that say what is seen first, sorted.
+
+    Returns
+    -------
+    tuple of str
+
+    Examples
+    --------
+    >>> "rigid_body" in told_systems()
+    True
+    """
+    return tuple(name for name in sorted(ready_made_systems()) if telling_of(name) is not None)

@@ -15,11 +15,32 @@ from coadjoint.systems.closed_form import all_finite, start_and_times
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 Floats = npt.NDArray[np.float64]
 
 
-@ready_made
+def _root(sign: float, x: Any) -> Any:
+    """Return a root of x1 w^2 - 2 x2 w - x3 = 0, or NaN where it is beyond 6 or not real."""
+    with np.errstate(all="ignore"):
+        w = (x[..., 1] + sign * np.sqrt(x[..., 1] ** 2 + x[..., 0] * x[..., 2])) / x[..., 0]
+        return np.where(np.abs(w) < 6.0, w, np.nan)
+
+
+@ready_made(
+    telling=Telling(
+        x0=(1.0, 0.5, 0.0),
+        t_span=(0.0, 8.0),
+        step=0.02,
+        says="The two roots w of the quadratic equation follow w' = 1 + w^2 and go through infinity (left), while "
+        "the state moves smoothly on a closed curve of its hyperboloid (right).",
+        pictures=(Picture("coadjoint orbit", view=(-150.0, 25.0)),),
+        components=Picture(
+            "components", functions={"v": partial(_root, -1.0), "w": partial(_root, 1.0)}, quantity="roots"
+        ),
+        quantity="state",
+    )
+)
 def riccati(constant: float = 1.0, linear: float = 0.0, quadratic: float = 1.0) -> LiePoissonSystem:
     """Return the Riccati equation ``w' = constant + linear w + quadratic w^2``, without its poles.
 

@@ -15,9 +15,26 @@ from coadjoint.systems.inertia import inverse_inertia
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=(0.01, 1.0, 0.01),
+        t_span=(0.0, 90.0),
+        step=0.05,
+        says="A body that spins about its middle axis flips over, again and again: left, the component along that "
+        "axis changes its sign after equal times; middle, the momentum goes from one pole of its sphere to "
+        "the other along the separatrix; right, the axis itself in space, from up to down and back.",
+        pictures=(
+            Picture("coadjoint orbit"),
+            Picture("body axis", axis=1, up=(0, 1, 2), vertical="momentum"),
+        ),
+        components=Picture("components", flips=1),
+        attitude=True,
+        quantity="angular momentum",
+    )
+)
 def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> LiePoissonSystem:
     """Return the free rigid body, ``x' = x cross (I^-1 x)``, with its exact solution.
 

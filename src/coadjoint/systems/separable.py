@@ -137,6 +137,10 @@ class Separable:
         """Return one `FunctionTerm` for each coordinate, in order; the Hamiltonian must be bound."""
         if self.dim is None:
             raise TypeError("Separable has no dimension yet; bind(n) it first")
+        return self.functions()
+
+    def functions(self) -> tuple[FunctionTerm, ...]:
+        """Return the functions of each coordinate, in order."""
         return tuple(self._terms)
 
     def __repr__(self) -> str:

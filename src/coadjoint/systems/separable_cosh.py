@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,30 @@ from coadjoint.given import read_finite, read_positive
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.separable import Separable
+from coadjoint.systems.starts import over_sphere
+from coadjoint.systems.telling import Picture, Telling
 from coadjoint.wording import short
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=partial(over_sphere, 16, 3.0),
+        t_span=(0.0, 12.0),
+        step=0.01,
+        says="Sixteen motions with one size of the momentum, as for a rigid body; the energy grows like an "
+        "exponential of the components, so that the curves around the axes are squares with round corners.",
+        pictures=(
+            Picture(
+                "directions",
+                vectors={"x": (0, 1, 2)},
+                axes_named=("$x_1$", "$x_2$", "$x_3$"),
+                title="motions on the sphere of one momentum",
+                view=(35.0, 22.0),
+            ),
+        ),
+        components=Picture("components", chosen=(1,)),
+    )
+)
 def separable_cosh(
     algebra: str = "so(3)",
     masses: npt.ArrayLike = (1.0, 0.5, 0.25),

@@ -16,12 +16,31 @@ from coadjoint.systems.free_rigid_body import exact_solution
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=(1.0, 0.1, 0.9, 0.2),
+        t_span=(0.0, 30.0),
+        step=0.05,
+        says="A free body whose clock goes at the pace x0: the vector (x1, x2, x3) keeps its length and moves on a "
+        "closed curve of its sphere.",
+        pictures=(
+            Picture(
+                "directions",
+                vectors={"$(x_1, x_2, x_3)$": (1, 2, 3)},
+                axes_named=("$x_1$", "$x_2$", "$x_3$"),
+                title="direction of $(x_1, x_2, x_3)$",
+            ),
+        ),
+        coordinates=("x0", "x1", "x2", "x3"),
+        quantity="state",
+    )
+)
 def sklyanin(
     anisotropy: npt.ArrayLike = (1.0, 2.0, 4.0), masses: npt.ArrayLike = (1.0, 0.5, 2.0, 1.5)
 ) -> PoissonSystem:

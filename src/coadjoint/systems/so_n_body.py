@@ -12,15 +12,41 @@ from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.inertia import check_symmetric_matrix, plain
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.manakov_integrals import inverse_of_form, manakov_integrals, planes, rotations, trace_form
+from coadjoint.systems.manakov_integrals import (
+    halves_of_so4,
+    inverse_of_form,
+    manakov_integrals,
+    planes,
+    rotations,
+    trace_form,
+)
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 from coadjoint.wording import short
 
 BYTES_PER_ENTRY = 500  # of a matrix of fractions, with its inverse
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=(1.0, 0.3, 0.2, 0.1, 0.6, 0.5),
+        t_span=(0.0, 200.0),
+        step=0.1,
+        says="A body of four dimensions: so(4) is twice so(3), so that its momentum is two vectors of constant "
+        "lengths, each on a sphere of its own (both drawn on one). Together they fill a torus: the motion is "
+        "integrable.",
+        pictures=(
+            Picture(
+                "directions",
+                vectors={"self-dual part": halves_of_so4(1.0), "anti-self-dual part": halves_of_so4(-1.0)},
+                title="so(4) as two spheres: the directions of both parts",
+            ),
+        ),
+        coordinates=lambda dim: ("x12", "x13", "x14", "x23", "x24", "x34") if dim == 6 else (),
+        quantity="angular momentum",
+    )
+)
 def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem:
     """Return the free rigid body of n dimensions, ``X' = [X, Omega]`` with ``X = Lambda Omega + Omega Lambda``.
 

@@ -19,6 +19,7 @@ from coadjoint.systems.closed_form import start_and_times, states_alone
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
@@ -28,7 +29,49 @@ COMPLETE = 8  # sites up to which all traces are given; of more, those of L^3 an
 MOST_BITS = 2**20
 
 
-@ready_made
+def _names(springs_less: int, dim: int) -> tuple[str, ...]:
+    """Return b1, b2, ..., a1, a2, ... for so many coordinates."""
+    n = (dim + springs_less) // 2
+    return (*(f"b{i + 1}" for i in range(n)), *(f"a{i + 1}" for i in range(dim - n)))
+
+
+def _position(i: int, x: Any) -> Any:
+    """Return where a particle is, from the center of all, in units of 1/beta and with A beta = exp(4) m."""
+    bonds = x.shape[-1] // 2
+    gaps = 4.0 - 2.0 * np.log(2.0 * np.abs(x[..., bonds + 1 :]))
+    places = np.concatenate([np.zeros_like(gaps[..., :1]), np.cumsum(gaps, axis=-1)], axis=-1)
+    return places[..., i] - places.mean(axis=-1)
+
+
+def _particles(dim: int) -> dict[str, Any]:
+    """Return the positions of at most eight particles as functions of the state."""
+    return {f"q{i + 1}": partial(_position, i) for i in range(min(8, (dim + 1) // 2))}
+
+
+def _some_velocities(dim: int) -> range:
+    """Return the coordinates b of some sites."""
+    return range(0, dim // 2, max(1, dim // 16))
+
+
+def _bump() -> Floats:
+    """Return a ring of 48 sites at rest that is pressed together around one of them."""
+    a = 0.5 + 0.35 * np.exp(-0.25 * (np.arange(48) - 11.5) ** 2)
+    return np.concatenate([np.zeros(48), a])
+
+
+@ready_made(
+    telling=Telling(
+        x0=(-0.8, 0.1, -0.2, 0.9, 0.4, 0.35, 0.45),
+        t_span=(0.0, 12.0),
+        step=0.02,
+        says="Four particles that repel each other meet, and fly apart: all a go to zero, and the b to the "
+        "eigenvalues of the matrix L, sorted. Below, the particles as they move about their center.",
+        components=Picture("components", quantity="state"),
+        pictures=(Picture("components", functions=_particles, quantity="position of the particles"),),
+        coordinates=partial(_names, 1),
+        quantity="state",
+    )
+)
 def toda(sites: int = 4) -> LiePoissonSystem:
     """Return the open Toda lattice in Flaschka's variables, with its exact solution by QR.
 
@@ -75,7 +118,27 @@ def toda(sites: int = 4) -> LiePoissonSystem:
     return _lattice(read_whole(sites, "sites", 2), ring=False)
 
 
-@ready_made
+@ready_made(
+    telling=Telling(
+        x0=_bump,
+        t_span=(0.0, 60.0),
+        step=0.05,
+        says="A ring of 48 sites, pressed together around one of them: two waves run apart, break up into "
+        "solitons, which go through each other on the far side and come out as they were.",
+        pictures=(
+            Picture(
+                "space-time",
+                sites=lambda dim: range(dim // 2, dim),
+                label="$a_i$",
+                title="$a_i$, large where two particles are close",
+            ),
+        ),
+        components=Picture("components", chosen=_some_velocities, quantity="velocity $b_i$"),
+        parameters={"sites": 48},
+        coordinates=partial(_names, 0),
+        quantity="state",
+    )
+)
 def toda_ring(sites: int = 4) -> LiePoissonSystem:
     """Return the Toda lattice on a ring in Flaschka's variables.
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.extras import installed
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.wording import short
 
@@ -45,6 +46,22 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
     if count not in (1, 2):
         raise TypeError(f"{name} takes {count} positional arguments; give a function of (x) or (x, t)")
     return count == 2
+
+
+def callable_when_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a Python function that others may call where Numba compiles them; without Numba as it is.
+
+    Examples
+    --------
+    >>> callable_when_compiled(abs)(-1)
+    1
+    """
+    if not (installed("numba") and inspect.isfunction(function)):
+        return function
+    from numba.extending import register_jitable
+
+    compiled: Callable[..., Any] = register_jitable(function)
+    return compiled
 
 
 def check_arguments(function: Callable[..., Any], name: str, arguments: str) -> None:

@@ -1,0 +1,124 @@
+"""Moments of a distribution in phase space, of even degrees: the algebras of Vlasov-Poisson."""
+
+from __future__ import annotations
+
+from itertools import permutations
+from math import comb
+
+import numpy as np
+
+from coadjoint.algebra.constants import Triples, check_room_of_algebra
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.matrix_algebras import Sparse, matrices
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.given import read_whole
+
+HIGHEST_DETERMINANT = 10  # a catalecticant of 6 x 6, 720 products
+HIGHEST = 100
+
+
+def moments(degree: int = 4) -> LieAlgebra:
+    """Return the moments ``x_ij`` of ``q^i p^j`` of the degrees i + j = 2, 4, ..., up to one; those above are zero.
+
+    ``[x_ij, x_kl] = (i l - j k) x_(i+k-1)(j+l-1)``, zero where i + j + k + l - 2 is above the degree: an exact algebra,
+    since products of higher degrees are an ideal. Degree 2 is sp(2, R).
+
+    Parameters
+    ----------
+    degree : int
+        The highest degree, even, from 2 to 100.
+
+    Returns
+    -------
+    LieAlgebra
+        In the order x20, x11, x02, x40, x31, ... Known Casimirs: the invariants of the highest moments as a binary form
+        that are known for every degree N, ``"(form, form)_N"``, which is quadratic, and, from degree 4 to 10, the
+        determinant ``"catalecticant"``. For degree 2 the first one is ``"emittance^2"``, <qq><pp> - <qp>^2.
+
+    Raises
+    ------
+    ValueError
+        The degree is no even number from 2 to 100.
+
+    Notes
+    -----
+    Holm, Lysenko and Scovel, J. Math. Phys. 31, 1610 (1990). The highest moments commute with all moments but those of
+    degree 2, which transform them as the coefficients of a binary form: so invariants of that form are Casimirs.
+
+    Examples
+    --------
+    >>> g = moments(4)
+    >>> g.basis
+    ('x20', 'x11', 'x02', 'x40', 'x31', 'x22', 'x13', 'x04')
+    >>> g.casimirs_known["(form, form)_4"]
+    x4*x8 - 4*x5*x7 + 3*x6^2
+    """
+    degree = read_whole(degree, "degree", 2, HIGHEST)
+    if degree % 2:
+        raise ValueError(f"degree is {degree}; it must be even")
+    powers = powers_of(degree)
+    n = len(powers)
+    check_room_of_algebra(f"moments({degree})", n, n * n // 2)
+    place = {pair: number for number, pair in enumerate(powers)}
+    found = []
+    for a, (i, j) in enumerate(powers):
+        for b, (k, m) in enumerate(powers[a + 1 :], a + 1):
+            target = place.get((i + k - 1, j + m - 1))
+            if target is not None and i * m != j * k:
+                found.append((a, b, target, float(i * m - j * k)))
+    first, second, image, c = (np.array(column) for column in zip(*found, strict=True))
+    constants = Triples(first, second, image, c)
+    # q and p as the two coordinates of a plane: x20, x11, x02 act by matrices of trace zero
+    plane = [(0, 0, 1, -2.0), (1, 0, 0, -1.0), (1, 1, 1, 1.0), (2, 1, 0, 2.0)]
+    rho = matrices(Sparse(plane), 3, 2) if degree == 2 else None
+    names = tuple(moment_name(i, j) for i, j in powers)
+    # The bracket is that of polynomials in q and p, whose identities are known.
+    return LieAlgebra._proved(constants, n, names, f"moments({degree})", rho, _casimirs(degree, n))
+
+
+def powers_of(degree: int) -> list[tuple[int, int]]:
+    """Return the powers (i, j) of q and p of all moments, in their order.
+
+    Examples
+    --------
+    >>> powers_of(2)
+    [(2, 0), (1, 1), (0, 2)]
+    """
+    return [(d - j, j) for d in range(2, degree + 1, 2) for j in range(d + 1)]
+
+
+def moment_name(i: int, j: int) -> str:
+    """Return the name of a moment.
+
+    Examples
+    --------
+    >>> moment_name(3, 1), moment_name(10, 2)
+    ('x31', 'x10,2')
+    """
+    return f"x{i}{j}" if max(i, j) < 10 else f"x{i},{j}"
+
+
+def _casimirs(degree: int, n: int) -> dict[str, Polynomial]:
+    top = [Polynomial.variable(n - degree - 1 + j, n) for j in range(degree + 1)]
+    half = degree // 2
+    middle = (-1) ** half * comb(degree, half) // 2  # of the square in the middle; all others come twice
+    square = sum(
+        ((-1) ** j * comb(degree, j) * (top[j] * top[degree - j]) for j in range(half)), middle * top[half] * top[half]
+    )
+    if degree == 2:
+        return {"emittance^2": square}
+    casimirs = {f"(form, form)_{degree}": square}
+    if degree <= HIGHEST_DETERMINANT:
+        casimirs["catalecticant"] = _determinant([[top[a + b] for b in range(half + 1)] for a in range(half + 1)], n)
+    return casimirs
+
+
+def _determinant(rows: list[list[Polynomial]], n: int) -> Polynomial:
+    total: dict[tuple[int, ...], int] = {}
+    for order in permutations(range(len(rows))):
+        exponents = [0] * n
+        for a, b in enumerate(order):
+            exponents[n - 2 * len(rows) + 1 + a + b] += 1
+        turned = sum(order[a] > order[b] for b in range(len(order)) for a in range(b))
+        total[tuple(exponents)] = total.get(tuple(exponents), 0) + (-1) ** turned
+    return Polynomial(total, dim=n)

@@ -1,0 +1,52 @@
+"""Which scheme suits a system, before anything is known of the accuracy that is wanted?"""
+
+from __future__ import annotations
+
+from coadjoint.methods.base import Method
+from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.splitting import Splitting
+from coadjoint.systems.kinds import System, check_one_system
+
+RULE: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
+"""The first that serves the system."""
+
+
+def suggested_scheme(system: System) -> Method:
+    """Return the scheme to begin with.
+
+    The splitting of order 4 where it serves the system: it keeps the Poisson bracket, every Casimir, and the attitude
+    in every representation, and its energy does not drift. Elsewhere, where H has no exact flows or J(x) is not linear
+    in x, Gauss-Legendre with three stages. For a wanted accuracy `choose` finds scheme and step.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        What moves.
+
+    Returns
+    -------
+    Method
+
+    Raises
+    ------
+    TypeError, ValueError
+        Neither serves the system; what the second one says.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> suggested_scheme(co.systems.rigid_body()), suggested_scheme(co.systems.sklyanin())
+    (Splitting(order=4...), GaussLegendre(stages=3...))
+    """
+    check_one_system(system)
+    *first, last = RULE
+    for method in first:
+        try:
+            method.properties(system)
+            # Whether H has exact flows is found where they are counted.
+            method.work(system, None)
+        except (TypeError, ValueError):
+            continue
+        return method
+    last.properties(system)
+    return last

@@ -1,0 +1,138 @@
+"""Every system in one picture, and a page of them."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from coadjoint.extras import need
+from coadjoint.runs.solution import Solution
+from coadjoint.runs.telling_run import telling_run
+from coadjoint.systems.ready_made import ready_made_systems, telling_of
+from coadjoint.wording import short
+
+PAGE = "index.html"
+DOTS = 110  # to the inch
+
+_STYLE = (
+    "body{font:16px/1.5 system-ui,sans-serif;color:#222;background:#fff}"
+    "body{max-width:1100px;margin:2rem auto;padding:0 1rem}"
+    "h1{font-size:1.6rem}h2{font-size:1.15rem;margin:2.5rem 0 .3rem}img{max-width:100%;height:auto}"
+    "figure{margin:0}figcaption{margin:.4rem 0}code{background:#f3f5f8;padding:.1em .3em}nav a{margin-right:.8em}"
+)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One picture of a gallery.
+
+    Parameters
+    ----------
+    name : str
+        Of the system.
+    figure : matplotlib.figure.Figure
+        Its picture.
+    summary, says, run : str
+        What the system is, what is to be seen, and what was run.
+    """
+
+    name: str
+    figure: Any
+    summary: str
+    says: str
+    run: str
+
+
+def piece(name: str) -> Piece:
+    """Run a system for a telling time and draw it.
+
+    Parameters
+    ----------
+    name : str
+        One of `coadjoint.systems.ready_made.told_systems`.
+
+    Returns
+    -------
+    Piece
+
+    Raises
+    ------
+    ValueError
+        No such system, or it declares no telling run.
+    """
+    need("a gallery", "matplotlib")
+    solution = telling_run(name)
+    telling = telling_of(name)
+    assert telling is not None
+    summary = (ready_made_systems()[name].__doc__ or "").partition("\n")[0].removeprefix("Return ").replace("``", "")
+    return Piece(name, solution.plot(), summary, telling.says, _told(solution))
+
+
+def gallery(names: Sequence[str], draw: Callable[[Any, str], None], echo: Callable[[str], None] = print) -> str:
+    """Draw systems one after the other, and return the page that shows them.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Some of `coadjoint.systems.ready_made.told_systems`.
+    draw : callable
+        Takes a figure and the name of its file.
+    echo : callable
+        Receives a line of text for each system as it begins.
+
+    Returns
+    -------
+    str
+        HTML that needs nothing but the pictures beside it; each has its text for who cannot see it.
+    """
+    pieces = []
+    for number, name in enumerate(names, start=1):
+        echo(f"{number} of {len(names)}: {name}")
+        made = piece(name)
+        draw(made.figure, file_of(name))
+        pieces.append(made)
+    return _page(pieces)
+
+
+def file_of(name: str) -> str:
+    """Return the name of the file of a picture.
+
+    Examples
+    --------
+    >>> file_of("rigid_body")
+    'rigid_body.png'
+    """
+    return f"{Path(name).name}.png"
+
+
+def _told(solution: Solution) -> str:
+    system = solution.system
+    given = ", ".join(f"{key}={short(value)}" for key, value in (getattr(system, "parameters", None) or {}).items())
+    start, end = solution.t_span
+    drift = solution.drift()["energy"]
+    return (
+        f"{system.name}({given}), {solution.method}, step {solution.step:g}, t from {start:g} to {end:g}; "
+        f"the energy stays within {drift:.1e}"
+    )
+
+
+def _page(pieces: Sequence[Piece]) -> str:
+    links = "".join(f'<a href="#{html.escape(p.name)}">{html.escape(p.name)}</a> ' for p in pieces)
+    body = "".join(_section(p) for p in pieces)
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>coadjoint: gallery</title>'
+        f'<meta name="viewport" content="width=device-width,initial-scale=1"><style>{_STYLE}</style></head><body>\n'
+        f"<h1>Every system for a telling time</h1>\n<nav>{links}</nav>\n{body}</body></html>\n"
+    )
+
+
+def _section(p: Piece) -> str:
+    name, says = html.escape(p.name), html.escape(p.says, quote=True)
+    return (
+        f'<h2 id="{name}">{name}</h2>\n<p>{html.escape(p.summary)}</p>\n'
+        f'<figure><img src="{html.escape(file_of(p.name))}" alt="{says}">'
+        f"<figcaption>{says}</figcaption></figure>\n<p><code>{html.escape(p.run)}</code></p>\n"
+    )

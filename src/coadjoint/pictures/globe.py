@@ -1,0 +1,154 @@
+"""Paths on a sphere, seen from outside: what lies on its far side is fainter."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.pictures.style import INK
+
+Floats = npt.NDArray[np.float64]
+
+FACE, LINES = "#EDF2F8", "#C3CEDB"
+VIEW = (35.0, 22.0)
+"""From where one looks: degrees around the third axis from the first, and degrees above the plane of the first two."""
+ASIDE = 25.0
+"""Degrees around from the middle of a path: an axis that points there would end in its middle."""
+
+
+def view_of(points: Floats) -> tuple[float, float]:
+    """Return from where a path on a sphere is seen best: from the side on which it lies, if it lies on one.
+
+    Parameters
+    ----------
+    points : ndarray, shape (k, 3)
+        The path; what is not finite does not count.
+
+    Returns
+    -------
+    (float, float)
+        As `VIEW`.
+    """
+    x, y, _ = np.mean(points[np.isfinite(points).all(axis=1)], axis=0)
+    return (float(np.degrees(np.arctan2(y, x))) + ASIDE, VIEW[1]) if np.hypot(x, y) > 0.15 else VIEW
+
+
+class Globe:
+    """A sphere in flat axes of equal aspect.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Changed in place.
+    names : sequence of str
+        Names of its three axes.
+    view : (float, float)
+        As `VIEW`.
+    radius : float
+        Of the sphere.
+    """
+
+    def __init__(self, axes: Any, names: Any, view: tuple[float, float] = VIEW, radius: float = 1.0) -> None:
+        self.axes, self.radius = axes, radius
+        around, above = np.radians(view)
+        towards = np.array([np.cos(above) * np.cos(around), np.cos(above) * np.sin(around), np.sin(above)])
+        right = np.array([-np.sin(around), np.cos(around), 0.0])
+        self.frame = np.stack([right, np.cross(towards, right), towards])
+        self._draw_ball()
+        self._draw_axes(names)
+        axes.set_aspect("equal")
+        axes.set(xlim=(-1.42 * radius, 1.42 * radius), ylim=(-1.42 * radius, 1.42 * radius))
+        axes.axis("off")
+
+    def seen(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return where points (..., 3) appear, (..., 2), and how near they are, positive on the near side."""
+        turned = points @ self.frame.T
+        return turned[..., :2], turned[..., 2]
+
+    def _draw_ball(self) -> None:
+        from matplotlib.patches import Circle
+
+        self.axes.add_patch(Circle((0.0, 0.0), self.radius, facecolor=FACE, edgecolor=LINES, linewidth=0.8, zorder=0))
+        turn = np.linspace(0.0, 2.0 * np.pi, 181)
+        c, s, o = np.cos(turn), np.sin(turn), np.zeros_like(turn)
+        circles = [np.stack(circle, axis=-1) for circle in ((c, s, o), (c, o, s), (o, c, s))]
+        for circle in circles:
+            self._path(self.radius * circle, near={"color": LINES, "linewidth": 0.7}, far=None, zorder=1)
+
+    def _draw_axes(self, names: Any) -> None:
+        for direction, name in zip(np.eye(3), names, strict=True):
+            ends, depth = self.seen(np.outer([1.0, 1.22], self.radius * direction))
+            order = 2 if depth[0] > 0.0 else -1
+            self.axes.annotate(
+                "",
+                xy=ends[1],
+                xytext=ends[0],
+                arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0},
+                zorder=order,
+            )
+            place = ends[1] + 0.1 * self.radius * _towards(ends[1])
+            near = depth[0] > 0.0
+            paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8} if near else None
+            text = {"color": INK, "fontsize": 9.5, "ha": "center", "va": "center", "zorder": 6 if near else -1}
+            self.axes.text(*place, name, bbox=paper, **text)
+
+    def path(self, points: Floats, colour: str, joined: bool, linewidth: float = 1.1, alpha: float = 1.0) -> None:
+        """Draw a path (k, 3) on the sphere.
+
+        Parameters
+        ----------
+        points : ndarray, shape (k, 3)
+            In order.
+        colour : str
+            Of the path.
+        joined : bool
+            Whether lines between the points show the path; otherwise they are dots.
+        linewidth, alpha : float
+            Of the near side.
+        """
+        if joined:
+            near = {"color": colour, "linewidth": linewidth, "alpha": alpha}
+            self._path(points, near=near, far={**near, "alpha": 0.28 * alpha}, zorder=3)
+            return
+        flat, depth = self.seen(points)
+        for side, strength in ((depth >= 0.0, alpha), (depth < 0.0, 0.28 * alpha)):
+            self.axes.plot(*flat[side].T, linestyle="none", marker=".", markersize=2.5, color=colour, alpha=strength)
+
+    def _path(self, points: Floats, near: dict[str, Any], far: dict[str, Any] | None, zorder: int) -> None:
+        flat, depth = self.seen(points)
+        front = depth >= 0.0
+        for side, style, order in ((front, near, zorder), (~front, far, zorder - 1)):
+            if style is not None and side.any():
+                # A stretch is drawn with the side on which it begins or ends, so that no gap is left.
+                shown = side | np.append(side[1:], False)
+                self.axes.plot(*np.where(shown[:, None], flat, np.nan).T, zorder=order, **style)
+
+    def mark(self, point: Floats, colour: str, label: str | None = None, marker: str = "o", size: float = 5.0) -> None:
+        """Mark a point of the sphere; hollow where it lies on the far side.
+
+        Parameters
+        ----------
+        point : ndarray, shape (3,)
+            Where.
+        colour, label, marker, size
+            As Matplotlib has them.
+        """
+        flat, depth = self.seen(point)
+        filled = colour if depth >= 0.0 else "white"
+        self.axes.plot(
+            *flat[:, None],
+            marker=marker,
+            markersize=size,
+            color=colour,
+            markerfacecolor=filled,
+            linestyle="none",
+            label=label,
+            zorder=5,
+        )
+
+
+def _towards(flat: Floats) -> Floats:
+    size = float(np.linalg.norm(flat))
+    return flat / size if size > 1e-3 else np.array([0.0, 1.0])

@@ -1,0 +1,1 @@
+"""One kind of picture in each file: what it shows of a run."""

@@ -1,0 +1,36 @@
+"""The orbit in three dimensions on its coadjoint orbit, which is a surface."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.orbit import draw_orbit
+from coadjoint.pictures.register import CannotShow, Paint, kind
+
+
+@kind("coadjoint orbit", projection="3d")
+def coadjoint_orbit(drawn: Drawn, view: tuple[float, float] = (-60.0, 30.0)) -> Paint:
+    """Show orbits of three coordinates on the level surface of a Casimir.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        The run.
+    view : (float, float)
+        From where one looks, in degrees: around the third axis, and above the plane of the others.
+
+    Returns
+    -------
+    Paint
+    """
+    n = drawn.x.shape[-1]
+    if n != 3:
+        raise CannotShow(f"the state has {n} coordinates, and a coadjoint orbit is drawn as a surface in 3")
+
+    def paint(axes: Any) -> None:
+        labels = [drawn.label(i) for i in range(3)]
+        draw_orbit(axes, drawn.x[:, drawn.kept], drawn.system.casimirs, labels, drawn.joined)
+        axes.view_init(azim=view[0], elev=view[1])  # type: ignore[attr-defined]
+
+    return paint

@@ -1,0 +1,103 @@
+"""Components of the state over time, or functions of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from coadjoint.pictures.drawn import Drawn, spread
+from coadjoint.pictures.flips import flips as flips_of
+from coadjoint.pictures.register import Paint, kind
+from coadjoint.pictures.series import draw_series
+from coadjoint.pictures.style import INK, colour, coordinate, key, plain_axes
+
+MOST_COMPONENTS = 8
+
+Function = Callable[[Any], Any]
+
+
+@kind("components", over_time=True)
+def components(
+    drawn: Drawn,
+    chosen: Sequence[int | str] | Callable[[int], Sequence[int]] | None = None,
+    functions: Mapping[str, Function] | Callable[[int], Mapping[str, Function]] | None = None,
+    flips: int | str | None = None,
+    quantity: str | None = None,
+) -> Paint:
+    """Show components over time; of many, eight that are spread evenly.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        The run.
+    chosen : sequence of int or str, or callable, optional
+        Which, by number from 0 or by name; or a function of the dimension that returns them.
+    functions : mapping of str to callable, or callable, optional
+        Name to function of the states, (..., n) to (...): drawn in place of components, or beside those that are
+        `chosen`. Or a function of the dimension that returns them.
+    flips : int or str, optional
+        A component whose changes of sign are marked, with the time from one to the next.
+    quantity : str, optional
+        What is drawn, for the axis; by default what the coordinates of the system are.
+
+    Returns
+    -------
+    Paint
+    """
+    n = drawn.x.shape[-1]
+    chosen = chosen(n) if callable(chosen) else chosen
+    functions = functions(n) if callable(functions) else functions
+    places = [drawn.place(i) for i in chosen or ()]
+    if chosen is None and functions is None:
+        places = spread(n, MOST_COMPONENTS).tolist()
+    lines = {drawn.label(i): drawn.x[..., i] for i in places}
+    for name, function in (functions or {}).items():
+        lines[coordinate(name)] = np.asarray(function(drawn.x))
+    flipping = None if flips is None else drawn.place(flips)
+
+    def paint(axes: Any) -> None:
+        several = len(drawn.x) > 1
+        by_member = several and len(lines) == 1
+        style = {"linewidth": 0.5, "alpha": 0.5} if several and not by_member else {"linewidth": 0.9, "alpha": 1.0}
+        for place, (label, members) in enumerate(lines.items()):
+            for m, values in enumerate(members):
+                shown = {"color": colour(m if by_member else place), **style}
+                draw_series(axes, drawn.t, values, drawn.close, label=label if m == 0 else None, **shown)
+        what = drawn.quantity if quantity is None else quantity
+        title = f"components of the {what}"
+        if quantity is not None or functions is not None or by_member:
+            title = f"{what} over time"
+        if chosen is None and functions is None and len(places) < n:
+            title += f" ({len(places)} of {n})"
+        symbol = what
+        if by_member:
+            symbol = f"{what} {next(iter(lines))}"
+        elif all(name.startswith("$x_{") for name in lines):
+            symbol = f"{what} $x_i$"
+        axes.set(xlabel="time $t$", ylabel=symbol, title=title)
+        plain_axes(axes)
+        if not by_member:
+            key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        if flipping is not None:
+            _mark_flips(axes, drawn, flipping)
+
+    return paint
+
+
+def _mark_flips(axes: Any, drawn: Drawn, i: int) -> None:
+    if len(drawn.x) > 1 or not drawn.close:
+        return
+    times = flips_of(drawn.system, drawn.t, drawn.x[0], i)
+    if len(times) < 2:
+        return
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.22 * (high - low))
+    height = high + 0.07 * (high - low)
+    for time in times[:2]:
+        axes.plot([time, time], [0.0, height], color=INK, linewidth=0.6, linestyle=":")
+    arrow = {"arrowstyle": "<->", "color": INK, "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", xy=(times[1], height), xytext=(times[0], height), arrowprops=arrow)
+    text = f"{drawn.label(i)} changes sign after {abs(times[1] - times[0]):.6g}"
+    axes.text(times[:2].mean(), height, text, ha="center", va="bottom", fontsize=8, color=INK)

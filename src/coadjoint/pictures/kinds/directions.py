@@ -1,0 +1,81 @@
+"""The directions of vectors in the state, as paths on a sphere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.given import read_finite
+from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.globe import Globe, view_of
+from coadjoint.pictures.register import CannotShow, Paint, kind
+from coadjoint.pictures.style import INK, colour, key
+
+
+@kind("directions")
+def directions(
+    drawn: Drawn,
+    vectors: Mapping[str, Any],
+    axes_named: Sequence[str] = ("$e_1$", "$e_2$", "$e_3$"),
+    title: str = "",
+    view: tuple[float, float] | None = None,
+) -> Paint:
+    """Show where vectors of three coordinates point.
+
+    Where the length of such a vector is a Casimir, the sphere is a coadjoint orbit, or a factor of it.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        The run.
+    vectors : mapping of str to three ints or str, or to array_like, shape (3, n)
+        Name to coordinates, or to the linear forms whose values are the components.
+    axes_named : sequence of three str
+        Names of the axes.
+    title : str
+        Above the picture.
+    view : (float, float), optional
+        From where one looks, in degrees: around the third axis, and above the plane of the others. By default from
+        the side of the paths.
+
+    Returns
+    -------
+    Paint
+    """
+    paths = {name: _unit(_components(drawn, given)) for name, given in vectors.items()}
+
+    def paint(axes: Any) -> None:
+        every = np.concatenate([members.reshape(-1, 3) for members in paths.values()])
+        globe = Globe(axes, axes_named, view or view_of(every))
+        several = len(drawn.x) > 1
+        for i, (name, members) in enumerate(paths.items()):
+            if len(paths) > 1:
+                axes.plot([], [], color=colour(i), label=name)
+            for m, path in enumerate(members):
+                shade = colour(m) if several and len(paths) == 1 else colour(i)
+                globe.path(path[drawn.kept], shade, drawn.joined)
+                globe.mark(path[0], shade, label="start" if i == m == 0 else None, size=3.0 if several else 5.0)
+        axes.set_title(title or "directions", fontsize=9.5, color=INK)
+        key(axes, loc="lower right")
+
+    return paint
+
+
+def _components(drawn: Drawn, given: Any) -> npt.NDArray[np.float64]:
+    n = drawn.x.shape[-1]
+    if np.ndim(given) == 2:
+        forms = read_finite(given, "forms of a vector")
+        if forms.shape != (3, n):
+            raise CannotShow(f"the vector is made of {forms.shape[1]} coordinates, and the state has {n}")
+        return drawn.x @ forms.T
+    if any(isinstance(i, int) and i >= n for i in given):
+        raise CannotShow(f"the vector has the coordinates {list(given)}, and the state has {n}")
+    return drawn.x[..., [drawn.place(i) for i in given]]
+
+
+def _unit(v: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    size = np.linalg.norm(v, axis=-1, keepdims=True)
+    return np.divide(v, size, out=np.full_like(v, np.nan), where=size > 0.0)

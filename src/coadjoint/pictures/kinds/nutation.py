@@ -1,0 +1,57 @@
+"""The curve that an axis of the body draws: its inclination over its azimuth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.register import Paint, kind
+from coadjoint.pictures.spatial import axis_in_space
+from coadjoint.pictures.style import INK, colour, key, plain_axes
+
+
+@kind("nutation")
+def nutation(drawn: Drawn, axis: Any = 2, up: Any = None, turns: float = 0.5) -> Paint:
+    """Show the inclination of an axis of the body to the vertical over its azimuth, both in degrees.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        A run that carried its attitude.
+    axis : int or array_like
+        Number of the axis, 0 to 2, or a direction in the body.
+    up : sequence of three ints or str, optional
+        Coordinates of the vector of the body that is the vertical in space.
+    turns : float
+        The curve ends when the axis has gone around so many times.
+
+    Returns
+    -------
+    Paint
+    """
+    path, name = axis_in_space(drawn, axis, up)
+
+    def paint(axes: Any) -> None:
+        ended = False
+        for m, own in enumerate(path):
+            points = own[drawn.kept]
+            azimuth = np.degrees(np.unwrap(np.arctan2(points[:, 1], points[:, 0])))
+            azimuth -= azimuth[0]
+            inclination = np.degrees(np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2]))
+            beyond = np.flatnonzero(np.abs(azimuth) > 360.0 * turns)
+            last = int(beyond[0]) if beyond.size else len(azimuth)
+            ended |= bool(beyond.size)
+            style: dict[str, Any] = {"linewidth": 1.1} if drawn.joined else {"linestyle": "none", "marker": "."}
+            axes.plot(azimuth[:last], inclination[:last], color=colour(m), **style)
+            start = {"label": "start"} if m == 0 else {}
+            axes.plot(azimuth[:1], inclination[:1], "o", markersize=5, color=colour(1), **start)
+        axes.invert_yaxis()
+        axes.set(xlabel="azimuth [degrees]", ylabel="inclination to the vertical [degrees]")
+        axes.set_title(f"nutation of {name}" + (f", for the first {360.0 * turns:g} degrees" if ended else ""))
+        plain_axes(axes)
+        axes.title.set_color(INK)
+        key(axes)
+
+    return paint

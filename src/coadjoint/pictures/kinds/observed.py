@@ -1,0 +1,49 @@
+"""What the run was asked to observe, over time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.register import CannotShow, Paint, kind
+from coadjoint.pictures.series import draw_series
+from coadjoint.pictures.style import colour, key, plain_axes, symbol
+
+MOST_OBSERVED = 8
+
+
+@kind("observed", over_time=True)
+def observed(drawn: Drawn) -> Paint:
+    """Show the quantities of ``observe=`` that are numbers; of many, the first eight.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        The run.
+
+    Returns
+    -------
+    Paint
+    """
+    series = {name: drawn.of_each(values) for name, values in drawn.solution.observed.items()}
+    numbers = {name: values for name, values in series.items() if values.ndim == 2 and values.dtype.kind in "fiub"}
+    if not numbers:
+        raise CannotShow("nothing was observed; integrate with observe={name: function}")
+    shown = dict(list(numbers.items())[:MOST_OBSERVED])
+
+    def paint(axes: Any) -> None:
+        several = len(drawn.x) > 1
+        style = {"linewidth": 0.5, "alpha": 0.5} if several else {"linewidth": 0.9, "alpha": 1.0}
+        for i, (name, members) in enumerate(shown.items()):
+            for m, values in enumerate(members):
+                label = symbol(name) if m == 0 else None
+                own = values.astype(np.float64)
+                draw_series(axes, drawn.t, own, drawn.close, label=label, color=colour(i), **style)
+        title = "observed" + (f" ({len(shown)} of {len(numbers)})" if len(shown) < len(numbers) else "")
+        axes.set(xlabel="time $t$", ylabel="observed quantity", title=title)
+        plain_axes(axes)
+        key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+    return paint

@@ -1,0 +1,57 @@
+"""The path of a body through space, with its attitude on the way."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coadjoint.given import read_whole
+from coadjoint.pictures.drawn import Drawn, spread
+from coadjoint.pictures.orbit import frame_space
+from coadjoint.pictures.register import CannotShow, Paint, kind
+from coadjoint.pictures.style import INK, colour, key
+
+SHOWN = 40  # attitudes along the path
+
+
+@kind("path in space", projection="3d")
+def path_in_space(drawn: Drawn, axis: int = 0) -> Paint:
+    """Show the position that the group element of SE(3) holds, and an axis of the body at times evenly spaced.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        A run that carried its attitude, of a system whose group element has a position: a body in a fluid.
+    axis : int
+        The axis that is drawn, 0 to 2.
+
+    Returns
+    -------
+    Paint
+    """
+    number = read_whole(axis, "axis", 0, 2)
+    g = drawn.attitude
+    if g is None or g.shape[-1] != 4:
+        raise CannotShow("no motion of SE(3) was carried; integrate with attitude=True")
+    kept = drawn.kept
+    positions, pointing = g[:, kept][..., :3, 3], g[:, kept][..., :3, number]
+
+    def paint(axes: Any) -> None:
+        low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
+        reach = 0.09 * float(np.max(high - low)) or 1.0
+        for m, (path, direction) in enumerate(zip(positions, pointing, strict=True)):
+            style = {"linewidth": 1.2} if drawn.joined else {"linestyle": "none", "marker": "."}
+            axes.plot(*path.T, color=colour(m), **style)
+            at = spread(len(path), SHOWN)
+            ends = np.stack([path[at], path[at] + reach * direction[at], np.full((len(at), 3), np.nan)], axis=1)
+            axes.plot(*ends.reshape(-1, 3).T, color=colour(1), linewidth=0.9, label=f"body axis {number + 1}")
+            axes.plot(*path[:1].T, "o", markersize=4, color=INK, label="start")
+            if m == 0:
+                key(axes, loc="upper right")
+        middle, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 0.15 * float(np.max(high - low))) + reach
+        frame_space(axes, np.stack([middle - half, middle + half], axis=1), ("$X$", "$Y$", "$Z$"))
+        axes.set_box_aspect(tuple(half), zoom=0.93)
+        axes.set_title("path of the body in space", fontsize=9.5, color=INK)
+
+    return paint

@@ -1,0 +1,89 @@
+"""Second moments as ellipses in the plane of position and momentum, as time goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from coadjoint.given import read_whole
+from coadjoint.pictures.drawn import Drawn, spread
+from coadjoint.pictures.register import CannotShow, Paint, kind
+from coadjoint.pictures.style import INK, plain_axes
+
+Lump = tuple[Any, Any, Any, Any, Any]
+
+
+@kind("phase ellipse")
+def phase_ellipse(
+    drawn: Drawn,
+    moments: Sequence[int | str] | None = None,
+    lumps: Callable[[Any, int], Sequence[Lump]] | None = None,
+    times: int = 9,
+    until: float | None = None,
+    labels: tuple[str, str] = ("position $q$", "momentum $p$"),
+) -> Paint:
+    """Show the ellipse of one standard deviation at times evenly spread.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        The run; of several members the first.
+    moments : sequence of three ints or str
+        The coordinates <qq>, <qp> and <pp> of one distribution about the origin.
+    lumps : callable
+        Instead: function of the states (k, n) and of the system that returns, for each of several distributions, its
+        centre (q, p) and its second moments qq, qp, pp, each (k,).
+    times : int
+        How many ellipses of each.
+    until : float, optional
+        The last time that is drawn, as a part of the span.
+    labels : (str, str)
+        Of the axes.
+
+    Returns
+    -------
+    Paint
+    """
+    count, x = read_whole(times, "times", 2), drawn.x[0]
+    if moments is not None:
+        if any(isinstance(i, int) and i >= x.shape[1] for i in moments):
+            raise CannotShow(f"the moments are the coordinates {list(moments)}, and the state has {x.shape[1]}")
+        qq, qp, pp = (x[:, drawn.place(i)] for i in moments)
+        shown: Sequence[Lump] = [(0.0 * qq, 0.0 * qq, qq, qp, pp)]
+    elif lumps is not None:
+        shown = lumps(x, drawn.system)
+    else:
+        raise TypeError("a phase ellipse needs the coordinates of moments, or a function that gives lumps")
+    end = len(drawn.t) if until is None else max(2, int(round(until * (len(drawn.t) - 1))) + 1)
+
+    def paint(axes: Any) -> None:
+        from matplotlib import colormaps
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import Normalize
+
+        at = spread(end, count)
+        scale = Normalize(float(drawn.t[at].min()), float(drawn.t[at].max()))
+        # The lightest end of the colours is too light for lines.
+        shades = ScalarMappable(scale, colormaps["plasma"].with_extremes())
+        for q, p, qq, qp, pp in shown:
+            axes.plot(q[:end], p[:end], color=INK, linewidth=0.4, alpha=0.6)
+            for k in at:
+                axes.plot(*_ellipse(q[k], p[k], qq[k], qp[k], pp[k]), color=shades.to_rgba(drawn.t[k]), linewidth=1.2)
+        bar = axes.figure.colorbar(shades, ax=axes, shrink=0.8, pad=0.02)
+        bar.set_label("time $t$", fontsize=9)
+        bar.ax.tick_params(labelsize=8)
+        axes.set(xlabel=labels[0], ylabel=labels[1], title="ellipses of one standard deviation")
+        plain_axes(axes)
+
+    return paint
+
+
+def _ellipse(q: float, p: float, qq: float, qp: float, pp: float) -> Any:
+    """Return the curve (q, p) + L (cos, sin), with L L^T the matrix of moments; it needs no more than qq > 0."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 121)
+    if not (qq > 0.0 and qq * pp - qp * qp >= 0.0):
+        return np.full((2, 1), np.nan)
+    first, second = np.sqrt(qq), np.sqrt(max(pp - qp * qp / qq, 0.0))
+    return q + first * np.cos(turn), p + (qp / first) * np.cos(turn) + second * np.sin(turn)

@@ -1,0 +1,84 @@
+"""One quantity against another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.register import CannotShow, Paint, kind
+from coadjoint.pictures.style import colour, plain_axes
+
+Floats = npt.NDArray[np.float64]
+
+
+@kind("phase portrait")
+def phase_portrait(
+    drawn: Drawn,
+    across: int | str | Callable[[Any], Any] = 0,
+    up: int | str | Callable[[Any], Any] = 1,
+    labels: tuple[str, str] | None = None,
+    cyclic: float = 0.0,
+    equal: bool = False,
+    title: str = "phase portrait",
+) -> Paint:
+    """Show a coordinate against another, or functions of the state.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        The run; each member has a colour.
+    across, up : int, str or callable
+        Coordinate by number or name, or function of the states, (..., n) to (...).
+    labels : (str, str), optional
+        Of the axes.
+    cyclic : float
+        Positive: what is across is known up to multiples of this, and the curve goes out on one side and in on the
+        other.
+    equal : bool
+        Whether both axes have one scale.
+    title : str
+        Above the picture.
+
+    Returns
+    -------
+    Paint
+    """
+    for chosen in (across, up):
+        if isinstance(chosen, int) and chosen >= drawn.x.shape[-1]:
+            raise CannotShow(f"coordinate {chosen} is drawn, and the state has {drawn.x.shape[-1]}")
+    values = [_of(drawn, chosen) for chosen in (across, up)]
+    names = labels or tuple("" if callable(chosen) else drawn.label(drawn.place(chosen)) for chosen in (across, up))
+
+    def paint(axes: Any) -> None:
+        for m, (x, y) in enumerate(zip(*values, strict=True)):
+            if cyclic > 0.0:
+                x = _folded(x, cyclic)
+                # A curve that leaves on one side has a gap there.
+                jumps = np.flatnonzero(np.abs(np.diff(x)) > 0.5 * cyclic) + 1
+                shown_x, shown_y = np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan)
+            else:
+                shown_x, shown_y = x, y
+            style: dict[str, Any] = {"linewidth": 0.9} if drawn.joined else {"linestyle": "none", "marker": "."}
+            axes.plot(shown_x, shown_y, color=colour(m), **style)
+            axes.plot(x[:1], y[:1], "o", markersize=4, color=colour(m))
+        axes.set(xlabel=names[0], ylabel=names[1], title=f"{title} (dot: start)")
+        if cyclic > 0.0:
+            axes.set_xlim(-0.5 * cyclic, 0.5 * cyclic)
+        plain_axes(axes)
+        if equal:
+            axes.set_aspect("equal", adjustable="datalim")
+
+    return paint
+
+
+def _of(drawn: Drawn, chosen: Any) -> Floats:
+    x = drawn.x[:, drawn.kept]
+    return np.asarray(chosen(x)) if callable(chosen) else x[..., drawn.place(chosen)]
+
+
+def _folded(values: Floats, cyclic: float) -> Floats:
+    return values - cyclic * np.rint(values / cyclic)

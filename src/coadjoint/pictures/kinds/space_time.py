@@ -1,0 +1,68 @@
+"""A row of like coordinates over time, as colours: waves that travel along a chain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from coadjoint.pictures.drawn import Drawn, spread
+from coadjoint.pictures.register import CannotShow, Paint, kind
+from coadjoint.pictures.style import plain_axes
+
+MOST_ROWS = 400
+
+
+@kind("space-time")
+def space_time(
+    drawn: Drawn,
+    sites: Callable[[int], Sequence[int]],
+    label: str,
+    across: str = "site",
+    centred: bool = False,
+    title: str = "",
+) -> Paint:
+    """Show coordinates by colour, sites across and time upward.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        The run; of several members the first.
+    sites : callable
+        Function of the dimension that returns the coordinates, in the order of the sites.
+    label : str
+        What they are.
+    across : str
+        What is across.
+    centred : bool
+        Whether zero is in the middle of the colours.
+    title : str
+        Above the picture.
+
+    Returns
+    -------
+    Paint
+    """
+    places = list(sites(drawn.x.shape[-1]))
+    if len(places) < 2:
+        raise CannotShow("there are fewer than two sites")
+
+    def paint(axes: Any) -> None:
+        rows = spread(len(drawn.t), MOST_ROWS)
+        values = drawn.x[0][rows][:, places]
+        limits: dict[str, Any] = {"cmap": "viridis"}
+        if centred:
+            size = float(np.nanmax(np.abs(values))) or 1.0
+            limits = {"cmap": "RdBu_r", "vmin": -size, "vmax": size}
+        mesh = axes.pcolormesh(
+            np.arange(1, len(places) + 1), drawn.t[rows], values, shading="nearest", rasterized=True, **limits
+        )
+        bar = axes.figure.colorbar(mesh, ax=axes, shrink=0.8, pad=0.02)
+        bar.set_label(label, fontsize=9)
+        bar.ax.tick_params(labelsize=8)
+        axes.set(xlabel=across, ylabel="time $t$", title=title or f"{label} over {across} and time")
+        plain_axes(axes)
+        axes.grid(False)
+
+    return paint

@@ -1,0 +1,70 @@
+"""Where does an axis of the body point in space?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.given import read_finite, read_whole
+from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.register import CannotShow
+
+Floats = npt.NDArray[np.float64]
+
+
+def axis_in_space(drawn: Drawn, axis: Any, up: Any) -> tuple[Floats, str]:
+    """Return the path of an axis of the body in space, and the name of the axis.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        A run that carried its attitude.
+    axis : int or array_like
+        Number of the axis, 0 to 2, or a direction in the body.
+    up : sequence of three ints or str, or None
+        Coordinates of a vector of the body that is constant in space, such as the momentum or the vertical: it is the
+        third axis of the space that is shown. None: space as the attitude has it.
+
+    Returns
+    -------
+    ndarray, shape (members, k, 3)
+        Unit vectors.
+    str
+
+    Raises
+    ------
+    CannotShow
+        No attitude was carried, or it is no rotation.
+    """
+    A = drawn.rotation
+    if A is None:
+        raise CannotShow("no attitude was carried that is a rotation; integrate with attitude=True")
+    if np.ndim(axis):
+        given = read_finite(axis, "axis")
+        if given.shape != (3,) or not given.any():
+            raise ValueError(f"axis is {given.tolist()}; give the number of an axis, or a direction in the body, (3,)")
+        direction, name = given / np.linalg.norm(given), "the axis of the body"
+    else:
+        number = read_whole(axis, "axis", 0, 2)
+        direction, name = np.eye(3)[number], f"body axis {number + 1}"
+    path = A @ direction
+    if up is not None:
+        places = [drawn.place(i) for i in up]
+        for m in range(len(path)):
+            path[m] = path[m] @ _raised(A[m, 0] @ drawn.x[m, 0, places]).T
+    return path, name
+
+
+def _raised(vertical: Floats) -> Floats:
+    """Return the shortest rotation that takes a vector to the third axis."""
+    size = float(np.linalg.norm(vertical))
+    if size == 0.0:
+        return np.eye(3)
+    u = vertical / size
+    if u[2] < -1.0 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    v = np.array([u[1], -u[0], 0.0])  # u x e3
+    hat = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    return np.eye(3) + hat + hat @ hat / (1.0 + u[2])

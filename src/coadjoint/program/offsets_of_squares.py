@@ -1,0 +1,116 @@
+"""How do completed squares depend on the linear term? Exactly, so that another linear term needs no new squares.
+
+The forms l_r of the squares of x.M.x/2 do not depend on the linear term b; sum_r beta_r l_r = b gives the beta_r.
+"""
+
+from __future__ import annotations
+
+from math import lcm
+from operator import mul
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.connected import connected
+from coadjoint.algebra.exact import rational
+from coadjoint.program.parts import Parts
+from coadjoint.program.squares import LARGEST_RATIONAL
+
+
+class ExactSums(NamedTuple):
+    """Some sums over k of factors[r][k] b[coordinates[k]], each over denominators[r], rounded once."""
+
+    coordinates: tuple[int, ...]
+    factors: tuple[tuple[int, ...], ...]
+    denominators: tuple[int, ...]
+
+    def at(self, b: NDArray[np.float64]) -> list[float]:
+        """Return the sums for finite floats b, correctly rounded.
+
+        Raises
+        ------
+        OverflowError
+            One is too large for float64.
+
+        Examples
+        --------
+        >>> ExactSums((0, 1), ((1, -2), (1, 0)), (3, 4)).at(np.array([1.0, 0.25]))
+        [0.16666666666666666, 0.25]
+        """
+        exact = [value.as_integer_ratio() for value in b.take(self.coordinates).tolist()]
+        # The denominators of floats are powers of two, so that the largest is a multiple of all.
+        common = max([below for _, below in exact])
+        whole = [above * (common // below) for above, below in exact]
+        return [
+            sum(map(mul, factors, whole)) / (below * common)
+            for factors, below in zip(self.factors, self.denominators, strict=True)
+        ]
+
+
+def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums]]:
+    """Return how the offsets of completed squares follow from the linear term of the Hamiltonian.
+
+    Parameters
+    ----------
+    parts : Parts
+        Of a Hamiltonian; its forms are exact numbers, as those of up to 16 coupled coordinates are.
+
+    Returns
+    -------
+    list of (angles, ExactSums)
+        For each set of coupled coordinates the angles of its squares, and their offsets. Single coordinates are left
+        out: their offset is the coefficient.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> from coadjoint.program.split import split
+    >>> M = [[1.0, 0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 2.0]]
+    >>> offsets_of_squares(split(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M, linear=[1.0, 2.0, 3.0]))))
+    [([0, 1], ExactSums(coordinates=(0, 1), factors=((1, 0), (-1, 2)), denominators=(1, 2)))]
+    """
+    forms = parts.forms
+    linear = np.ones(len(parts.offset), dtype=bool)
+    for s in parts.special:
+        linear[parts.row[s] : parts.row[s + 1]] = False
+    angles = np.flatnonzero(linear)
+    owner = np.repeat(np.arange(len(parts.offset)), np.diff(forms.start))
+    entries = np.flatnonzero(linear[owner])
+    # Nodes are the angles, then the coordinates.
+    count, coordinate = len(parts.offset), forms.coordinate[entries].astype(np.int64)
+    label = connected(count + int(coordinate.max(initial=-1)) + 1, owner[entries], count + coordinate)
+    clusters: dict[int, list[int]] = {}
+    for angle in angles.tolist():
+        clusters.setdefault(int(label[angle]), []).append(angle)
+    found = []
+    for own in clusters.values():
+        rows = [_row(parts, angle) for angle in own]
+        coordinates = sorted({k for row in rows for k in row})
+        if 1 < len(coordinates) <= LARGEST_RATIONAL and len(own) <= len(coordinates):
+            found.append((own, _inverse(rows, coordinates)))
+    return found
+
+
+def _row(parts: Parts, angle: int) -> dict[int, object]:
+    entries = slice(int(parts.forms.start[angle]), int(parts.forms.start[angle + 1]))
+    return dict(zip(parts.forms.coordinate[entries].tolist(), parts.forms.value[entries].tolist(), strict=True))
+
+
+def _inverse(rows: list[dict[int, object]], coordinates: list[int]) -> ExactSums:
+    """Return beta of sum_r beta_r l_r = b, for linearly independent forms."""
+    from flint import fmpq_mat
+
+    r, m = len(rows), len(coordinates)
+    # [L^T | 1], reduced, is [1 | B] in its first rows, with B L^T = 1.
+    augmented = [
+        [rational(row.get(k, 0)) for row in rows] + [rational(int(i == j)) for j in range(m)]
+        for i, k in enumerate(coordinates)
+    ]
+    reduced, _ = fmpq_mat(m, r + m, [entry for line in augmented for entry in line]).rref()
+    factors, denominators = [], []
+    for a in range(r):
+        exact = [reduced[a, r + j] for j in range(m)]
+        denominators.append(lcm(*(int(value.denominator) for value in exact)))
+        factors.append(tuple(int(value.numerator) * (denominators[-1] // int(value.denominator)) for value in exact))
+    return ExactSums(tuple(coordinates), tuple(factors), tuple(denominators))

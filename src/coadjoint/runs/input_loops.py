@@ -1,0 +1,102 @@
+"""The compiled loops of a run with inputs: made once, and for each call with its inputs in copies of their tables."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.kernels.description import limit
+from coadjoint.kernels.input_tables import InputTables, NotPlaced
+from coadjoint.kernels.loop import Crew
+from coadjoint.methods.base import Method
+from coadjoint.runs.batch_loops import in_rounds
+from coadjoint.runs.inputs import Inputs
+from coadjoint.runs.loops import Loops, Plan, SystemLoops, shared_out
+from coadjoint.runs.start import Representation
+from coadjoint.systems.linear_term import with_linear
+
+Floats = NDArray[np.float64]
+
+
+class InputLoops:
+    """Loops for any values of the inputs.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        What may change.
+    method : Method
+        The scheme, settled.
+    h : float
+        Step, negative for backward.
+    representation : ndarray of shape (n, d, d), "coadjoint", or None
+        What the group element is carried in.
+
+    Raises
+    ------
+    ValueError
+        The scheme does not take inputs for this system; the message says why.
+    """
+
+    def __init__(self, inputs: Inputs, method: Method, h: float, representation: Representation) -> None:
+        drawn = inputs.drawn()
+        self.base, other = (
+            SystemLoops(with_linear(inputs.system, linear), method, h, representation) for linear in drawn
+        )
+        try:
+            self.tables = InputTables((self.base.prepared, other.prepared), (self.base.watch, other.watch), drawn)
+        except NotPlaced as reason:
+            raise ValueError(f"{method} takes no inputs for {inputs.system.name}: {reason}") from None
+
+    def make_all(self) -> None:
+        """Make now what would be made when it is first needed."""
+        self.base.make_all()
+
+    def at(self, linear: Floats) -> Loops:
+        """Return the loops of one call, from its linear term, (n,) or (members, n)."""
+        try:
+            return LoopsOfCall(self, linear)
+        except OverflowError:
+            raise ValueError(
+                "the linear term is too large: a completed square overflows; give smaller inputs"
+            ) from None
+
+
+class LoopsOfCall(Loops):
+    """The loops of one call, with its inputs in their tables."""
+
+    def __init__(self, made: InputLoops, linear: Floats) -> None:
+        base, tables = made.base, made.tables
+        self._base, self._stride = base, 0
+        self.names, self.size, self.memory, self.turned = base.names, base.size, base.memory, base.turned
+        if linear.ndim == 1:
+            self._given = [tables.shared(linear)]
+        elif tables.apart:
+            self._given = [tables.shared(own) for own in linear]
+        else:
+            *given, self._stride = tables.each(linear)
+            self._given = [tuple(given)]
+
+    def plan(self, members: int, points: int, square: int, workers: int) -> Plan:
+        """Return the plan of the run; its layout, and crews that share tables, are as in the last call."""
+        known = self._base.plan(members, points, square, workers)
+        if len(self._given) == 1 and not self._stride:
+            rounds = [[crew.reading(*self._given[0]) for crew in crews] for crews in known.rounds]
+        else:
+            rounds = self.rounds(members, workers)
+        return Plan(known.key, known.layout, rounds)
+
+    def rounds(self, members: int, workers: int) -> list[list[Crew]]:
+        """Return the crews of members that have inputs of their own: in common tables, or each in its own."""
+        loop = self._base.prepared.name
+        if self._stride:
+            places = shared_out(0, members, workers, limit("LARGEST_CROWD"))
+            return [[Crew(loop, *self._given[0], *own, self._stride) for own in places]]
+        return in_rounds([Crew(loop, *own, m, m + 1, base=m) for m, own in enumerate(self._given)], workers)
+
+    def raised(self) -> BaseException | None:
+        """Return what a function of the user raised in the loop."""
+        return self._base.raised()
+
+    def started(self, groups: Floats) -> Floats:
+        return self._base.started(groups)

@@ -1,0 +1,49 @@
+"""The run of a ready-made system that tells what it does."""
+
+from __future__ import annotations
+
+import importlib
+
+from coadjoint.methods.suggested import suggested_scheme
+from coadjoint.runs.integrate import integrate
+from coadjoint.runs.solution import Solution
+from coadjoint.systems.ready_made import telling_of
+
+
+def telling_run(name: str) -> Solution:
+    """Run a ready-made system for a telling time, by the suggested scheme.
+
+    Parameters
+    ----------
+    name : str
+        One of ``co.systems.names()``.
+
+    Returns
+    -------
+    Solution
+        ``telling_run(name).plot()`` is its picture of the gallery.
+
+    Raises
+    ------
+    ValueError
+        No such system (the nearest name is given), or it declares no telling run.
+
+    Examples
+    --------
+    >>> telling_run("rigid_body").system.parameters
+    {'inertia': (1.0, 2.0, 3.0)}
+    """
+    systems = importlib.import_module("coadjoint.systems")
+    telling = telling_of(name)
+    system = systems.get(name, **({} if telling is None else telling.parameters))
+    if telling is None:
+        raise ValueError(f"{name} declares no telling run; give @ready_made a Telling, as docs/gallery.md shows")
+    return integrate(
+        system,
+        telling.start(),
+        telling.t_span,
+        telling.step,
+        suggested_scheme(system),
+        save_every=telling.save_every,
+        attitude=telling.attitude,
+    )

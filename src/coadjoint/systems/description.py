@@ -1,0 +1,139 @@
+"""What is known of a ready-made system, as plain numbers and text?"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from typing import Any
+
+import numpy as np
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.ready_made import ready_made_systems, telling_of
+
+LONGEST_FORMULA = 120
+_HEADING = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)
+
+
+def description(name: str) -> dict[str, Any]:
+    """Return what is known of a ready-made system, with its default parameters.
+
+    Parameters
+    ----------
+    name : str
+        One of ``co.systems.names()``.
+
+    Returns
+    -------
+    dict
+        ``"summary"``, ``"equations"`` (the text below it), ``"parameters"`` (name to its default, kind and meaning),
+        ``"state"``, ``"source"``; ``"sign"``, ``"algebra"``, ``"dimension"``, ``"rank"`` of J(x) at a generic point,
+        ``"coordinates"`` (their names), ``"casimirs"`` and ``"integrals"`` (name to formula, or to None where they are
+        no polynomials), ``"exact"`` (whether there is a closed form) and ``"attitude"`` ("representation", "coadjoint"
+        or "none": the group element that runs carry); for `json`.
+
+    Raises
+    ------
+    ValueError
+        No such system; the nearest name is given.
+
+    Examples
+    --------
+    >>> told = description("rigid_body")
+    >>> told["algebra"], told["dimension"], told["rank"], told["casimirs"], told["parameters"]["inertia"]["default"]
+    ('so(3)', 3, 2, {'|x|^2': 'x1^2 + x2^2 + x3^2'}, [1.0, 2.0, 3.0])
+    """
+    system = importlib.import_module("coadjoint.systems").get(name)
+    builder = ready_made_systems()[name]
+    sections = _sections(inspect.getdoc(builder) or "")
+    summary, _, equations = sections[""].partition("\n\n")
+    words = _entries(sections.get("Parameters", ""))
+    telling = telling_of(name)
+    coordinates = () if telling is None else telling.names(system.dim)
+    return {
+        "name": name,
+        "summary": _line(summary),
+        "equations": [_line(text) for text in equations.split("\n\n") if text.strip()],
+        "parameters": {
+            key: {"default": _plain(value.default), **words.get(key, {"kind": "", "meaning": ""})}
+            for key, value in inspect.signature(builder).parameters.items()
+        },
+        "state": _line(sections.get("Returns", "").partition("\n")[2]),
+        "source": _line(sections.get("Notes", "")),
+        "sign": system.sign,
+        "algebra": None if system.algebra is None else system.algebra.name,
+        "dimension": system.dim,
+        "rank": _rank(system),
+        "casimirs": {key: _formula(value, coordinates) for key, value in system.casimirs.items()},
+        "integrals": {key: _formula(value, coordinates) for key, value in getattr(system, "integrals", {}).items()},
+        "exact": system.closed_form is not None,
+        "attitude": _attitude(system),
+        "coordinates": list(coordinates) or [f"x{i + 1}" for i in range(system.dim)],
+        "telling": None
+        if telling is None
+        else {"says": telling.says, "t_span": list(telling.t_span), "step": telling.step},
+    }
+
+
+def _sections(text: str) -> dict[str, str]:
+    """Return the sections of a docstring in the style of NumPy, by their headings; the first has none."""
+    pieces = _HEADING.split(text)
+    return {"": pieces[0].strip(), **dict(zip(pieces[1::2], map(str.strip, pieces[2::2]), strict=True))}
+
+
+def _entries(text: str) -> dict[str, dict[str, str]]:
+    """Return name to kind and meaning, from the section of parameters; one entry may name several."""
+    found: dict[str, dict[str, str]] = {}
+    for entry in re.split(r"\n(?=\S)", text):
+        head, _, meaning = entry.partition("\n")
+        names, _, kind = head.partition(" : ")
+        for name in names.split(","):
+            found[name.strip()] = {"kind": kind.strip(), "meaning": _line(meaning)}
+    return found
+
+
+def _line(text: str) -> str:
+    return " ".join(text.replace("``", "").replace("`", "").split())
+
+
+def _plain(value: Any) -> Any:
+    if value is inspect.Parameter.empty:
+        return None
+    return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
+
+
+def _formula(value: Any, coordinates: tuple[str, ...]) -> str | None:
+    if isinstance(value, Quadratic):
+        value = value.to_polynomial() if value.dim is not None and value.dim <= 64 else None
+    if not isinstance(value, Polynomial):
+        return None
+    named = re.sub(r"x(\d+)", lambda found: coordinates[int(found[1]) - 1] if coordinates else found[0], str(value))
+    return short_formula(named)
+
+
+def _attitude(system: Any) -> str:
+    if system.representation is not None:
+        return "representation"
+    return "none" if system.algebra is None else "coadjoint"
+
+
+def short_formula(text: str) -> str:
+    """Return a formula, cut between its terms where it is long.
+
+    Examples
+    --------
+    >>> short_formula("x1 + " * 50 + "x1")[-12:]
+    'x1 + x1 +...'
+    """
+    if len(text) <= LONGEST_FORMULA:
+        return text
+    return text[:LONGEST_FORMULA].rpartition(" ")[0].rstrip() + "..."
+
+
+def _rank(system: Any) -> int:
+    if isinstance(system, LiePoissonSystem):
+        return int(system.algebra.generic_rank())
+    return int(np.linalg.matrix_rank(system.structure_matrix(np.cos(1.0 + np.arange(system.dim)))))

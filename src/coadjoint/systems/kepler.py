@@ -1,0 +1,121 @@
+"""Where is a body after a time on its orbit about a centre of gravity?"""
+
+from __future__ import annotations
+
+from math import cos, cosh, factorial, inf, pi, sin, sinh, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+Floats = npt.NDArray[np.float64]
+
+ITERATIONS = 200
+SERIES = 12  # terms; the next one is below rounding up to |z| = 1
+
+
+def kepler(r: Floats, v: Floats, gravity: float, times: Floats) -> tuple[Floats, Floats]:
+    """Return positions and velocities of ``r'' = -gravity r/|r|^3`` on an ellipse, parabola or hyperbola.
+
+    Parameters
+    ----------
+    r, v : (3,)
+        Position and velocity at the time zero, not parallel.
+    gravity : float
+        Positive (length^3/time^2).
+    times : (k,)
+        Times, of any sign.
+
+    Returns
+    -------
+    (k, 3), (k, 3) arrays
+
+    Raises
+    ------
+    ValueError
+        r and v are parallel: the body falls into the centre.
+
+    Notes
+    -----
+    By universal variables: R. Battin, "An Introduction to the Mathematics and Methods of Astrodynamics" (1999), 4.5.
+
+    Examples
+    --------
+    >>> r, v = kepler(np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), 1.0, np.array([np.pi / 2]))
+    >>> r.round(12) + 0.0, v.round(12) + 0.0
+    (array([[0., 1., 0.]]), array([[-1.,  0.,  0.]]))
+    """
+    if not np.any(np.cross(r, v)):
+        raise ValueError("the orbit is a fall into the centre, or out of it, and has no closed form; integrate it")
+    distance, along = sqrt(float(r @ r)), float(r @ v) / sqrt(gravity)
+    bent = 2.0 / distance - float(v @ v) / gravity  # 1 / major axis; negative on a hyperbola
+    found = [_moved(r, v, gravity, distance, along, bent, float(t)) for t in times]
+    return np.array([x for x, _ in found]).reshape(-1, 3), np.array([y for _, y in found]).reshape(-1, 3)
+
+
+def _moved(
+    r: Floats, v: Floats, gravity: float, distance: float, along: float, bent: float, t: float
+) -> tuple[Floats, Floats]:
+    root = sqrt(gravity)
+    if bent > 0.0:
+        t = float(np.remainder(t, 2.0 * pi / (root * bent * sqrt(bent))))
+    if t < 0.0:
+        back, turned = _moved(r, -v, gravity, distance, -along, bent, -t)
+        return back, -turned
+    s = _universal(distance, along, bent, root * t)
+    c2, c3 = _stumpff(bent * s * s)
+    late, early = s * s * c2, s * s * s * c3
+    now = distance + along * (s - bent * early) + (1.0 - bent * distance) * late
+    f, g = 1.0 - late / distance, t - early / root
+    slope_f, slope_g = root / (distance * now) * s * (bent * s * s * c3 - 1.0), 1.0 - late / now
+    return f * r + g * v, slope_f * r + slope_g * v
+
+
+def _universal(distance: float, along: float, bent: float, target: float) -> float:
+    """Return s with ``distance s + along s^2 c2 + (1 - bent distance) s^3 c3 = target``, the left side growing."""
+
+    def beyond(s: float) -> tuple[float, float]:
+        c2, c3 = _stumpff(bent * s * s)
+        late, early = s * s * c2, s * s * s * c3
+        slope = distance + along * (s - bent * early) + (1.0 - bent * distance) * late
+        return distance * s + along * late + (1.0 - bent * distance) * early - target, slope
+
+    low, high = 0.0, target / distance
+    for _ in range(ITERATIONS):
+        if beyond(high)[0] >= 0.0:
+            break
+        low, high = high, 2.0 * high
+    s = high
+    for _ in range(ITERATIONS):
+        value, slope = beyond(s)
+        low, high = (low, s) if value >= 0.0 else (s, high)
+        newton = s - value / slope if 0.0 < slope < inf else inf
+        middle = 0.5 * (low + high)
+        new = newton if low < newton < high else middle
+        if abs(new - s) <= 2.0 * UNIT_ROUNDOFF * abs(s):
+            return new
+        s = new
+    return s
+
+
+def _stumpff(z: float) -> tuple[float, float]:
+    """Return (1 - cos w)/z and (w - sin w)/w^3 with w^2 = z, entire in z.
+
+    Examples
+    --------
+    >>> _stumpff(0.0)
+    (0.5, 0.16666666666666666)
+    """
+    if abs(z) < 1.0:
+        powers = [(-z) ** k for k in range(SERIES)]
+        return sum(p / factorial(2 * k + 2) for k, p in enumerate(powers)), sum(
+            p / factorial(2 * k + 3) for k, p in enumerate(powers)
+        )
+    if z > 0.0:
+        w = sqrt(z)
+        return (1.0 - cos(w)) / z, (w - sin(w)) / (z * w)
+    w = sqrt(-z)
+    if w > 700.0:
+        return inf, inf
+    return (cosh(w) - 1.0) / -z, (sinh(w) - w) / (-z * w)

@@ -1,0 +1,168 @@
+"""The linear term of a Hamiltonian: a field, gravity, rotors. Which is it, and what is the system with another one?"""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.systems.hamiltonian import HamiltonianLike, PolynomialHamiltonian
+from coadjoint.systems.kinds import System
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.separable import Separable
+from coadjoint.systems.split_hamiltonian import SplitHamiltonian
+from coadjoint.wording import short
+
+Floats = npt.NDArray[np.float64]
+
+
+def linear_of(H: HamiltonianLike, n: int) -> Floats:
+    """Return the coefficients of the linear term of a Hamiltonian.
+
+    Parameters
+    ----------
+    H : Quadratic, Polynomial, SplitHamiltonian or Separable
+        Bound to n coordinates. Functions of Python have no linear term of their own.
+    n : int
+        Number of coordinates.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+
+    Raises
+    ------
+    TypeError
+        The Hamiltonian is one function of all coordinates, or of a kind of the user.
+
+    Examples
+    --------
+    >>> linear_of(Quadratic([1.0, 2.0], linear=[0.0, 3.0]), 2)
+    array([0., 3.])
+    """
+    if isinstance(H, Quadratic):
+        (term,) = H.terms()
+        assert term.form is not None
+        return np.array(term.form.linear)
+    found = np.zeros(n)
+    if isinstance(H, Separable):
+        return found
+    if isinstance(H, PolynomialHamiltonian):
+        for exponents, coefficient in H.polynomial.monomials.items():
+            if sum(exponents) == 1:
+                found[exponents.index(1)] = float(coefficient)
+        return found
+    if isinstance(H, SplitHamiltonian):
+        for coordinates, piece in zip(H.coordinates, H.pieces, strict=True):
+            if _has_linear(piece):
+                found[list(coordinates)] += linear_of(piece, len(coordinates))
+        return found
+    raise TypeError(
+        f"the Hamiltonian is a {type(H).__name__}, which has no linear term that could change; give a Quadratic, a "
+        "Polynomial, a Separable or a SplitHamiltonian"
+    )
+
+
+def _has_linear(H: HamiltonianLike) -> bool:
+    return isinstance(H, Quadratic | PolynomialHamiltonian | SplitHamiltonian)
+
+
+def with_linear(system: System, linear: Floats) -> System:
+    """Return the system whose Hamiltonian has another linear term, and is else the same.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        With a Hamiltonian that `linear_of` reads.
+    linear : ndarray, shape (n,)
+        The coefficients.
+
+    Returns
+    -------
+    LiePoissonSystem or PoissonSystem
+        With the same bracket, Casimirs and representation; without closed form, further integrals and parameters, which
+        belong to the Hamiltonian.
+
+    Raises
+    ------
+    TypeError
+        The Hamiltonian has no linear term that could change.
+    ValueError
+        Several pieces of a SplitHamiltonian are polynomials in a coordinate whose coefficient is another one. (Where
+        none is, the coordinate gets a piece of its own.)
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body((1, 2, 3))
+    >>> with_linear(body, np.array([0.0, 0.0, 0.5])).energy([0.0, 0.0, 3.0]) - body.energy([0.0, 0.0, 3.0])
+    1.5
+    """
+    changed = copy.copy(system)
+    fields: dict[str, Any] = {
+        "hamiltonian": _other(system.hamiltonian, np.asarray(linear, dtype=np.float64)),
+        "_exact": None,
+        "_parameters": None,
+        "_integrals": {},
+    }
+    for name, value in fields.items():
+        if hasattr(system, name):
+            object.__setattr__(changed, name, value)
+    return changed
+
+
+def _other(H: HamiltonianLike, linear: Floats) -> HamiltonianLike:
+    if isinstance(H, Quadratic):
+        return H.with_linear(linear)
+    if isinstance(H, PolynomialHamiltonian):
+        monomials = {e: c for e, c in H.polynomial.monomials.items() if sum(e) != 1}
+        n = H.polynomial.dim
+        for k in np.flatnonzero(linear).tolist():
+            monomials[tuple(int(i == k) for i in range(n))] = float(linear[k])
+        return PolynomialHamiltonian(Polynomial(monomials, dim=n))
+    if isinstance(H, SplitHamiltonian):
+        return _other_split(H, linear)
+    if isinstance(H, Separable):
+        pieces = []
+        for term in H.functions():
+            given: tuple[Any, ...] = (term.value, term.gradient, *([] if term.hessian is None else [term.hessian]))
+            pieces.append(((int(term.coordinates[0]),), Separable({0: given})))
+        return _other_split(SplitHamiltonian(pieces).bind(len(linear)), linear)
+    raise TypeError(f"the Hamiltonian is a {type(H).__name__}, which has no linear term that could be another one")
+
+
+def _other_split(H: SplitHamiltonian, linear: Floats) -> SplitHamiltonian:
+    changed = np.flatnonzero(linear != linear_of(H, len(linear))).tolist()
+    found = list(zip(H.coordinates, H.pieces, strict=True))
+    for k in changed:
+        able = [p for p, (where, piece) in enumerate(found) if k in where and _has_linear(piece)]
+        if len(able) > 1:
+            raise ValueError(
+                f"pieces {able[0]} and {able[1]} of the SplitHamiltonian are polynomials in coordinate {k}, whose "
+                "linear coefficient may belong to either; leave the coordinate in one of them"
+            )
+        if not able:
+            found.append(((k,), Quadratic(0.0, linear=linear[k : k + 1])))
+            continue
+        where, piece = found[able[0]]
+        own = linear_of(piece, len(where))
+        own[where.index(k)] = linear[k]
+        found[able[0]] = where, _other(piece, own)
+    return SplitHamiltonian(found).bind(len(linear))
+
+
+def check_linear(system: Any) -> None:
+    """Refuse a system whose Hamiltonian has no linear term that could change.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> check_linear(co.systems.rigid_body((1, 2, 3)))
+    """
+    try:
+        linear_of(system.hamiltonian, system.dim)
+    except TypeError as reason:
+        raise TypeError(f"{short(system.name)} cannot take inputs: {reason}") from None

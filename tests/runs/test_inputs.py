@@ -1,0 +1,306 @@
+"""Runs with inputs: the bits of a system made anew with that linear term, for every scheme and many algebras."""
+
+import threading
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.kernels import input_tables
+from coadjoint.program import decompose
+from coadjoint.program.offsets_of_squares import offsets_of_squares
+from coadjoint.program.split import split
+from coadjoint.systems.linear_term import linear_of, with_linear
+from verification.schemes_under_test import schemes, serves
+from verification.systems_under_test import full_matrix
+
+U, STEP, SPANS = 2.0**-53, 0.0625, ((0.0, 0.5), (0.5, 0.0))
+
+
+def spins(count):
+    """A chain of spins with exchange and anisotropy, a field on each."""
+    M = np.diag(np.tile([1.2, 1.4, 1.7], count))
+    for s in range(count - 1):
+        for k in range(3):
+            M[3 * s + k, 3 * s + 3 + k] = M[3 * s + 3 + k, 3 * s + k] = -0.5
+    return co.algebras.copies(co.algebras.so(3), count), M
+
+
+ALGEBRAS = {
+    "so(3)": (co.algebras.so(3), np.diag([1.0, 0.5, 1 / 3]), -1),
+    "so(3), full": (co.algebras.so(3), full_matrix(3, 3), +1),
+    "e(3)": (co.algebras.e(3), full_matrix(4, 6), -1),
+    "so(4)": (co.algebras.so(4), np.diag(np.linspace(0.5, 1.5, 6)), +1),
+    "A3,7": (co.algebras.get("A3,7", a=1.75), full_matrix(5, 3), -1),
+    "spins": (*spins(3), +1),
+}
+
+
+def system(name, linear):
+    algebra, M, sign = ALGEBRAS[name]
+    return co.LiePoissonSystem(algebra, co.Quadratic(M, linear=linear), sign)
+
+
+def numbers(name, seed=0, *members):
+    """A state, a linear term, and another one, or one for each member."""
+    n, rng = ALGEBRAS[name][0].dim, np.random.default_rng(seed)
+    return rng.uniform(0.3, 0.9, n), rng.uniform(-0.15, 0.15, n), rng.uniform(-0.15, 0.15, (*members, n))
+
+
+def assert_same(one, other):
+    assert np.array_equal(one.x, other.x) and np.array_equal(one.energy, other.energy)
+    for name, values in other.casimirs.items():
+        assert np.array_equal(one.casimirs[name], values)
+    for name, drift in other.drift().items():
+        assert np.array_equal(one.drift()[name].tenths, drift.tenths)
+    assert one.attitude is None or np.array_equal(one.attitude, other.attitude)
+
+
+# Every scheme where squares are completed and where not; elsewhere one of each family.
+EVERYWHERE = ("so(3), full", "spins")
+FAMILIES = ("Splitting 4", "Composition of Splitting", "GaussLegendre 3", "Modified 2 gradient", "Iterated 2", "rk4")
+FAMILIES += ("RadauEnergy 2", "Taylor 5", "Projected(base=Splitting(order=2))")
+PAIRS = [
+    (scheme, name)
+    for name in ALGEBRAS
+    for scheme, method in schemes().items()
+    if (name in EVERYWHERE or scheme in FAMILIES) and serves(method, system(name, numbers(name)[1]))
+]
+
+
+@pytest.mark.parametrize(("scheme", "name"), PAIRS)
+def test_a_call_has_the_bits_of_a_system_made_anew(scheme, name):
+    method = schemes()[scheme]
+    x, before, linear = numbers(name)
+    attitude = False if method.properties(system(name, before)).attitude == "none" else "coadjoint"
+    ready = co.prepare(system(name, before), method, STEP, inputs=True, attitude=attitude)
+    for span in SPANS:
+        anew = co.integrate(system(name, linear), x, span, STEP, ready.method, attitude=attitude, save_every=3)
+        assert_same(ready.run(x, span, 3, linear=linear), anew)
+    own = co.integrate(system(name, before), x, SPANS[0], STEP, ready.method, attitude=attitude)
+    assert_same(ready.run(x, SPANS[0]), own)
+
+
+@pytest.mark.parametrize(
+    "scheme", ["Splitting 4", "GaussLegendre 2", "Taylor 5", "rk4", "Projected(base=Splitting(order=2))"]
+)
+@pytest.mark.parametrize("name", ["so(3)", "e(3)", "spins"])
+def test_members_have_inputs_of_their_own(scheme, name):
+    method = schemes()[scheme]
+    x, before, linear = numbers(name, 1, 5)
+    ready = co.prepare(system(name, before), method, STEP, inputs=True, threads=2)
+    states = x * np.linspace(0.8, 1.2, 5)[:, None]
+    together, of_one_state = ready.run(states, SPANS[0], linear=linear), ready.run(x, SPANS[0], linear=linear)
+    for m in range(5):
+        assert np.array_equal(together.x[:, m], ready.run(states[m], SPANS[0], linear=linear[m]).x)
+        assert np.array_equal(of_one_state.x[:, m], ready.run(x, SPANS[0], linear=linear[m]).x)
+        assert np.array_equal(together.energy[:, m], ready.run(states[m], SPANS[0], linear=linear[m]).energy)
+    assert len(together.system) == 5 and np.array_equal(linear_of(together.system[4].hamiltonian, len(x)), linear[4])
+    shared = ready.run(states, SPANS[0], linear=linear[2])
+    assert np.array_equal(shared.x[:, 3], ready.run(states[3], SPANS[0], linear=linear[2]).x)
+
+
+@pytest.mark.parametrize(
+    "method", [co.Splitting(order=4), co.Splitting(order=2, parts="coordinates"), co.GaussLegendre(3)], ids=str
+)
+@pytest.mark.parametrize("name", ["so(3)", "so(3), full", "e(3)", "A3,7"])
+def test_an_input_that_is_zero_moves_as_without(name, method):
+    """In the limit of small steps: parts that are there for the inputs may come in another order."""
+    x, _, _ = numbers(name)
+    ready = co.prepare(system(name, None), method, STEP / 4, inputs=True)
+    exact = co.integrate(system(name, None), x, SPANS[0], STEP / 4, co.GaussLegendre(6)).x[-1]
+    tolerance = 5 * (STEP / 4) ** method.order + 1e-13
+    assert np.abs(ready.run(x, SPANS[0], linear=np.zeros(len(x))).x[-1] - exact).max() < tolerance
+    assert np.array_equal(ready.run(x, SPANS[0]).x, ready.run(x, SPANS[0], linear=np.zeros(len(x))).x)
+
+
+def kinds():
+    """Hamiltonians with a linear term, and the same with other coefficients of the last two coordinates."""
+    well = (lambda y: 0.25 * y**4, lambda y: y**3, lambda y: 3 * y**2)
+    cubic = co.Polynomial({(3, 0, 0): 0.2, (0, 2, 0): 0.5, (0, 0, 2): 0.25, (0, 1, 0): 0.3, (0, 0, 1): -0.4})
+    yield cubic, co.Polynomial({**cubic.monomials, (0, 1, 0): 0.6, (0, 0, 1): -0.7})
+    first, second, third = (
+        ((0,), co.Separable({0: well})),
+        ((1,), co.Quadratic([0.5], [0.3])),
+        ((2,), co.Separable({0: well})),
+    )
+    fields = [((k,), co.Quadratic(0.0, linear=[b])) for k, b in ((1, 0.6), (2, -0.7))]
+    changed = ((1,), co.Quadratic([0.5], [0.6]))
+    yield co.SplitHamiltonian([first, second, third]), co.SplitHamiltonian([first, changed, third, fields[1]])
+    yield co.Separable({0: well, 2: well}), co.SplitHamiltonian([first, third, *fields])
+
+
+def test_every_kind_of_hamiltonian_with_a_linear_term():
+    x, new = np.array([0.4, -0.3, 0.5]), np.array([0.6, -0.7])
+    for H, anew in kinds():
+        for method in (co.Splitting(order=2), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")):
+            ready = co.prepare(co.LiePoissonSystem(co.algebras.sl(2), H), method, STEP, inputs=(1, 2))
+            expected = co.integrate(co.LiePoissonSystem(co.algebras.sl(2), anew), x, SPANS[0], STEP, ready.method)
+            assert_same(ready.run(x, SPANS[0], linear=new), expected)
+    skew = co.PoissonSystem(
+        lambda x: np.array([[0.0, x[2], 0.1], [-x[2], 0.0, x[0]], [-0.1, -x[0], 0.0]]), co.Quadratic(np.ones(3))
+    )
+    ready = co.prepare(skew, co.GaussLegendre(2), STEP, inputs=True)
+    linear = np.array([0.1, 0.2, -0.3])
+    anew = co.PoissonSystem(skew.structure_function, co.Quadratic(np.ones(3), linear=linear))
+    assert_same(ready.run(x, SPANS[0], linear=linear), co.integrate(anew, x, SPANS[0], STEP, co.GaussLegendre(2)))
+
+
+def test_nothing_is_made_anew_in_a_call(monkeypatch):
+    x, before, linear = numbers("e(3)", 2, 40)
+    ready = co.prepare(system("e(3)", before), co.Splitting(order=4), STEP, inputs=True)
+    ready.run(x, SPANS[0], linear=linear[0])
+
+    def refuse(*_):
+        raise AssertionError
+
+    monkeypatch.setattr(decompose, "split", refuse)
+    monkeypatch.setattr(co.Splitting, "loop", refuse)
+    monkeypatch.setattr(input_tables, "offsets_of_squares", refuse)
+    for own in linear:
+        ready.run(x, SPANS[0], linear=own)
+    ready.run(x, SPANS[0], linear=linear)
+
+
+@pytest.mark.parametrize("scheme", ["Splitting 4", "GaussLegendre 2", "RadauEnergy 2", "Taylor 5"])
+def test_threads_share_a_run_with_inputs_of_their_own(scheme):
+    x, before, linear = numbers("so(4)", 3, 8)
+    ready = co.prepare(system("so(4)", before), schemes()[scheme], STEP / 4, inputs=True, threads=1)
+    expected = [ready.run(x, (0, 2), linear=own).x for own in linear]
+    found, gate = {}, threading.Barrier(len(linear))
+
+    def work(m):
+        gate.wait()
+        found[m] = [ready.run(x, (0, 2), linear=linear[m]).x for _ in range(3)]
+
+    workers = [threading.Thread(target=work, args=(m,)) for m in range(len(linear))]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert all(np.array_equal(one, expected[m]) for m in found for one in found[m]) and len(found) == 8
+
+
+def test_names_choose_coordinates_in_any_shape():
+    algebra, M, _ = ALGEBRAS["spins"]
+    chain, x = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=np.full(9, 0.1))), numbers("spins")[0]
+    ready = co.prepare(chain, co.Splitting(order=2), STEP, inputs={"ends": [[0, 1, 2], [8, 7, 6]], "middle": (4,)})
+    ends = np.arange(6.0).reshape(2, 3) / 7
+    linear = np.full(9, 0.1)
+    linear[[0, 1, 2, 8, 7, 6]], linear[4] = ends.ravel(), -0.3
+    sol = ready.run(x, SPANS[0], ends=ends, middle=[-0.3])
+    assert np.array_equal(linear_of(sol.system.hamiltonian, 9), linear)
+    assert np.array_equal(sol.x, co.integrate(with_linear(chain, linear), x, SPANS[0], STEP, ready.method).x)
+    assert sol.energy[-1] == pytest.approx(sol.system.energy(sol.x[-1]), rel=1e-13)
+    several = ready.run(x, SPANS[0], ends=np.stack([ends, 2 * ends]), middle=[-0.3])
+    assert np.array_equal(several.x[:, 0], sol.x)
+    assert np.array_equal(several.x[:, 1], ready.run(x, SPANS[0], ends=2 * ends, middle=[-0.3]).x)
+
+
+def test_a_step_takes_inputs_with_its_tangent_and_its_group_element():
+    x, before, linear = numbers("e(3)", 4)
+    s = system("e(3)", before)
+    for method in (co.Splitting(order=2), co.GaussLegendre(2)):
+        step = co.stepper(s, method, 0.125, inputs=(3, 4, 5))
+        for gravity in (linear[3:], np.zeros(3)):
+            after = step(x, linear=gravity)
+            moved, K = step.both(x, attitude="coadjoint", linear=gravity)
+            assert np.array_equal(moved, after)
+            assert np.array_equal(K, step.group(x, attitude="coadjoint", linear=gravity))
+            assert np.abs(K @ after - x).max() < 64 * U
+            near = [(step(x + d, linear=gravity) - step(x - d, linear=gravity)) / 2e-5 for d in 1e-5 * np.eye(6)]
+            assert np.abs(step.tangent(x, linear=gravity) - np.transpose(near)).max() < 1e-8
+        assert step.tangent_by(x, linear=linear[3:]) == "formula"
+    with pytest.raises(ValueError, match="at one state"):
+        step.tangent(x, linear=np.zeros((2, 3)))
+
+
+def test_both_is_one_step_from_any_element():
+    body, x = co.systems.rigid_body((1, 2, 3)), np.array([0.3, 1.0, -0.4])
+    step = co.stepper(body, co.Splitting(order=2), -0.125)
+    g0 = co.integrate(body, x, (0, 1), 0.125, attitude=True).attitude[-1]
+    after, g = step.both(x, g0)
+    assert np.array_equal(after, step(x)) and np.array_equal(g, step.group(x, attitude=g0))
+    many, elements = step.both(np.stack([x, 2 * x]), np.stack([g0, np.eye(3)]))
+    assert np.array_equal(many[0], after) and np.array_equal(elements[0], g)
+    assert np.array_equal(elements[1], step.group(2 * x))
+    assert np.array_equal(step.both(x)[1], step.group(x))
+    with pytest.raises(TypeError, match="give the element before as g"):
+        step.both(x, attitude=np.eye(3))
+    with pytest.raises(ValueError, match="attitude is False"):
+        step.both(x, attitude=False)
+
+
+def test_offsets_of_squares_are_exact():
+    rng = np.random.default_rng(7)
+    for name in ("so(3), full", "e(3)"):
+        algebra, M, _ = ALGEBRAS[name]
+        linear = rng.standard_normal(algebra.dim) * 10.0 ** rng.integers(-8, 8, algebra.dim)
+        parts = split(co.LiePoissonSystem(algebra, co.Quadratic(M, linear=linear)))
+        ((angles, rule),) = offsets_of_squares(parts)
+        assert angles == list(range(algebra.dim))
+        for angle, factors, below, value in zip(angles, rule.factors, rule.denominators, rule.at(linear), strict=True):
+            exact = sum(f * Fraction(linear[k]) for k, f in zip(rule.coordinates, factors, strict=True))
+            assert Fraction(exact, below) == Fraction(parts.offset[angle])
+            assert value == float(parts.offset[angle])
+
+
+def test_refusals():
+    body = co.systems.rigid_body((1, 2, 3))
+    x = (0.1, 1.0, 0.2)
+    ready = co.prepare(body, None, 0.1, inputs={"rotors": (0, 1, 2)})
+    cases = [
+        (ValueError, "no input of this run 'rotor'|rotors", {"rotor": np.zeros(3)}),
+        (
+            ValueError,
+            r"rotors has the shape \(2,\); as prepared it must be \(3,\), or \(members, 3\)",
+            {"rotors": (1, 2)},
+        ),
+        (ValueError, "rotors contains NaN", {"rotors": (1, 2, np.nan)}),
+        (TypeError, "rotors is 'fast'", {"rotors": "fast"}),
+    ]
+    for kind, said, given in cases:
+        with pytest.raises(kind, match=said):
+            ready.run(x, (0, 1), **given)
+    with pytest.raises(ValueError, match="x0 has 3 members and the inputs have values for 2"):
+        ready.run(np.tile(x, (3, 1)), (0, 1), rotors=np.zeros((2, 3)))
+    with pytest.raises(TypeError, match="prepared without inputs"):
+        co.prepare(body, None, 0.1).run(x, (0, 1), linear=np.zeros(3))
+    two = co.prepare(body, None, 0.1, inputs={"a": (0,), "b": (1, 2)})
+    with pytest.raises(ValueError, match=r"b has the shape \(3, 2\)"):
+        two.run(x, (0, 1), a=np.zeros((2, 1)), b=np.zeros((3, 2)))
+    given = [
+        (ValueError, "coordinate 1 more than once", {"a": (0, 1), "b": (1,)}),
+        (ValueError, "run from 0 to 2", (0, 3)),
+        (TypeError, "whole numbers from 0 to 2", (0.5,)),
+        (TypeError, "whole numbers from 0 to 2", ()),
+        (ValueError, "names none", {}),
+        (ValueError, "'attitude', which a run has for something else", {"attitude": (0,)}),
+        (TypeError, "a keyword may have", {"two words": (0,)}),
+    ]
+    for kind, said, inputs in given:
+        with pytest.raises(kind, match=said):
+            co.prepare(body, None, 0.1, inputs=inputs)
+    with pytest.raises(TypeError, match="inputs are for one system"):
+        co.prepare(co.batch([body, body]), None, 0.1, inputs=True)
+    whole = co.Hamiltonian(lambda x: x[0] ** 2, lambda x: np.array([2 * x[0], 0.0, 0.0]))
+    with pytest.raises(TypeError, match="Hamiltonian, which has no linear term"):
+        co.prepare(co.LiePoissonSystem(co.algebras.so(3), whole), co.GaussLegendre(2), 0.1, inputs=True)
+    split_up = co.SplitHamiltonian([((0,), co.Quadratic(2.0)), ((0,), co.Quadratic(1.0))])
+    with pytest.raises(ValueError, match="pieces 0 and 1 of the SplitHamiltonian are polynomials in coordinate 0"):
+        co.prepare(co.LiePoissonSystem(co.algebras.so(3), split_up), None, 0.1, inputs=True)
+
+
+def test_steps_that_are_calls_of_python_take_no_inputs():
+    class Called(co.methods.StepMethod):
+        order, explicit, symmetric, compiles = 1, True, False, False
+
+        def properties(self, system):
+            return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+        def step(self, system, x, t, h):
+            return x + h * system.vector_field(x, t)
+
+    with pytest.raises(ValueError, match=r"takes no inputs for rigid_body: .*tables\.whole"):
+        co.prepare(co.systems.rigid_body((1, 2, 3)), Called(), 0.1, inputs=True)

@@ -1,0 +1,339 @@
+"""Spins on graphs: every coupling by hand, precession, 40 digits, integrals, shapes, and what is refused."""
+
+import json
+from pathlib import Path
+
+import mpmath as mp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from two_steps import assert_bounded_by_order, assert_order
+
+import coadjoint as co
+from coadjoint.algebra.exact_polynomials import ExactPolynomials
+from coadjoint.systems.lattices import graph
+
+spin_lattice = co.systems.spin_lattice
+REFERENCES = Path(__file__).parents[1] / "verification" / "references" / "lie_poisson_systems.json"
+BY_NAME = {s["name"]: s for s in json.loads(REFERENCES.read_text())["systems"]}
+TOTALS = ["total S1", "total S2", "total S3"]
+
+
+def spins_of(seed, count):
+    return np.random.default_rng(seed).standard_normal(3 * count)
+
+
+def by_hand(x, edges, J, T, D, K, B):
+    """S_i' = S_i x B_i, the field of each spin summed edge by edge."""
+    S = x.reshape(-1, 3)
+    seen = B + np.einsum("iab,ib->ia", 2 * K, S)
+    for e, (i, j) in enumerate(edges):
+        seen[i] += J[e] * T[e] @ S[j] - np.cross(S[j], D[e])
+        seen[j] += J[e] * T[e].T @ S[i] - np.cross(D[e], S[i])
+    return np.cross(S, seen).ravel()
+
+
+def energy_by_hand(x, edges, J, T, D, K, B):
+    S = x.reshape(-1, 3)
+    bonds = sum(-J[e] * S[i] @ T[e] @ S[j] + D[e] @ np.cross(S[i], S[j]) for e, (i, j) in enumerate(edges))
+    return bonds - np.einsum("ia,iab,ib->", S, K, S) - np.sum(B * S)
+
+
+def disordered(seed):
+    rng = np.random.default_rng(seed)
+    count = 5
+    edges = np.array([(0, 1), (3, 1), (2, 4), (4, 0), (1, 2)])
+    J, T, D = rng.standard_normal(5), rng.standard_normal((5, 3, 3)), rng.standard_normal((5, 3))
+    K, B = rng.standard_normal((count, 3, 3)), rng.standard_normal((count, 3))
+    return edges, J, T, D, K + K.transpose(0, 2, 1), B
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_every_coupling_by_hand(seed):
+    edges, J, T, D, K, B = disordered(seed)
+    system, x = spin_lattice(edges, 5, exchange=J, tensor=T, dm=D, on_site=K, field=B), spins_of(seed, 5)
+    np.testing.assert_allclose(system.vector_field(x), by_hand(x, edges, J, T, D, K, B), rtol=0, atol=1e-13)
+    assert system.energy(x) == pytest.approx(energy_by_hand(x, edges, J, T, D, K, B), rel=1e-13)
+    assert system.integrals == {} and system.closed_form is None
+    again = co.systems.get("spin_lattice", **system.parameters)
+    np.testing.assert_array_equal(again.vector_field(x), system.vector_field(x))
+
+
+def test_one_for_all_is_each_the_same():
+    edges = graph("triangular", (3, 3), True)[1]
+    rng = np.random.default_rng(3)
+    T, D, K, B = rng.standard_normal((3, 3)), rng.standard_normal(3), np.array([0.0, 0.3, -1.0]), rng.standard_normal(3)
+    short = spin_lattice("triangular", (3, 3), True, 0.7, T, D, B, K)
+    long = spin_lattice(
+        edges, 9, False, np.full(27, 0.7), np.array([T] * 27), np.array([D] * 27), np.array([B] * 9), np.diag(K)
+    )
+    x = spins_of(1, 9)
+    np.testing.assert_array_equal(short.vector_field(x), long.vector_field(x))
+
+
+def test_one_spin_precesses_backwards_about_its_field():
+    system = spin_lattice(shape=1, field=(0.0, 0.0, 2.0))
+    assert system.sign == 1
+    # S' = S x B: S_1' = 2 S_2, S_2' = -2 S_1
+    t = 0.6
+    np.testing.assert_allclose(system.exact([1.0, 0.0, 0.5], t), [np.cos(2 * t), -np.sin(2 * t), 0.5], atol=1e-15)
+    run = co.integrate(system, (1.0, 0.0, 0.5), (0.0, t), 0.1, co.Splitting())
+    np.testing.assert_allclose(run.x[-1], [np.cos(2 * t), -np.sin(2 * t), 0.5], rtol=0, atol=1e-15)
+    assert list(system.integrals) == ["total S3", "|total S|^2"]
+
+
+@pytest.mark.parametrize(("name", "lattice", "count"), [("heisenberg_2", "chain", 2), ("heisenberg_ring_3", "ring", 3)])
+def test_reference_in_40_digits(name, lattice, count):
+    reference, system = BY_NAME[name], spin_lattice(lattice, count)
+    x0 = np.array([float(eval(v, {"__builtins__": {}})) for v in reference["x0"]])
+    for late in reference["states"]:
+        wanted = np.array([float(v) for v in late["x"]])
+        np.testing.assert_allclose(system.exact(x0, late["t"]), wanted, rtol=0, atol=1e-15 * (2 + 3 * late["t"]))
+        if late["t"] <= 5:
+            for method in (co.Splitting(order=2), co.Splitting(order=4), co.GaussLegendre(stages=2)):
+                assert_order(system, x0, float(late["t"]), 0.1, method, wanted)
+
+
+def rotation(axis, t):
+    """exp of the matrix of S -> t S x axis, in 40 digits."""
+    with mp.workdps(40):
+        a, b, c = (mp.mpf(float(v)) * mp.mpf(float(t)) for v in axis)
+        return mp.expm(mp.matrix([[0, c, -b], [-c, 0, a], [b, -a, 0]]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_complete_graph_in_a_field(seed):
+    """S_i' = S_i x (J S + B): in the frame that turns about B they turn about the constant J S."""
+    rng = np.random.default_rng(seed)
+    count, J, B, t = 2 + seed, rng.standard_normal(), rng.standard_normal(3), rng.uniform(-9, 9)
+    system, x0 = spin_lattice("complete", count, exchange=J, field=B), spins_of(seed, count)
+    both = rotation(B, t) * rotation(J * x0.reshape(-1, 3).sum(axis=0), t)
+    turn = np.array(both.tolist(), dtype=float)
+    wanted = (x0.reshape(-1, 3) @ turn.T).ravel()
+    np.testing.assert_allclose(system.exact(x0, t), wanted, rtol=0, atol=1e-13)
+    times = np.array([0.0, t])
+    np.testing.assert_array_equal(system.exact(x0, times), [x0, system.exact(x0, t)])
+    start = co.integrate(system, x0, (0, -1.0), 0.05, co.GaussLegendre(stages=4)).x[-1]
+    np.testing.assert_allclose(start, system.exact(x0, -1.0), rtol=0, atol=1e-8)
+
+
+def test_where_a_closed_form_is_known():
+    E = np.eye(3)
+    fields = np.arange(12.0).reshape(4, 3)
+    assert spin_lattice("complete", 4, tensor=2 * E, on_site=(0.5, 0.5, 0.5)).closed_form is not None
+    assert spin_lattice("square", (2, 2), exchange=0.0, field=fields).closed_form is not None
+    for other in (
+        spin_lattice("complete", 4, field=fields),
+        spin_lattice("complete", 4, tensor=(1, 1, 2)),
+        spin_lattice("complete", 4, exchange=np.arange(6.0)),
+        spin_lattice("complete", 4, on_site=(0, 0, 1)),
+        spin_lattice("complete", 4, dm=(0, 0, 1)),
+        spin_lattice("ring", 4),
+        spin_lattice(field=lambda t: (0.0, 0.0, np.cos(t))),
+    ):
+        assert other.closed_form is None
+    apart = spin_lattice("square", (2, 2), exchange=0.0, field=fields)
+    x0 = spins_of(0, 4)
+    turns = [np.array(rotation(B, 2.0).tolist(), dtype=float) for B in fields]
+    wanted = np.concatenate([turn @ S for turn, S in zip(turns, x0.reshape(4, 3), strict=True)])
+    np.testing.assert_allclose(apart.exact(x0, 2.0), wanted, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("given", "names"),
+    [
+        ({}, TOTALS),
+        ({"exchange": np.arange(1.0, 5.0)}, TOTALS),
+        ({"on_site": (2, 2, 2)}, TOTALS),
+        ({"exchange": 0.0, "tensor": (1, 2, 3)}, TOTALS),
+        ({"tensor": (1, 1, 0.5)}, ["total S3"]),
+        ({"tensor": (1, 0.5, 1), "dm": (0, 1, 0), "field": (0, 2, 0), "on_site": (0, 3, 0)}, ["total S2"]),
+        ({"tensor": (1, 2, 3)}, []),
+        ({"tensor": (1, 1, 0.5), "dm": (0, 1, 0)}, []),
+        ({"field": (0, 3, 4)}, ["total S along (0, 0.75, 1)", "|total S|^2"]),
+        ({"field": np.array([(0, 0, 1), (0, 0, 2), (0, 0, 0), (0, 0, -1)])}, ["total S3"]),
+        ({"field": np.eye(4)[:, :3]}, []),
+        (
+            {"dm": np.array([(0.5, 1, 1.5), (1, 2, 3), (0, 0, 0), (-3, -6, -9)])},
+            ["total S along (0.333333, 0.666667, 1)"],
+        ),
+        ({"field": lambda t: (0.0, np.sin(t), 1.0)}, ["|total S|^2"]),
+        ({"field": lambda t: np.outer(np.arange(4.0), np.array([0.0, 0.0, np.cos(t)]))}, []),
+    ],
+)
+def test_integrals_are_found(given, names):
+    system = spin_lattice("ring", 4, **given)
+    assert list(system.integrals) == names
+    x = spins_of(5, 4)
+    for t in (0.0, 0.7):
+        field = system.vector_field(x, t)
+        for F in system.integrals.values():
+            assert abs(F.gradient(x) @ field) < 1e-13
+
+
+def test_integrals_by_polynomial_identity():
+    system = spin_lattice("ring", 4, tensor=(1, 1, 0.5), dm=(0, 0, 0.25), field=(0, 0, 2), on_site=(0, 0, 1))
+    ring = ExactPolynomials(system.algebra)
+    H, total = ring.of(system.hamiltonian.to_polynomial()), ring.of(system.integrals["total S3"].to_polynomial())
+    assert ring.bracket(total, H) == ring.zero
+    for casimir in system.casimirs.values():
+        assert all(ring.bracket(ring.of(casimir), x) == ring.zero for x in ring.coordinates)
+    first = ring.coordinates[0] + ring.coordinates[3] + ring.coordinates[6] + ring.coordinates[9]
+    assert ring.bracket(first, H) != ring.zero
+
+
+def test_integrals_are_bounded_by_the_order():
+    system = spin_lattice("ring", 4, tensor=(1, 1, 0.5), dm=(0, 0, 0.25))
+    x0 = spins_of(2, 4)
+    assert_bounded_by_order(system.integrals["total S3"].value, system, x0, 10.0, 0.1, co.Splitting())
+    run = co.integrate(system, x0, (0, 10), 0.1, co.Splitting())
+    assert max(run.drift()[name] for name in system.casimirs) < 1e-13
+
+
+@pytest.mark.parametrize(
+    ("lattice", "shape", "periodic"),
+    [("kagome", (3, 2), (True, False)), ("square", (4, 4), True), ("cubic", (3, 3, 2), False), ("complete", 7, False)],
+)
+def test_three_parts_on_every_graph(lattice, shape, periodic):
+    system = spin_lattice(lattice, shape, periodic, tensor=(1, 0.5, 0.25), field=(0.1, 0.2, 0.3), on_site=(0, 0, 0.5))
+    assert len(co.Splitting(parts="auto").program(system).to_mapping()) > 0
+    assert "H in 3 parts" in str(co.Splitting().describe(system))
+
+
+@pytest.mark.parametrize("uniform", [True, False])
+def test_field_in_time(uniform):
+    """The field of each spin by hand, the gradient by differences, and the order against a code of SciPy."""
+    if uniform:
+
+        def field(t):  # a tuple of numbers of different kinds
+            return 0.5 * np.cos(2 * t), np.sin(2 * t), 0
+    else:
+
+        def field(t):
+            return np.array(
+                [[0.5 * np.cos(2 * t), np.sin(2 * t), 0.0], [0.2 * np.cos(2 * t), -0.4 * np.sin(2 * t), 1.0]]
+            )
+
+    system, x0 = spin_lattice(tensor=(1, 0.5, 0.25), field=field), spins_of(4, 2)
+    E = np.zeros((1, 3, 3)) + np.diag([1, 0.5, 0.25])
+    B = np.array(field(0.3), dtype=float) * np.ones((2, 1))
+    wanted = by_hand(x0, [(0, 1)], [1.0], E, np.zeros((1, 3)), np.zeros((2, 3, 3)), B)
+    np.testing.assert_allclose(system.vector_field(x0, 0.3), wanted, rtol=0, atol=1e-14)
+    h = 2.0**-17
+    slope = np.array([system.energy(x0 + h * d, 0.3) - system.energy(x0 - h * d, 0.3) for d in np.eye(6)]) / (2 * h)
+    np.testing.assert_allclose(system.hamiltonian.gradient(x0, 0.3), slope, rtol=0, atol=1e-8)
+
+    def rates(t, x):
+        B = np.array(field(t), dtype=float) * np.ones((2, 1))
+        return by_hand(x, [(0, 1)], [1.0], E, np.zeros((1, 3)), np.zeros((2, 3, 3)), B)
+
+    exact = solve_ivp(rates, (0, 2), x0, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    assert_order(system, x0, 2.0, 0.05, co.Splitting(), exact)
+    assert system.parameters is None
+    assert "H in 3 parts" in str(co.Splitting().describe(system))
+
+
+def test_resonance():
+    """Rabi's formula: a field that turns with the spin tips it over after half of 2 pi / b, exactly."""
+    b = 0.25
+    system = spin_lattice(shape=1, field=lambda t: (0.25 * np.cos(3.0 * t), -0.25 * np.sin(3.0 * t), 3.0))
+    run = co.integrate(system, (0.0, 0.0, 1.0), (0.0, np.pi / b), np.pi / b / 4000, co.Splitting(order=4))
+    # S' = S x B turns by -w about the third axis, as the field does: in its frame only b is left
+    np.testing.assert_allclose(run.x[:, 2], np.cos(b * run.t), rtol=0, atol=1e-8)
+
+
+SHAPES = [  # lattice, shape, periodic, sites, edges, neighbours of every site
+    ("chain", 5, False, 5, 4, None),
+    ("chain", 5, True, 5, 5, 2),
+    ("ring", 5, False, 5, 5, 2),
+    ("square", (3, 4), False, 12, 17, None),
+    ("square", (3, 4), True, 12, 24, 4),
+    ("square", (3, 4), (True, False), 12, 21, None),
+    ("triangular", (4, 5), True, 20, 60, 6),
+    ("honeycomb", (3, 4), True, 24, 36, 3),
+    ("kagome", (3, 4), True, 36, 72, 4),
+    ("cubic", (3, 4, 5), True, 60, 180, 6),
+    ("complete", 6, False, 6, 15, 5),
+]
+PLACES = {  # axes of the cells and places of their sites; bonds have the length of the shortest distance
+    "square": (np.eye(2), [(0, 0)]),
+    "triangular": (np.array([[1, 0], [0.5, np.sqrt(0.75)]]), [(0, 0)]),
+    "honeycomb": (np.array([[1.5, np.sqrt(0.75)], [1.5, -np.sqrt(0.75)]]), [(0, 0), (1, 0)]),
+    "kagome": (np.array([[2, 0], [1, np.sqrt(3)]]), [(0, 0), (1, 0), (0.5, np.sqrt(0.75))]),
+    "cubic": (np.eye(3), [(0, 0, 0)]),
+}
+
+
+@pytest.mark.parametrize("case", SHAPES, ids=str)
+def test_shapes(case):
+    lattice, shape, periodic, sites, edges, neighbours = case
+    count, found = graph(lattice, shape, periodic)
+    assert (count, found.shape) == (sites, (edges, 2))
+    if neighbours:
+        assert set(np.bincount(found.ravel(), minlength=count).tolist()) == {neighbours}
+
+
+@pytest.mark.parametrize("lattice", PLACES)
+def test_edges_are_the_nearest_neighbours(lattice):
+    axes, sites = PLACES[lattice]
+    shape = (4, 3, 3)[: len(axes)]
+    cells = np.indices(shape).reshape(len(axes), -1).T @ axes
+    places = (cells[:, None] + np.array(sites, dtype=float)).reshape(-1, len(axes))
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    near = {(i, j) for i, j in np.argwhere(np.abs(apart - 1) < 1e-9).tolist() if i < j}
+    assert {tuple(sorted(edge)) for edge in graph(lattice, shape, False)[1].tolist()} == near
+
+
+def test_many_spins():
+    system = spin_lattice("square", (100, 120), periodic=True, tensor=(1, 1, 0.5), field=(0, 0, 1))
+    assert system.dim == 36000 and list(system.casimirs) == ["sum of |x|^2"] and list(system.integrals) == ["total S3"]
+    x0 = spins_of(0, 12000)
+    S, B = x0.reshape(100, 120, 3), np.zeros((100, 120, 3))
+    for axis in (0, 1):
+        B += np.roll(S, 1, axis) + np.roll(S, -1, axis)
+    B = B * [1, 1, 0.5] + [0, 0, 1]
+    np.testing.assert_allclose(system.vector_field(x0), np.cross(S, B).ravel(), rtol=0, atol=1e-13)
+    run = co.integrate(system, x0, (0, 0.5), 0.1, co.Splitting(), observe=system.integrals)
+    # rotations keep each length to rounding, and the sum of 36000 squares is added in that order
+    assert run.drift()["sum of |x|^2"] < 36000 * 36000 * 2.0**-53
+    assert (
+        spin_lattice("ring", 683).casimirs.keys() == {"sum of |x|^2"} and len(spin_lattice("ring", 682).casimirs) == 682
+    )
+
+
+def test_many_parameters_are_not_kept():
+    ring = spin_lattice("ring", 30000, exchange=np.ones(30000), field=np.ones((30000, 3)))
+    assert ring.parameters is None
+    assert spin_lattice("ring", 30000).parameters["shape"] == 30000
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"lattice": "squares"}, "did you mean 'square'"),
+        ({"lattice": [(0, 1), (1, 0)]}, "joins the sites 0 and 1 twice; give every pair once"),
+        ({"lattice": [(1, 1)]}, "joins site 1 to itself"),
+        ({"lattice": [(0, 2)]}, "edge 0 has the site 2; there are the sites 0 to 1"),
+        ({"lattice": [(0, -1)]}, "edge 0 has the site -1"),
+        ({"lattice": [(0, 1, 2)]}, "give pairs of sites"),
+        ({"lattice": [(0.0, 1.0)]}, "give pairs of sites"),
+        ({"lattice": "ring"}, "periodic ring lattice of shape 2 joins the sites 0 and 1 twice; take 3 or more"),
+        ({"lattice": "chain", "shape": 1, "periodic": True}, "joins site 0 to itself; take 3 or more"),
+        ({"lattice": "square"}, "shape"),
+        ({"lattice": "square", "shape": (2, 3, 4)}, "give 2 whole numbers for a lattice that is square"),
+        ({"lattice": "square", "shape": (2, 3), "periodic": (True,)}, "give one truth value, or 2"),
+        ({"shape": 0}, r"shape\[0\] must be a whole number from 1 up"),
+        ({"exchange": (1.0, 2.0)}, r"exchange has shape \(2,\); give one number or \(1,\)"),
+        ({"tensor": (1.0, 2.0)}, r"tensor has shape \(2,\); give \(3,\) or \(3, 3\) or \(1, 3, 3\)"),
+        ({"dm": 1.0}, "dm has shape"),
+        ({"field": (1.0, np.nan, 0.0)}, r"field\[1\] is nan"),
+        ({"field": lambda t: (1.0, 2.0)}, r"field\(t\) has shape \(2,\); it must return \(3,\) or \(2, 3\)"),
+        ({"field": lambda x, t: (1.0, 2.0, 3.0)}, "give a function of the time t alone"),
+        ({"field": lambda t: [1.0 / t] * 3}, r"field\(0.0\) fails \(ZeroDivisionError"),
+        ({"on_site": [[0, 1, 0], [0, 0, 0], [0, 0, 0]]}, "on_site is not symmetric at"),
+        ({"exchange": 1e300}, "exchange has numbers beyond 1e\\+100"),
+    ],
+)  # fmt: skip
+def test_wrong_values(given, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        spin_lattice(**given)
