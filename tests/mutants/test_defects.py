@@ -7,7 +7,19 @@ import pytest
 
 from mutants.defects import ROOT, Defect, defects, missing_test
 
-ROOMS = {"algebra", "systems", "program", "methods", "kernels", "runs", "choosing", "files", "analysis", "command"}
+ROOMS = {
+    "algebra",
+    "systems",
+    "program",
+    "methods",
+    "kernels",
+    "runs",
+    "choosing",
+    "files",
+    "analysis",
+    "pictures",
+    "command",
+}
 
 
 def test_the_list_covers_every_room():

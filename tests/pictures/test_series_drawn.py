@@ -1,5 +1,7 @@
 """A series is drawn as what is known of it: a line, dots, or an envelope."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -85,3 +87,23 @@ def test_flips_backward_and_forward():
     # x2 at a flip is as small as the cubic is wrong: h^4 x2'''' / 384, with rates below 1
     for times in (there, back):
         assert np.abs([BODY.exact(x0, t)[1] for t in times]).max() < 0.05**4
+
+
+@pytest.mark.parametrize(("stretch", "joined"), [(0.2, True), (1.5, False)])
+@pytest.mark.parametrize("members", [None, 3])
+def test_states_that_are_complex_matrices(stretch, joined, members):
+    """W' = [P, W] turns what is off the diagonal: real and imaginary parts are coordinates."""
+    P = np.diag([1j, -1j])
+    t = stretch * np.arange(40)
+    W = np.array([[1j, 1.0], [-1.0, -1j]])
+    turned = np.stack([np.diag(np.exp(time * np.diag(P))) @ W @ np.diag(np.exp(-time * np.diag(P))) for time in t])
+    x = turned if members is None else np.repeat(turned[:, None], members, axis=1)
+    system = SimpleNamespace(
+        name="quantized", dim=8, shape=(2, 2), algebra=None, vector_field=lambda W, t: P @ W - W @ P
+    )
+    run = SimpleNamespace(t=t, x=x, system=system, failed=None if members is None else np.zeros(members, dtype=bool))
+    drawn = Drawn(run)
+    assert drawn.x.shape == (members or 1, 40, 8) and drawn.names == tuple(f"x{i + 1}" for i in range(8))
+    np.testing.assert_array_equal(drawn.x[0, :, 2], turned[:, 0, 1].real)
+    np.testing.assert_array_equal(drawn.x[0, :, 3], turned[:, 0, 1].imag)
+    assert drawn.close is joined

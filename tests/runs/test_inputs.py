@@ -80,6 +80,10 @@ def test_a_call_has_the_bits_of_a_system_made_anew(scheme, name):
         assert_same(ready.run(x, span, 3, linear=linear), anew)
     own = co.integrate(system(name, before), x, SPANS[0], STEP, ready.method, attitude=attitude)
     assert_same(ready.run(x, SPANS[0]), own)
+    if "coordinates" not in scheme:
+        linear[::2] = 0.0
+        sol = ready.run(x, SPANS[0], linear=linear)
+        assert_same(sol, co.integrate(sol.system, x, SPANS[0], STEP, sol.method, attitude=attitude))
 
 
 @pytest.mark.parametrize(
@@ -232,6 +236,24 @@ def test_both_is_one_step_from_any_element():
         step.both(x, attitude=False)
 
 
+def test_the_scheme_of_a_run_is_all_that_it_needs_to_be_repeated():
+    """Its parts are written out; so the modified energy is that of the run, and a description makes it again."""
+    x, before, linear = numbers("e(3)")
+    linear[:4] = 0.0
+    ready = co.prepare(system("e(3)", before), co.Splitting(order=2), STEP, inputs=True)
+    sol = ready.run(x, (0, 4), linear=linear)
+    wander, kept = (np.ptp(values) for values in (sol.energy, sol.modified_energy(order=4)))
+    assert kept < STEP * wander
+    parts = sol.method.parts
+    again = co.Splitting(parts=parts.to_mapping())
+    assert again == sol.method and parts.linear == tuple(range(6)) and "linear=(0, 1" in repr(parts)
+    assert np.array_equal(co.integrate(sol.system, x, (0, 4), STEP, again).x, sol.x)
+    tuned = co.Splitting.tuned(system("e(3)", before), x)
+    assert co.prepare(system("e(3)", before), tuned, STEP, inputs=True).method.parts.order == tuned.parts.order
+    with pytest.raises(ValueError, match="parts count on coordinate 5"):
+        co.integrate(system("so(3)", None), x[:3], SPANS[0], STEP, again)
+
+
 def test_offsets_of_squares_are_exact():
     rng = np.random.default_rng(7)
     for name in ("so(3), full", "e(3)"):
@@ -290,6 +312,16 @@ def test_refusals():
     split_up = co.SplitHamiltonian([((0,), co.Quadratic(2.0)), ((0,), co.Quadratic(1.0))])
     with pytest.raises(ValueError, match="pieces 0 and 1 of the SplitHamiltonian are polynomials in coordinate 0"):
         co.prepare(co.LiePoissonSystem(co.algebras.so(3), split_up), None, 0.1, inputs=True)
+
+
+def test_squares_of_many_coordinates_take_no_inputs():
+    large = co.LiePoissonSystem(co.algebras.so(7), co.Quadratic(full_matrix(1, 21)), sign=-1)
+    with pytest.raises(ValueError, match=r"squares of more than 16 coupled coordinates.*GaussLegendre"):
+        co.prepare(large, co.Splitting(order=2, parts="coordinates"), 0.1, inputs=True)
+    x, linear = np.linspace(-0.5, 0.5, 21), np.linspace(0.3, -0.3, 21)
+    sol = co.prepare(large, co.GaussLegendre(1), STEP, inputs=True).run(x, (0, STEP), linear=linear)
+    anew = co.LiePoissonSystem(large.algebra, co.Quadratic(full_matrix(1, 21), linear=linear), sign=-1)
+    assert np.array_equal(sol.x, co.integrate(anew, x, (0, STEP), STEP, co.GaussLegendre(1)).x)
 
 
 def test_steps_that_are_calls_of_python_take_no_inputs():

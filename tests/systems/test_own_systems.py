@@ -89,6 +89,10 @@ def test_matrices_without_structure_constants():
         assert np.max(np.abs(before - after)) < 1e-12
     assert sol.drift()["|X|^2"] < 1e-11 and 1e-8 < sol.drift()["energy"] < 1e-1
     assert abs(sol.energy[0, 0] - system.energy(X[0])) < 1e-12
+    drift, components = sol.plot().axes
+    assert len(drift.lines) == 2 * 2 and "8 of 49" in components.get_title()
+    assert components.lines[0].get_label() == "$x_{00}$"
+    assert np.array_equal(components.lines[2].get_ydata(), sol.x[:, 0, 1, 0])
 
 
 def test_the_compiled_loops_refuse_it_by_name():

@@ -31,6 +31,12 @@ WRITTEN = ("constants", "numbers")
 WHOLE, OFFSETS = "tables.whole", "terms.offset"
 
 
+SQUARES = (
+    "its parts are completed squares of more than 16 coupled coordinates, whose linear terms are no exact sums; "
+    "GaussLegendre and Taylor take inputs there"
+)
+
+
 class NotPlaced(ValueError):
     """The tables depend on the inputs in a way that cannot be written into them; the message says which."""
 
@@ -192,7 +198,8 @@ class InputTables:
                 for place in [place for place in places.tolist() if place not in summed]:
                     pair = field.value[place].item(), theirs[place].item()
                     if pair not in known:
-                        raise NotPlaced(f"its table has {field.name} that are neither inputs nor exact sums of inputs")
+                        where = f"its table has {field.name} that are neither inputs nor exact sums of inputs"
+                        raise NotPlaced(SQUARES if table.parts is not None and field.name == OFFSETS else where)
                     copies.append((number, field.name, place, known[pair]))
         self._shared = _Block(tables, chosen)
         self._in_shared = _written(self._shared, copies, sums)

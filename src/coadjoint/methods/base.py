@@ -331,15 +331,17 @@ class Method(ABC):
         Work
         """
 
-    def settled(self, system: System) -> Method:
+    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
         """Return the same scheme with what it chooses by itself for a system written out: parts, for instance.
 
-        Systems that differ in constants alone then have tables of one structure.
+        Systems that differ in some coefficients of the linear term of H alone then have tables of one structure.
 
         Parameters
         ----------
         system : LiePoissonSystem or PoissonSystem
             The system.
+        coordinates : sequence of int
+            Of the coefficients.
 
         Returns
         -------

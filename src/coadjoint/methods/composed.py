@@ -76,14 +76,14 @@ class Composed(Method):
         """Return what the base restores."""
         return self.base.restored(system)
 
-    def settled(self, system: System) -> Method:
+    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
         """Return the composition of the settled base."""
-        return with_settled_base(self, system)
+        return with_settled_base(self, system, coordinates)
 
 
-def with_settled_base(method: Any, system: System) -> Any:
+def with_settled_base(method: Any, system: System, coordinates: Sequence[int]) -> Any:
     """Return a scheme, a dataclass, around its base with what the base chooses for a system written out."""
-    base = method.base.settled(system)
+    base = method.base.settled(system, coordinates)
     return method if base is method.base else replace(method, base=base)
 
 
@@ -107,9 +107,9 @@ class FlowsOfBase(FlowMethod):
         """As the base."""
         return self.base.rotation
 
-    def settled(self, system: System) -> Method:
+    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
         """Return the flows of the settled base."""
-        return with_settled_base(self, system)
+        return with_settled_base(self, system, coordinates)
 
 
 @dataclass(frozen=True)

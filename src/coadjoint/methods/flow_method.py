@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Method, Representation
 from coadjoint.methods.formal_numbers import is_short
+from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.program.numbers import Number
 from coadjoint.program.split import NotSplit
 from coadjoint.program.sweeps import Sweep
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.linear_term import with_all_present
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -95,11 +97,12 @@ class FlowMethod(Method):
         """Return the scheme itself."""
         return self
 
-    def settled(self, system: System) -> Method:
+    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
         """Return the scheme with the automatic parts of this system, which it must have as a field."""
         from coadjoint.program.decompose import decompose
 
-        if not isinstance(self.parts, str) or self.parts != "auto" or not isinstance(system, LiePoissonSystem):
+        automatic = isinstance(self.parts, ChosenParts) or (isinstance(self.parts, str) and self.parts == "auto")
+        if not automatic or not isinstance(system, LiePoissonSystem):
             return self
         if not is_dataclass(self) or all(field.name != "parts" for field in fields(self)):
             raise TypeError(
@@ -107,9 +110,10 @@ class FlowMethod(Method):
             )
         self.properties(system)
         try:
-            return replace(self, parts=decompose(system, "auto").choice)
+            choice = decompose(with_all_present(system, coordinates), self.parts).choice
         except NotSplit:
             return self  # the loop refuses by name what does not split
+        return replace(self, parts=replace(choice, linear=tuple(coordinates)))
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop over the rows of the table."""

@@ -154,9 +154,9 @@ class Projected(Method):
         """Return how the base finds it."""
         return self.base.tangent_by(system, x, t, h)
 
-    def settled(self, system: System) -> Method:
+    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
         """Return the projection of the settled base."""
-        return with_settled_base(self, system)
+        return with_settled_base(self, system, coordinates)
 
     def work(self, system: System, group: Representation = None) -> Work:
         """Return the work of the base, and of a projection."""

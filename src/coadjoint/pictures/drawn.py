@@ -42,6 +42,8 @@ class Drawn:
         As given.
     system : LiePoissonSystem or PoissonSystem
         That of the first member.
+    family : LiePoissonSystem or PoissonSystem
+        The same, without the forces that it may have.
     telling : Telling or None
         What is known of the system by its name.
     of_members : int
@@ -50,16 +52,24 @@ class Drawn:
         All saved times.
     x : ndarray, shape (members, k, n)
         States of the members that are drawn.
+    n : int
+        How many numbers a state has.
     """
 
     def __init__(self, solution: Solution) -> None:
         self.solution = solution
         first = solution.system[0] if isinstance(solution.system, Batch) else solution.system
         self.system: Any = first
-        self.telling: Telling | None = telling_of(getattr(first, "system", first).name)
+        # A system with forces wraps the one that has a name and parameters.
+        self.family: Any = getattr(first, "system", first)
+        self.telling: Telling | None = telling_of(self.family.name)
         self.single = solution.failed is None
-        n = int(np.prod(shape_of(first)))
-        states = solution.x.reshape(len(solution.t), -1, n)
+        # A matrix of complex numbers is drawn as its real and imaginary parts, in turns.
+        states = np.ascontiguousarray(solution.x)
+        self._type = states.dtype
+        states = states.view(np.float64) if np.iscomplexobj(states) else states
+        self.n = int(np.prod(shape_of(first))) * (self._type.itemsize // states.dtype.itemsize)
+        states = states.reshape(len(solution.t), -1, self.n)
         self.of_members = states.shape[1]
         self._chosen = spread(self.of_members, MOST_MEMBERS)
         self.t = solution.t
@@ -109,6 +119,18 @@ class Drawn:
         """Whether the Hamiltonian depends on time, so that the energy is no invariant."""
         return bool(getattr(self.system.hamiltonian, "timed", False))
 
+    @cached_property
+    def left(self) -> Mapping[str, Floats] | None:
+        """The change of each invariant less the work of the forces on it, which is an error; None without forces."""
+        work = getattr(self.solution, "work", None)
+        if not work:
+            return None
+        found = {}
+        for name, values in self.invariants.items():
+            done = [self.of_each(by[name]) for by in work.values() if name in by]
+            found[name] = values - values[:, :1] - sum(done)
+        return found
+
     @property
     def quantity(self) -> str:
         """What the coordinates are."""
@@ -117,7 +139,7 @@ class Drawn:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the coordinates as plain text: those of the system, those of the basis, or x1, x2, ..."""
-        n = self.x.shape[-1]
+        n = self.n
         told = () if self.telling is None else self.telling.names(n)
         if told:
             return told
@@ -151,7 +173,7 @@ class Drawn:
         try:
             if isinstance(chosen, str):
                 return self.names.index(read_choice(chosen, "coordinate", self.names))
-            return read_whole(chosen, "a coordinate", 0, self.x.shape[-1] - 1)
+            return read_whole(chosen, "a coordinate", 0, self.n - 1)
         except ValueError as reason:
             raise CannotShow(str(reason)) from None
 
@@ -189,14 +211,17 @@ class Drawn:
         return bool(np.quantile(leaves, 0.9) <= FLAT * size)
 
     def _bend(self, x: Floats, t: Floats, p: int) -> float:
-        shape, dt = shape_of(self.system), float(t[p + 1] - t[p])
-        before, after = (
-            np.asarray(self.system.vector_field(x[q].reshape(shape), float(t[q]))).ravel() for q in (p, p + 1)
-        )
+        dt = float(t[p + 1] - t[p])
+        before, after = (self._slope(x[q], float(t[q])) for q in (p, p + 1))
         bend = float(np.linalg.norm(after - before)) * abs(dt) / 8.0
         missed = float(np.linalg.norm(0.5 * dt * (before + after) - (x[p + 1] - x[p])))
         found = max(bend, missed)
         return found if np.isfinite(found) else 0.0
+
+    def _slope(self, x: Floats, t: float) -> Floats:
+        state = np.ascontiguousarray(x).view(self._type).reshape(shape_of(self.system))
+        found = np.ascontiguousarray(self.system.vector_field(state, t), dtype=self._type)
+        return found.view(np.float64).ravel()
 
 
 def spread(count: int, most: int) -> npt.NDArray[np.int64]:

@@ -14,7 +14,7 @@ Floats = npt.NDArray[np.float64]
 HALVINGS = 52
 
 
-def flips(system: Any, t: Floats, x: Floats, i: int) -> Floats:
+def flips(system: Any, t: Floats, x: Floats, i: int, most: int | None = None) -> Floats:
     """Return the times at which a coordinate of a motion goes through zero.
 
     Between two points the motion is taken to be the cubic through both with its known slopes, so that the error is of
@@ -30,6 +30,8 @@ def flips(system: Any, t: Floats, x: Floats, i: int) -> Floats:
         States.
     i : int
         The coordinate.
+    most : int, optional
+        How many times are wanted, from the start on.
 
     Returns
     -------
@@ -48,7 +50,7 @@ def flips(system: Any, t: Floats, x: Floats, i: int) -> Floats:
     places = np.flatnonzero((values[:-1] != 0.0) & (np.sign(values[:-1]) * np.sign(values[1:]) <= 0.0))
     shape = shape_of(system)
     found = []
-    for p in places:
+    for p in places[:most]:
         dt = float(t[p + 1] - t[p])
         before, after = (
             dt * float(np.asarray(system.vector_field(x[q].reshape(shape), float(t[q]))).ravel()[i]) for q in (p, p + 1)

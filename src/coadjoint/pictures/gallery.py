@@ -67,7 +67,9 @@ def piece(name: str) -> Piece:
     solution = telling_run(name)
     telling = telling_of(name)
     assert telling is not None
-    summary = (ready_made_systems()[name].__doc__ or "").partition("\n")[0].removeprefix("Return ").replace("``", "")
+    first = (ready_made_systems()[name].__doc__ or "").partition("\n\n")[0]
+    words = " ".join(first.split()).removeprefix("Return ").replace("``", "")
+    summary = words[:1].upper() + words[1:]
     return Piece(name, solution.plot(), summary, telling.says, _told(solution))
 
 
@@ -134,5 +136,6 @@ def _section(p: Piece) -> str:
     return (
         f'<h2 id="{name}">{name}</h2>\n<p>{html.escape(p.summary)}</p>\n'
         f'<figure><img src="{html.escape(file_of(p.name))}" alt="{says}">'
-        f"<figcaption>{says}</figcaption></figure>\n<p><code>{html.escape(p.run)}</code></p>\n"
+        f'<figcaption aria-hidden="true">{says}</figcaption></figure>\n'
+        f"<p><code>{html.escape(p.run)}</code></p>\n"
     )

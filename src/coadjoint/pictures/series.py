@@ -11,6 +11,7 @@ Floats = npt.NDArray[np.float64]
 
 COLUMNS = 600
 """Stretches of time that a printed line can tell apart."""
+LARGEST = 1e280  # beyond it a scale with its margins leaves float64
 TOO_MANY = COLUMNS // 2
 """Turning points of a series that is drawn as an envelope: fewer than two columns for each half of an oscillation."""
 
@@ -23,7 +24,7 @@ def draw_series(axes: Any, t: Floats, values: Floats, joined: bool, label: str |
     axes : matplotlib.axes.Axes
         Where.
     t, values : ndarray, shape (k,)
-        Times and values; where a value is not finite nothing is drawn.
+        Times and values; where a value is not finite, or beyond 1e280, nothing is drawn.
     joined : bool
         Whether lines between the points show what lies between them. Otherwise there are dots alone.
     label : str, optional
@@ -31,6 +32,7 @@ def draw_series(axes: Any, t: Floats, values: Floats, joined: bool, label: str |
     **style
         ``color``, ``linewidth`` and ``alpha``.
     """
+    values = np.where(np.abs(values) < LARGEST, values, np.nan)
     turns = turning_points(values)
     if turns > TOO_MANY or (len(t) > 8 * COLUMNS and not joined):
         middle, low, high = envelope(t, values, COLUMNS)
@@ -45,6 +47,30 @@ def draw_series(axes: Any, t: Floats, values: Floats, joined: bool, label: str |
         return
     style.pop("linewidth", None)
     axes.plot(t, values, label=label, linestyle="none", marker="o", markersize=2.0, markeredgewidth=0.0, **style)
+
+
+def draw_members(axes: Any, t: Floats, members: Floats, joined: bool, colour: str, label: str | None) -> None:
+    """Draw a series of each member, thin and light where there are several.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Where.
+    t : ndarray, shape (k,)
+        Times.
+    members : ndarray, shape (members, k)
+        Values.
+    joined : bool
+        As for `draw_series`.
+    colour : str
+        Of all.
+    label : str or None
+        For the key.
+    """
+    width, strength = (0.5, 0.5) if len(members) > 1 else (0.9, 1.0)
+    for m, values in enumerate(members):
+        shown = label if m == 0 else None
+        draw_series(axes, t, values, joined, label=shown, color=colour, linewidth=width, alpha=strength)
 
 
 def _mostly_alone(values: Floats) -> bool:

@@ -20,6 +20,9 @@ class ChosenParts:
         Numbers of the parts as they come for the shifted Hamiltonian, first applied first.
     shift : tuple of (str, float)
         Name of a quadratic Casimir C and factor c: the parts add up to H - sum c C, which moves the momentum as H does.
+    linear : tuple of int
+        Coordinates whose coefficients in the linear term of H count as present where they are zero: so systems that
+        differ in these coefficients alone have the same parts.
 
     Raises
     ------
@@ -34,6 +37,11 @@ class ChosenParts:
 
     order: tuple[int, ...]
     shift: tuple[tuple[str, float], ...] = ()
+    linear: tuple[int, ...] = ()
+
+    def __repr__(self) -> str:
+        more = f", linear={self.linear}" if self.linear else ""
+        return f"ChosenParts(order={self.order}, shift={self.shift}{more})"
 
     def __post_init__(self) -> None:
         order = [
@@ -48,18 +56,23 @@ class ChosenParts:
             raise TypeError(f"the shift is {short(self.shift)}; {rule}")
         shift = tuple((name, read_number(factor, f"the factor of {short(name)}")) for name, factor in pairs)
         object.__setattr__(self, "shift", shift)
+        linear = read_list(self.linear, "the linear coefficients that are present", "give coordinates")
+        object.__setattr__(self, "linear", tuple(read_whole(k, "a coordinate", 0) for k in linear))
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any]) -> ChosenParts:
-        """Return the choice from its written form, ``{"order": [...], "shift": {...}}``."""
-        unknown = set(given) - {"order", "shift"}
+        """Return the choice from its written form, ``{"order": [...], "shift": {...}, "linear": [...]}``."""
+        unknown = set(given) - {"order", "shift", "linear"}
         if unknown or "order" not in given:
-            raise ValueError(f"parts has the keys {short(list(given))}; it must have 'order' and may have 'shift'")
+            raise ValueError(
+                f"parts has the keys {short(list(given))}; it must have 'order' and may have 'shift' and 'linear'"
+            )
         shift = given.get("shift", {})
         if not isinstance(shift, Mapping):
             raise TypeError(f"the shift is {short(shift)}; give a mapping from the name of a Casimir to a factor")
-        return cls(given["order"], tuple(shift.items()))
+        return cls(given["order"], tuple(shift.items()), given.get("linear", ()))
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the written form."""
-        return {"order": list(self.order), "shift": dict(self.shift)}
+        present = {"linear": list(self.linear)} if self.linear else {}
+        return {"order": list(self.order), "shift": dict(self.shift), **present}

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.program.chosen_parts import ChosenParts
+from coadjoint.program.offsets_of_squares import with_offsets_of
 from coadjoint.program.order_of_parts import CLEARLY, best_orders
 from coadjoint.program.parts import Parts
 from coadjoint.program.shift import QuadraticCasimir, Shift, candidate_shifts, quadratic_casimirs, shifted_terms
 from coadjoint.program.shift_counts import numbers_of_parts
 from coadjoint.program.split import split
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.linear_term import linear_of, with_all_present
 
 SEED = 1993
 SAMPLES = 16
@@ -178,8 +180,14 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
 
 
 def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:
-    casimirs = quadratic_casimirs(system)
-    parts = split(system, "auto", shifted_terms(system.hamiltonian.terms(), casimirs, choice.shift))
+    casimirs, whole = quadratic_casimirs(system), system
+    if choice.linear:
+        if max(choice.linear) >= system.dim:
+            raise ValueError(f"parts count on coordinate {max(choice.linear)}; {system.name} has {system.dim} of them")
+        whole = with_all_present(system, choice.linear)
+    parts = split(whole, "auto", shifted_terms(whole.hamiltonian.terms(), casimirs, choice.shift))
+    if whole is not system:
+        parts = with_offsets_of(parts, linear_of(system.hamiltonian, system.dim))
     if len(parts) != len(choice.order):
         raise ValueError(
             f"parts orders {len(choice.order)} parts, but {system.name} has {len(parts)} of them; "

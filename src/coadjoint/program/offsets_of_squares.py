@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.connected import connected
 from coadjoint.algebra.exact import rational
-from coadjoint.program.parts import Parts
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.squares import LARGEST_RATIONAL
+from coadjoint.systems.linear_term import PRESENT
 
 
 class ExactSums(NamedTuple):
@@ -90,6 +92,36 @@ def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums]]:
         if 1 < len(coordinates) <= LARGEST_RATIONAL and len(own) <= len(coordinates):
             found.append((own, _inverse(rows, coordinates)))
     return found
+
+
+def with_offsets_of(parts: Parts, linear: NDArray[np.float64]) -> Parts:
+    """Return parts of a Hamiltonian with `PRESENT` in its linear term as those with the linear term that is meant.
+
+    Parameters
+    ----------
+    parts : Parts
+        Of the Hamiltonian where coefficients that are zero are `PRESENT`.
+    linear : ndarray, shape (n,)
+        The coefficients.
+
+    Returns
+    -------
+    Parts
+        The same forms; a part may have angles that are always zero.
+    """
+    offset = parts.offset.copy()
+    for angles, sums in offsets_of_squares(parts):
+        offset[angles] = sums.at(linear)
+    offset[parts.offset == PRESENT] = 0.0
+    special = {s: _without_present(share) for s, share in parts.special.items()}
+    return Parts(parts.forms, offset, parts.weights, parts.row, special, parts.share, parts.timed)
+
+
+def _without_present(share: PolynomialShare | FunctionShare) -> PolynomialShare | FunctionShare:
+    if not isinstance(share, PolynomialShare):
+        return share
+    monomials = {e: c for e, c in share.polynomial.monomials.items() if c != PRESENT}
+    return PolynomialShare(share.coordinates, Polynomial(monomials, dim=share.polynomial.dim))
 
 
 def _row(parts: Parts, angle: int) -> dict[int, object]:

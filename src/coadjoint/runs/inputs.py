@@ -20,8 +20,6 @@ Floats = NDArray[np.float64]
 
 # Names that a run has for something else.
 TAKEN = frozenset(("x", "x0", "t", "t_span", "save_every", "attitude", "progress", "self"))
-# In place of a coefficient that is zero, where only that it may be another one matters. Products with it vanish.
-PRESENT = 2.0**-300
 SEED = 1993
 
 
@@ -118,12 +116,6 @@ class Inputs:
         return ValueError(
             f"{name} has the shape {shape}; as prepared it must be {own}, or ({each}) with a value for each member"
         )
-
-    def with_all(self, linear: Floats) -> System:
-        """Return the system where no coefficient is zero that may change: its parts are those of every call."""
-        present = linear.copy()
-        present[self.changing[linear[self.changing] == 0.0]] = PRESENT
-        return with_linear(self.system, present)
 
     def drawn(self) -> tuple[Floats, Floats]:
         """Return two linear terms whose coefficients that may change have random digits, the same ones always."""

@@ -61,7 +61,7 @@ class PreparedRun:
         check_system(system)
         self._inputs = None if inputs is None or inputs is False else Inputs(system, inputs)
         if self._inputs is not None:
-            scheme = scheme.settled(self._inputs.with_all(self._inputs.linear))
+            scheme = scheme.settled(self._inputs.system, sorted(self._inputs.changing.tolist()))
         self.system: Any = system
         self.method, self.step = scheme, checked_step(step)
         self._scheme = serving(system, scheme)
@@ -134,10 +134,8 @@ class PreparedRun:
         return None
 
     def system_at(self, linear: NDArray[np.float64] | None) -> Any:
-        """Return a system that `method` serves as it serves the system of a run with this linear term."""
-        if linear is None or self._inputs is None:
-            return self.system
-        return self._inputs.with_all(linear)
+        """Return the system of a run with this linear term."""
+        return self.system if linear is None or self._inputs is None else self._inputs.system_of(linear)
 
     def start(self, x0: Any, attitude: Any = None, linear: NDArray[np.float64] | None = None) -> Start:
         """Return a checked initial state for `follow`; x0 and attitude as in `run`, and the linear term."""
@@ -167,8 +165,8 @@ class PreparedRun:
         system: Any = self.system
         loops = self.loops(times.h)
         if isinstance(loops, InputLoops):
-            assert linear is not None and self._inputs is not None
-            loops, system = loops.at(linear), partial(self._inputs.system_of, linear)
+            assert linear is not None
+            loops, system = loops.at(linear), partial(self.system_at, linear)
         run = Run(system, self.method, loops, times, start, self._watching, workers)
         observed = self._observed_at(start.momenta[0]) if self._observe else None
         run.advance(progress)

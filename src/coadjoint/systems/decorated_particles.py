@@ -51,7 +51,8 @@ def _lumps(x: Any, system: Any) -> list[tuple[Any, ...]]:
         t_span=(0.0, 12.0),
         step=0.02,
         says="Two lumps in a harmonic well that attract each other by the fourth power of their distance: their "
-        "centers oscillate (thin lines), and the ellipses of their widths turn and stretch; each keeps its area.",
+        "centers oscillate (thin lines), and the ellipses of their widths turn and stretch; each keeps its "
+        "area.",
         pictures=(Picture("phase ellipse", lumps=_lumps, times=7, labels=("position $q$", "velocity $p/w$")),),
         components=Picture("components", chosen=_places_and_widths, quantity="positions and widths"),
         quantity="state",

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
+from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomial import Polynomial
@@ -15,14 +18,29 @@ from coadjoint.systems.telling import Picture, Telling
 from coadjoint.wording import short
 
 
+def _waves(system: Any, X: Any, Y: Any) -> Any:
+    """Return the three waves cos(k . r) at places."""
+    (a, b), (c, d) = system.parameters["first"], system.parameters["second"]
+    return np.cos([a * X + b * Y, c * X + d * Y, (a + c) * X + (b + d) * Y])
+
+
+def _two_waves(system: Any) -> float:
+    """Return twice the length of the longest wave."""
+    (a, b), (c, d) = system.parameters["first"], system.parameters["second"]
+    return 4.0 * math.pi / min(math.hypot(a, b), math.hypot(c, d), math.hypot(a + c, b + d))
+
+
 @ready_made(
     telling=Telling(
         x0=(0.02, 1.0, 0.02),
         t_span=(0.0, 80.0),
         step=0.05,
         says="The wave of middle length is unstable: its amplitude passes to the two others and comes back with "
-        "the opposite sign. The motion stays on the sphere of constant enstrophy.",
-        pictures=(Picture("coadjoint orbit"),),
+        "the opposite sign. Middle, the vorticity at the start; right, when the waves have changed it most.",
+        pictures=(
+            Picture("field", modes=_waves, width=_two_waves, at=0.0, label="vorticity"),
+            Picture("field", modes=_waves, width=_two_waves, at=0.275, label="vorticity"),
+        ),
         components=Picture("components", flips=1),
         quantity="vorticity",
     )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,10 @@ from coadjoint.systems.split_hamiltonian import SplitHamiltonian
 from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
+Moved = TypeVar("Moved", bound=System)
+
+PRESENT = 2.0**-300
+"""In place of a coefficient that is zero, where only that it may be another one matters. Products with it vanish."""
 
 
 def linear_of(H: HamiltonianLike, n: int) -> Floats:
@@ -70,7 +75,7 @@ def _has_linear(H: HamiltonianLike) -> bool:
     return isinstance(H, Quadratic | PolynomialHamiltonian | SplitHamiltonian)
 
 
-def with_linear(system: System, linear: Floats) -> System:
+def with_linear(system: Moved, linear: Floats) -> Moved:
     """Return the system whose Hamiltonian has another linear term, and is else the same.
 
     Parameters
@@ -112,6 +117,28 @@ def with_linear(system: System, linear: Floats) -> System:
         if hasattr(system, name):
             object.__setattr__(changed, name, value)
     return changed
+
+
+def with_all_present(system: Moved, coordinates: Sequence[int]) -> Moved:
+    """Return the system with `PRESENT` for those of some linear coefficients that are zero.
+
+    Its Hamiltonian has everything that it would have with any values of them.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        As for `with_linear`.
+    coordinates : sequence of int
+        Of the coefficients.
+
+    Returns
+    -------
+    LiePoissonSystem or PoissonSystem
+    """
+    linear, chosen = linear_of(system.hamiltonian, system.dim), np.array(coordinates, dtype=np.int64)
+    absent = chosen[linear[chosen] == 0.0]
+    linear[absent] = PRESENT
+    return with_linear(system, linear) if len(absent) else system
 
 
 def _other(H: HamiltonianLike, linear: Floats) -> HamiltonianLike:

@@ -34,7 +34,7 @@ def _root(sign: float, x: Any) -> Any:
         step=0.02,
         says="The two roots w of the quadratic equation follow w' = 1 + w^2 and go through infinity (left), while "
         "the state moves smoothly on a closed curve of its hyperboloid (right).",
-        pictures=(Picture("coadjoint orbit", view=(-150.0, 25.0)),),
+        pictures=(Picture("error"), Picture("coadjoint orbit", view=(-150.0, 25.0))),
         components=Picture(
             "components", functions={"v": partial(_root, -1.0), "w": partial(_root, 1.0)}, quantity="roots"
         ),

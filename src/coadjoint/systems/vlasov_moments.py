@@ -34,8 +34,8 @@ _MOMENT = re.compile(r"\bx([0-9,]+)\b")
         t_span=(0.0, 12.0),
         step=0.02,
         says="A beam in a harmonic well that also pulls itself together: its ellipse in phase space turns and "
-        "pulsates, and keeps its area, the emittance. Right, the moments on their hyperboloid, on which the area "
-        "is constant.",
+        "pulsates, and keeps its area, the emittance. Right, the moments on their hyperboloid, on which the "
+        "area is constant.",
         pictures=(Picture("phase ellipse", moments=(0, 1, 2), until=0.15, times=8), Picture("coadjoint orbit")),
         parameters={"degree": 2, "potential": "1/2*x20 + 0.3*x20^2"},
         quantity="moments",

@@ -24,13 +24,13 @@ def coadjoint_orbit(drawn: Drawn, view: tuple[float, float] = (-60.0, 30.0)) -> 
     -------
     Paint
     """
-    n = drawn.x.shape[-1]
+    n = drawn.n
     if n != 3:
         raise CannotShow(f"the state has {n} coordinates, and a coadjoint orbit is drawn as a surface in 3")
 
     def paint(axes: Any) -> None:
         labels = [drawn.label(i) for i in range(3)]
-        draw_orbit(axes, drawn.x[:, drawn.kept], drawn.system.casimirs, labels, drawn.joined)
+        draw_orbit(axes, drawn.x[:, drawn.kept], drawn.system.casimirs, labels, drawn.joined, drawn.left is None)
         axes.view_init(azim=view[0], elev=view[1])  # type: ignore[attr-defined]
 
     return paint

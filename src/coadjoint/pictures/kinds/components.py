@@ -10,7 +10,7 @@ import numpy as np
 from coadjoint.pictures.drawn import Drawn, spread
 from coadjoint.pictures.flips import flips as flips_of
 from coadjoint.pictures.register import Paint, kind
-from coadjoint.pictures.series import draw_series
+from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.style import INK, colour, coordinate, key, plain_axes
 
 MOST_COMPONENTS = 8
@@ -46,7 +46,7 @@ def components(
     -------
     Paint
     """
-    n = drawn.x.shape[-1]
+    n = drawn.n
     chosen = chosen(n) if callable(chosen) else chosen
     functions = functions(n) if callable(functions) else functions
     places = [drawn.place(i) for i in chosen or ()]
@@ -54,17 +54,18 @@ def components(
         places = spread(n, MOST_COMPONENTS).tolist()
     lines = {drawn.label(i): drawn.x[..., i] for i in places}
     for name, function in (functions or {}).items():
-        lines[coordinate(name)] = np.asarray(function(drawn.x))
+        with np.errstate(all="ignore"):  # what is not finite is not drawn
+            lines[coordinate(name)] = np.asarray(function(drawn.x))
     flipping = None if flips is None else drawn.place(flips)
 
     def paint(axes: Any) -> None:
-        several = len(drawn.x) > 1
-        by_member = several and len(lines) == 1
-        style = {"linewidth": 0.5, "alpha": 0.5} if several and not by_member else {"linewidth": 0.9, "alpha": 1.0}
+        by_member = len(drawn.x) > 1 and len(lines) == 1
         for place, (label, members) in enumerate(lines.items()):
-            for m, values in enumerate(members):
-                shown = {"color": colour(m if by_member else place), **style}
-                draw_series(axes, drawn.t, values, drawn.close, label=label if m == 0 else None, **shown)
+            if by_member:
+                for m, values in enumerate(members):
+                    draw_members(axes, drawn.t, values[None], drawn.close, colour(m), None)
+            else:
+                draw_members(axes, drawn.t, members, drawn.close, colour(place), label)
         what = drawn.quantity if quantity is None else quantity
         title = f"components of the {what}"
         if quantity is not None or functions is not None or by_member:
@@ -89,15 +90,15 @@ def components(
 def _mark_flips(axes: Any, drawn: Drawn, i: int) -> None:
     if len(drawn.x) > 1 or not drawn.close:
         return
-    times = flips_of(drawn.system, drawn.t, drawn.x[0], i)
+    times = flips_of(drawn.system, drawn.t, drawn.x[0], i, most=2)
     if len(times) < 2:
         return
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.22 * (high - low))
     height = high + 0.07 * (high - low)
-    for time in times[:2]:
+    for time in times:
         axes.plot([time, time], [0.0, height], color=INK, linewidth=0.6, linestyle=":")
     arrow = {"arrowstyle": "<->", "color": INK, "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", xy=(times[1], height), xytext=(times[0], height), arrowprops=arrow)
     text = f"{drawn.label(i)} changes sign after {abs(times[1] - times[0]):.6g}"
-    axes.text(times[:2].mean(), height, text, ha="center", va="bottom", fontsize=8, color=INK)
+    axes.text(times.mean(), height, text, ha="center", va="bottom", fontsize=8, color=INK)

@@ -65,7 +65,7 @@ def directions(
 
 
 def _components(drawn: Drawn, given: Any) -> npt.NDArray[np.float64]:
-    n = drawn.x.shape[-1]
+    n = drawn.n
     if np.ndim(given) == 2:
         forms = read_finite(given, "forms of a vector")
         if forms.shape != (3, n):

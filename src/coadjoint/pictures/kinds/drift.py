@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.register import Paint, kind
-from coadjoint.pictures.series import draw_series
+from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.style import colour, key, plain_axes, symbol
 
 MOST_CASIMIRS = 5
@@ -21,8 +21,9 @@ BAND = "#9AA7B5"
 def drift(drawn: Drawn) -> Paint:
     """Show the absolute deviations from the start on a logarithmic scale.
 
-    Where the Hamiltonian depends on time, or forces move the system, they are meant to change, and the picture says so.
-    Of many Casimirs the worst four have lines, and a band reaches from the smallest to the largest deviation of all.
+    Where the Hamiltonian depends on time the energy is meant to change, and the picture says so. Of many Casimirs the
+    worst four have lines, and a band reaches from the smallest to the largest deviation of all. Where forces change the
+    invariants, dotted lines show what is left of the change less their work: that is the error of the run.
 
     Parameters
     ----------
@@ -40,25 +41,19 @@ def drift(drawn: Drawn) -> Paint:
     def paint(axes: Any) -> None:
         if others > MOST_CASIMIRS:
             _draw_band(axes, drawn, np.stack(list(deviations.values())))
-        several = len(drawn.x) > 1
-        style = {"linewidth": 0.5, "alpha": 0.5} if several else {"linewidth": 0.9, "alpha": 1.0}
         for i, (name, members) in enumerate(lines.items()):
-            for m, values in enumerate(members):
-                # Zero has no logarithm: the line has gaps where nothing has changed in any bit.
-                visible = np.where(values > 0.0, values, np.nan)
-                label = symbol(name) if m == 0 else None
-                if name == "energy" and drawn.driven and m == 0:
-                    label = "$H$, driven"
-                draw_series(axes, drawn.t, visible, drawn.close, label=label, color=colour(i), **style)
+            # Zero has no logarithm: the line has gaps where nothing has changed in any bit.
+            visible = np.where(members > 0.0, members, np.nan)
+            label = "$H$, driven" if name == "energy" and drawn.driven else symbol(name)
+            draw_members(axes, drawn.t, visible, drawn.close, colour(i), label)
+            if drawn.left is not None:
+                _draw_left(axes, drawn, name, colour(i), None if i else "$H$ less their work")
         axes.set(yscale="log", ylabel="absolute deviation from start")
-        followed = "the energy $H$ and the Casimirs"
-        if drawn.solution.work:
-            title = f"change of {followed}, which forces move, at the saved points"
-        elif drawn.driven:
-            title = "change of the driven energy $H$, drift of the Casimirs, at the saved points"
-        else:
-            title = f"drift of {followed}, at the saved points"
-        axes.set_title(title)
+        plain = "drift of the energy $H$ and the Casimirs"
+        title = "change of the driven energy $H$, drift of the Casimirs" if drawn.driven else plain
+        if drawn.left is not None:
+            title = "change of the energy $H$ and the Casimirs, which forces move"
+        axes.set_title(f"{title}, at the saved points")
         if not any(np.any(values > 0.0) for values in (energy, *deviations.values())):
             axes.text(0.5, 0.5, "no deviation in any bit", transform=axes.transAxes, ha="center", fontsize=9)
         _at_least_two_decades(axes)
@@ -66,6 +61,13 @@ def drift(drawn: Drawn) -> Paint:
         key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
     return paint
+
+
+def _draw_left(axes: Any, drawn: Drawn, name: str, shade: str, label: str | None) -> None:
+    assert drawn.left is not None
+    for m, values in enumerate(np.abs(drawn.left[name])):
+        visible = np.where(values > 0.0, values, np.nan)
+        axes.plot(drawn.t, visible, ":", color=shade, linewidth=0.8, label=label if m == 0 else None)
 
 
 def _worst(deviations: dict[str, npt.NDArray[np.float64]]) -> dict[str, npt.NDArray[np.float64]]:

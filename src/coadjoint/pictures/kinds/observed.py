@@ -8,7 +8,7 @@ import numpy as np
 
 from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.series import draw_series
+from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.style import colour, key, plain_axes, symbol
 
 MOST_OBSERVED = 8
@@ -34,13 +34,8 @@ def observed(drawn: Drawn) -> Paint:
     shown = dict(list(numbers.items())[:MOST_OBSERVED])
 
     def paint(axes: Any) -> None:
-        several = len(drawn.x) > 1
-        style = {"linewidth": 0.5, "alpha": 0.5} if several else {"linewidth": 0.9, "alpha": 1.0}
         for i, (name, members) in enumerate(shown.items()):
-            for m, values in enumerate(members):
-                label = symbol(name) if m == 0 else None
-                own = values.astype(np.float64)
-                draw_series(axes, drawn.t, own, drawn.close, label=label, color=colour(i), **style)
+            draw_members(axes, drawn.t, members.astype(np.float64), drawn.close, colour(i), symbol(name))
         title = "observed" + (f" ({len(shown)} of {len(numbers)})" if len(shown) < len(numbers) else "")
         axes.set(xlabel="time $t$", ylabel="observed quantity", title=title)
         plain_axes(axes)

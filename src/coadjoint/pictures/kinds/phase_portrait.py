@@ -48,8 +48,8 @@ def phase_portrait(
     Paint
     """
     for chosen in (across, up):
-        if isinstance(chosen, int) and chosen >= drawn.x.shape[-1]:
-            raise CannotShow(f"coordinate {chosen} is drawn, and the state has {drawn.x.shape[-1]}")
+        if isinstance(chosen, int) and chosen >= drawn.n:
+            raise CannotShow(f"coordinate {chosen} is drawn, and the state has {drawn.n}")
     values = [_of(drawn, chosen) for chosen in (across, up)]
     names = labels or tuple("" if callable(chosen) else drawn.label(drawn.place(chosen)) for chosen in (across, up))
 
@@ -77,7 +77,8 @@ def phase_portrait(
 
 def _of(drawn: Drawn, chosen: Any) -> Floats:
     x = drawn.x[:, drawn.kept]
-    return np.asarray(chosen(x)) if callable(chosen) else x[..., drawn.place(chosen)]
+    with np.errstate(all="ignore"):  # what is not finite is not drawn
+        return np.asarray(chosen(x)) if callable(chosen) else x[..., drawn.place(chosen)]
 
 
 def _folded(values: Floats, cyclic: float) -> Floats:

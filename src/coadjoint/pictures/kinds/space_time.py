@@ -44,7 +44,7 @@ def space_time(
     -------
     Paint
     """
-    places = list(sites(drawn.x.shape[-1]))
+    places = list(sites(drawn.n))
     if len(places) < 2:
         raise CannotShow("there are fewer than two sites")
 

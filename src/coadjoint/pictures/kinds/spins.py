@@ -35,10 +35,10 @@ def spins(drawn: Drawn, at: float = 1.0, seen: str = "plane") -> Paint:
     -------
     Paint
     """
-    n = drawn.x.shape[-1]
+    n = drawn.n
     if n % 3:
         raise CannotShow(f"the state has {n} coordinates, which are no spins of three")
-    parameters = drawn.system.parameters or {}
+    parameters = drawn.family.parameters or {}
     places = places_of_sites(parameters.get("lattice"), parameters.get("shape"), n // 3)
     if len(places) != n // 3:
         raise CannotShow(f"the lattice has {len(places)} sites, and there are {n // 3} spins")
