@@ -1,5 +1,7 @@
 """Systems with forces against closed forms and references; what they keep, what they break, and the balance of it."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -133,24 +135,31 @@ def test_one_spin_in_a_field(alpha, length, sense):
         assert abs(sol.work["DoubleBracketDamping"]["energy"][-1] + B * (sol.x[-1, 2] - x0[2])) < 1e-14
 
 
+@cache
+def breeze(n):
+    """A torque of state and time, one for each dimension, so that it is compiled once."""
+    wind = np.linspace(0.1, -0.2, n)
+    return lambda x, t: wind * np.cos(t) - 0.05 * x * x
+
+
 def forces_for(system):
     n = system.dim
     wind = np.linspace(0.1, -0.2, n)
     damping = 0.1 * full(n, 5) + 0.05 * np.triu(np.ones((n, n)), 1)
     return (
         co.forces.LinearDamping(damping, 0.2 * wind),
-        co.forces.Torque(lambda x, t: wind * np.cos(t) - 0.05 * x * x),
+        co.forces.Torque(breeze(n)),
         co.forces.DoubleBracketDamping(0.2, positive(n, 4)),
     )
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", ["e(3)", "so(4)", "A3,7"])
 def test_the_order_is_two_on_full_systems(name):
     """Three forces at once, with full matrices; the reference is another solver on the whole field."""
     forced = SYSTEMS[name].with_forces(*forces_for(SYSTEMS[name]))
     x0 = state(forced.dim)
-    for end in (1.0, -1.0):
-        found = solve_ivp(lambda t, x: forced.vector_field(x, t), (0, end), x0, "DOP853", rtol=1e-12, atol=1e-13)
+    for end in (0.5, -0.5):
+        found = solve_ivp(lambda t, x: forced.vector_field(x, t), (0, end), x0, "DOP853", rtol=1e-10, atol=1e-11)
 
         def run(h, end=end):
             return co.integrate(forced, x0, (0, end), h, co.Splitting(order=4)).x[-1]
