@@ -17,6 +17,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Method, Representation
 from coadjoint.methods.formal_numbers import is_short
 from coadjoint.program.chosen_parts import ChosenParts
+from coadjoint.program.decompose import check_inputs_of_bodies
 from coadjoint.program.numbers import Number
 from coadjoint.program.split import NotSplit
 from coadjoint.program.sweeps import Sweep
@@ -102,10 +103,7 @@ class FlowMethod(Method):
         from coadjoint.program.decompose import decompose
 
         if isinstance(self.parts, str) and self.parts == "free_body":
-            raise ValueError(
-                f"{self} takes no inputs: free bodies turn about the linear term, and all parts are ordered for it; "
-                'take parts="auto"'
-            )
+            check_inputs_of_bodies(system, coordinates)
         automatic = isinstance(self.parts, ChosenParts) or (isinstance(self.parts, str) and self.parts == "auto")
         if not automatic or not isinstance(system, LiePoissonSystem):
             return self

@@ -58,7 +58,7 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     system : LiePoissonSystem
         The system.
     choice : "auto", "coordinates", "free_body", sequence of sequences of int, or ChosenParts
-        ``"free_body"`` takes free rigid bodies as parts (see `free_bodies`), in the order of the smallest h^2 term.
+        ``"free_body"`` takes free rigid bodies as parts (see `free_bodies`).
         ``"auto"`` makes few parts: it joins commuting coordinates, takes off multiples of quadratic Casimirs where that
         removes a part or lowers the h^2 term, and orders the parts so that the h^2 term over a fixed sample is the
         smallest. All other choices are taken as they stand.
@@ -77,7 +77,8 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
         return _chosen(system, choice)
     if isinstance(choice, str) and choice == "free_body":
         if system not in _BODIES:
-            _BODIES[system] = _with_bodies(system)
+            parts = free_bodies(system)
+            _BODIES[system] = Decomposition(parts, (), ChosenParts(tuple(range(len(parts)))))
         return _BODIES[system]
     if not isinstance(choice, str) or choice != "auto":
         parts = split(system, choice)
@@ -194,10 +195,17 @@ def check_free_bodies(system: LiePoissonSystem, scheme: str) -> None:
         raise ValueError(f"{scheme} cannot serve {system.name}: {reason}") from None
 
 
-def _with_bodies(system: LiePoissonSystem) -> Decomposition:
-    parts = free_bodies(system)
-    order, _ = best_orders([(system, parts)], _sample(system.dim))[0]
-    return _decomposition(parts, {}, ChosenParts(order))
+def check_inputs_of_bodies(system: Any, coordinates: Sequence[int]) -> None:
+    """Refuse inputs that would turn the axis of a part: coefficients of the coordinates of free bodies."""
+    if isinstance(system, LiePoissonSystem):
+        check_free_bodies(system, "Splitting")
+        bodies = decompose(system, "free_body").parts.bodies.values()
+        inside = sorted({i for body in bodies for i in body.coordinates}.intersection(coordinates))
+        if inside:
+            raise ValueError(
+                f'parts="free_body" takes no inputs for {system.algebra.basis[inside[0]]} (coordinate {inside[0]}) of '
+                f'{system.name}, which is turned about an axis that they would move; take parts="auto"'
+            )
 
 
 def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:

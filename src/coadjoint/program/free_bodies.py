@@ -44,7 +44,8 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
     Returns
     -------
     Parts
-        The bodies first.
+        The bodies first: of two parts A, D the h^2 term has {A, {A, D}}/24 and {D, {D, A}}/12, and D is the weak one.
+        The order does not depend on the linear term, which may be an input of a run.
 
     Raises
     ------
