@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.logarithmic import LogarithmicInvariant
+from coadjoint.kernels.bodies import body_tables
 from coadjoint.kernels.description import limit
 from coadjoint.kernels.flow import FlowTables
 from coadjoint.kernels.functions import CompiledFunction, Kept, TabledFunction
@@ -125,6 +126,7 @@ def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
         _marked(program.state, rational),
         _marked(group, agree),
         compensated,
+        *body_tables(program),
     )
     return Compiled(tables, keep)
 

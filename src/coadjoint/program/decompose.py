@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.program.chosen_parts import ChosenParts
+from coadjoint.program.free_bodies import free_bodies
 from coadjoint.program.offsets_of_squares import with_offsets_of
 from coadjoint.program.order_of_parts import CLEARLY, best_orders
 from coadjoint.program.parts import Parts
 from coadjoint.program.shift import QuadraticCasimir, Shift, candidate_shifts, quadratic_casimirs, shifted_terms
 from coadjoint.program.shift_counts import numbers_of_parts
-from coadjoint.program.split import split
+from coadjoint.program.split import NotSplit, split
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.linear_term import linear_of, with_all_present
 
@@ -56,7 +57,8 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     ----------
     system : LiePoissonSystem
         The system.
-    choice : "auto", "coordinates", sequence of sequences of int, or ChosenParts
+    choice : "auto", "coordinates", "free_body", sequence of sequences of int, or ChosenParts
+        ``"free_body"`` takes free rigid bodies as parts (see `free_bodies`).
         ``"auto"`` makes few parts: it joins commuting coordinates, takes off multiples of quadratic Casimirs where that
         removes a part or lowers the h^2 term, and orders the parts so that the h^2 term over a fixed sample is the
         smallest. All other choices are taken as they stand.
@@ -73,6 +75,11 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     """
     if isinstance(choice, ChosenParts):
         return _chosen(system, choice)
+    if isinstance(choice, str) and choice == "free_body":
+        if system not in _BODIES:
+            parts = free_bodies(system)
+            _BODIES[system] = Decomposition(parts, (), ChosenParts(tuple(range(len(parts)))))
+        return _BODIES[system]
     if not isinstance(choice, str) or choice != "auto":
         parts = split(system, choice)
         return Decomposition(parts, (), ChosenParts(tuple(range(len(parts)))))
@@ -98,6 +105,7 @@ def decompose_all(systems: Sequence[LiePoissonSystem]) -> None:
 
 # Systems do not change. What was found for one is kept as long as the system lives, and serves all of its runs.
 _FOUND: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
+_BODIES: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
 
 
 class Candidate(NamedTuple):
@@ -177,6 +185,27 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
         if not found or (comparing and len(parts) == fewest):
             found.append(Candidate(shift, parts))
     return found
+
+
+def check_free_bodies(system: LiePoissonSystem, scheme: str) -> None:
+    """Refuse by name a system that has no free bodies, or whose other terms do not split."""
+    try:
+        decompose(system, "free_body")
+    except NotSplit as reason:
+        raise ValueError(f"{scheme} cannot serve {system.name}: {reason}") from None
+
+
+def check_inputs_of_bodies(system: Any, coordinates: Sequence[int]) -> None:
+    """Refuse inputs that would turn the axis of a part: coefficients of the coordinates of free bodies."""
+    if isinstance(system, LiePoissonSystem):
+        check_free_bodies(system, "Splitting")
+        bodies = decompose(system, "free_body").parts.bodies.values()
+        inside = sorted({i for body in bodies for i in body.coordinates}.intersection(coordinates))
+        if inside:
+            raise ValueError(
+                f'parts="free_body" takes no inputs for {system.algebra.basis[inside[0]]} (coordinate {inside[0]}) of '
+                f'{system.name}, which is turned about an axis that they would move; take parts="auto"'
+            )
 
 
 def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:

@@ -60,6 +60,7 @@ def plain_table(program: Program) -> dict[str, Any]:
             for casimir, factor in program.shift
         ],
         "functions": sorted(int(k) for k in program.functions),
+        "bodies": sorted(program.parts.bodies),
     }
     return table | (_generators("group", program.group, program) if program.group is not None else {})
 

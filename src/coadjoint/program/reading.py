@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action
 from coadjoint.program.blocks import CUBIC_HEADER, MOST_SUBSTEPS, Kind
+from coadjoint.program.body_reading import Moving, flow_of_bodies, largest_of, pieces
 from coadjoint.program.elementary import elementary
 from coadjoint.program.numbers import array_of, roundoff
 from coadjoint.program.rational_rotations import bent
@@ -42,6 +44,7 @@ class Reading:
         self.program = program
         self.functions = elementary(program.number)
         self._u = roundoff(program.number)
+        self._called = called_parts(program)
 
     def steps(
         self,
@@ -94,6 +97,9 @@ class Reading:
         for r in rows:
             part = int(table.part[r])
             tau, moment = table.coefficient[r] * h, t + table.moment[r] * h
+            if self._called[part]:
+                flow_of_bodies(self, part, tau, Moving(x, group, tangent))
+                continue
             theta = [tau * angle for angle in self.angles(part, x, moment)]
             turned = None if tangent is None else [tau * d for d in self._angle_tangents(part, x, moment, tangent)]
             theta, turned = self._bent(part, theta, turned)
@@ -167,16 +173,29 @@ class Reading:
             coefficient = coefficient * y[place] ** exponent
         return coefficient
 
+    def pieces(self, reach: Callable[[], Any]) -> int:
+        """Return in how many pieces of time a free body goes."""
+        return pieces(reach(), self.functions.ceil)
+
+    def negligible(self, terms: Sequence[Moving]) -> bool:
+        """Return whether the last two terms of a series are rounding."""
+        whole, last, before = (largest_of(terms[k]) for k in (0, -1, -2))
+        return all(max(a, b) <= self._u * c / 16 for a, b, c in zip(last, before, whole, strict=True))
+
+    def generator(self, action: Action, part: int, angle: int) -> dict[tuple[int, int], Any]:
+        """Return the entries of the generator of one form of a part."""
+        return self._entries(part, angle, action)
+
     def _generator_on(self, part: int, angle: int, x: NDArray[Any]) -> NDArray[Any]:
         """Return D_a x for one form of a part (the verb `apply`)."""
-        entries = self._entries(part, angle)
+        entries = self._entries(part, angle, self.program.state)
         result = 0 * x
         for (i, j), value in entries.items():
             result[i] += value * x[j]
         return result
 
-    def _entries(self, part: int, angle: int) -> dict[tuple[int, int], Any]:
-        action = self.program.state
+    @staticmethod
+    def _entries(part: int, angle: int, action: Action) -> dict[tuple[int, int], Any]:
         found: dict[tuple[int, int], Any] = {}
         for run in range(action.run[part], action.run[part + 1]):
             q = angle - int(action.angle[run])
@@ -251,6 +270,12 @@ class Reading:
         w = f.sqrt(abs(z))
         sine, half = (f.sinh(w), f.sinh(w / 2)) if z > 0 else (f.sin(w), f.sin(w / 2))
         return sine / w, (2 if z > 0 else -2) * half**2
+
+
+def called_parts(program: Program) -> list[bool]:
+    """Return for each part whether it is made of free bodies."""
+    shares = program.parts.bodies
+    return [int(first) in shares for first in program.parts.share[:-1]]
 
 
 def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:

@@ -15,7 +15,7 @@ from coadjoint.program.actions import Action, build_action
 from coadjoint.program.decompose import decompose
 from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.numbers import Number, array_of
-from coadjoint.program.parts import Parts, PolynomialShare
+from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
 from coadjoint.program.rational_rotations import rational_frequencies
 from coadjoint.program.rows import Joining, Rows, rows_of
@@ -145,7 +145,7 @@ def _term_table(parts: Parts) -> TermTable:
     """Return the shares of all parts, in their order."""
     table = TermTable()
     angle = parts.weights.start
-    edges = sorted(parts.special)
+    edges = sorted(parts.special.keys() - parts.bodies.keys())
     for first, last in zip([0, *(s + 1 for s in edges)], [*edges, len(parts.row) - 1], strict=True):
         if last > first:
             rows = parts.row[first : last + 1]
@@ -159,7 +159,7 @@ def _term_table(parts: Parts) -> TermTable:
         share = parts.special.get(last)
         if isinstance(share, PolynomialShare):
             table.add_polynomial(share.coordinates, share.polynomial)
-        elif share is not None:
+        elif isinstance(share, FunctionShare):
             table.function(share.term)
     return table
 

@@ -50,10 +50,12 @@ TABLE(Forms, FORMS_FIELDS)
     _(indices, indices) _(constants, constants)
 TABLE(Action, ACTION_FIELDS)
 
+// called[k] is the free body that share k calls, else -1. Body b has three entries of body_column and fifteen of body.
 #define FLOW_FIELDS(_)                                                                                               \
     _(integer, longest) _(integers, only) _(bytes, bent) _(constants, frequency) _(indices, part) _(numbers, tau)      \
     _(numbers, moment) _(indices, section) _(indices, share) _(Terms, terms) _(addresses, addresses)                 \
-    _(Action, state) _(Action, group) _(flag, compensated)
+    _(Action, state) _(Action, group) _(flag, compensated) _(integers, called) _(indices, body_column)               \
+    _(constants, body) _(bytes, direct)
 TABLE(FlowTables, FLOW_FIELDS)
 
 #define WATCH_FIELDS(_)                                                                                              \
