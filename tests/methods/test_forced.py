@@ -413,7 +413,7 @@ def test_failures_say_where():
     with pytest.raises(co.IntegrationError, match="in step 1"):
         co.integrate(stiff, (0.1, 0.2, 0.3), (0, 2), 0.125)
     strong = body.with_forces(co.forces.DoubleBracketDamping(500.0))
-    with pytest.raises(co.IntegrationError, match="the iteration of .*, or of a force, did not converge"):
+    with pytest.raises(co.IntegrationError, match=r"the iteration of .*, or of a force, did not converge"):
         co.integrate(strong, (0.1, 0.2, 0.3), (0, 2), 0.125)
 
 
