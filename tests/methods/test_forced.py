@@ -412,6 +412,9 @@ def test_failures_say_where():
     stiff = body.with_forces(co.forces.DoubleBracketDamping(1e6))
     with pytest.raises(co.IntegrationError, match="in step 1"):
         co.integrate(stiff, (0.1, 0.2, 0.3), (0, 2), 0.125)
+    strong = body.with_forces(co.forces.DoubleBracketDamping(500.0))
+    with pytest.raises(co.IntegrationError, match=r"the iteration of .*, or of a force, did not converge"):
+        co.integrate(strong, (0.1, 0.2, 0.3), (0, 2), 0.125)
 
 
 def test_tangents_are_derivatives_of_the_step():
