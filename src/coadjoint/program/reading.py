@@ -275,7 +275,7 @@ class Reading:
 def called_parts(program: Program) -> list[bool]:
     """Return for each part whether it is made of free bodies."""
     shares = program.parts.bodies
-    return [int(first) in shares for first in program.parts.share[:-1]]
+    return [int(first) in shares for first in program.share[:-1]]
 
 
 def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
