@@ -43,12 +43,14 @@ def body_tables(program: Program) -> BodyTables:
     called = np.full(int(program.share[-1]), -1, dtype=np.int64)
     direct = np.zeros(len(parts), dtype=np.uint8)
     called[list(bodies)] = np.arange(len(bodies))
-    for s, share in bodies.items():
-        p = int(np.searchsorted(parts.share, s, side="right")) - 1
+    of_part = {int(np.searchsorted(parts.share, s, side="right")) - 1: share for s, share in bodies.items()}
+    for p, share in of_part.items():
         turning = all(abs(length) == 1.0 for length in share.scale)
         actions = (program.state,) if program.group is None else (program.state, program.group)
         direct[p] = turning and all(_turns_directly(action, p) for action in actions)
-    columns = np.array([share.coordinates for share in bodies.values()], dtype=np.uint32).reshape(-1)
+    columns = np.array(
+        [(*share.coordinates, *(share.other or share.coordinates)) for share in bodies.values()], dtype=np.uint32
+    ).reshape(-1)
     constants = np.array([_constants(share) for share in bodies.values()], dtype=np.float64).reshape(-1)
     return BodyTables(called, columns, constants, direct)
 

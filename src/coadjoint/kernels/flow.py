@@ -17,7 +17,8 @@ class FlowTables(NamedTuple):
     A part has at most `longest` angles; only[p] is the row of a part with a single, linear one, and -1 for the others.
     Rational rotations are marked in the kinds of the actions; bent[p] is 1 where the blocks of a part on the group have
     other frequencies than on the momentum, frequency[row], so that they need the angle itself. called[k] is the number
-    of the free body that share k calls, -1 where it calls none; `body_column` and `body` have its triple and constants.
+    of the free body that share k calls, -1 where it calls none; `body_column` has its triple and the other one of
+    a bond (else the same again), `body` its constants.
     direct[p] is 1 where all blocks of such a part turn by the angle itself.
     """
 

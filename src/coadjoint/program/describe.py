@@ -125,8 +125,13 @@ def _part(system: LiePoissonSystem, program: Program, number: int, part: Part) -
     multiplications, functions = acting[0] + shares[0], shares[1] if bodies else acting[1] + shares[1]
     names = tuple(_name(system, form) for form in part.forms)
     if bodies:
-        names = tuple("free body of " + ", ".join(system.algebra.basis[i] for i in body.coordinates) for body in bodies)
+        names = tuple(_body_name(system, body) for body in bodies)
     return PartDescription(names, dict(blocks), multiplications, functions)
+
+
+def _body_name(system: LiePoissonSystem, body: BodyShare) -> str:
+    first, second = (", ".join(system.algebra.basis[i] for i in own) for own in (body.coordinates, body.other or ()))
+    return f"bond of {first} and {second}" if second else f"free body of {first}"
 
 
 def bodies_of(program: Program, number: int) -> list[BodyShare]:
@@ -154,10 +159,10 @@ def _block_work(action: Action, run: int, kind: Kind) -> int:
 
 def share_work(program: Program, number: int) -> tuple[int, int]:
     """Return the multiplications, and the calls of functions, that the angles of one part take."""
-    terms, multiplications, functions = program.terms, 0, 0
+    terms, bodies, multiplications, functions = program.terms, program.parts.bodies, 0, 0
     for term in range(program.share[number], program.share[number + 1]):
         rows = range(terms.row[term], terms.row[term + 1])
-        if term in program.parts.bodies:
+        if term in bodies:
             multiplications, functions = multiplications + BODY_WORK, functions + 1
         elif terms.kind[term] == LINEAR:
             multiplications += int(terms.entry[rows.stop] - terms.entry[rows.start])

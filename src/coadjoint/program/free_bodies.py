@@ -61,7 +61,7 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
     (0, 1, 2)
     """
     commutation = Commutation(system.algebra)
-    terms = [apart for term in system.hamiltonian.terms() for apart in _by_degree(term)]
+    terms = terms_by_degree(system)
     place = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
     form = None if place is None else terms[place].form
     chosen = [] if form is None else _chosen(system.algebra, form)
@@ -75,11 +75,16 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
     inside = np.full(system.dim, -1)
     for number, triple in enumerate(chosen):
         inside[list(triple.coordinates)] = number
-    axes = [_fixed_axis(form, triple) for triple in chosen if np.any(form.linear[list(triple.coordinates)] != 0)]
+    axes = [fixed_axis(form, triple) for triple in chosen if np.any(form.linear[list(triple.coordinates)] != 0)]
     left = _left_of(form, inside)
     others = [*terms[:place], *([left] if left is not None else []), *terms[place + 1 :]]
     rest = Parts.concatenate([*axes, atoms_of(system, others, commutation)])
     return Parts.concatenate([body, few_parts(rest, commutation)]) if len(rest) else body
+
+
+def terms_by_degree(system: LiePoissonSystem) -> list[Term]:
+    """Return the terms of a Hamiltonian, polynomials as two: what is quadratic, and the rest."""
+    return [apart for term in system.hamiltonian.terms() for apart in _by_degree(term)]
 
 
 def _by_degree(term: Term) -> Iterable[Term]:
@@ -165,7 +170,7 @@ def _body(form: QuadraticTerm, triple: Triple) -> Parts:
     )
 
 
-def _fixed_axis(form: QuadraticTerm, triple: Triple) -> Parts:
+def fixed_axis(form: QuadraticTerm, triple: Triple) -> Parts:
     """Return the part of a linear term on a triple: the rotation about its axis."""
     axis = [(i, float(form.linear[i])) for i in triple.coordinates if form.linear[i] != 0]
     coordinates, values = zip(*axis, strict=True)

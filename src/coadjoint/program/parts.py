@@ -33,24 +33,28 @@ class FunctionShare:
 
 @dataclass(frozen=True)
 class BodyShare:
-    """The flow of a free rigid body: its forms do not commute, and its angles change on the way.
+    """The flow of a free rigid body, or of a bond: its forms do not commute, and its angles change on the way.
 
     The rows of the share are linear like others, and their forms and weights are the energy. They are the coordinates
-    3, 1, 2, 3 of the triple, the first without weights: the turns that compiled loops write the flow as.
+    3, 1, 2, 3 of the triple, the first without weights: the turns that compiled loops write the flow as. A bond turns
+    two triples about their sum: its forms are sums of two coordinates, one of each.
 
     Parameters
     ----------
     coordinates : (int, int, int)
         The triple.
     matrix : tuple of tuples, (3, 3)
-        The energy is x.M.x/2 on the triple.
+        The energy is x.M.x/2 on the triple; of a bond on the sum of both, and three equal moments.
     scale : (float, float, float)
         The basis elements times these have the brackets [1, 2] = 3, [2, 3] = 1, [3, 1] = 2.
+    other : (int, int, int), optional
+        The other triple of a bond, with the same scale.
     """
 
     coordinates: tuple[int, int, int]
     matrix: tuple[tuple[float, ...], ...]
     scale: tuple[float, float, float]
+    other: tuple[int, int, int] | None = None
 
 
 SpecialShare = PolynomialShare | FunctionShare | BodyShare

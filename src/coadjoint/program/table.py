@@ -121,6 +121,11 @@ def build_program(
     except NotSplit as reason:
         raise ValueError(f"{type(method).__name__} cannot serve {system.name}: {reason}") from None
     parts = decomposition.parts
+    if decomposition.shift is None and group is not None:
+        raise ValueError(
+            f'parts="{method.parts}" takes Casimirs off the energy of {system.name} that are too long to be written, so '
+            'that the attitude is not known; take parts="auto"'
+        )
     table = _term_table(parts)
     state = _state_action(system.algebra, parts, number)
     frequency = array_of(number, np.zeros(len(parts.offset), dtype=np.int64))
@@ -137,7 +142,7 @@ def build_program(
         sign=system.sign,
         number=number,
         frequency=frequency,
-        shift=decomposition.shift,
+        shift=decomposition.shift or (),
     )
 
 

@@ -50,7 +50,7 @@ TABLE(Forms, FORMS_FIELDS)
     _(indices, indices) _(constants, constants)
 TABLE(Action, ACTION_FIELDS)
 
-// called[k] is the free body that share k calls, else -1. Body b has three entries of body_column and fifteen of body.
+// called[k] is the free body that share k calls, else -1. Body b has six entries of body_column and fifteen of body.
 #define FLOW_FIELDS(_)                                                                                               \
     _(integer, longest) _(integers, only) _(bytes, bent) _(constants, frequency) _(indices, part) _(numbers, tau)      \
     _(numbers, moment) _(indices, section) _(indices, share) _(Terms, terms) _(addresses, addresses)                 \

@@ -4,6 +4,8 @@
 // the blocks of the table turn whatever the algebra and the group element have, as they do for other parts. For the free
 // body on e1, e2, e3 the turns are about e3, e1, e2, e3, in this order; the first one is zero except where the turn
 // about e2 is near a right angle.
+//
+// A bond is a spherical body whose momentum is the sum of two: it turns both about their sum.
 #pragma once
 
 #include <vector>
@@ -14,6 +16,7 @@
 namespace coadjoint {
 
 constexpr int BODY_TURNS = 4;
+constexpr int BODY_COLUMNS = 6;       // the triple, and the other one of a bond; of a free body the same again
 constexpr int BODY_CONSTANTS = 15;    // moments, principal axes in rows of components, lengths of the generators
 constexpr double UPRIGHT = 0.9;       // the sine from which a turn about e2 counts as near a right angle
 constexpr int64_t WORK_OF_A_BODY = 500;  // multiplications that a short flow of a body takes
@@ -26,25 +29,33 @@ struct Turns {
     bool direct;  // every block turns by the angle itself: angles are not needed
 };
 
-// The free body that a share calls, in the numbers of one member or of lanes.
+// The free body or the bond that a share calls, in the numbers of one member or of lanes.
 template <class A>
 struct CalledBody {
     A moments[3], axes[9], scale[3], momentum[3];
+    const uint32_t* column;
+    bool bond;
 
     template <class C>
-    CalledBody(const FlowTables& tables, const C& constants, int64_t body, const A* x) {
+    CalledBody(const FlowTables& tables, const C& constants, int64_t body, const A* x)
+        : column(tables.body_column + BODY_COLUMNS * body), bond(column[3] != column[0]) {
         const auto constant = [&](int k) {
             return constants.template number_at<A>(tables.body, BODY_CONSTANTS * body + k);
         };
-        const uint32_t* column = tables.body_column + 3 * body;
         for (int i = 0; i < 3; ++i) moments[i] = constant(i), scale[i] = constant(12 + i);
         for (int i = 0; i < 9; ++i) axes[i] = constant(3 + i);
         A own[3];
-        for (int i = 0; i < 3; ++i) own[i] = scale[i] * x[column[i]];
+        for (int i = 0; i < 3; ++i) own[i] = scale[i] * (bond ? x[column[i]] + x[column[3 + i]] : x[column[i]]);
         for (int c = 0; c < 3; ++c) {
             const A axis[3] = {axes[c], axes[3 + c], axes[6 + c]};
             momentum[c] = dot(axis, own);
         }
+    }
+
+    // The quaternion of the turn along the principal axes.
+    template <class R>
+    Quaternion<R> turn(const R* z, double tau) const {
+        return bond ? spherical_turn<A, R>(moments[0], z, tau) : body_turn<A, R>(moments, z, tau);
     }
 
     // From the principal axes to the coordinates.
@@ -137,7 +148,7 @@ template <class A, class C>
 NOINLINE void called_turns(const FlowTables& tables, const C& constants, int64_t body, double tau, const A* x,
                            const Turns<A>& turns) {
     const CalledBody<A> own(tables, constants, body, x);
-    Quaternion<A> along = body_turn<A, A>(own.moments, own.momentum, tau), q{along.whole, {}};
+    Quaternion<A> along = own.turn(own.momentum, tau), q{along.whole, {}};
     own.outward(along.vector, q.vector);
     turns_of(q, turns);
     const A lengths[BODY_TURNS] = {own.scale[2], own.scale[0], own.scale[1], own.scale[2]};
@@ -157,8 +168,8 @@ NOINLINE void called_changes(const FlowTables& tables, int64_t body, double tau,
     R momentum[3];
     for (int i = 0; i < 3; ++i)
         momentum[i] = R(own.momentum[i], A(double(i == 0)), A(double(i == 1)), A(double(i == 2)));
-    const Quaternion<R> q = body_turn<A, R>(own.moments, momentum, tau);
-    const uint32_t* column = tables.body_column + 3 * body;
+    const Quaternion<R> q = own.turn(momentum, tau);
+    const uint32_t* column = own.column;
     const A vector[3] = {q.vector[0].value, q.vector[1].value, q.vector[2].value};
     A bend[9];  // by row: the change along a coordinate for each component of the momentum along the principal axes
     for (int c = 0; c < 3; ++c) {
@@ -176,7 +187,8 @@ NOINLINE void called_changes(const FlowTables& tables, int64_t body, double tau,
             const V by((own.scale[i] * own.scale[j]) * dot(bend + 3 * i, axes));
             for (int64_t b = 0; b < rows; ++b) {
                 V& change = changes[(1 + i) % BODY_TURNS * rows + b];
-                const V moved = by * vectors[column[j] * rows + b];
+                const V moved = own.bond ? by * (vectors[column[j] * rows + b] + vectors[column[3 + j] * rows + b])
+                                         : by * vectors[column[j] * rows + b];
                 change = j == 0 ? moved : change + moved;
             }
         }

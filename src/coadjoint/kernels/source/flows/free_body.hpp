@@ -139,17 +139,13 @@ INLINE Dual<double> through_points(const BodyPiece<Dual<double>>& piece, Dual<do
     const Dual<Wide> s(load<Wide>(NODE));
     Dual<Wide> changes[3];
     const Dual<Wide> found = wide.at(s, s * s, changes);
-    const auto all_of = [&](const Wide& lanes) {
-        double rates[WIDTH];
-        store(rates, lanes);
-        return added_up(rates);
+    const auto lane = [](const Dual<Wide>& d, int k) {
+        return Dual<double>(d.value[k], d.slope[0][k], d.slope[1][k], d.slope[2][k]);
     };
-    const auto last_of = [](const Dual<Wide>& d) {
-        constexpr int last = POINTS - 1;
-        return Dual<double>(d.value[last], d.slope[0][last], d.slope[1][last], d.slope[2][last]);
-    };
-    for (int i = 0; i < 3; ++i) change[i] = last_of(changes[i]);
-    return {all_of(found.value), all_of(found.slope[0]), all_of(found.slope[1]), all_of(found.slope[2])};
+    Dual<double> rates[POINTS];
+    for (int k = 0; k < POINTS; ++k) rates[k] = lane(found, k);
+    for (int i = 0; i < 3; ++i) change[i] = lane(changes[i], POINTS - 1);
+    return added_up(rates);
 }
 
 template <class A>
@@ -202,6 +198,20 @@ template <int N>
 INLINE Lanes<N> value_of(const Lanes<N>& a) { return a; }
 template <class A>
 INLINE A value_of(const Dual<A>& a) { return a.value; }
+
+// The quaternion of the turn of a body with three equal moments: about the momentum, by the angle moment tau |z|.
+template <class A, class R>
+INLINE Quaternion<R> spherical_turn(const A& moment, const R* momentum, double tau) {
+    const A size = larger(absolute(value_of(momentum[0])),
+                          larger(absolute(value_of(momentum[1])), absolute(value_of(momentum[2]))));
+    const A power = leading_power(size), inverse = inverse_power(power);
+    R z[3];
+    for (int i = 0; i < 3; ++i) z[i] = momentum[i] * R(inverse);
+    const R length = square_root(select(A(0.0) < size, dot(z, z), R(1.0)));
+    const Rotation<R> turn = rotation_by(R(0.5 * (moment * (tau * power))) * length);
+    const R sine = turn.sine / length;
+    return Quaternion<R>{turn.lowered + R(1.0), {sine * z[0], sine * z[1], sine * z[2]}};
+}
 
 // The quaternion of the turn over the time tau from the momentum z along the principal axes; no numbers where the time
 // is more than MOST_PIECES pieces. R is A, or A with its derivatives by z.
