@@ -15,6 +15,7 @@ from coadjoint.program.parts import BodyShare
 from coadjoint.program.table import Program
 
 MOST_SWEEPS = 16
+DIRECT, TOGETHER = 1, 2  # bits of `direct`
 
 
 class BodyTables(NamedTuple):
@@ -47,7 +48,9 @@ def body_tables(program: Program) -> BodyTables:
     for p, share in of_part.items():
         turning = all(abs(length) == 1.0 for length in share.scale)
         actions = (program.state,) if program.group is None else (program.state, program.group)
-        direct[p] = turning and all(_turns_directly(action, p) for action in actions)
+        direct[p] = DIRECT * (turning and all(_turns_directly(action, p) for action in actions))
+        if all(bodies[s].other and bodies[s].scale == (1.0, 1.0, 1.0) for s in range(*parts.share[p : p + 2])):
+            direct[p] |= TOGETHER
     columns = np.array(
         [(*share.coordinates, *(share.other or share.coordinates)) for share in bodies.values()], dtype=np.uint32
     ).reshape(-1)

@@ -19,7 +19,8 @@ class FlowTables(NamedTuple):
     other frequencies than on the momentum, frequency[row], so that they need the angle itself. called[k] is the number
     of the free body that share k calls, -1 where it calls none; `body_column` has its triple and the other one of
     a bond (else the same again), `body` its constants.
-    direct[p] is 1 where all blocks of such a part turn by the angle itself.
+    direct[p] has the bit 1 where all blocks of such a part turn by the angle itself, and the bit 2 where it is made of
+    bonds between triples of unit scale.
     """
 
     longest: int

@@ -24,6 +24,9 @@ FUNCTION = 0.6
 COMPENSATED = 1.3
 # The turn of a free body over a short time.
 BODY = 7.0
+# A bond of a lattice, side by side with others, and where the sums are compensated.
+BOND = 1.3
+BOND_COMPENSATED = 12.0
 ITERATION = 0.5
 LANES = 8
 VECTOR_MULTIPLICATION = 0.05
@@ -93,14 +96,15 @@ def flow_work(program: Program, compensated: bool) -> float:
 
 def _part_work(program: Program, number: int, compensated: bool) -> float:
     multiplications, functions = share_work(program, number)
-    bodies = len(bodies_of(program, number))
+    bodies = bodies_of(program, number)
     if bodies:
         multiplications, functions = 0, 0
     cost = FLOW + MULTIPLICATION * multiplications + FUNCTION * functions
     acting = action_work(program.state, number)
     if bodies:
-        cost += BODY * bodies
-        acting = acting[0], 0  # sines come with the body
+        bonds = bool(bodies[0].other)
+        cost += len(bodies) * (BODY if not bonds else BOND_COMPENSATED if compensated else BOND)
+        acting = 0 if bonds else acting[0], 0  # sines come with the body
     cost += (MULTIPLICATION * acting[0] + FUNCTION * acting[1]) * (COMPENSATED if compensated else 1.0)
     if program.group is not None:
         # The rows of a group element are turned side by side, by one sine.

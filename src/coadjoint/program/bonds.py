@@ -18,11 +18,12 @@ from coadjoint.program.free_bodies import Triple, fixed_axis, terms_by_degree, t
 from coadjoint.program.parts import BodyShare, Parts
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.program.split import NotSplit, atoms_of
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.terms import QuadraticTerm
 
 MOST_BONDS = 100_000
-BYTES_PER_BOND = 6000  # while the tables are made
+BYTES_PER_BOND = 8000  # while the tables are made
 
 
 class Bond(NamedTuple):
@@ -154,9 +155,10 @@ def _isotropic(form: QuadraticTerm, spins: Sequence[Triple]) -> list[Bond]:
         rows, columns = axis[form.rows[entries]], axis[form.indices[entries]]
         first, second = pair[begin].tolist()
         scale = spins[first].scale
+        rounding = 0.0 if scale == (1.0, 1.0, 1.0) else 8 * UNIT_ROUNDOFF  # scales are roots
         strengths = form.values[entries] / np.array(scale) ** 2
         alike = np.array_equal(rows, [0, 1, 2]) and np.array_equal(columns, rows)
-        if alike and spins[second].scale == scale and np.all(strengths == strengths[0]):
+        if alike and spins[second].scale == scale and np.ptp(strengths) <= rounding * abs(strengths[0]):
             found.append(Bond(first, second, float(strengths[0])))
     return found
 

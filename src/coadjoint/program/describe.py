@@ -20,6 +20,8 @@ MOST_SHOWN = 6
 WORK = {Kind.SCALE: 1, Kind.ROTATE: 4, Kind.PLANE: 6, Kind.SHEAR: 2}
 # Multiplications in the turn of a free body over a short time.
 BODY_WORK = 600
+# Of a bond, which turns its momenta without blocks.
+BOND_WORK = 60
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,9 @@ def _part(system: LiePoissonSystem, program: Program, number: int, part: Part) -
         blocks[Kind(int(action.kind[run])).name] += int(action.angles[run]) * int(action.repeat[run])
     acting, shares = action_work(action, number), share_work(program, number)
     bodies = bodies_of(program, number)
-    multiplications, functions = acting[0] + shares[0], shares[1] if bodies else acting[1] + shares[1]
+    if bodies:
+        acting = 0 if bodies[0].other else acting[0], 0
+    multiplications, functions = (a + b for a, b in zip(acting, shares, strict=True))
     names = tuple(_name(system, form) for form in part.forms)
     if bodies:
         names = tuple(_body_name(system, body) for body in bodies)
@@ -163,7 +167,8 @@ def share_work(program: Program, number: int) -> tuple[int, int]:
     for term in range(program.share[number], program.share[number + 1]):
         rows = range(terms.row[term], terms.row[term + 1])
         if term in bodies:
-            multiplications, functions = multiplications + BODY_WORK, functions + 1
+            work = BOND_WORK if bodies[term].other else BODY_WORK
+            multiplications, functions = multiplications + work, functions + 1
         elif terms.kind[term] == LINEAR:
             multiplications += int(terms.entry[rows.stop] - terms.entry[rows.start])
         elif term in program.functions:

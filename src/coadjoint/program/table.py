@@ -123,8 +123,8 @@ def build_program(
     parts = decomposition.parts
     if decomposition.shift is None and group is not None:
         raise ValueError(
-            f'parts="{method.parts}" takes Casimirs off the energy of {system.name} that are too long to be written, so '
-            'that the attitude is not known; take parts="auto"'
+            f'parts="{method.parts}" takes Casimirs off the energy of {system.name} that are too long to be written, '
+            'so that the attitude is not known; take parts="auto"'
         )
     table = _term_table(parts)
     state = _state_action(system.algebra, parts, number)

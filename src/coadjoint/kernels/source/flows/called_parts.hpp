@@ -20,6 +20,8 @@ constexpr int BODY_COLUMNS = 6;       // the triple, and the other one of a bond
 constexpr int BODY_CONSTANTS = 15;    // moments, principal axes in rows of components, lengths of the generators
 constexpr double UPRIGHT = 0.9;       // the sine from which a turn about e2 counts as near a right angle
 constexpr int64_t WORK_OF_A_BODY = 500;  // multiplications that a short flow of a body takes
+constexpr int64_t WORK_OF_A_BOND = 60;
+constexpr int DIRECT = 1, TOGETHER = 2;  // bits of FlowTables::direct
 constexpr double TWO_PI = 6.2831853071795865;
 
 // The turns of a called flow: each by sine and cosine minus one, or by its angle.

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <vector>
 
-#include "flows/called_parts.hpp"
+#include "flows/bonds.hpp"
 #include "boundary/crew.hpp"
 
 namespace coadjoint {
@@ -58,13 +58,19 @@ struct AngleRoom {
 template <class A, class C>
 Turns<A> turns_of_part(const FlowTables& tables, const C& constants, uint32_t part, double tau, const A* x,
                        AngleRoom<A>& room) {
-    const Turns<A> turns{room.theta.at, room.turned.at, room.arguments.at, tables.direct[part] != 0};
+    const Turns<A> turns{room.theta.at, room.turned.at, room.arguments.at, (tables.direct[part] & DIRECT) != 0};
     for (uint32_t k = tables.share[part], first = tables.terms.row[k]; k < tables.share[part + 1]; ++k) {
         const uint32_t own = tables.terms.row[k] - first;
         called_turns(tables, constants, tables.called[k], tau, x,
                      Turns<A>{turns.angle + own, turns.sine + own, turns.lowered + own, turns.direct});
     }
     return turns;
+}
+
+// Whether a part is made of bonds that turn momenta without blocks. Compensated sums take the blocks.
+template <Care care>
+bool goes_together(const FlowTables& tables, uint32_t part) {
+    return care == PLAIN && (tables.direct[part] & TOGETHER) != 0;
 }
 
 inline bool is_called(const FlowTables& tables, uint32_t part) { return tables.called[tables.share[part]] >= 0; }
@@ -84,8 +90,13 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
     } else {
         const uint32_t low = tables.share[part], high = tables.share[part + 1];
         if (tables.called[low] >= 0) {
-            const Turns<A> turns = turns_of_part(tables, constants, part, tau, x.at, room);
-            act_called<care>(tables.state, constants, part, turns, x, tables.state.size);
+            const bool together = goes_together<care>(tables, part);
+            Turns<A> turns{};
+            if (carry || !together) turns = turns_of_part(tables, constants, part, tau, x.at, room);
+            if (together)
+                turn_bonds(tables, constants, part, tau, x.at);
+            else
+                act_called<care>(tables.state, constants, part, turns, x, tables.state.size);
             if constexpr (carry) act_called<CORRECTED>(tables.group, constants, part, turns, group, tables.group.size);
             return;
         }
@@ -139,7 +150,7 @@ inline int64_t work_of_step(const FlowLoop& loop) {
     int64_t work = work_of_terms(loop.watch.terms, 0, loop.watch.terms.size);
     for (uint32_t r = first; r < last; ++r)
         if (is_called(tables, tables.part[r]))
-            work += WORK_OF_A_BODY * (tables.share[tables.part[r] + 1] - tables.share[tables.part[r]]);
+            work += (tables.direct[tables.part[r]] & TOGETHER ? WORK_OF_A_BOND : WORK_OF_A_BODY) * (tables.share[tables.part[r] + 1] - tables.share[tables.part[r]]);
         else
             work += 16 + work_of_terms(tables.terms, tables.share[tables.part[r]], tables.share[tables.part[r] + 1]);
     work += work_of_rows(tables, tables.state, first, last);

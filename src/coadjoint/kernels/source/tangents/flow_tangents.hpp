@@ -85,7 +85,10 @@ struct FlowTraveller {
                 called_changes(tables, tables.called[k], tau, x, vectors, rows,
                                changes.at + (terms.row[k] - base) * rows);
             const Turns<A> turns = turns_of_part(tables, Shared{}, part, tau, x, angles);
-            act_called<care>(tables.state, Shared{}, part, turns, Vectors<A>{x, dx, 1, scratch.at}, size);
+            if (goes_together<care>(tables, part))
+                turn_bonds(tables, Shared{}, part, tau, x);
+            else
+                act_called<care>(tables.state, Shared{}, part, turns, Vectors<A>{x, dx, 1, scratch.at}, size);
             act_called<PLAIN>(tables.state, Shared{}, part, turns, Vectors<V>{vectors, nullptr, rows, wide.at}, size);
         } else {
             for (uint32_t k = low; k < high; ++k) {
