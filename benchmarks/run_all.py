@@ -18,6 +18,7 @@ from c_programs import FLAGS, HERE, build
 SECTIONS = {
     "one_trajectory": "One trajectory",
     "large_trajectories": "Large systems",
+    "spins": "Spins",
     "ensembles": "Ensembles",
     "gauss_legendre": "Gauss-Legendre",
     "round_off": "Round-off",

@@ -60,6 +60,7 @@ LINES = co.frequencies(TIMES, np.cos(TIMES), 1)
 LONG = co.integrate(BODY, X, (0, 20), 0.1)
 ALONG = co.integrate(BODY, X, (0, 20), 0.5, attitude=True)
 EYE = np.eye(3)
+FORCED = BODY.with_forces(co.forces.LinearDamping(0.1), co.forces.Torque(lambda t: np.array([0.0, 0.0, t])))
 
 # what is called, and right arguments: each of them is then made wrong
 EXAMPLES = {name: registry.scheme(name).examples()[0] for name in registry.names()}
@@ -134,6 +135,21 @@ CALLS = {
     "jacobian": (BODY.jacobian, {"x": X, "t": 0.0}),
     "exact": (BODY.exact, {"x0": X, "t": 1.0, "attitude": True}),
     "batch": (co.batch, {"systems": [BODY, BODY]}),
+    "LinearDamping": (lambda rate, toward: BODY.with_forces(co.forces.LinearDamping(rate, toward)),
+                      {"rate": EYE, "toward": X}),
+    "Torque": (lambda torque: BODY.with_forces(co.forces.Torque(torque)), {"torque": X}),
+    "a torque": (lambda value: BODY.with_forces(co.forces.Torque(lambda x: value)), {"value": X}),
+    "DoubleBracketDamping": (lambda alpha, metric: BODY.with_forces(co.forces.DoubleBracketDamping(alpha, metric)),
+                             {"alpha": 0.5, "metric": EYE}),
+    "HeatBath": (co.forces.HeatBath, {"alpha": 0.5, "metric": X, "temperature": 0.5, "seed": 1, "stream": 0}),
+    "OwnForce": (co.forces.OwnForce, {"function": lambda x, t, tau: x, "name": "still", "keeps_casimirs": True,
+                 "backward": True}),
+    "a flow": (lambda value: BODY.with_forces(co.forces.OwnForce(lambda x, t, tau: x + tau * value)), {"value": X}),
+    "forces.get": (lambda name: co.forces.get(name, rate=1.0), {"name": "LinearDamping"}),
+    "ForcedSystem": (co.ForcedSystem, {"system": BODY, "forces": (co.forces.LinearDamping(0.1),)}),
+    "with_forces": (BODY.with_forces, {"forces": co.forces.LinearDamping(0.1)}),
+    "vector_field with forces": (FORCED.vector_field, {"x": X, "t": 0.0}),
+    "power": (FORCED.power, {"x": X, "t": 0.0}),
     "systems.get": (co.systems.get, {"name": "rigid_body"}),
     **{name: (make, {key: given.default for key, given in inspect.signature(make).parameters.items()})
        for name, make in ready_made_systems().items()},

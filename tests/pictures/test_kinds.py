@@ -297,3 +297,45 @@ def test_a_run_of_no_step_and_functions_that_are_not_finite():
     lattice = co.systems.toda(3)
     run = co.integrate(lattice, (0.1, 0.2, 0.3, 0.0, 0.5), (0.0, 1.0), 0.1)  # a_1 = 0: the first two are far apart
     assert len(run.plot().axes[2].lines) == 3
+
+
+def test_a_function_on_the_sphere_is_seen_where_it_is():
+    """f(n) = x . n + n1 n2 n3, once as a grid, once in the directions of the pixels."""
+    rows, columns = 91, 180
+    latitude, longitude = np.linspace(-np.pi / 2, np.pi / 2, rows)[:, None], 2.0 * np.pi * np.arange(columns) / columns
+    n = np.stack(
+        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude) + 0 * longitude]
+    )
+
+    def f(x, n):
+        return np.tensordot(x, n, axes=1) + n[0] * n[1] * n[2]
+
+    run = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.4, -0.3, 0.8), (0.0, 2.0), 0.1)
+    for view in ((0.0, 0.0), (35.0, 22.0), (-130.0, -60.0)):
+        picture = Picture("sphere field", values=lambda body, x: f(x, n), at=0.5, view=view)
+        axes = shown(run, picture)
+        (image,) = axes.images
+        seen = np.asarray(image.get_array().filled(np.nan))
+        edge = np.linspace(-1.0, 1.0, len(seen))
+        around, above = np.radians(view)
+        towards = np.array([np.cos(above) * np.cos(around), np.cos(above) * np.sin(around), np.sin(above)])
+        right = np.array([-np.sin(around), np.cos(around), 0.0])
+        up = np.cross(towards, right)
+        for i, j in [(150, 150), (40, 160), (200, 80), (150, 290)]:
+            across, high = edge[j], edge[i]
+            direction = across * right + high * up + np.sqrt(1.0 - across**2 - high**2) * towards
+            # bilinear: an eighth of the squares of the cells, 2 degrees, times second derivatives below 4
+            assert seen[i, j] == pytest.approx(f(run.x[10], direction), abs=2 * np.radians(2.0) ** 2 / 8 * 4)
+        assert np.isnan(seen[0, 0]) and axes.get_aspect() == 1.0
+        # start, end and this time share one scale of colours
+        assert image.get_clim()[1] == max(np.abs(f(run.x[k], n)).max() for k in (0, 10, 20))
+
+
+def test_a_field_by_its_values():
+    run = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.4, -0.3, 0.8), (0.0, 2.0), 0.1)
+    grid = np.add.outer(np.arange(4.0), 10.0 * np.arange(3.0))
+    given = {"width": lambda body: 6.0, "label": "heat"}
+    axes = shown(run, Picture("field", values=lambda body, x: x[0] * grid, at=1.0, **given))
+    assert axes.get_title() == "heat at $t$ = 2" and axes.get_xlim() == (0.0, 6.0) and axes.get_ylim() == (0.0, 6.0)
+    with pytest.raises(TypeError, match="modes, or a function"):
+        shown(run, Picture("field", **given))

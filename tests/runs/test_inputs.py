@@ -288,6 +288,10 @@ def test_refusals():
     for kind, said, given in cases:
         with pytest.raises(kind, match=said):
             ready.run(x, (0, 1), **given)
+    steep = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([[1.0, 0.7, 0.0], [0.7, 0.9, 0.3], [0.0, 0.3, 1.0]]))
+    apart = co.Splitting(order=2, parts="coordinates")
+    with pytest.raises(ValueError, match="the linear term is too large"):
+        co.prepare(steep, apart, 0.1, inputs=True).run(x, (0, 1), linear=(1.7e308, -1.7e308, 1.7e308))
     with pytest.raises(ValueError, match="x0 has 3 members and the inputs have values for 2"):
         ready.run(np.tile(x, (3, 1)), (0, 1), rotors=np.zeros((2, 3)))
     with pytest.raises(TypeError, match="prepared without inputs"):
@@ -317,14 +321,37 @@ def test_refusals():
         co.prepare(co.LiePoissonSystem(co.algebras.so(3), split_up), None, 0.1, inputs=True)
 
 
-def test_squares_of_many_coordinates_take_no_inputs():
-    large = co.LiePoissonSystem(co.algebras.so(7), co.Quadratic(full_matrix(1, 21)), sign=-1)
-    with pytest.raises(ValueError, match=r"squares of more than 16 coupled coordinates.*GaussLegendre"):
-        co.prepare(large, co.Splitting(order=2, parts="coordinates"), 0.1, inputs=True)
-    x, linear = np.linspace(-0.5, 0.5, 21), np.linspace(0.3, -0.3, 21)
-    sol = co.prepare(large, co.GaussLegendre(1), STEP, inputs=True).run(x, (0, STEP), linear=linear)
-    anew = co.LiePoissonSystem(large.algebra, co.Quadratic(full_matrix(1, 21), linear=linear), sign=-1)
-    assert np.array_equal(sol.x, co.integrate(anew, x, (0, STEP), STEP, co.GaussLegendre(1)).x)
+def coupled(kind, n):
+    """Coordinates that are all coupled, some by entries beside which the diagonal is small."""
+    if kind == "dense":
+        M = full_matrix(1, n)
+        M[3, 3] = M[4, 4] = 0.0
+        M[3, 4] = M[4, 3] = 2.0
+        return M
+    M = np.diag(np.linspace(0.5, 1.5, n))
+    for k in range(n - 1):
+        M[k, k + 1] = M[k + 1, k] = 0.25 + 0.01 * k
+    M[7, 7] = M[8, 8] = 0.0
+    return M
+
+
+@pytest.mark.parametrize("kind", ["dense", "sparse"])
+def test_squares_of_more_coordinates_than_are_reduced_exactly(kind):
+    algebra, n = (co.algebras.so(7), 21) if kind == "dense" else (co.algebras.copies(co.algebras.so(3), 12), 36)
+    M, rng = coupled(kind, n), np.random.default_rng(5)
+    x, before, linear = rng.uniform(-0.5, 0.5, (3, n))
+    linear[:3] = 0.0
+    for where in (np.arange(n), np.array([2, 9, 5])):
+        ready = co.prepare(
+            co.LiePoissonSystem(algebra, co.Quadratic(M, linear=before), -1, casimirs={}), None, STEP, inputs=where
+        )
+        new = before.copy()
+        new[where] = linear[where]
+        anew = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=new), -1, casimirs={})
+        sol = ready.run(x, SPANS[0], linear=linear[where])
+        assert_same(sol, co.integrate(anew, x, SPANS[0], STEP, ready.method))
+        exact = co.integrate(anew, x, SPANS[0], STEP, co.GaussLegendre(4)).x[-1]
+        assert np.abs(sol.x[-1] - exact).max() < 5 * STEP**2
 
 
 def test_steps_that_are_calls_of_python_take_no_inputs():

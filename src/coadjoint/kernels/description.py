@@ -61,6 +61,8 @@ USED: Mapping[str, Iterable[str]] = {
     "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED"),
     "Outcome": ("INTERRUPTED", "NO_MEMORY"),
     "Solver": ("EXPLICIT", "ITERATED", "IMPLICIT", "STRUCTURE", "GRADIENT"),
+    "ForceKind": ("DAMPING", "CONSTANT", "OF_TIME", "OF_STATE", "ON_ORBIT", "BY_FLOW"),
+    "Shape": ("MULTIPLE", "DIAGONAL", "FULL"),
     "Limit": (
         "TENTHS",
         "RATIONAL",

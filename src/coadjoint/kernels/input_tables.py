@@ -20,7 +20,7 @@ from coadjoint.kernels.description import limit
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.structures import ARRAYS, SCALARS, VARIED, pointed
 from coadjoint.memory import check_room
-from coadjoint.program.offsets_of_squares import ExactSums, offsets_of_squares
+from coadjoint.program.offsets_of_squares import ExactSums, Reduced, offsets_of_squares
 from coadjoint.program.parts import Parts
 
 Floats = NDArray[np.float64]
@@ -29,12 +29,6 @@ Floats = NDArray[np.float64]
 # row after row of its terms stand the angles of the parts.
 WRITTEN = ("constants", "numbers")
 WHOLE, OFFSETS = "tables.whole", "terms.offset"
-
-
-SQUARES = (
-    "its parts are completed squares of more than 16 coupled coordinates, whose linear terms are no exact sums; "
-    "GaussLegendre and Taylor take inputs there"
-)
 
 
 class NotPlaced(ValueError):
@@ -142,7 +136,7 @@ class _Written(NamedTuple):
 
     rows: NDArray[np.int64]
     inputs: NDArray[np.int64]
-    rules: list[tuple[NDArray[np.int64], ExactSums]]
+    rules: list[tuple[NDArray[np.int64], ExactSums | Reduced]]
 
 
 class InputTables:
@@ -180,7 +174,7 @@ class InputTables:
         holders = {table.holder for table in tables}
         known = {pair: k for k, pair in enumerate(zip(*(own.tolist() for own in inputs), strict=True))}
         copies: list[tuple[int, str, int, int]] = []
-        sums: list[tuple[int, str, list[int], ExactSums]] = []
+        sums: list[tuple[int, str, list[int], ExactSums | Reduced]] = []
         chosen: list[list[Field]] = []
         self.apart = len(tables) > 2
         for number, table in enumerate(tables):
@@ -198,8 +192,7 @@ class InputTables:
                 for place in [place for place in places.tolist() if place not in summed]:
                     pair = field.value[place].item(), theirs[place].item()
                     if pair not in known:
-                        where = f"its table has {field.name} that are neither inputs nor exact sums of inputs"
-                        raise NotPlaced(SQUARES if table.parts is not None and field.name == OFFSETS else where)
+                        raise NotPlaced(f"its table has {field.name} that are neither inputs nor exact sums of inputs")
                     copies.append((number, field.name, place, known[pair]))
         self._shared = _Block(tables, chosen)
         self._in_shared = _written(self._shared, copies, sums)
@@ -235,7 +228,7 @@ class InputTables:
 def _written(
     block: _Block,
     copies: Sequence[tuple[int, str, int, int]],
-    sums: Sequence[tuple[int, str, list[int], ExactSums]],
+    sums: Sequence[tuple[int, str, list[int], ExactSums | Reduced]],
 ) -> _Written:
     rows = np.array([block.start[number, name] + place for number, name, place, _ in copies], dtype=np.int64)
     inputs = np.array([source for *_, source in copies], dtype=np.int64)

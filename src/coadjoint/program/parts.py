@@ -90,7 +90,14 @@ class Parts(Sequence[Part]):
         Where the shares of each part begin.
     timed : ndarray of bool, shape (parts,)
         Which parts depend on time.
+
+    Attributes
+    ----------
+    pivots : ndarray of int64, shape (angles, 3), or None
+        Of completed squares with forms in floats: see `Squares`; -1 for other angles.
     """
+
+    pivots: NDArray[np.int64] | None = None
 
     def __init__(
         self,
@@ -126,7 +133,7 @@ class Parts(Sequence[Part]):
         if not pieces:
             return cls.linear(SparseRows.empty(0), np.zeros(0), SparseRows.empty(0), np.zeros(1, dtype=np.int64))
         shares = np.cumsum([0] + [len(piece.row) - 1 for piece in pieces]).tolist()
-        return cls(
+        whole = cls(
             SparseRows.concatenate([piece.forms for piece in pieces]),
             np.concatenate([piece.offset for piece in pieces]),
             SparseRows.concatenate([piece.weights for piece in pieces]),
@@ -139,6 +146,11 @@ class Parts(Sequence[Part]):
             joined_starts([piece.share for piece in pieces]),
             np.concatenate([piece.timed for piece in pieces]),
         )
+        if any(piece.pivots is not None for piece in pieces):
+            none = [np.full((len(piece.offset), 3), -1) for piece in pieces]
+            own = [one if piece.pivots is None else piece.pivots for one, piece in zip(none, pieces, strict=True)]
+            whole.pivots = np.concatenate(own)
+        return whole
 
     @property
     def bodies(self) -> dict[int, BodyShare]:
@@ -176,7 +188,7 @@ class Parts(Sequence[Part]):
         begin, end = self.row[shares], self.row[shares + 1]
         _, angles = expand(begin, end)
         place = dict(zip(shares.tolist(), range(len(shares)), strict=True)) if self.special else {}
-        return Parts(
+        taken = Parts(
             self.forms.take(angles),
             self.offset[angles],
             self.weights.take(angles),
@@ -185,6 +197,8 @@ class Parts(Sequence[Part]):
             starts_of(last - first),
             self.timed[chosen],
         )
+        taken.pivots = None if self.pivots is None else self.pivots[angles]
+        return taken
 
     def joined(self, label: NDArray[Any]) -> Parts:
         """Return the parts with equal labels, which must commute, as one part; in the order of their first members."""
@@ -195,7 +209,9 @@ class Parts(Sequence[Part]):
         begins = np.flatnonzero(fresh(group))
         timed = np.logical_or.reduceat(moved.timed, begins) if len(begins) else moved.timed
         share = np.append(moved.share[begins], moved.share[-1])
-        return Parts(moved.forms, moved.offset, moved.weights, moved.row, moved.special, share, timed)
+        joined = Parts(moved.forms, moved.offset, moved.weights, moved.row, moved.special, share, timed)
+        joined.pivots = moved.pivots
+        return joined
 
     @overload
     def __getitem__(self, index: int) -> Part: ...

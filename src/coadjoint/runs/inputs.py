@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import unknown_name
 from coadjoint.given import are_finite, read_numbers
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System
 from coadjoint.systems.linear_term import check_linear, linear_of, with_linear
 from coadjoint.wording import short
@@ -45,11 +46,16 @@ class Inputs:
     array([0.5 , 0.  , 0.25])
     """
 
-    def __init__(self, system: System | Batch, given: Any) -> None:
+    def __init__(self, system: System | ForcedSystem | Batch, given: Any) -> None:
         if isinstance(system, Batch):
             raise TypeError(
                 f"inputs are for one system, and this is {system!r}; prepare one system, whose inputs may have a value "
                 "for each member"
+            )
+        if isinstance(system, ForcedSystem):
+            raise TypeError(
+                f"inputs are for systems without forces, and this is {system.name}; give what changes with the time "
+                "as a Torque of the time"
             )
         check_linear(system)
         self.system, self.linear = system, linear_of(system.hamiltonian, system.dim)

@@ -6,13 +6,14 @@ import os
 import threading
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_flag, read_whole
 from coadjoint.methods.base import Method
+from coadjoint.methods.forced import serving
 from coadjoint.methods.splitting import Splitting
 from coadjoint.runs.batch_loops import BatchLoops
 from coadjoint.runs.input_loops import InputLoops
@@ -24,6 +25,7 @@ from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start, momenta_of, representations_of, with_group
 from coadjoint.runs.times import Times, checked_step, span_of, times_between
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_system
 from coadjoint.wording import short
 
@@ -41,7 +43,7 @@ class PreparedRun:
 
     def __init__(
         self,
-        system: System | Batch,
+        system: System | ForcedSystem | Batch,
         method: Method | None,
         step: float,
         *,
@@ -60,9 +62,11 @@ class PreparedRun:
         self._inputs = None if inputs is None or inputs is False else Inputs(system, inputs)
         if self._inputs is not None:
             scheme = scheme.settled(self._inputs.system, sorted(self._inputs.changing.tolist()))
-        self.system, self.method, self.step = system, scheme, checked_step(step)
+        self.system: Any = system
+        self.method, self.step = scheme, checked_step(step)
+        self._scheme = serving(system, scheme)
         self._attitude, self._watching = attitude, watching
-        self._representations = representations_of(system, scheme, attitude)
+        self._representations = representations_of(cast(Any, system), self._scheme, attitude)
         self._observe = check_observe({} if observe is None else observe)
         self._threads = workers or os.cpu_count() or 1
         self._made: dict[float, Loops | InputLoops] = {}
@@ -181,8 +185,8 @@ class PreparedRun:
         if self._inputs is not None:
             return InputLoops(self._inputs, self.method, h, self._representations[0])
         if isinstance(self.system, Batch):
-            return BatchLoops(self.system, self.method, h, self._representations)
-        return SystemLoops(self.system, self.method, h, self._representations[0])
+            return BatchLoops(self.system, self._scheme, h, self._representations)
+        return SystemLoops(self.system, self._scheme, h, self._representations[0])
 
     def _observed_at(self, x0: NDArray[np.float64]) -> Observed:
         with self._making:
@@ -193,7 +197,7 @@ class PreparedRun:
 
 
 def prepare(
-    system: System | Batch,
+    system: System | ForcedSystem | Batch,
     method: Method | None,
     step: float,
     *,
@@ -210,7 +214,7 @@ def prepare(
 
     Parameters
     ----------
-    system : LiePoissonSystem, PoissonSystem or Batch
+    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
         What moves.
     method : Method or None
         The scheme; `Splitting()` of order 2 if None.

@@ -82,7 +82,8 @@ class Run:
         self.saved = NamedArrays(self.plan.layout.saved)
         if state is None:
             self.state = RunState(NamedArrays(self.plan.layout.state))
-            self.state["momenta"][:] = start.momenta
+            # Behind the coordinates stand accounts, which begin at zero.
+            self.state["momenta"][:, : start.momenta.shape[1]] = start.momenta
             if square:
                 self.state["groups"][:] = loops.started(start.groups)
         else:

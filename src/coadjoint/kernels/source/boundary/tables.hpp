@@ -95,6 +95,15 @@ TABLE(RungeKuttaTables, RUNGE_KUTTA_FIELDS)
     _(Field, field) _(addresses, values) _(GroupField, group) _(Watch, kept) _(integers, whole) _(numbers, coefficients)
 TABLE(StepTables, STEP_FIELDS)
 
+// A force. `shape` is that of `rate`, a matrix, and of its root in `aim`; else `aim` is a vector. What it changes of the
+// first `accounts` invariants is added up behind the coordinates, from place `account` on. The directions of a noise,
+// columns of the root, fall into `sets` that commute: the directions direction[begin[s]] to direction[begin[s + 1]].
+#define FORCE_FIELDS(_)                                                                                              \
+    _(integer, kind) _(integer, account) _(integer, accounts) _(integer, shape) _(numbers, rate) _(numbers, aim)     \
+    _(integers, function) _(number, amplitude) _(integer, seed) _(integer, stream) _(integer, sets)                  \
+    _(integers, begin) _(integers, direction)
+TABLE(ForceTable, FORCE_FIELDS)
+
 #define STEPPING_FIELDS(_)                                                                                           \
     _(integers, step) _(integer, substeps) _(numbers, fraction) _(numbers, moment) _(StepTables, tables)            \
     _(integer, serial)

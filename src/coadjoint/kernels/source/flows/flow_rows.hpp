@@ -1,16 +1,55 @@
 // The rows of a program, read from their table, and what a loop over steps is given.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
 #include "flows/called_parts.hpp"
 #include "boundary/crew.hpp"
 
 namespace coadjoint {
 
-// Room for the angles of a part and for the calls of user functions.
+// Which linear terms of many rows have one offset and one weight for all of them, as a lattice in a uniform field has?
+// Only the columns of such a term are read in each step. Constants are those of one system.
+inline std::vector<bool> even_terms(const Terms& terms, int64_t longest) {
+    constexpr int64_t many = 1024;
+    std::vector<bool> even;
+    if (longest < many) return even;
+    even.resize(terms.size);
+    for (int64_t k = 0; k < terms.size; ++k) {
+        const uint32_t row = terms.row[k], stop = terms.row[k + 1];
+        if (terms.kind[k] != LINEAR || stop - row < many) continue;
+        auto alike = [](const double* all, uint32_t first, uint32_t last) {
+            const bool negative = std::signbit(all[first]);
+            return std::all_of(all + first, all + last,
+                               [=](double one) { return one == all[first] && std::signbit(one) == negative; });
+        };
+        const uint32_t entry = terms.entry[row], end = terms.entry[stop];
+        even[k] = entry < end && alike(terms.offset, row, stop) && alike(terms.weight, entry, end);
+    }
+    return even;
+}
+
+// `gradient_rows` of such a term.
+template <class A>
+NOINLINE void even_rows(const Terms& terms, int64_t k, const A* x, A* out) {
+    const uint32_t start = terms.row[k], stop = terms.row[k + 1];
+    const uint32_t *entry = terms.entry, *column = terms.column;
+    const A offset(terms.offset[start]), weight(terms.weight[entry[start]]);
+    for (uint32_t row = start, e = entry[start]; row < stop; ++row) {
+        A total = offset;
+        for (const uint32_t last = entry[row + 1]; e < last; ++e) total = fma(weight, x[column[e]], total);
+        *out++ = total;
+    }
+}
+
+// Room for the angles of a part and for the calls of user functions, and what is known of the terms.
 template <class A>
 struct AngleRoom {
     Room<A> theta, turned, arguments;
     std::vector<double> calls;
+    std::vector<bool> even;
     explicit AngleRoom(int64_t longest)
         : theta(longest), turned(longest), arguments(longest), calls(2 * longest + 2) {}
 };
@@ -52,8 +91,11 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
         }
         const A moment = t + A(tables.moment[r] * h);
         for (uint32_t k = low; k < high; ++k)
-            gradient_rows(terms, constants, tables.addresses, k, x.at, moment, room.theta.at, terms.row[low],
-                          room.arguments.at, room.calls.data());
+            if (!room.even.empty() && room.even[k])
+                even_rows(terms, k, x.at, room.theta.at + (terms.row[k] - terms.row[low]));
+            else
+                gradient_rows(terms, constants, tables.addresses, k, x.at, moment, room.theta.at, terms.row[low],
+                              room.arguments.at, room.calls.data());
     }
     Turned<A> turned;
     act<care, false>(tables.state, constants, part, tau, single, lone, room.theta.at, turned, x);
