@@ -169,3 +169,11 @@ def test_it_is_certified_and_written_and_read_again():
     table = by_bonds(order=4).program(system).to_mapping()
     assert table["bodies"] and json.dumps([int(k) for k in table["bodies"]])
     assert from_description(description_of(by_bonds(order=4))) == by_bonds(order=4)
+
+
+def test_a_field_is_one_rotation_about_its_axis():
+    pair = co.systems.spin_lattice("chain", 2, field=(0.1, 0.2, 0.3))
+    parts, _ = bonds(pair)
+    assert len(parts) == 2 and [len(form[0]) for form in parts[1].forms] == [3, 3]
+    along = co.systems.spin_lattice("chain", 2, field=(0.0, 0.2, 0.0))
+    assert [form[0] for form in bonds(along).parts[1].forms] == [(1,), (4,)]

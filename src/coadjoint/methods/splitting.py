@@ -49,11 +49,12 @@ class Splitting(FlowMethod):
         paper's, one coordinate each. ``"free_body"``: coordinates that span so(3), with all of the energy that is
         quadratic in them, move as free rigid bodies, exactly, and turn everything else; a heavy top is then a free body
         and gravity, a gyrostat a free body and a rotation about the axis of its rotors, and a rigid body alone has no
-        error but rounding. It costs about seven rotations, and pays where what is added to the body is weak. ``"bonds"``: for
-        momenta of copies of so(3), such as spins, each isotropic coupling c z.w is an exact flow, which turns both
-        about their sum; couplings that share no momentum are one part. The total momentum is then kept wherever the
-        couplings alone keep it, to rounding. Sets of coordinates are used as given, in that order. What `tuned` chose for a state is explicit as well. Where M is not
-        diagonal and couples coordinates that do not commute, the parts are completed squares.
+        error but rounding. It costs about seven rotations, and pays where what is added to the body is weak.
+        ``"bonds"``: for momenta of copies of so(3), such as spins, each isotropic coupling c z.w is an exact flow,
+        which turns both about their sum; couplings that share no momentum are one part. The total momentum is then kept
+        wherever the couplings alone keep it, to rounding. Sets of coordinates are used as given, in that order. What
+        `tuned` chose for a state is explicit as well. Where M is not diagonal and couples coordinates that do not
+        commute, the parts are completed squares.
     compensated : bool, optional
         Compensated summation of the momentum; None is no. (The group element is always compensated.) Without it the
         Casimirs of a rigid body, a heavy top and a body on so(4) are off by 5e-13, 3e-13 and 8e-13 of abs(x)^2 after

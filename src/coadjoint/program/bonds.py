@@ -68,8 +68,8 @@ def bonds(system: LiePoissonSystem) -> Bonds:
     --------
     >>> import coadjoint as co
     >>> chain = co.systems.spin_lattice("chain", 4)
-    >>> [[chain.algebra.basis[i] for i in (body.coordinates[0], body.other[0])] for body in bonds(chain).parts.bodies.values()]
-    [['e1[1]', 'e1[2]'], ['e1[3]', 'e1[4]'], ['e1[2]', 'e1[3]']]
+    >>> [(share.coordinates, share.other) for share in bonds(chain).parts.bodies.values()]
+    [((0, 1, 2), (3, 4, 5)), ((6, 7, 8), (9, 10, 11)), ((3, 4, 5), (6, 7, 8))]
     """
     commutation = Commutation(system.algebra)
     terms = terms_by_degree(system)
