@@ -150,7 +150,8 @@ inline int64_t work_of_step(const FlowLoop& loop) {
     int64_t work = work_of_terms(loop.watch.terms, 0, loop.watch.terms.size);
     for (uint32_t r = first; r < last; ++r)
         if (is_called(tables, tables.part[r]))
-            work += (tables.direct[tables.part[r]] & TOGETHER ? WORK_OF_A_BOND : WORK_OF_A_BODY) * (tables.share[tables.part[r] + 1] - tables.share[tables.part[r]]);
+            work += (goes_together<PLAIN>(tables, tables.part[r]) ? WORK_OF_A_BOND : WORK_OF_A_BODY) *
+                    (tables.share[tables.part[r] + 1] - tables.share[tables.part[r]]);
         else
             work += 16 + work_of_terms(tables.terms, tables.share[tables.part[r]], tables.share[tables.part[r] + 1]);
     work += work_of_rows(tables, tables.state, first, last);
