@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.kernels.tangents import vectors_in
 from coadjoint.program.reading import Reading
 from coadjoint.program.table import build_program
+from coadjoint.runs.times import Times
 from coadjoint.systems.free_rigid_body import exact_solution
+from verification.carried import run_with
 
 U = 2.0**-53
 SO3 = co.algebras.so(3)
@@ -134,6 +137,17 @@ def test_the_plain_reading_and_its_tangent_agree_with_the_loops(system):
     J = system.algebra.structure_matrix
     defect = P @ J(x0) @ P.T - J(x)
     assert np.abs(defect).max() <= 2.0**10 * U * max(1.0, np.abs(P).max()) ** 2 * size
+
+
+@pytest.mark.parametrize("system", list(tops()), ids=lambda system: system.name)
+def test_tangent_vectors_have_the_bits_of_each_member_alone(system):
+    n, rng = system.dim, np.random.default_rng(7)
+    x0, times = rng.standard_normal((37, n)), Times(0.0, 0.5, 3, 3)
+    x0[3], x0[6] = 0.0, [*([0.0, 1.0, 0.0] * 2)][:n]
+    together = vectors_in(run_with(system, free_body(), x0, times, np.eye(n)).state["memory"], n, n)
+    for k in (0, 3, 6, 17, 36):
+        alone = run_with(system, free_body(), x0[k], times, np.eye(n)).state["memory"]
+        np.testing.assert_array_equal(together[k], vectors_in(alone, n, n)[0])
 
 
 def test_a_body_that_turns_too_far_in_a_step_is_an_error():

@@ -10,7 +10,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from coadjoint import systems
-from coadjoint.systems.free_rigid_body import across_integral, amplitude, free_rigid_body
+from coadjoint.systems.elliptic_integrals import across_integral, amplitude
+from coadjoint.systems.free_rigid_body import free_rigid_body
 from coadjoint.systems.rigid_body import so3_body
 
 U = 2.0**-53

@@ -39,7 +39,8 @@ def body_tables(program: Program) -> BodyTables:
     BodyTables
     """
     parts, bodies = program.parts, program.parts.bodies
-    called = np.full(len(parts.row) - 1, -1, dtype=np.int64)
+    # A table of flows may have parts beyond those of the Hamiltonian.
+    called = np.full(int(program.share[-1]), -1, dtype=np.int64)
     direct = np.zeros(len(parts), dtype=np.uint8)
     called[list(bodies)] = np.arange(len(bodies))
     for s, share in bodies.items():

@@ -67,7 +67,7 @@ def plain_table(program: Program) -> dict[str, Any]:
 
 def _generators(name: str, action: Action, program: Program) -> dict[str, NDArray[Any]]:
     """Return the entries of the generators D of all angles of all parts, sorted."""
-    from coadjoint.program.reading import run_entries
+    from coadjoint.program.run_matrices import run_entries
 
     found = []
     for part in range(len(program.parts)):

@@ -139,17 +139,13 @@ INLINE Dual<double> through_points(const BodyPiece<Dual<double>>& piece, Dual<do
     const Dual<Wide> s(load<Wide>(NODE));
     Dual<Wide> changes[3];
     const Dual<Wide> found = wide.at(s, s * s, changes);
-    const auto all_of = [&](const Wide& lanes) {
-        double rates[WIDTH];
-        store(rates, lanes);
-        return added_up(rates);
+    const auto lane = [](const Dual<Wide>& d, int k) {
+        return Dual<double>(d.value[k], d.slope[0][k], d.slope[1][k], d.slope[2][k]);
     };
-    const auto last_of = [](const Dual<Wide>& d) {
-        constexpr int last = POINTS - 1;
-        return Dual<double>(d.value[last], d.slope[0][last], d.slope[1][last], d.slope[2][last]);
-    };
-    for (int i = 0; i < 3; ++i) change[i] = last_of(changes[i]);
-    return {all_of(found.value), all_of(found.slope[0]), all_of(found.slope[1]), all_of(found.slope[2])};
+    Dual<double> rates[POINTS];
+    for (int k = 0; k < POINTS; ++k) rates[k] = lane(found, k);
+    for (int i = 0; i < 3; ++i) change[i] = lane(changes[i], POINTS - 1);
+    return added_up(rates);
 }
 
 template <class A>
