@@ -17,6 +17,7 @@ from coadjoint.methods import registry
 from coadjoint.pictures.level_surface import level_surface
 from coadjoint.systems.ready_made import ready_made_systems
 from hostile_values import HOSTILE
+from long import long_where
 
 SOURCE = str(Path(co.__file__).parent)
 LONGEST = 1000  # characters of a message
@@ -239,6 +240,7 @@ CALLS = {
 # Made by the library, or called with nothing.
 NOT_CALLED = {"Certificate", "Choice", "Corrector", "Frequencies", "IntegrationError", "LyapunovExponents",
               "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun", "Solution"}  # fmt: skip
+SLOW = [("predicted_drift", "step"), ("certify", "step")]
 BY_OTHER_NAMES = {"LieAlgebra", "Polynomial"}
 
 
@@ -276,7 +278,9 @@ def patience():
         signal.signal(signal.SIGALRM, before)
 
 
-@pytest.mark.parametrize(("name", "parameter"), [(name, key) for name in CALLS for key in CALLS[name][1]])
+@pytest.mark.parametrize(
+    ("name", "parameter"), long_where(SLOW, [(name, key) for name in CALLS for key in CALLS[name][1]])
+)
 def test_an_answer_or_a_refusal(name, parameter, monkeypatch):
     monkeypatch.setattr("coadjoint.memory.available", lambda: 3 * 10**8)
     function, arguments = CALLS[name]

@@ -13,6 +13,7 @@ from coadjoint.program.modified_terms import leading_term
 from coadjoint.program.nested_brackets import NestedBrackets
 from coadjoint.program.second_order import Samples
 from coadjoint.program.split import split
+from long import long_beyond
 
 
 def full(n, seed=0):
@@ -93,7 +94,7 @@ def test_the_predicted_error_is_the_measured_one(name):
     assert relative[1] < 0.35 * relative[0] or relative[1] < 0.02
 
 
-@pytest.mark.parametrize(("order", "step"), [(2, 0.03), (4, 0.15)])
+@pytest.mark.parametrize(("order", "step"), long_beyond(1, [(2, 0.03), (4, 0.15)]))
 def test_tuned_is_seldom_worse_than_automatic(order, step):
     """Over states that nobody looked at; taking the term at the state alone was worse for two in five."""
     rng = np.random.default_rng(2026)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from coadjoint.given import read_choice, read_flag
 
@@ -39,6 +39,10 @@ class Properties:
     casimirs: str
     attitude: str
     broken_by: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        told = (field.name for field in fields(self) if field.name != "broken_by" or self.broken_by)
+        return f"Properties({', '.join(f'{name}={getattr(self, name)!r}' for name in told)})"
 
     def __post_init__(self) -> None:
         for name in ("poisson", "energy"):

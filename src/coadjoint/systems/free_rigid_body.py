@@ -119,7 +119,10 @@ def _along_principal_axes(m: list[Fraction], x0: list[Fraction], t: Floats) -> t
     # x(t; 2^e y) = 2^e x(2^e t; y): momenta of any size without overflow.
     exponent = math.frexp(float(np.abs(start).max()))[1]
     y = [v / Fraction(2) ** exponent for v in x0]
-    x, A = _general(m, y, np.ldexp(t, exponent))
+    scaled = np.ldexp(t, exponent)
+    if not np.isfinite(scaled).all():
+        return np.full((t.size, 3), np.nan), np.full((t.size, 3, 3), np.nan)
+    x, A = _general(m, y, scaled)
     return np.ldexp(x, exponent), A
 
 
