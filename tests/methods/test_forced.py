@@ -347,8 +347,6 @@ def test_what_makes_no_sense_is_refused_by_name():
     ):
         with pytest.raises(TypeError, match="rigid_body with LinearDamping has forces"):
             ask()
-    with pytest.raises(TypeError, match="inputs are for systems without forces"):
-        co.prepare(damped, co.Splitting(), 0.125, inputs=True)
     crowd = co.integrate(damped, [x0, x0], (0, 2), 0.125, attitude="coadjoint")
     for judge in (round_off, spatial_momentum):
         with pytest.raises(TypeError, match="has forces, which change what is kept"):

@@ -205,6 +205,16 @@ def test_names_choose_coordinates_in_any_shape():
     assert np.array_equal(several.x[:, 1], ready.run(x, SPANS[0], ends=2 * ends, middle=[-0.3]).x)
 
 
+def test_states_of_a_shape_keep_it():
+    class Column(co.LiePoissonSystem):
+        shape = (3, 1)
+
+    column = Column(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]), -1)
+    x, ready = np.array([[0.3], [0.4], [0.5]]), co.prepare(column, None, STEP, inputs=True)
+    assert np.array_equal(ready.run(x, SPANS[0]).x, co.integrate(column, x, SPANS[0], STEP, ready.method).x)
+    assert ready.run(x, SPANS[0], linear=np.ones((2, 3))).x.shape == (9, 2, 3, 1)
+
+
 def test_a_step_takes_inputs_with_its_tangent_and_its_group_element():
     x, before, linear = numbers("e(3)", 4)
     s = system("e(3)", before)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -14,9 +14,10 @@ from coadjoint.extras import need
 from coadjoint.kernels.description import codes
 from coadjoint.kernels.functions import CompiledFunction
 from coadjoint.kernels.loop import CompiledLoop
-from coadjoint.kernels.step_tables import places_of, step_tables_of
+from coadjoint.kernels.step_tables import PLACE_OF_INNER, places_of, step_tables_of
+from coadjoint.kernels.stepping import STEP_LOOP
 from coadjoint.kernels.structures import pointed
-from coadjoint.kernels.tables import Compiled, watch_tables
+from coadjoint.kernels.tables import watch_tables
 from coadjoint.systems.forces.base import Noise
 
 NOTHING = np.zeros(1, dtype=np.int64)
@@ -123,8 +124,8 @@ def _taking(function: Callable[..., Any], arguments: str) -> Callable[..., Any]:
     return of_time if arguments == "t" else of_flow
 
 
-def forced_tables(system: Any, inner: CompiledLoop, representation: Any) -> Compiled:
-    """Return the tables of a step of another loop between half flows of forces.
+def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> CompiledLoop:
+    """Return the loop over steps of another loop between half flows of forces.
 
     Parameters
     ----------
@@ -137,20 +138,23 @@ def forced_tables(system: Any, inner: CompiledLoop, representation: Any) -> Comp
 
     Returns
     -------
-    Compiled
-        With a `Stepping`.
+    CompiledLoop
+        With a `Stepping`, and the accounts of the forces.
     """
     accounts, first = accounts_of(system), 0
-    tables, keep = [], []
+    tables: list[ForceTable] = []
+    keep: list[Any] = []
     for label, force in zip(system.labels, system.forces, strict=True):
         count = sum(account.force == label for account in accounts)
         reader = _Reader(system.dim, first, count)
-        table = pointed(force.given_to(reader, system.system))
+        tables.append(force.given_to(reader, system.system))
         first += count
-        tables.append(table)
-        keep += [table, *reader.keep]
+        keep += reader.keep
     every = all(force.casimirs for force in system.forces)
     followed = watch_tables(system.system, {} if every else system.casimirs)
     places, kept = places_of(inner, system.system, representation)
-    whole: Sequence[int] = [*places, len(tables), *map(ctypes.addressof, tables)]
-    return step_tables_of(system.system, "forced", followed, whole, representation, (*keep, *kept))
+    read = [pointed(table) for table in tables]
+    whole = [*places, len(tables), *map(ctypes.addressof, read)]
+    found = step_tables_of(system.system, "forced", followed, whole, representation, (*keep, *read, *kept))
+    held: dict[int, Any] = {PLACE_OF_INNER: inner, **dict(enumerate(tables, len(places) + 1))}
+    return CompiledLoop(STEP_LOOP, found.tables, found.keep, accounts=accounts, held=held)

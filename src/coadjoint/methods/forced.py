@@ -114,15 +114,12 @@ class Forced(Method):
 
     def compiled(self, system: Any, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop over steps that take one of the loop of the base each."""
-        from coadjoint.kernels.forces import accounts_of, forced_tables
-        from coadjoint.kernels.loop import CompiledLoop
-        from coadjoint.kernels.stepping import STEP_LOOP
+        from coadjoint.kernels.forces import forced_loop
 
         if h < 0.0 and not system.reversible:
             one_way = [label for label, force in zip(system.labels, system.forces, strict=True) if not force.reversible]
             raise ValueError(f"{one_way[0]} does not run backward, and t_span ends before it starts")
-        found = forced_tables(system, self.base.loop(system.system, h, representation), representation)
-        return CompiledLoop(STEP_LOOP, found.tables, found.keep, accounts=accounts_of(system))
+        return forced_loop(system, self.base.loop(system.system, h, representation), representation)
 
     def step(self, system: Any, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, read in NumPy; a noise is that of the first member."""

@@ -196,8 +196,7 @@ class Solution:
         """Momenta."""
         # Behind the coordinates there may be accounts of forces.
         found = self._picked(self._series("x"))[..., : self._start.momenta.shape[1]]
-        shape = getattr(self._system, "shape", None)
-        return found if shape is None else found.reshape(*found.shape[:-1], *shape)
+        return found.reshape(*found.shape[:-1], *self._start.shape)
 
     @cached_property
     def energy(self) -> NDArray[np.float64]:

@@ -62,9 +62,9 @@ class Stepper:
 
     def _advance(self, x: Any, t: float, attitude: bool | str, initial: Any, inputs: Mapping[str, Any]) -> Solution:
         ready = self._ready(attitude)
-        linear = ready.linear(inputs)
-        start = ready.start(x, initial, linear)
-        return ready.follow(Times(read_number(t, "t"), self.h, 1, 1), start, linear=linear)
+        values = ready.values_of(inputs)
+        start = ready.start(x, initial, values)
+        return ready.follow(Times(read_number(t, "t"), self.h, 1, 1), start, values=values)
 
     def __call__(self, x: Any, t: float = 0.0, **inputs: Any) -> NDArray[np.float64]:
         """Return the state after one step.
@@ -209,10 +209,10 @@ class Stepper:
     def _scheme(self, inputs: Mapping[str, Any]) -> tuple[Method, Any]:
         """Return the scheme and the system of a step with these inputs, as they are read in Python."""
         ready = self._ready(False)
-        linear = ready.linear(inputs)
-        if linear is not None and linear.ndim > 1:
+        values = ready.values_of(inputs)
+        if values is not None and values.ndim > 1:
             raise ValueError(f"{next(iter(inputs))} has values for members; a tangent is taken at one state, with one")
-        system = ready.system_at(linear)
+        system = ready.system_at(values)
         return serving(system, ready.method), system
 
     def _place(self, x: Any, t: float) -> tuple[NDArray[np.float64], float]:
@@ -237,7 +237,7 @@ def stepper(system: System | ForcedSystem, method: Method, h: float, *, inputs: 
     h : float
         The step; negative for backward.
     inputs : True, sequence of int, or mapping, optional
-        What each call may bring, as for `prepare`: coefficients of the linear term of H.
+        What each call may bring, as for `prepare`: coefficients of the linear term of H, and constant torques.
 
     Returns
     -------
