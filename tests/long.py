@@ -21,5 +21,7 @@ def long_where(chosen: Iterable[Any], cases: Iterable[Any]) -> list[Any]:
 
 def _long(case: Any) -> Any:
     """Return a case, a tuple of values where there are several names, with the mark."""
+    if hasattr(case, "marks"):  # made by pytest.param
+        return pytest.param(*case.values, marks=[*case.marks, pytest.mark.long], id=case.id)
     values = case if isinstance(case, tuple) else (case,)
     return pytest.param(*values, marks=pytest.mark.long)

@@ -240,7 +240,7 @@ CALLS = {
 # Made by the library, or called with nothing.
 NOT_CALLED = {"Certificate", "Choice", "Corrector", "Frequencies", "IntegrationError", "LyapunovExponents",
               "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun", "Solution"}  # fmt: skip
-SLOW = [("predicted_drift", "step"), ("certify", "step")]
+SLOW = [("predicted_drift", "step"), ("certify", "step"), ("exact", "t"), ("level_surface", "box")]
 BY_OTHER_NAMES = {"LieAlgebra", "Polynomial"}
 
 
