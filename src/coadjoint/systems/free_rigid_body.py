@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_finite
-from coadjoint.systems.closed_form import all_finite, start_and_times
+from coadjoint.systems.closed_form import all_finite, first_element, start_and_times, with_element
 from coadjoint.systems.elliptic_integrals import across_integral, amplitude, first_kind
 from coadjoint.systems.long_phases import (
     ball,
@@ -268,11 +267,7 @@ def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False)
     array([0., 0., 2.])
     """
     start, times = start_and_times(x0, t, 3)
-    first = np.eye(3)
-    if not isinstance(attitude, bool | np.bool_):
-        first = read_finite(attitude, "attitude")
-        if first.shape != (3, 3):
-            raise ValueError(f"attitude has shape {first.shape}; give True or a finite (3, 3)")
+    first = first_element(attitude, 3)
     exact, rotation = [Fraction(v) for v in start.tolist()], np.eye(3)
     if M.ndim == 2 and not np.array_equal(M, np.diag(np.diag(M))):
         bits = PRINCIPAL_BITS + 2 * working_bits(times, float(np.abs(M).max()) * float(np.abs(start).max()), 1.0)
@@ -286,4 +281,4 @@ def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False)
     x, A = (all_finite(part, start, times) for part in (x, A))
     if times.ndim == 0:
         x, A = x[0], A[0]
-    return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, A)
+    return with_element(x, A, attitude)
