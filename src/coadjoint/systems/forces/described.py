@@ -6,8 +6,7 @@ import inspect
 from collections.abc import Mapping
 from typing import Any
 
-from coadjoint.errors import unknown_name
-from coadjoint.given import read_choice
+from coadjoint.given import check_parameters, read_choice
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.double_bracket import DoubleBracketDamping
 from coadjoint.systems.forces.heat_bath import HeatBath
@@ -62,12 +61,8 @@ def get(name: str, /, **parameters: Any) -> Force:
     """
     kind = KINDS[read_choice(name, "force", KINDS)]
     known = inspect.signature(kind).parameters
-    for parameter in parameters:
-        if parameter not in known:
-            raise unknown_name(f"parameter of {name}", parameter, known)
-    missing = [key for key, p in known.items() if p.default is inspect.Parameter.empty and key not in parameters]
-    if missing:
-        raise ValueError(f"{name} needs the parameter {missing[0]!r}")
+    required = [key for key, parameter in known.items() if parameter.default is inspect.Parameter.empty]
+    check_parameters(name, parameters, known, required)
     return kind(**parameters)
 
 
