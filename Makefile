@@ -22,8 +22,9 @@ demo: kernels
 test: kernels
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long"
+	$(BIN)/mypy > $(VENV)/types.txt & types=$$!; \
+	$(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long"; tests=$$?; \
+	wait $$types || tests=1; cat $(VENV)/types.txt; exit $$tests
 
 # More seeds, schemes and compilers than `make test` has time for.
 long: kernels

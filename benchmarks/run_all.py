@@ -18,6 +18,7 @@ from c_programs import FLAGS, HERE, build
 SECTIONS = {
     "one_trajectory": "One trajectory",
     "large_trajectories": "Large systems",
+    "spins": "Spins",
     "ensembles": "Ensembles",
     "gauss_legendre": "Gauss-Legendre",
     "round_off": "Round-off",
@@ -25,6 +26,7 @@ SECTIONS = {
     "systems": "The ready-made systems",
     "work_against_precision": "Work against precision",
     "automatic_parts": "Automatic parts",
+    "free_body": "Free bodies as parts",
     "first_result": "The first result",
     "attitude": "The attitude in short calls",
     "short_calls": "Inputs in short calls",

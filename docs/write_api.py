@@ -14,6 +14,7 @@ from coadjoint import commands
 from coadjoint.analysis.certificate import Row
 from coadjoint.runs.solution import Drift
 from coadjoint.runs.stepper import Stepper
+from coadjoint.systems.forced import ForcedSystem
 
 PAGE = Path(__file__).with_name("api.md")
 PACKAGE = Path(co.__file__).parent
@@ -22,6 +23,8 @@ MEMBERS_OF = (
     ("A polynomial", co.Polynomial),
     ("A system", co.LiePoissonSystem),
     ("A system without an algebra", co.PoissonSystem),
+    ("A system with forces", ForcedSystem),
+    ("A force", co.forces.Force),
     ("A scheme", co.methods.Method),
     ("A splitting, beside that", co.Splitting),
     ("A solution", co.Solution),
@@ -67,6 +70,7 @@ USED = {
     "runs.system_text": ("system_text", "told_of"),
     "runs.telling_run": ("telling_run",),
     "systems.description": ("description",),
+    "systems.forces.described": ("from_description",),
     "systems.goryachev_chaplygin_top": ("goryachev_chaplygin_integral",),
     "systems.hamiltonian": ("HamiltonianLike",),
     "systems.ready_made": ("ready_made", "telling_of", "told_systems"),
@@ -97,6 +101,10 @@ def _sections() -> Iterator[str]:
     yield f"`co.algebras.get` knows the families {families}, and the real algebras of dimension 2 to 5: {real}.\n"
     systems = [*co.systems.names(), "get", "names"]
     yield _table("Ready-made systems", [(f"co.systems.{name}", getattr(co.systems, name)) for name in systems])
+    forces = co.forces
+    yield _table(
+        "Forces ([forces.md](forces.md))", [(f"co.forces.{name}", getattr(forces, name)) for name in forces.__all__]
+    )
     yield _table(
         "Schemes of your own ([extending.md](extending.md))",
         [(f"co.methods.{name}", getattr(co.methods, name)) for name in co.methods.__all__],

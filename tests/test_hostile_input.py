@@ -17,6 +17,7 @@ from coadjoint.methods import registry
 from coadjoint.pictures.level_surface import level_surface
 from coadjoint.systems.ready_made import ready_made_systems
 from hostile_values import HOSTILE
+from long import long_where
 
 SOURCE = str(Path(co.__file__).parent)
 LONGEST = 1000  # characters of a message
@@ -60,6 +61,7 @@ LINES = co.frequencies(TIMES, np.cos(TIMES), 1)
 LONG = co.integrate(BODY, X, (0, 20), 0.1)
 ALONG = co.integrate(BODY, X, (0, 20), 0.5, attitude=True)
 EYE = np.eye(3)
+FORCED = BODY.with_forces(co.forces.LinearDamping(0.1), co.forces.Torque(lambda t: np.array([0.0, 0.0, t])))
 
 # what is called, and right arguments: each of them is then made wrong
 EXAMPLES = {name: registry.scheme(name).examples()[0] for name in registry.names()}
@@ -134,6 +136,21 @@ CALLS = {
     "jacobian": (BODY.jacobian, {"x": X, "t": 0.0}),
     "exact": (BODY.exact, {"x0": X, "t": 1.0, "attitude": True}),
     "batch": (co.batch, {"systems": [BODY, BODY]}),
+    "LinearDamping": (lambda rate, toward: BODY.with_forces(co.forces.LinearDamping(rate, toward)),
+                      {"rate": EYE, "toward": X}),
+    "Torque": (lambda torque: BODY.with_forces(co.forces.Torque(torque)), {"torque": X}),
+    "a torque": (lambda value: BODY.with_forces(co.forces.Torque(lambda x: value)), {"value": X}),
+    "DoubleBracketDamping": (lambda alpha, metric: BODY.with_forces(co.forces.DoubleBracketDamping(alpha, metric)),
+                             {"alpha": 0.5, "metric": EYE}),
+    "HeatBath": (co.forces.HeatBath, {"alpha": 0.5, "metric": X, "temperature": 0.5, "seed": 1, "stream": 0}),
+    "OwnForce": (co.forces.OwnForce, {"function": lambda x, t, tau: x, "name": "still", "keeps_casimirs": True,
+                 "backward": True}),
+    "a flow": (lambda value: BODY.with_forces(co.forces.OwnForce(lambda x, t, tau: x + tau * value)), {"value": X}),
+    "forces.get": (lambda name: co.forces.get(name, rate=1.0), {"name": "LinearDamping"}),
+    "ForcedSystem": (co.ForcedSystem, {"system": BODY, "forces": (co.forces.LinearDamping(0.1),)}),
+    "with_forces": (BODY.with_forces, {"forces": co.forces.LinearDamping(0.1)}),
+    "vector_field with forces": (FORCED.vector_field, {"x": X, "t": 0.0}),
+    "power": (FORCED.power, {"x": X, "t": 0.0}),
     "systems.get": (co.systems.get, {"name": "rigid_body"}),
     **{name: (make, {key: given.default for key, given in inspect.signature(make).parameters.items()})
        for name, make in ready_made_systems().items()},
@@ -223,6 +240,7 @@ CALLS = {
 # Made by the library, or called with nothing.
 NOT_CALLED = {"Certificate", "Choice", "Corrector", "Frequencies", "IntegrationError", "LyapunovExponents",
               "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun", "Solution"}  # fmt: skip
+SLOW = [("predicted_drift", "step"), ("certify", "step"), ("exact", "t"), ("level_surface", "box")]
 BY_OTHER_NAMES = {"LieAlgebra", "Polynomial"}
 
 
@@ -260,7 +278,9 @@ def patience():
         signal.signal(signal.SIGALRM, before)
 
 
-@pytest.mark.parametrize(("name", "parameter"), [(name, key) for name in CALLS for key in CALLS[name][1]])
+@pytest.mark.parametrize(
+    ("name", "parameter"), long_where(SLOW, [(name, key) for name in CALLS for key in CALLS[name][1]])
+)
 def test_an_answer_or_a_refusal(name, parameter, monkeypatch):
     monkeypatch.setattr("coadjoint.memory.available", lambda: 3 * 10**8)
     function, arguments = CALLS[name]

@@ -27,6 +27,7 @@ _HOME = {
     "IsospectralGauss": "coadjoint.methods.isospectral_gauss",
     "LieAlgebra": "coadjoint.algebra.lie_algebra",
     "Polynomial": "coadjoint.algebra.polynomial",
+    "ForcedSystem": "coadjoint.systems.forced",
     "Hamiltonian": "coadjoint.systems.hamiltonian",
     "LiePoissonSystem": "coadjoint.systems.lie_poisson",
     "PoissonSystem": "coadjoint.systems.poisson",
@@ -74,6 +75,7 @@ _HOME = {
 }
 _MODULES = {
     "algebras": "coadjoint.algebra.catalogue",
+    "forces": "coadjoint.systems.forces",
     "systems": "coadjoint.systems",
     "methods": "coadjoint.methods",
 }
@@ -127,7 +129,9 @@ if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import prepare as prepare
     from coadjoint.runs.solution import Solution as Solution
     from coadjoint.runs.stepper import stepper as stepper
+    from coadjoint.systems import forces as forces
     from coadjoint.systems.batch import batch as batch
+    from coadjoint.systems.forced import ForcedSystem as ForcedSystem
     from coadjoint.systems.hamiltonian import Hamiltonian as Hamiltonian
     from coadjoint.systems.lie_poisson import LiePoissonSystem as LiePoissonSystem
     from coadjoint.systems.matrices.matrix_system import MatrixSystem as MatrixSystem

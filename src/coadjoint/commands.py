@@ -139,11 +139,15 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
         + f": {stats.steps} steps of {solution.step:g}, {stats.seconds:.3g} s"
     )
     over = "every step" if solution.watched else "the saved points"
-    click.echo(f"largest deviation from the start, over {over}:")
-    drifts = {in_one_line(name, 60): drift for name, drift in solution.drift().items()}
-    width = max(map(len, drifts))
-    for name, drift in drifts.items():
-        click.echo(f"  {name:{width}}  {drift:.3g}")
+    columns = {"largest deviation from the start": solution.change()}
+    if solution.work:
+        columns = {"change by the forces, and what is left of it beside their work (balance)": solution.change()}
+        columns["balance"] = solution.balance()
+    click.echo(f"{next(iter(columns))}, over {over}:")
+    names = {name: in_one_line(name, 60) for name in solution.change()}
+    width = max(map(len, names.values()))
+    for name, shown in names.items():
+        click.echo(f"  {shown:{width}}  " + "  ".join(f"{column[name]:.3g}" for column in columns.values()))
     for place in written:
         click.echo(f"written: {place}")
 

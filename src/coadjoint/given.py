@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Collection, Mapping, Sized
+from collections.abc import Collection, Iterable, Mapping, Sized
 from typing import Any
 
 import numpy as np
@@ -315,6 +315,24 @@ def read_list(values: Any, what: str, rule: str) -> tuple[Any, ...]:
     except TypeError:
         pass
     raise TypeError(f"{what} is {short(values)}; {rule}")
+
+
+def check_parameters(name: str, given: Iterable[str], known: Iterable[str], required: Iterable[str] = ()) -> None:
+    """Refuse parameters that something with this name does not have, or lacks.
+
+    Examples
+    --------
+    >>> check_parameters("Torque", ["torqe"], ["torque"])
+    Traceback (most recent call last):
+    ValueError: unknown parameter of Torque 'torqe'; did you mean 'torque'?
+    """
+    given, known = list(given), list(known)
+    for parameter in given:
+        if parameter not in known:
+            raise unknown_name(f"parameter of {name}", parameter, known or ["(none)"])
+    missing = [key for key in required if key not in given]
+    if missing:
+        raise ValueError(f"{name} needs the parameter {missing[0]!r}")
 
 
 def read_choice(value: Any, what: str, known: Collection[str]) -> str:

@@ -158,6 +158,7 @@ def test_values_stay_along_the_group_and_agree_with_the_gradients(name, chosen):
                 assert np.abs(slope - exact).max() <= size * (h**2 + U / h)
 
 
+@pytest.mark.long
 def test_invariants_compile_and_are_nan_where_undefined():
     """One of every shape: what Numba sees differs only in the numbers."""
     from numba import njit

@@ -13,7 +13,7 @@ from fields_under_test import ALGEBRAS, along, elementary, field_of, whole
 import coadjoint as co
 from coadjoint.methods.power_series import expand
 from coadjoint.methods.stages import linear_solve
-from long import long_where
+from long import long_beyond
 
 NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 C1 = 1 / (2 - 2 ** (1 / 3))
@@ -275,7 +275,7 @@ def kinds_of_fields():
     return [whole("A3,7", -1, seed=8, linear=True), co.LiePoissonSystem(co.algebras.so(3), cubic, sign=-1)]
 
 
-@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("which", long_beyond(1, [0, 1]))
 @pytest.mark.parametrize("scheme", SCHEMES, ids=str)
 def test_a_step_is_the_flow_of_its_field(scheme, which: int) -> None:
     """One step and the flow of the terms below h^r differ by h^(r+1) f_r and less, forward and backward."""
@@ -309,7 +309,7 @@ def test_a_step_is_the_flow_of_its_field(scheme, which: int) -> None:
 SHORT = [s for s in SCHEMES if not isinstance(s, co.Composition) and s != co.Splitting(order=4)][::2]
 
 
-@pytest.mark.parametrize("scheme", long_where([co.Splitting(scheme="blanes_casas_murua6")], SHORT), ids=str)
+@pytest.mark.parametrize("scheme", long_beyond(3, SHORT), ids=str)
 def test_the_two_ways_agree(scheme) -> None:
     system = whole("e(3)", -1, seed=11, linear=True)
     exact = co.modified_field(system, scheme, 4, way="exact")

@@ -14,6 +14,7 @@ from coadjoint.analysis.predicted_drift import predicted_drift
 from coadjoint.program.decompose import decompose
 from coadjoint.program.second_order import second_order_term
 from coadjoint.systems.rigid_body import so3_body
+from long import long_beyond
 
 STATES = [(1.0, 0.2, 0.5), (0.2, 1.0, 0.3), (0.2, 0.3, 1.0)]  # around one axis, near the middle one, around the other
 TENSOR = np.linalg.inv(np.array([[1.3, 0.2, -0.1], [0.2, 1.9, 0.3], [-0.1, 0.3, 2.4]]))
@@ -52,7 +53,7 @@ def gradient_of(system: co.LiePoissonSystem, parts: str, step: float) -> Callabl
 CASES = [(name, STATES[k % len(STATES)]) for k, name in enumerate([*BODIES, *BODIES][: len(BODIES) + 1])]
 
 
-@pytest.mark.parametrize(("name", "x0"), CASES)
+@pytest.mark.parametrize(("name", "x0"), long_beyond(3, CASES))
 def test_measured_minus_predicted_is_of_fourth_order(name: str, x0: tuple[float, ...]) -> None:
     system, parts = BODIES[name], "coordinates" if name in ("1, 2, 3", "paper's sign") else "auto"
     differences, slopes = [], []
@@ -73,7 +74,9 @@ def test_measured_minus_predicted_is_of_fourth_order(name: str, x0: tuple[float,
         assert np.polyfit(np.log(STEPS), np.log(differences), 1)[0] == pytest.approx(4.0, abs=0.4)
 
 
-@pytest.mark.parametrize(("name", "x0", "attitude"), [("1, 2, 3", STATES[0], False), ("full tensor", STATES[2], True)])
+@pytest.mark.parametrize(
+    ("name", "x0", "attitude"), long_beyond(1, [("1, 2, 3", STATES[0], False), ("full tensor", STATES[2], True)])
+)
 def test_from_the_modified_hamiltonian(name: str, x0: tuple[float, ...], attitude: bool) -> None:
     """The same as from the H2 of brackets at points, and what the next term changes is h^4."""
     system, method, differences = BODIES[name], co.Splitting(order=2), []
@@ -87,7 +90,7 @@ def test_from_the_modified_hamiltonian(name: str, x0: tuple[float, ...], attitud
     assert np.polyfit(np.log(STEPS[::2]), np.log(differences), 1)[0] == pytest.approx(4.0, abs=0.3)
 
 
-@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("direction", long_beyond(1, [1, -1]))
 def test_measured_minus_that_of_the_modified_hamiltonian_or_field_is_of_fourth_order(direction: int) -> None:
     system, x0 = BODIES["1, 2, 3"], STATES[0]
     strang, midpoint = co.Splitting(order=2, parts="coordinates"), co.GaussLegendre(1)

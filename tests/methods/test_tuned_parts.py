@@ -13,6 +13,7 @@ from coadjoint.program.modified_terms import leading_term
 from coadjoint.program.nested_brackets import NestedBrackets
 from coadjoint.program.second_order import Samples
 from coadjoint.program.split import split
+from long import long_beyond
 
 
 def full(n, seed=0):
@@ -70,7 +71,7 @@ def test_gradients_are_those_of_the_values(name):
     assert np.max(np.abs(gradients @ along - expected)) <= 1e-7 * np.max(np.abs(gradients))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", long_beyond(2, NAMES))
 def test_the_predicted_error_is_the_measured_one(name):
     """The run of order 2 differs from the motion by h^2 times the prediction, up to h^4, at two steps."""
     system = systems()[name]
@@ -93,7 +94,7 @@ def test_the_predicted_error_is_the_measured_one(name):
     assert relative[1] < 0.35 * relative[0] or relative[1] < 0.02
 
 
-@pytest.mark.parametrize(("order", "step"), [(2, 0.03), (4, 0.15)])
+@pytest.mark.parametrize(("order", "step"), long_beyond(0, [(2, 0.03), (4, 0.15)]))
 def test_tuned_is_seldom_worse_than_automatic(order, step):
     """Over states that nobody looked at; taking the term at the state alone was worse for two in five."""
     rng = np.random.default_rng(2026)

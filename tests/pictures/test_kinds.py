@@ -1,5 +1,7 @@
 """Each kind of picture shows what it says, by its numbers."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection, QuadMesh
@@ -7,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 import coadjoint as co
+from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.globe import Globe
 from coadjoint.pictures.register import CannotShow, kinds
 from coadjoint.pictures.sites import places_of_sites
@@ -167,6 +170,47 @@ def test_a_driven_energy_changes_and_does_not_drift():
     assert axes.get_legend().get_texts()[0].get_text() == "$H$, driven"
 
 
+def test_with_forces_invariants_change_and_what_their_work_leaves_is_the_error():
+    """A damped body: x' = x cross Omega - c x, in closed form where it spins about an axis."""
+    t = np.linspace(0.0, 4.0, 81)
+    body = co.systems.rigid_body((1, 2, 3))
+    x = np.array([0.0, 0.0, 2.0]) * np.exp(-0.25 * t)[:, None]
+    errors = {"energy": 1e-9 * t**2, "|x|^2": -1e-12 * t}
+    exact = {"energy": x[:, 2] ** 2 / 6.0, "|x|^2": x[:, 2] ** 2}
+    system = SimpleNamespace(
+        name="rigid_body with damping",
+        system=body,
+        dim=3,
+        algebra=body.algebra,
+        hamiltonian=body.hamiltonian,
+        casimirs=body.casimirs,
+        vector_field=lambda x, t: body.vector_field(x) - 0.25 * np.asarray(x),
+    )
+    halves = [{name: part * (values - values[0]) for name, values in exact.items()} for part in (0.75, 0.25)]
+    run = SimpleNamespace(
+        t=t,
+        x=x,
+        system=system,
+        failed=None,
+        energy=exact["energy"] + errors["energy"],
+        casimirs={"|x|^2": exact["|x|^2"] + errors["|x|^2"]},
+        work={"damping": halves[0], "damping 2": halves[1]},
+    )
+    drawn = Drawn(run)
+    assert drawn.telling is telling_of("rigid_body") and drawn.close
+    axes = Figure().add_subplot()
+    kinds()["drift"].prepare(drawn)(axes)
+    assert "change of the energy $H$ and the Casimirs" in axes.get_title() and "drift" not in axes.get_title()
+    change, left, _, casimir_left = axes.lines
+    assert (change.get_linestyle(), left.get_linestyle()) == ("-", ":")
+    np.testing.assert_allclose(change.get_ydata()[1:], np.abs(exact["energy"] - exact["energy"][0])[1:], rtol=1e-6)
+    np.testing.assert_allclose(left.get_ydata()[1:], errors["energy"][1:], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(casimir_left.get_ydata()[1:], -errors["|x|^2"][1:], rtol=0, atol=4e-15)
+    space = Figure().add_subplot(projection="3d")
+    kinds()["coadjoint orbit"].prepare(drawn)(space)
+    assert "at its start" in space.get_title()
+
+
 def test_observed_quantities_are_drawn():
     top = co.systems.lagrange_top()
     run = co.integrate(top, (0.1, 0.0, 2.0, 0.6, 0.0, 0.8), (0.0, 2.0), 0.1, observe=top.integrals)
@@ -228,3 +272,70 @@ def test_the_vorticity_is_that_of_the_waves_and_moves_by_its_equation():
     other = co.integrate(co.systems.toda(2), np.ones(3), (0, 1), 0.5)
     with pytest.raises(CannotShow, match="1 modes"):
         shown(other, Picture("field", modes=lambda system, X, Y: [X], width=lambda system: 1.0))
+
+
+def test_the_error_is_the_distance_from_the_closed_form():
+    body = co.systems.rigid_body((1, 2, 3))
+    starts = np.array([(1.0, 0.2, 0.5), (0.1, -1.0, 0.3)])
+    run = co.integrate(body, starts, (2.0, -4.0), 0.1)
+    axes = shown(run, "error")
+    assert len(axes.lines) == 2 and axes.get_yscale() == "log"
+    for m, line in enumerate(axes.lines):
+        exact = np.array([body.exact(starts[m], t - 2.0) for t in run.t])
+        wanted = np.linalg.norm(run.x[:, m] - exact, axis=1) / np.linalg.norm(starts[m])
+        np.testing.assert_allclose(line.get_ydata()[1:], wanted[1:], atol=1e-13)
+        assert not line.get_ydata()[0] > 1e-15 and wanted[-1] > 1e-6
+    for other in (co.systems.heavy_top(), co.batch([body, co.systems.rigid_body((1, 2, 4))])):
+        with pytest.raises(CannotShow, match="no closed form is known for"):
+            shown(co.integrate(other, np.ones(other.dim), (0.0, 1.0), 0.1), "error")
+
+
+def test_a_run_of_no_step_and_functions_that_are_not_finite():
+    moments = co.systems.vlasov_moments(2, "1/2*x20")
+    axes = shown(co.integrate(moments, (1.0, 0.3, 0.5), (0.0, 0.0), 0.1), Picture("phase ellipse", moments=(0, 1, 2)))
+    assert len(axes.lines) == 2
+    lattice = co.systems.toda(3)
+    run = co.integrate(lattice, (0.1, 0.2, 0.3, 0.0, 0.5), (0.0, 1.0), 0.1)  # a_1 = 0: the first two are far apart
+    assert len(run.plot().axes[2].lines) == 3
+
+
+def test_a_function_on_the_sphere_is_seen_where_it_is():
+    """f(n) = x . n + n1 n2 n3, once as a grid, once in the directions of the pixels."""
+    rows, columns = 91, 180
+    latitude, longitude = np.linspace(-np.pi / 2, np.pi / 2, rows)[:, None], 2.0 * np.pi * np.arange(columns) / columns
+    n = np.stack(
+        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude) + 0 * longitude]
+    )
+
+    def f(x, n):
+        return np.tensordot(x, n, axes=1) + n[0] * n[1] * n[2]
+
+    run = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.4, -0.3, 0.8), (0.0, 2.0), 0.1)
+    for view in ((0.0, 0.0), (35.0, 22.0), (-130.0, -60.0)):
+        picture = Picture("sphere field", values=lambda body, x: f(x, n), at=0.5, view=view)
+        axes = shown(run, picture)
+        (image,) = axes.images
+        seen = np.asarray(image.get_array().filled(np.nan))
+        edge = np.linspace(-1.0, 1.0, len(seen))
+        around, above = np.radians(view)
+        towards = np.array([np.cos(above) * np.cos(around), np.cos(above) * np.sin(around), np.sin(above)])
+        right = np.array([-np.sin(around), np.cos(around), 0.0])
+        up = np.cross(towards, right)
+        for i, j in [(150, 150), (40, 160), (200, 80), (150, 290)]:
+            across, high = edge[j], edge[i]
+            direction = across * right + high * up + np.sqrt(1.0 - across**2 - high**2) * towards
+            # bilinear: an eighth of the squares of the cells, 2 degrees, times second derivatives below 4
+            assert seen[i, j] == pytest.approx(f(run.x[10], direction), abs=2 * np.radians(2.0) ** 2 / 8 * 4)
+        assert np.isnan(seen[0, 0]) and axes.get_aspect() == 1.0
+        # start, end and this time share one scale of colours
+        assert image.get_clim()[1] == max(np.abs(f(run.x[k], n)).max() for k in (0, 10, 20))
+
+
+def test_a_field_by_its_values():
+    run = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.4, -0.3, 0.8), (0.0, 2.0), 0.1)
+    grid = np.add.outer(np.arange(4.0), 10.0 * np.arange(3.0))
+    given = {"width": lambda body: 6.0, "label": "heat"}
+    axes = shown(run, Picture("field", values=lambda body, x: x[0] * grid, at=1.0, **given))
+    assert axes.get_title() == "heat at $t$ = 2" and axes.get_xlim() == (0.0, 6.0) and axes.get_ylim() == (0.0, 6.0)
+    with pytest.raises(TypeError, match="modes, or a function"):
+        shown(run, Picture("field", **given))

@@ -107,3 +107,4 @@ def test_states_that_are_complex_matrices(stretch, joined, members):
     np.testing.assert_array_equal(drawn.x[0, :, 2], turned[:, 0, 1].real)
     np.testing.assert_array_equal(drawn.x[0, :, 3], turned[:, 0, 1].imag)
     assert drawn.close is joined
+    np.testing.assert_array_equal(drawn.state(drawn.at(0.5)), turned[20])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from long import long_beyond
 
 PAGE = Path(__file__).parents[2] / "docs" / "table.md"
 RNG = np.random.default_rng(30)
@@ -64,7 +65,7 @@ METHODS = {
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("algebra", ALGEBRAS)
-@pytest.mark.parametrize("h", [0.1, -0.1])
+@pytest.mark.parametrize("h", long_beyond(1, [0.1, -0.1]))
 def test_the_reader_of_the_page_agrees_with_the_library(reader, algebra, method, h):
     g, scheme = ALGEBRAS[algebra], METHODS[method]
     energies = [full(g.dim), commuting(g)] if "coordinates" not in method else [commuting(g)]

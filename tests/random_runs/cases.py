@@ -71,8 +71,9 @@ def some_method(rng: np.random.Generator) -> Any:
             )
             return co.Splitting(scheme=schemes[rng.integers(len(schemes))], compensated=compensated)
         order = int(rng.choice([1, 2, 4, 6, 8, 10], p=[0.15, 0.4, 0.25, 0.1, 0.05, 0.05]))
-        parts = "coordinates" if rng.random() < 0.3 else "auto"
-        rotation = "rational" if rng.random() < 0.2 else "exact"
+        draw = rng.random()
+        parts = "coordinates" if draw < 0.3 else "bonds" if draw > 0.95 else "free_body" if draw > 0.85 else "auto"
+        rotation = "rational" if rng.random() < 0.2 and parts not in ("free_body", "bonds") else "exact"
         adjoint = bool(order == 1 and rng.random() < 0.5)
         return co.Splitting(order=order, parts=parts, compensated=compensated, rotation=rotation, adjoint=adjoint)
     if kind == 4:

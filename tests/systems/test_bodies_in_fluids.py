@@ -58,6 +58,12 @@ def test_a_body_of_revolution_in_a_fluid(order):
     assert list(co.systems.kirchhoff_body((2, 2, 2), (1, 1, 1)).integrals) == ["m1", "m2", "m3"]
 
 
+def test_a_body_is_of_revolution_by_its_inertia_and_by_its_mass_alike():
+    assert co.systems.kirchhoff_body((1.0, 1.0, 2.0), (1.0, 1.0, 3.0)).integrals.keys() == {"m3"}
+    for inertia, mass in (((1.0, 1.0, 2.0), (1.0, 2.0, 3.0)), ((1.0, 3.0, 2.0), (1.0, 1.0, 3.0))):
+        assert co.systems.kirchhoff_body(inertia, mass).integrals == {}
+
+
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(
     ("inertia", "c"),

@@ -258,3 +258,22 @@ def test_a_part_that_is_no_hamiltonian_flow(h, members):
         direction = np.eye(system.dim)[0]
         ahead, behind = (Damped(0.3).step(system, x0[0] + side * 1e-6 * direction, 0.0, h) for side in (1, -1))
         assert np.max(np.abs(P @ direction - (ahead - behind) / 2e-6)) < 1e-8
+
+
+@pytest.mark.filterwarnings("ignore:the steps of Isospectral")
+def test_matrices_with_forces():
+    """Viscosity that differs by entry, and forcing, for states without structure constants; orbits need these."""
+    system, X = body(4), skew(4)
+    drag = np.abs(skew(4)).ravel()
+    forced = co.ForcedSystem(system, (co.forces.LinearDamping(drag), co.forces.Torque(0.1 * skew(4).ravel())))
+
+    def run(h):
+        return co.integrate(forced, X, (0, 1), h, Isospectral())
+
+    exact = solve_ivp(lambda t, x: forced.vector_field(x), (0, 1), X.ravel(), rtol=1e-11, atol=1e-12).y[:, -1]
+    coarse, fine = run(2**-6), run(2**-7)
+    errors = [np.max(np.abs(found.x[-1].ravel() - exact)) for found in (coarse, fine)]
+    assert coarse.x.shape == (65, 4, 4) and 3.0 < errors[0] / errors[1] < 5.0
+    assert fine.balance()["|X|^2"] < 1e-12 < 1e-2 < abs(fine.work["LinearDamping"]["|X|^2"][-1])
+    with pytest.raises(ValueError, match="structure constants, which a body of 4 x 4 does not have"):
+        co.ForcedSystem(system, (co.forces.DoubleBracketDamping(0.1),))

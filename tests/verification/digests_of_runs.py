@@ -54,7 +54,9 @@ SPAN, STEP, MEMBERS = (0.0, 1.5), 0.0625, 35
 def arrays_of(solution: co.Solution) -> list[np.ndarray]:
     """Return every number that a run leaves behind."""
     found = [solution.x, solution.energy, *solution.casimirs.values()]
-    found += [drift.tenths for drift in solution.drift().values()]
+    found += [drift.tenths for drift in solution.change().values()]
+    found += [drift.tenths for drift in solution.balance().values()] if solution.work else []
+    found += [done for of_force in solution.work.values() for done in of_force.values()]
     return found if solution.attitude is None else [*found, solution.attitude]
 
 
@@ -84,6 +86,19 @@ def runs() -> Iterator[tuple[str, co.Solution]]:
     ]
     for scheme in ("Splitting 4", "GaussLegendre 3", "RadauEnergy 2", "Taylor 5"):
         yield f"{scheme} on a batch", co.integrate(co.batch(spirals), [0.7, -0.4, 0.5], SPAN, STEP, methods[scheme])
+    for case in ("A3,7, full", "e(3), heavy top"):
+        system, x0, _ = systems[case]
+        n = system.dim
+        forces = (
+            co.forces.LinearDamping(full_matrix(3, n), np.linspace(-0.2, 0.3, n)),
+            co.forces.LinearDamping(np.linspace(0.1, 30.0, n)),
+            co.forces.Torque(np.linspace(0.1, -0.1, n)),
+            co.forces.HeatBath(0.2, full_matrix(2, n), temperature=0.3, seed=3),
+        )
+        for scheme in ("Splitting 4", "GaussLegendre 3"):
+            moved, starts = system.with_forces(*forces), x0 * (1.0 - 0.02 * np.arange(4)[:, None])
+            run = co.integrate(moved, starts, SPAN, STEP, methods[scheme], attitude="coadjoint", save_every=6)
+            yield f"{scheme} on {case}, with forces", run
     g = co.algebras
     shifted = [g.so(4), g.so(5), g.so(6), g.su(3), g.su(4), g.sl(2), g.sl(3), g.e(3), g.get("A4,10")]
     for algebra in shifted:

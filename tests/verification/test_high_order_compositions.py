@@ -14,7 +14,7 @@ import coadjoint as co
 from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
 from coadjoint.program.reading import Reading
 from coadjoint.program.table import build_program
-from long import long_where
+from long import long_beyond, long_where
 
 from .measures import U
 
@@ -122,7 +122,7 @@ def distance(a, b):
     return max(abs(v) for v in a - b)
 
 
-@pytest.mark.parametrize("make", [heavy_top, body_in_four_dimensions])
+@pytest.mark.parametrize("make", long_beyond(1, [heavy_top, body_in_four_dimensions]))
 @pytest.mark.parametrize("name", SCHEMES)
 def test_local_order_in_50_digits(name, make):
     """One step against two of half the size: h^(p+1) with a relative correction O(h), h = 1/128."""

@@ -16,6 +16,7 @@ from coadjoint.runs.start import start_of
 from coadjoint.runs.state import RunState
 from coadjoint.runs.tangent_loops import each_its_own
 from coadjoint.runs.times import Times
+from long import long_beyond
 
 from .carried import NEVER, finished_vectors, product_of_tangents, run_with, stretches, tolerance
 from .drawn_systems import ALGEBRAS, drawn, drawn_bracket
@@ -102,7 +103,7 @@ def test_the_whole_catalogue(name):
             check(system, method, x0, -0.05 if sign > 0 else 0.05)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("sign", long_beyond(1, [1, -1]))
 @pytest.mark.parametrize("name", ALGEBRAS)
 def test_drawn_systems(name, sign):
     for seed in range(3):
@@ -111,7 +112,7 @@ def test_drawn_systems(name, sign):
             check(system, method, x0, 0.125)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("sign", long_beyond(1, [1, -1]))
 def test_structure_matrices_that_are_functions(sign):
     system, x0 = drawn_bracket(7, sign)
     for method in (co.GaussLegendre(2), co.ExplicitRungeKutta("rk4"), co.ModifiedGaussLegendre(2, freeze="structure")):

@@ -138,15 +138,16 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     i, j, k = (np.tile(column, count) + shift for column in (i, j, k))
     size = 0 if g.representation is None else g.representation.shape[1]
     fits = g.representation is not None and g.dim * count * (size * count) ** 2 <= LARGEST
-    summands = [g] * count if _written([g], count) else []
+    known = _of_summands([g] * count, range(0, g.dim * (count + 1), g.dim)) if _written([g], count) else {}
+    labels = g.basis
     # The identities of every copy are those of g, which were checked; millions of them need not be checked again.
     return LieAlgebra._proved(
         Triples(i, j, k, np.tile(c, count)),
         g.dim * count,
-        tuple(f"{label}[{number}]" for number in range(1, count + 1) for label in g.basis),
+        tuple([f"{label}[{number}]" for number in range(1, count + 1) for label in labels]),
         title(f"{count} {g.name or 'g'}"),
         _block_diagonal([g.representation] * count) if fits else None,
-        _of_summands(summands, [a * g.dim for a in range(count)] + [g.dim * count]),
+        known,
     )
 
 

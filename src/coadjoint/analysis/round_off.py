@@ -115,7 +115,7 @@ def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
     >>> round_off(sol)["|x|^2"].growth < 20
     True
     """
-    check_solution(solution)
+    _check_kept(solution)
     if solution.energy.ndim == 1:
         raise ValueError("round-off is judged over an ensemble, and the solution has one trajectory; give x0 members")
     found = {}
@@ -129,6 +129,13 @@ def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
             size = np.array([np.linalg.norm(own.gradient(x)) * np.linalg.norm(x) for own, x in pairs])
         found[name] = random_walk((values - values[0]) / size, early)
     return found
+
+
+def _check_kept(solution: Any) -> None:
+    """Refuse what is no solution, and one with forces: its invariants change by more than round-off."""
+    check_solution(solution)
+    if solution.work:
+        raise TypeError(f"{solution.system.name} has forces, which change what is kept; see solution.balance()")
 
 
 def orthogonality(solution: Any, size: int | None = None) -> RandomWalk:
@@ -184,7 +191,7 @@ def spatial_momentum(solution: Any) -> RandomWalk:
     >>> spatial_momentum(co.integrate(body, x0, (0, 100), 0.1, save_every=10, attitude="coadjoint")).worst < 1e-14
     True
     """
-    check_solution(solution)
+    _check_kept(solution)
     if solution.carried != "coadjoint" or solution.x.ndim != 3:
         raise ValueError(
             'the solution is not of an ensemble with the coadjoint matrix; give x0 members, and attitude="coadjoint"'

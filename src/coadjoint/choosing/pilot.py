@@ -14,7 +14,7 @@ from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.loops import SystemLoops
 from coadjoint.runs.run import Run
-from coadjoint.runs.start import Start
+from coadjoint.runs.start import with_group
 from coadjoint.runs.times import Times
 from coadjoint.systems.kinds import System
 
@@ -229,7 +229,7 @@ def short_run(
     save_every: int = 1,
 ) -> Run:
     """Return a run without attitude that watches nothing, whatever became of it: its `status` says."""
-    start = Start(momenta, np.zeros((len(momenta), 0, 0)), None, False)
+    start = with_group(system, momenta, False, None, False)
     times = Times(t0, time / steps, steps, save_every)
     run = Run(system, method, SystemLoops(system, method, times.h, None, casimirs={}), times, start, False)
     run.advance()

@@ -16,9 +16,9 @@ from coadjoint.files.configuration_parts import ConfigurationError, method_of_fi
 from coadjoint.files.polynomials import read_polynomial
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import Method
+from coadjoint.methods.forced import check_serves, serving
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import times_of
-from coadjoint.systems.kinds import System
 
 MOST_BYTES = 2**28
 MOST_NESTED = 64
@@ -69,7 +69,7 @@ class Configuration:
     """
 
     path: str
-    system: System
+    system: Any
     x0: Any
     t_span: tuple[float, float]
     step: float
@@ -124,7 +124,7 @@ class Configuration:
     def _check_memory(self) -> None:
         """Refuse more saved states than there is memory for, before the first of them."""
         points = times_of(self.t_span, self.step, self.save_every).points
-        start = start_of(self.system, self.method, self.x0, self.attitude)
+        start = start_of(self.system, serving(self.system, self.method), self.x0, self.attitude)
         numbers = self.system.dim + start.groups.shape[1] ** 2 + 1 + len(self.system.casimirs) + len(self.observe)
         needed, free = 8 * points * len(start.momenta) * numbers, available()
         if needed > free:
@@ -244,16 +244,16 @@ def _deepest(text: str) -> int:
 
 
 def _configuration(name: str, text: str, file: File) -> Configuration:
-    system = system_of_file(name, file)
+    system: Any = system_of_file(name, file)
     method = method_of_file(name, file.method)
     with section(name, "method"):
-        method.properties(system)
+        check_serves(system, method)
     with section(name, "run"):
         times_of(file.run.t_span, file.run.step, file.run.save_every)
     with section(name, "initial.x"):
-        start_of(system, method, file.initial.x, False)
+        start_of(system, serving(system, method), file.initial.x, False)
     with section(name, "initial.attitude"):
-        start_of(system, method, file.initial.x, file.initial.attitude)
+        start_of(system, serving(system, method), file.initial.x, file.initial.attitude)
     observe = {}
     for key, written in file.observe.items():
         with section(name, f"observe.{key}"):

@@ -152,6 +152,7 @@ class File(Table):
     algebra: AlgebraTable | None = None
     hamiltonian: HamiltonianTable | None = None
     casimirs: dict[Name, Written] | None = None
+    forces: list[dict[str, Any]] = []
     initial: InitialTable
     method: dict[str, Any] = {"name": "Splitting"}
     run: RunTable

@@ -18,6 +18,8 @@ from coadjoint.files.polynomials import read_polynomial
 from coadjoint.memory import check_room
 from coadjoint.methods import registry
 from coadjoint.methods.base import Method
+from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.forces import described
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
@@ -76,8 +78,8 @@ def section(name: str, key: str) -> Iterator[None]:
     raise ConfigurationError(f"{name}: {in_one_line(key, 80)}: {in_one_line(said, LONGEST)}") from cause
 
 
-def system_of_file(name: str, file: File) -> System:
-    """Return the system that a file asks for.
+def system_of_file(name: str, file: File) -> System | ForcedSystem:
+    """Return the system that a file asks for, with its forces.
 
     Parameters
     ----------
@@ -88,13 +90,22 @@ def system_of_file(name: str, file: File) -> System:
 
     Returns
     -------
-    LiePoissonSystem or PoissonSystem
+    LiePoissonSystem, PoissonSystem or ForcedSystem
 
     Raises
     ------
     ConfigurationError
         With the key.
     """
+    system, forces = _hamiltonian_part(name, file), []
+    for k, description in enumerate(file.forces):
+        with section(name, f"forces[{k}]"):
+            forces.append(described.from_description(description))
+    with section(name, "forces"):
+        return ForcedSystem(system, forces) if forces else system
+
+
+def _hamiltonian_part(name: str, file: File) -> System:
     if (file.system is None) == (file.algebra is None):
         raise ConfigurationError(f"{name}: give either [system], a ready-made one, or [algebra] with [hamiltonian]")
     if file.system is not None:

@@ -21,7 +21,7 @@ from coadjoint.systems.batch import Batch
 if TYPE_CHECKING:
     import xarray
 
-    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.solution import Drift, Solution
 
 NEEDED = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
 
@@ -31,7 +31,8 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
 
     Variables over ``time`` (and ``member`` for an ensemble): ``x`` over ``component``, ``energy``, ``casimir_<name>``,
     ``observed_<name>``, ``attitude`` over ``row`` and ``column``; ``drift`` over ``invariant`` and ``tenth`` of the
-    run; ``x0`` and ``attitude0``, the initial state; ``failed`` for an ensemble. Original names are in the attribute
+    run, and in its place with forces ``change``, ``balance``, and ``work`` over ``account``; ``x0`` and ``attitude0``,
+    the initial state; ``failed`` for an ensemble. Original names are in the attribute
     ``long_name``. Attributes: version, system and method (JSON), step, times, and what cannot be stored (functions).
 
     Parameters
@@ -68,11 +69,16 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     for kind, series in named:
         for label, (name, values) in _labels(kind, series):
             variables[label] = (over_time, values, {"long_name": name})
-    drifts = solution.drift()
-    tenths = np.stack([drift.tenths for drift in drifts.values()], axis=-2)
-    about = "largest absolute deviation from the start in each tenth of the run, over "
-    about += "every step" if solution.watched else "the saved points"
-    variables["drift"] = ((*member, "invariant", "tenth"), tenths, {"long_name": about})
+    over = "in each tenth of the run, over " + ("every step" if solution.watched else "the saved points")
+    changes, about = solution.change(), f"largest absolute deviation from the start {over}"
+    over_tenths = (*member, "invariant", "tenth")
+    variables["change" if solution.work else "drift"] = (over_tenths, _tenths(changes), {"long_name": about})
+    if solution.work:
+        about = f"largest absolute deviation of an invariant, less the work of all forces, {over}"
+        variables["balance"] = (over_tenths, _tenths(solution.balance()), {"long_name": about})
+        done = [values for of_force in solution.work.values() for values in of_force.values()]
+        about = "what a force has changed of an invariant since the start"
+        variables["work"] = ((*over_time, "account"), np.stack(done, axis=-1), {"long_name": about})
     variables["x0"] = ((*member, "component"), solution.x[0], {"long_name": "initial momentum"})
     if solution.attitude is not None:
         square = ("row", "column")
@@ -89,10 +95,17 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     coordinates = {
         "time": solution.t,
         "component": list(basis),
-        "invariant": list(drifts),
-        "tenth": np.arange(1, tenths.shape[-1] + 1),
+        "invariant": list(changes),
+        "tenth": np.arange(1, next(iter(changes.values())).tenths.shape[-1] + 1),
     }
+    if solution.work:
+        pairs = [(force, name) for force, of_force in solution.work.items() for name in of_force]
+        coordinates["account"] = [f"{force}: {name}" for force, name in pairs]
     return xarray.Dataset(variables, coordinates, _attributes(solution))
+
+
+def _tenths(found: Mapping[str, Drift]) -> NDArray[np.float64]:
+    return np.stack([drift.tenths for drift in found.values()], axis=-2)
 
 
 def _labels(kind: str, series: Mapping[str, Any]) -> Iterable[tuple[str, tuple[str, Any]]]:

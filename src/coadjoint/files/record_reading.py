@@ -14,6 +14,8 @@ from coadjoint.algebra.polynomial import MOST_DEGREE, Polynomial
 from coadjoint.files.record_entries import CASIMIR, EXACT, INTEGRAL, Entry, made_of
 from coadjoint.memory import check_room
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.forces import described
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
@@ -23,7 +25,7 @@ from coadjoint.wording import short
 BYTES_PER_COORDINATE = 400
 
 
-def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> System | Batch:
+def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> System | ForcedSystem | Batch:
     """Return the system that a record describes.
 
     Parameters
@@ -35,7 +37,7 @@ def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> Syst
 
     Returns
     -------
-    LiePoissonSystem, PoissonSystem or Batch
+    LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
         Without Casimirs and integrals that are functions, and without a closed form.
 
     Raises
@@ -55,11 +57,26 @@ def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> Syst
     """
     given = record if isinstance(record, Entry) else Entry(dict(record), "system")
     if "members" not in given:
-        return _member_of(given, dim)
+        return _one_of(given, dim)
     given.only("name", "members", "not_stored")
-    members = [_member_of(member, dim) for member in given["members"].entries()]
+    members = [_one_of(member, dim) for member in given["members"].entries()]
     with made_of(given["members"]):
         return Batch(members)
+
+
+def _one_of(record: Entry, dim: int | None) -> System | ForcedSystem:
+    if "forces" not in record:
+        return _member_of(record, dim)
+    record.only("name", "forces", "system", "not_stored")
+    _check_stored(record, record["name"].text())
+    forces = []
+    for force in record["forces"].entries():
+        parameters = {key: entry.plain() for key, entry in force.table().items()}
+        with made_of(force):
+            forces.append(described.from_description(parameters))
+    system = _member_of(record["system"], dim)
+    with made_of(record["forces"]):
+        return ForcedSystem(system, forces)
 
 
 def _member_of(record: Entry, dim: int | None) -> System:
@@ -71,13 +88,7 @@ def _member_of(record: Entry, dim: int | None) -> System:
             system = importlib.import_module("coadjoint.systems").get(name, **parameters)
         _check_dimension(record, system.dim, dim)
         return system
-    missing = [entry.text() for entry in record["not_stored"].entries()] if "not_stored" in record else []
-    lost = [what for what in missing if not what.startswith((CASIMIR, EXACT, INTEGRAL))]
-    if lost:
-        raise ValueError(
-            f"{short(name)[1:-1]} cannot be made again from its record: functions are not stored "
-            f"({short(', '.join(lost), 200)[1:-1]}); make the system in Python and integrate it there"
-        )
+    _check_stored(record, name)
     record.only("name", "sign", "algebra", "hamiltonian", "casimirs", "integrals", "representation", "not_stored")
     algebra = _algebra_of(record["algebra"], dim)
     hamiltonian = _hamiltonian_of(record["hamiltonian"], algebra.dim)
@@ -94,6 +105,17 @@ def _member_of(record: Entry, dim: int | None) -> System:
             representation=representation,
             name=name,
             integrals=integrals,
+        )
+
+
+def _check_stored(record: Entry, name: str) -> None:
+    """Refuse a record of a system whose motion depends on functions."""
+    missing = [entry.text() for entry in record["not_stored"].entries()] if "not_stored" in record else []
+    lost = [what for what in missing if not what.startswith((CASIMIR, EXACT, INTEGRAL))]
+    if lost:
+        raise ValueError(
+            f"{short(name)[1:-1]} cannot be made again from its record: functions are not stored "
+            f"({short(', '.join(lost), 200)[1:-1]}); make the system in Python and integrate it there"
         )
 
 

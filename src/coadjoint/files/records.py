@@ -15,6 +15,8 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.files.record_entries import CASIMIR, EXACT, INTEGRAL
 from coadjoint.files.record_reading import system_of
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.forces import described
 from coadjoint.systems.hamiltonian import HamiltonianLike, PolynomialHamiltonian
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -34,7 +36,7 @@ def record_of(system: System | Batch) -> dict[str, Any]:
     A ready-made system is its name and parameters. Any other is its structure constants (i, j, k, c), its Hamiltonian,
     sign, Casimirs and integrals that are polynomials and representation, and the name, basis, Casimirs and
     representation of its algebra; functions cannot be stored, and are named under ``"not_stored"``. A batch is the list
-    of its members.
+    of its members, and a system with forces its Hamiltonian part and the forces by name.
 
     Parameters
     ----------
@@ -54,6 +56,8 @@ def record_of(system: System | Batch) -> dict[str, Any]:
     """
     if isinstance(system, Batch):
         return _batch_record(system)
+    if isinstance(system, ForcedSystem):
+        return _forced_record(system)
     ready_made = importlib.import_module("coadjoint.systems").names()
     if system.parameters is not None and system.name in ready_made:
         functions = [f"{system.name}: {key}" for key, value in system.parameters.items() if callable(value)]
@@ -118,6 +122,21 @@ def _batch_record(batch: Batch) -> dict[str, Any]:
     members = [record_of(member) for member in batch]
     missing = [f"{what} (member {m})" for m, record in enumerate(members) for what in record.get("not_stored", [])]
     record: dict[str, Any] = {"name": batch.name, "members": members}
+    return {**record, "not_stored": missing} if missing else record
+
+
+def _forced_record(system: ForcedSystem) -> dict[str, Any]:
+    """Return the Hamiltonian part, and the forces by name and parameters."""
+    inner, forces, missing = record_of(system.system), [], []
+    for label, force in zip(system.labels, system.forces, strict=True):
+        given = force.parameters()
+        known = described.KINDS.get(type(force).__name__) is type(force)
+        if not known or any(callable(value) for value in given.values()):
+            missing.append(f"force: {label}")
+            continue
+        forces.append({"name": type(force).__name__, **{key: _plain(value) for key, value in given.items()}})
+    missing = [*inner.get("not_stored", ()), *missing]
+    record: dict[str, Any] = {"name": system.name, "forces": forces, "system": inner}
     return {**record, "not_stored": missing} if missing else record
 
 

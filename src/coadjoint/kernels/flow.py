@@ -16,7 +16,11 @@ class FlowTables(NamedTuple):
 
     A part has at most `longest` angles; only[p] is the row of a part with a single, linear one, and -1 for the others.
     Rational rotations are marked in the kinds of the actions; bent[p] is 1 where the blocks of a part on the group have
-    other frequencies than on the momentum, frequency[row], so that they need the angle itself.
+    other frequencies than on the momentum, frequency[row], so that they need the angle itself. called[k] is the number
+    of the free body that share k calls, -1 where it calls none; `body_column` has its triple and the other one of
+    a bond (else the same again), `body` its constants.
+    direct[p] has the bit 1 where all blocks of such a part turn by the angle itself, and the bit 2 where it is made of
+    bonds between triples of unit scale.
     """
 
     longest: int
@@ -33,6 +37,10 @@ class FlowTables(NamedTuple):
     state: Action
     group: Action
     compensated: bool
+    called: NDArray[np.int64]
+    body_column: NDArray[np.uint32]
+    body: NDArray[np.float64]
+    direct: NDArray[np.uint8]
 
 
 FLOW_LOOP = "flow_advance"

@@ -20,7 +20,7 @@ from coadjoint.kernels.description import limit
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.structures import ARRAYS, SCALARS, VARIED, pointed
 from coadjoint.memory import check_room
-from coadjoint.program.offsets_of_squares import ExactSums, offsets_of_squares
+from coadjoint.program.offsets_of_squares import ExactSums, Reduced, offsets_of_squares
 from coadjoint.program.parts import Parts
 
 Floats = NDArray[np.float64]
@@ -136,7 +136,7 @@ class _Written(NamedTuple):
 
     rows: NDArray[np.int64]
     inputs: NDArray[np.int64]
-    rules: list[tuple[NDArray[np.int64], ExactSums]]
+    rules: list[tuple[NDArray[np.int64], ExactSums | Reduced]]
 
 
 class InputTables:
@@ -174,7 +174,7 @@ class InputTables:
         holders = {table.holder for table in tables}
         known = {pair: k for k, pair in enumerate(zip(*(own.tolist() for own in inputs), strict=True))}
         copies: list[tuple[int, str, int, int]] = []
-        sums: list[tuple[int, str, list[int], ExactSums]] = []
+        sums: list[tuple[int, str, list[int], ExactSums | Reduced]] = []
         chosen: list[list[Field]] = []
         self.apart = len(tables) > 2
         for number, table in enumerate(tables):
@@ -228,7 +228,7 @@ class InputTables:
 def _written(
     block: _Block,
     copies: Sequence[tuple[int, str, int, int]],
-    sums: Sequence[tuple[int, str, list[int], ExactSums]],
+    sums: Sequence[tuple[int, str, list[int], ExactSums | Reduced]],
 ) -> _Written:
     rows = np.array([block.start[number, name] + place for number, name, place, _ in copies], dtype=np.int64)
     inputs = np.array([source for *_, source in copies], dtype=np.int64)

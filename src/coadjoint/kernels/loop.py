@@ -38,6 +38,8 @@ class CompiledLoop:
         What was taken off the Hamiltonian, Casimirs and factors: it turns the group element at output.
     memory : int
         How many numbers a member remembers from step to step.
+    accounts : tuple of (str, str)
+        What forces have done is added up behind the coordinates of a state: for each place the force and the invariant.
     parts : Parts or None
         The parts whose flows it takes, where it is made of flows.
     held : mapping of int to CompiledLoop or NamedTuple
@@ -50,6 +52,7 @@ class CompiledLoop:
     keep: tuple[Any, ...] = ()
     shift: tuple[tuple[Polynomial, float], ...] = ()
     memory: int = 0
+    accounts: tuple[tuple[str, str], ...] = ()
     parts: Parts | None = None
     held: Mapping[int, Any] = field(default_factory=dict)
 

@@ -17,6 +17,7 @@ from coadjoint.kernels.structures import pointed
 from coadjoint.kernels.tables import Compiled, addresses_of, invariants_table, watch_tables
 from coadjoint.kernels.watching import Watch
 from coadjoint.program.term_table import TermTable
+from coadjoint.program.unshift import unshift_tables
 from coadjoint.systems.kinds import System, tabulated
 
 PLACE_OF_INNER = 1
@@ -137,12 +138,67 @@ def tables_around(system: System, step: str, inner: CompiledLoop, restored: Mapp
     Compiled
         With a `Stepping`.
     """
+    places, keep = places_of(inner, system, None)
+    return step_tables_of(system, step, watch_tables(system, restored), places, None, keep)
+
+
+def places_of(inner: CompiledLoop, system: System, representation: Any) -> tuple[list[int], tuple[Any, ...]]:
+    """Return what a step reads that takes a step of another loop, and what must live as long.
+
+    Parameters
+    ----------
+    inner : CompiledLoop
+        The other loop, of one member.
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    representation : None, "coadjoint" or (n, d, d) array
+        The group element that is carried along.
+
+    Returns
+    -------
+    places : list of int
+        Addresses of the loop, of its tables and of a watch of nothing, how many numbers it remembers, and the address
+        of the tables by which what was taken off the Hamiltonian turns the group element, or zero.
+    keep : tuple
+    """
     loop = ctypes.cast(getattr(kernels(), f"{inner.name}_inside"), ctypes.c_void_p).value
-    kept, none = watch_tables(system, restored), invariants_table([], system.dim)
+    none = invariants_table([], system.dim)
     read, watch = pointed(inner.tables), pointed(none.tables)
-    places = [loop or 0, ctypes.addressof(read), ctypes.addressof(watch), inner.memory]
-    made = _tables(system, group_of(system, None), kept.tables, places, [], not tabulated(system))
-    return _stepping(step_address(step), (1.0,), *made, (*kept.keep, *none.keep, *inner.keep, inner, read, watch))
+    keep, turning = (*none.keep, *inner.keep, inner, read, watch), 0
+    if inner.shift and representation is not None and system.algebra is not None:
+        rho = None if isinstance(representation, str) else representation
+        tables = pointed(unshift_tables(system.algebra, rho, system.sign, inner.shift))
+        keep, turning = (*keep, tables), ctypes.addressof(tables)
+    return [loop or 0, ctypes.addressof(read), ctypes.addressof(watch), inner.memory, turning], keep
+
+
+def step_tables_of(
+    system: System, step: str, kept: Compiled, whole: Sequence[int], representation: Any, keep: tuple[Any, ...]
+) -> Compiled:
+    """Return the tables of a step of this library that reads whole numbers and invariants.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system.
+    step : str
+        The name of the step.
+    kept : Compiled
+        The invariants, a `Watch`.
+    whole : sequence of int
+        The whole numbers.
+    representation : None, "coadjoint" or (n, d, d) array
+        The group element that is carried along.
+    keep : tuple
+        What must live as long.
+
+    Returns
+    -------
+    Compiled
+        With a `Stepping`.
+    """
+    made = _tables(system, group_of(system, representation), kept.tables, whole, [], not tabulated(system))
+    return _stepping(step_address(step), (1.0,), *made, (*kept.keep, *keep))
 
 
 def _tables(

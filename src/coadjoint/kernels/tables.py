@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.logarithmic import LogarithmicInvariant
+from coadjoint.kernels.bodies import body_tables
 from coadjoint.kernels.description import limit
 from coadjoint.kernels.flow import FlowTables
 from coadjoint.kernels.functions import CompiledFunction, Kept, TabledFunction
@@ -125,6 +126,7 @@ def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
         _marked(program.state, rational),
         _marked(group, agree),
         compensated,
+        *body_tables(program),
     )
     return Compiled(tables, keep)
 
@@ -156,7 +158,31 @@ def watch_tables(system: Any, invariants: Mapping[str, Any]) -> Compiled:
     return invariants_table([("the energy", system.hamiltonian), *invariants.items()], system.dim)
 
 
-def invariants_table(invariants: Sequence[tuple[str, Any]], size: int) -> Compiled:
+def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequence[tuple[str, str]]) -> Compiled:
+    """Return the same for states with accounts behind their coordinates; then each invariant less its accounts.
+
+    Parameters
+    ----------
+    system : ForcedSystem
+        Its Hamiltonian is the first invariant.
+    invariants : mapping
+        Name -> `Polynomial`, `Quadratic` or `Invariant`.
+    accounts : sequence of (str, str)
+        For each account the force and the invariant, "energy" or a name.
+
+    Returns
+    -------
+    Compiled
+        With a `Watch`.
+    """
+    followed = [("energy", system.hamiltonian), *invariants.items()]
+    taken = [[system.dim + k for k, (_, which) in enumerate(accounts) if which == name] for name, _ in followed]
+    return invariants_table([*followed, *followed], system.dim, [*([()] * len(followed)), *taken])
+
+
+def invariants_table(
+    invariants: Sequence[tuple[str, Any]], size: int, taken: Sequence[Sequence[int]] | None = None
+) -> Compiled:
     """Return invariants of points of `size` coordinates as arrays.
 
     Parameters
@@ -165,6 +191,8 @@ def invariants_table(invariants: Sequence[tuple[str, Any]], size: int) -> Compil
         Their names, for messages, and what they are.
     size : int
         Number of coordinates.
+    taken : sequence of sequence of int, optional
+        For each invariant the places of a state whose numbers are taken off it.
 
     Returns
     -------
@@ -186,12 +214,19 @@ def invariants_table(invariants: Sequence[tuple[str, Any]], size: int) -> Compil
             offset += float(term.constant)
         return offset
 
-    for name, invariant in invariants:
+    for k, (name, invariant) in enumerate(invariants):
+        offset, wrapped = 0.0, 0.0
         if isinstance(invariant, Invariant):
             table.function(function_of_all(invariant, size))
-            end(name, 0.0, float(invariant.period))
+            wrapped = float(invariant.period)
         else:
-            end(name, add(as_hamiltonian(invariant, size)), 0.0)
+            offset = add(as_hamiltonian(invariant, size))
+        if taken is not None and len(taken[k]):
+            count = len(taken[k])
+            table.add_linear(
+                taken[k], np.full(count, -1.0), np.zeros(count + 1, dtype=np.int64), np.zeros(0), np.zeros(0)
+            )
+        end(name, offset, wrapped)
     pairs = [addresses_of({k: term}, len(table), "value", owners[k]) for k, term in table.functions.items()]
     addresses = sum((found for found, _ in pairs), np.zeros(len(table), dtype=np.int64))
     terms = table.table()

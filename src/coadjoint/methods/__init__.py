@@ -13,6 +13,7 @@ _HOME = {
     "Coefficients": "coadjoint.methods.stages",
     "CompiledStepMethod": "coadjoint.methods.compiled_step",
     "FlowMethod": "coadjoint.methods.flow_method",
+    "Forced": "coadjoint.methods.forced",
     "Method": "coadjoint.methods.base",
     "Operations": "coadjoint.methods.work",
     "Properties": "coadjoint.methods.properties",
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.base import Method as Method
     from coadjoint.methods.compiled_step import CompiledStepMethod as CompiledStepMethod
     from coadjoint.methods.flow_method import FlowMethod as FlowMethod
+    from coadjoint.methods.forced import Forced as Forced
     from coadjoint.methods.properties import Properties as Properties
     from coadjoint.methods.registry import get as get
     from coadjoint.methods.registry import names as names

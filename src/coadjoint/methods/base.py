@@ -350,7 +350,7 @@ class Method(ABC):
 
         Raises
         ------
-        TypeError
+        TypeError, ValueError
             What it chooses cannot be written out.
         """
         return self

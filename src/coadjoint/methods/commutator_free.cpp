@@ -1,13 +1,10 @@
 // Commutator-free Lie group methods: states and group elements moved by exponentials of combinations of gradients.
-#include <cmath>
-
+#include "steps/exponential.hpp"
 #include "steps/step_scheme.hpp"
 
 namespace coadjoint {
 
 namespace {
-
-constexpr double NEGLIGIBLE = 0x1p-56;  // of the first term: what is left of a series
 
 struct CommutatorFree final : StepScheme {
     const StepTables& tables;
@@ -17,15 +14,15 @@ struct CommutatorFree final : StepScheme {
     const int64_t* start;             // of each stage but the first
     const double *node, *combination;  // of each stage but the first, then of the exponentials at the end
     FieldRoom<double> room;
-    std::vector<double> points, gradients, k, sums, total, image, move;
-    int64_t substeps = 1, degree = 1;
+    std::vector<double> points, gradients, k, sums;
+    ExponentialAction exponential;
 
     CommutatorFree(const StepTables& tables, const Own& constants)
         : tables(tables), constants(constants), field(tables.field), n(field.size),
           square(tables.group.size * tables.group.size), stages(tables.whole[0]), ends(tables.whole[1]),
           start(tables.whole + 2), node(tables.coefficients), combination(node + stages), room(field),
           points(stages * n), gradients(stages * n), k(n), sums(std::max(n, tables.group.size)),
-          total(std::max(n, square)), image(total.size()), move(total.size()) {
+          exponential(std::max(n, square)) {
         work = 16 * ((2 * stages + ends) * work_of(field) + ends * tables.group.size * tables.group.entries);
     }
 
@@ -40,35 +37,6 @@ struct CommutatorFree final : StepScheme {
         }
     }
 
-    // Into how many substeps the exponential of a matrix falls whose rows have these sums of absolute entries, and
-    // where its series may end.
-    bool measure(int64_t size) {
-        double norm = 0.0;
-        for (int64_t i = 0; i < size; ++i) norm = sums[i] > norm || sums[i] != sums[i] ? sums[i] : norm;
-        if (!(norm <= double(MOST_SUBSTEPS))) return false;
-        substeps = std::max<int64_t>(1, int64_t(std::ceil(norm)));
-        const double theta = norm / double(substeps);
-        degree = 1;
-        for (double term = 0.5 * theta; term > NEGLIGIBLE; term *= theta / double(degree + 1)) ++degree;
-        Hearing::of_this_call().after(substeps * degree * work);
-        return true;
-    }
-
-    // Set `move` to (exp(D) - 1) y, where `apply` multiplies by D and a factor; Horner's order.
-    template <class Apply>
-    void exponential(const double* y, int64_t size, Apply apply) {
-        std::fill_n(move.data(), size, 0.0);
-        for (int64_t passed = 0; passed < substeps; ++passed) {
-            for (int64_t i = 0; i < size; ++i) total[i] = y[i] + move[i];
-            for (int64_t power = degree; power > 0; --power) {
-                apply(total.data(), 1.0 / double(power * substeps), image.data());
-                if (power > 1)
-                    for (int64_t i = 0; i < size; ++i) total[i] = (y[i] + move[i]) + image[i];
-            }
-            for (int64_t i = 0; i < size; ++i) move[i] += image[i];
-        }
-    }
-
     bool move_state(const double* y) {
         for (int64_t i = 0; i < n; ++i) {
             double sum = 0.0;
@@ -76,8 +44,8 @@ struct CommutatorFree final : StepScheme {
                 sum = fma(absolute(constants.number_at<double>(field.constant, q)), absolute(k[field.column[q]]), sum);
             sums[i] = sum;
         }
-        if (!measure(n)) return false;
-        exponential(y, n, [&](const double* from, double factor, double* to) {
+        if (!exponential.measure(sums.data(), n, work)) return false;
+        exponential.act(y, n, [&](const double* from, double factor, double* to) {
             product(field, constants, from, k.data(), factor, to, room);
         });
         return true;
@@ -90,8 +58,8 @@ struct CommutatorFree final : StepScheme {
         for (int64_t q = 0; q < group.entries; ++q)
             sums[group.column[q]] = fma(absolute(constants.number_at<double>(group.value, q)),
                                         absolute(k[group.element[q]]), sums[group.column[q]]);
-        if (!measure(group.size)) return false;
-        exponential(g, square, [&](const double* from, double factor, double* to) {
+        if (!exponential.measure(sums.data(), group.size, work)) return false;
+        exponential.act(g, square, [&](const double* from, double factor, double* to) {
             group_slope(group, constants, k.data(), from, factor, to);
         });
         add(g, dg, square);
@@ -101,7 +69,7 @@ struct CommutatorFree final : StepScheme {
     void add(double* x, double* dx, int64_t size) {
         for (int64_t i = 0; i < size; ++i) {
             const double old = x[i];
-            add_owing_rest(old, dx[i] + move[i], x[i], dx[i]);
+            add_owing_rest(old, dx[i] + exponential.move[i], x[i], dx[i]);
         }
     }
 
@@ -115,7 +83,7 @@ struct CommutatorFree final : StepScheme {
                 const double* from = points.data() + start[i - 1] * n;
                 combine(i - 1, h);
                 if (!move_state(from)) return failed();
-                for (int64_t c = 0; c < n; ++c) point[c] = from[c] + move[c];
+                for (int64_t c = 0; c < n; ++c) point[c] = from[c] + exponential.move[c];
             }
             gradient(field, constants, point, fma(node[i], h, t), gradients.data() + i * n, room);
         }

@@ -17,6 +17,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.base import Method, Representation
 from coadjoint.methods.formal_numbers import is_short
 from coadjoint.program.chosen_parts import ChosenParts
+from coadjoint.program.decompose import CALLED, check_inputs_of_called
 from coadjoint.program.numbers import Number
 from coadjoint.program.split import NotSplit
 from coadjoint.program.sweeps import Sweep
@@ -101,6 +102,8 @@ class FlowMethod(Method):
         """Return the scheme with the automatic parts of this system, which it must have as a field."""
         from coadjoint.program.decompose import decompose
 
+        if isinstance(self.parts, str) and self.parts in CALLED:
+            check_inputs_of_called(system, self.parts, coordinates)
         automatic = isinstance(self.parts, ChosenParts) or (isinstance(self.parts, str) and self.parts == "auto")
         if not automatic or not isinstance(system, LiePoissonSystem):
             return self

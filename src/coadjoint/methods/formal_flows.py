@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action
-from coadjoint.program.reading import Reading
+from coadjoint.program.body_reading import Moving
+from coadjoint.program.reading import Reading, called_parts
 from coadjoint.program.table import Program
 
 
@@ -21,6 +23,15 @@ class FormalReading(Reading):
 
     def __init__(self, program: Program) -> None:
         self.program = program
+        self._called = called_parts(program)
+
+    def pieces(self, reach: Callable[[], Any]) -> int:
+        """Return one: a power series has no reach."""
+        return 1
+
+    def negligible(self, terms: Sequence[Moving]) -> bool:
+        """Return whether the next term has a power of h that formal numbers do not keep."""
+        return len(terms) >= type(terms[0].x[0]).count
 
     def _numbers(self, values: NDArray[Any]) -> NDArray[Any]:
         return values.copy()

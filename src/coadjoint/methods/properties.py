@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from coadjoint.given import read_choice, read_flag
 
@@ -25,6 +25,8 @@ class Properties:
     attitude : str
         ``"every representation"``; ``"coadjoint"``, with representations that are orthogonal for a fixed form and
         contain the coadjoint one; ``"integrated"``, as a differential equation of which nothing is kept; or ``"none"``.
+    broken_by : tuple of str
+        Forces of the system that break what the scheme keeps of the Hamiltonian part, as "energy: LinearDamping".
 
     Raises
     ------
@@ -36,6 +38,11 @@ class Properties:
     energy: bool
     casimirs: str
     attitude: str
+    broken_by: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        told = (field.name for field in fields(self) if field.name != "broken_by" or self.broken_by)
+        return f"Properties({', '.join(f'{name}={getattr(self, name)!r}' for name in told)})"
 
     def __post_init__(self) -> None:
         for name in ("poisson", "energy"):

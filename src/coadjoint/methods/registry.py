@@ -12,8 +12,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any, TypeVar
 
-from coadjoint.errors import unknown_name
-from coadjoint.given import read_choice
+from coadjoint.given import check_parameters, read_choice
 from coadjoint.methods.base import Method
 from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.wording import short
@@ -187,13 +186,8 @@ def get(name: str, /, **parameters: Any) -> Method:
     schemes = _schemes()
     read_choice(name, "method", schemes)
     known = parameters_of(name)
-    for parameter in parameters:
-        if parameter not in known:
-            accepted = known or ["(none)"]
-            raise unknown_name(f"parameter of {name}", parameter, accepted)
-    missing = [key for key, default in known.items() if default is inspect.Parameter.empty and key not in parameters]
-    if missing:
-        raise ValueError(f"{name} needs the parameter {missing[0]!r}")
+    required = [key for key, default in known.items() if default is inspect.Parameter.empty]
+    check_parameters(name, parameters, known, required)
     return schemes[name](**{key: _read(value) for key, value in parameters.items()})
 
 

@@ -15,6 +15,7 @@ from coadjoint.methods.flow_method import FlowMethod
 from coadjoint.methods.properties import Properties
 from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES, SplittingScheme
 from coadjoint.program.chosen_parts import ChosenParts
+from coadjoint.program.decompose import CALLED, check_called
 from coadjoint.program.sweeps import Sweep
 from coadjoint.systems.kinds import System, check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -41,13 +42,19 @@ class Splitting(FlowMethod):
         1: one sweep X_1(h), ..., X_n(h) through the parts. 2: ``X1(h/2) ... Xn(h) ... X1(h/2)`` (Lemma 4.1).
         4, 6, 8, 10: a symmetric composition of 5, 11, 21, 35 steps of order 2, of smallest error at equal cost on a
         rigid body.
-    parts : "auto", "coordinates", sequence of sequences of int, or ChosenParts
+    parts : "auto", "coordinates", "free_body", "bonds", sequence of sequences of int, or ChosenParts
         ``"auto"``: commuting coordinates share a part, couplings inside a part are exact; multiples of quadratic
         Casimirs are taken off H where that removes a part or lowers the error, and the parts are ordered, by the
         algebra and H alone: the same system always gets the same (`describe` shows them). ``"coordinates"``: the
-        paper's, one coordinate each. Sets of coordinates are used as given, in that order. What `tuned` chose for a
-        state is explicit as well. Where M is not diagonal and couples coordinates that do not commute, the parts are
-        completed squares.
+        paper's, one coordinate each. ``"free_body"``: coordinates that span so(3), with all of the energy that is
+        quadratic in them, move as free rigid bodies, exactly, and turn everything else; a heavy top is then a free body
+        and gravity, a gyrostat a free body and a rotation about the axis of its rotors, and a rigid body alone has no
+        error but rounding. It costs about seven rotations, and pays where what is added to the body is weak.
+        ``"bonds"``: for momenta of copies of so(3), such as spins, each isotropic coupling c z.w is an exact flow,
+        which turns both about their sum; couplings that share no momentum are one part. The total momentum is then kept
+        wherever the couplings alone keep it, to rounding. Sets of coordinates are used as given, in that order. What
+        `tuned` chose for a state is explicit as well. Where M is not diagonal and couples coordinates that do not
+        commute, the parts are completed squares.
     compensated : bool, optional
         Compensated summation of the momentum; None is no. (The group element is always compensated.) Without it the
         Casimirs of a rigid body, a heavy top and a body on so(4) are off by 5e-13, 3e-13 and 8e-13 of abs(x)^2 after
@@ -122,7 +129,9 @@ class Splitting(FlowMethod):
             raise ValueError(f"adjoint=True is for order 1, a single sweep, not for order {self.order}")
         read_choice(self.rotation, "rotation", ("exact", "rational"))
         if isinstance(self.parts, str):
-            read_choice(self.parts, "choice of parts", ("auto", "coordinates"))
+            read_choice(self.parts, "choice of parts", ("auto", "coordinates", *CALLED))
+            if self.parts in CALLED and self.rotation == "rational":
+                raise ValueError(f'parts="{self.parts}" has no rational rotations; take rotation="exact"')
         elif isinstance(self.parts, Mapping):
             object.__setattr__(self, "parts", ChosenParts.from_mapping(self.parts))
         elif not isinstance(self.parts, ChosenParts):
@@ -248,7 +257,8 @@ class Splitting(FlowMethod):
         Raises
         ------
         ValueError
-            For a system without a Lie algebra, whose split flows are not linear.
+            For a system without a Lie algebra, whose split flows are not linear; with ``parts="free_body"`` or
+            ``"bonds"`` for one without any.
         """
         check_one_system(system)
         if isinstance(system, PoissonSystem):
@@ -256,6 +266,8 @@ class Splitting(FlowMethod):
                 f"Splitting needs a Lie algebra, which {system.name} does not have (its split flows are not linear); "
                 "use GaussLegendre or ModifiedGaussLegendre"
             )
+        if isinstance(self.parts, str) and self.parts in CALLED:
+            check_called(system, self.parts, type(self).__name__)
         return Properties(poisson=True, energy=False, casimirs="all", attitude="every representation")
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
@@ -275,7 +287,7 @@ class Splitting(FlowMethod):
 
 
 def _sets_of_coordinates(parts: Any) -> tuple[tuple[int, ...], ...]:
-    rule = "it must be 'auto', 'coordinates', or sets of coordinates such as [[0, 1], [2]]"
+    rule = "it must be 'auto', 'coordinates', 'free_body', 'bonds', or sets of coordinates such as [[0, 1], [2]]"
     groups = [read_list(group, "a set of parts", rule) for group in read_list(parts, "parts", rule)]
     sets = tuple(tuple(read_whole(i, "a coordinate in parts", 0, MOST_COORDINATES) for i in group) for group in groups)
     seen: set[int] = set()

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coadjoint.kernels.description import limit
-from coadjoint.program.describe import action_work, share_work
+from coadjoint.program.describe import action_work, bodies_of, share_work
 from coadjoint.program.table import Program
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -22,6 +22,11 @@ FLOW = 0.2
 MULTIPLICATION = 0.04
 FUNCTION = 0.6
 COMPENSATED = 1.3
+# The turn of a free body over a short time.
+BODY = 7.0
+# A bond of a lattice, side by side with others, and where the sums are compensated.
+BOND = 1.3
+BOND_COMPENSATED = 12.0
 ITERATION = 0.5
 LANES = 8
 VECTOR_MULTIPLICATION = 0.05
@@ -42,6 +47,7 @@ NEXT_CORRECTION = 1.0
 # member.
 CROWD = 16
 FLOWS_OF_A_CROWD = 0.1
+BODIES_OF_A_CROWD = 0.17
 ELIMINATION = 0.015
 
 
@@ -90,8 +96,15 @@ def flow_work(program: Program, compensated: bool) -> float:
 
 def _part_work(program: Program, number: int, compensated: bool) -> float:
     multiplications, functions = share_work(program, number)
+    bodies = bodies_of(program, number)
+    if bodies:
+        multiplications, functions = 0, 0
     cost = FLOW + MULTIPLICATION * multiplications + FUNCTION * functions
     acting = action_work(program.state, number)
+    if bodies:
+        bonds = bool(bodies[0].other)
+        cost += len(bodies) * (BODY if not bonds else BOND_COMPENSATED if compensated else BOND)
+        acting = 0 if bonds else acting[0], 0  # sines come with the body
     cost += (MULTIPLICATION * acting[0] + FUNCTION * acting[1]) * (COMPENSATED if compensated else 1.0)
     if program.group is not None:
         # The rows of a group element are turned side by side, by one sine.
@@ -146,7 +159,8 @@ def work_of_flows(program: Program, compensated: bool) -> Work:
     """Return the work of a step that is made of flows."""
     cost = flow_work(program, compensated)
     better = None if compensated else lambda: work_of_flows(program, True)
-    return Work(lambda iterations, evaluations: cost, flows_of(program), FLOWS_OF_A_CROWD, better)
+    crowd = BODIES_OF_A_CROWD if program.parts.bodies else FLOWS_OF_A_CROWD
+    return Work(lambda iterations, evaluations: cost, flows_of(program), crowd, better)
 
 
 def work_of_iterations(system: System, group: Any) -> Work:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_choice, read_whole
+from coadjoint.given import read_choice, read_number, read_whole
 from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.style import coordinate
 from coadjoint.runs.solution import Solution
@@ -42,6 +42,8 @@ class Drawn:
         As given.
     system : LiePoissonSystem or PoissonSystem
         That of the first member.
+    family : LiePoissonSystem or PoissonSystem
+        The same, without the forces that it may have.
     telling : Telling or None
         What is known of the system by its name.
     of_members : int
@@ -58,7 +60,9 @@ class Drawn:
         self.solution = solution
         first = solution.system[0] if isinstance(solution.system, Batch) else solution.system
         self.system: Any = first
-        self.telling: Telling | None = telling_of(first.name)
+        # A system with forces wraps the one that has a name and parameters.
+        self.family: Any = getattr(first, "system", first)
+        self.telling: Telling | None = telling_of(self.family.name)
         self.single = solution.failed is None
         # A matrix of complex numbers is drawn as its real and imaginary parts, in turns.
         states = np.ascontiguousarray(solution.x)
@@ -114,6 +118,18 @@ class Drawn:
     def driven(self) -> bool:
         """Whether the Hamiltonian depends on time, so that the energy is no invariant."""
         return bool(getattr(self.system.hamiltonian, "timed", False))
+
+    @cached_property
+    def left(self) -> Mapping[str, Floats] | None:
+        """The change of each invariant less the work of the forces on it, which is an error; None without forces."""
+        work = getattr(self.solution, "work", None)
+        if not work:
+            return None
+        found = {}
+        for name, values in self.invariants.items():
+            done = [self.of_each(by[name]) for by in work.values() if name in by]
+            found[name] = values - values[:, :1] - sum(done)
+        return found
 
     @property
     def quantity(self) -> str:
@@ -202,8 +218,37 @@ class Drawn:
         found = max(bend, missed)
         return found if np.isfinite(found) else 0.0
 
+    def at(self, part: Any) -> int:
+        """Return the number of the saved point at a part of the span, 0 for the start and 1 for the end."""
+        return round(min(max(read_number(part, "at"), 0.0), 1.0) * (len(self.t) - 1))
+
+    def state(self, k: int) -> npt.NDArray[Any]:
+        """Return a saved state of the first member, in its own shape."""
+        return self._shaped(self.x[0, k])
+
+    def of_state(self, function: Any, k: int) -> tuple[Floats, float]:
+        """Return values of a saved state, and the largest of start, end and this one: a scale that pictures share.
+
+        Parameters
+        ----------
+        function : callable
+            Of the system, without the forces that it may have, and of a state.
+        k : int
+            Which saved point.
+
+        Returns
+        -------
+        ndarray
+        float
+        """
+        found = {j: np.asarray(function(self.family, self.state(j)), dtype=np.float64) for j in {0, k, len(self.t) - 1}}
+        return found[k], max(float(np.nanmax(np.abs(values))) for values in found.values()) or 1.0
+
+    def _shaped(self, x: Floats) -> npt.NDArray[Any]:
+        return np.ascontiguousarray(x).view(self._type).reshape(shape_of(self.system))
+
     def _slope(self, x: Floats, t: float) -> Floats:
-        state = np.ascontiguousarray(x).view(self._type).reshape(shape_of(self.system))
+        state = self._shaped(x)
         found = np.ascontiguousarray(self.system.vector_field(state, t), dtype=self._type)
         return found.view(np.float64).ravel()
 

@@ -38,6 +38,7 @@ def draw_orbit(
     casimirs: Mapping[str, Any],
     names: Sequence[str] = ("$x_1$", "$x_2$", "$x_3$"),
     joined: bool = True,
+    kept: bool = True,
 ) -> None:
     """Draw orbits on the level surface through the first point of the first.
 
@@ -53,6 +54,8 @@ def draw_orbit(
         Names of the coordinates.
     joined : bool
         Whether lines between the points show the motion; otherwise the points are dots.
+    kept : bool
+        Whether the motion stays on the surface; forces may move it away.
     """
     name = surface_casimir(casimirs)
     box = _box_of(members)
@@ -67,6 +70,8 @@ def draw_orbit(
             title = f"{what}; the level set of {symbol(name)} is no surface"
         elif len(members) > 1:
             title = f"orbits, and the level surface of {symbol(name)} of the first"
+        elif not kept:
+            title = f"{what}, and the level surface of {symbol(name)} at its start"
     if len(triangles):
         _draw_surface(axes, triangles)
     several = len(members) > 1

@@ -12,13 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.program.bonds import bonds
 from coadjoint.program.chosen_parts import ChosenParts
+from coadjoint.program.free_bodies import free_bodies
 from coadjoint.program.offsets_of_squares import with_offsets_of
 from coadjoint.program.order_of_parts import CLEARLY, best_orders
 from coadjoint.program.parts import Parts
 from coadjoint.program.shift import QuadraticCasimir, Shift, candidate_shifts, quadratic_casimirs, shifted_terms
 from coadjoint.program.shift_counts import numbers_of_parts
-from coadjoint.program.split import split
+from coadjoint.program.split import NotSplit, split
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.linear_term import linear_of, with_all_present
 
@@ -28,6 +30,8 @@ SAMPLES = 16
 LARGEST_COMPARED = 24
 # So many systems are compared at once. More do not fit into a cache.
 MOST_TOGETHER = 256
+CALLED = ("free_body", "bonds")
+"""Choices whose first parts turn momenta by an attitude, not about fixed axes."""
 
 
 @dataclass(frozen=True)
@@ -38,14 +42,14 @@ class Decomposition:
     ----------
     parts : Parts
         The exact flows.
-    shift : tuple of (Polynomial, float)
-        Quadratic Casimirs C and factors c: the parts add up to H - sum c C.
+    shift : tuple of (Polynomial, float), or None
+        Quadratic Casimirs C and factors c: the parts add up to H - sum c C. None where they are too long to be written.
     choice : ChosenParts
         What to pass as `parts` to get the same again.
     """
 
     parts: Parts
-    shift: tuple[tuple[Polynomial, float], ...]
+    shift: tuple[tuple[Polynomial, float], ...] | None
     choice: ChosenParts
 
 
@@ -56,7 +60,8 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     ----------
     system : LiePoissonSystem
         The system.
-    choice : "auto", "coordinates", sequence of sequences of int, or ChosenParts
+    choice : "auto", "coordinates", "free_body", "bonds", sequence of sequences of int, or ChosenParts
+        ``"free_body"`` takes free rigid bodies as parts (see `free_bodies`), ``"bonds"`` single bonds (see `bonds`).
         ``"auto"`` makes few parts: it joins commuting coordinates, takes off multiples of quadratic Casimirs where that
         removes a part or lowers the h^2 term, and orders the parts so that the h^2 term over a fixed sample is the
         smallest. All other choices are taken as they stand.
@@ -73,6 +78,12 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     """
     if isinstance(choice, ChosenParts):
         return _chosen(system, choice)
+    if isinstance(choice, str) and choice in CALLED:
+        known = _CALLED[choice]
+        if system not in known:
+            parts, shift = bonds(system) if choice == "bonds" else (free_bodies(system), ())
+            known[system] = Decomposition(parts, shift, ChosenParts(tuple(range(len(parts)))))
+        return known[system]
     if not isinstance(choice, str) or choice != "auto":
         parts = split(system, choice)
         return Decomposition(parts, (), ChosenParts(tuple(range(len(parts)))))
@@ -98,6 +109,9 @@ def decompose_all(systems: Sequence[LiePoissonSystem]) -> None:
 
 # Systems do not change. What was found for one is kept as long as the system lives, and serves all of its runs.
 _FOUND: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
+_CALLED: Mapping[str, WeakKeyDictionary[LiePoissonSystem, Decomposition]] = {
+    choice: WeakKeyDictionary() for choice in CALLED
+}
 
 
 class Candidate(NamedTuple):
@@ -177,6 +191,28 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
         if not found or (comparing and len(parts) == fewest):
             found.append(Candidate(shift, parts))
     return found
+
+
+def check_called(system: LiePoissonSystem, choice: str, scheme: str) -> None:
+    """Refuse by name a system that has no free bodies or bonds, or whose other terms do not split."""
+    try:
+        decompose(system, choice)
+    except NotSplit as reason:
+        raise ValueError(f"{scheme} cannot serve {system.name}: {reason}") from None
+
+
+def check_inputs_of_called(system: Any, choice: str, coordinates: Sequence[int]) -> None:
+    """Refuse inputs that would turn the axis of a part: coefficients of the coordinates of free bodies and of bonds."""
+    if isinstance(system, LiePoissonSystem):
+        check_called(system, choice, "Splitting")
+        bodies = decompose(system, choice).parts.bodies.values()
+        every = {i for body in bodies for i in (*body.coordinates, *(body.other or ()))}
+        inside = sorted(every.intersection(coordinates))
+        if inside:
+            raise ValueError(
+                f'parts="{choice}" takes no inputs for {system.algebra.basis[inside[0]]} (coordinate {inside[0]}) of '
+                f'{system.name}, which is turned about an axis that they would move; take parts="auto"'
+            )
 
 
 def _chosen(system: LiePoissonSystem, choice: ChosenParts) -> Decomposition:

@@ -9,7 +9,7 @@ from typing import Any
 from coadjoint.program.actions import Action
 from coadjoint.program.blocks import Kind
 from coadjoint.program.decompose import decompose
-from coadjoint.program.parts import Part
+from coadjoint.program.parts import BodyShare, Part
 from coadjoint.program.sweeps import Swept
 from coadjoint.program.table import Program, build_program
 from coadjoint.program.term_table import LINEAR
@@ -18,6 +18,10 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 MOST_SHOWN = 6
 # Multiplications with addition on the coordinates of one block.
 WORK = {Kind.SCALE: 1, Kind.ROTATE: 4, Kind.PLANE: 6, Kind.SHEAR: 2}
+# Multiplications in the turn of a free body over a short time.
+BODY_WORK = 600
+# Of a bond, which turns its momenta without blocks.
+BOND_WORK = 60
 
 
 @dataclass(frozen=True)
@@ -119,8 +123,25 @@ def _part(system: LiePoissonSystem, program: Program, number: int, part: Part) -
     for run in range(action.run[number], action.run[number + 1]):
         blocks[Kind(int(action.kind[run])).name] += int(action.angles[run]) * int(action.repeat[run])
     acting, shares = action_work(action, number), share_work(program, number)
-    multiplications, functions = acting[0] + shares[0], acting[1] + shares[1]
-    return PartDescription(tuple(_name(system, form) for form in part.forms), dict(blocks), multiplications, functions)
+    bodies = bodies_of(program, number)
+    if bodies:
+        acting = 0 if bodies[0].other else acting[0], 0
+    multiplications, functions = (a + b for a, b in zip(acting, shares, strict=True))
+    names = tuple(_name(system, form) for form in part.forms)
+    if bodies:
+        names = tuple(_body_name(system, body) for body in bodies)
+    return PartDescription(names, dict(blocks), multiplications, functions)
+
+
+def _body_name(system: LiePoissonSystem, body: BodyShare) -> str:
+    first, second = (", ".join(system.algebra.basis[i] for i in own) for own in (body.coordinates, body.other or ()))
+    return f"bond of {first} and {second}" if second else f"free body of {first}"
+
+
+def bodies_of(program: Program, number: int) -> list[BodyShare]:
+    """Return the free bodies that one part is made of."""
+    shares = range(int(program.parts.share[number]), int(program.parts.share[number + 1]))
+    return [body for s, body in program.parts.bodies.items() if s in shares]
 
 
 def action_work(action: Action, number: int) -> tuple[int, int]:
@@ -142,10 +163,13 @@ def _block_work(action: Action, run: int, kind: Kind) -> int:
 
 def share_work(program: Program, number: int) -> tuple[int, int]:
     """Return the multiplications, and the calls of functions, that the angles of one part take."""
-    terms, multiplications, functions = program.terms, 0, 0
+    terms, bodies, multiplications, functions = program.terms, program.parts.bodies, 0, 0
     for term in range(program.share[number], program.share[number + 1]):
         rows = range(terms.row[term], terms.row[term + 1])
-        if terms.kind[term] == LINEAR:
+        if term in bodies:
+            work = BOND_WORK if bodies[term].other else BODY_WORK
+            multiplications, functions = multiplications + work, functions + 1
+        elif terms.kind[term] == LINEAR:
             multiplications += int(terms.entry[rows.stop] - terms.entry[rows.start])
         elif term in program.functions:
             functions += 1

@@ -5,9 +5,9 @@ The forms l_r of the squares of x.M.x/2 do not depend on the linear term b; sum_
 
 from __future__ import annotations
 
-from math import lcm
+from math import isfinite, lcm
 from operator import mul
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from coadjoint.algebra.connected import connected
 from coadjoint.algebra.exact import rational
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
-from coadjoint.program.squares import LARGEST_RATIONAL
+from coadjoint.program.parts import Parts, PolynomialShare, SpecialShare
+from coadjoint.program.squares import LARGEST_RATIONAL, split_linear
 from coadjoint.systems.linear_term import PRESENT
 
 
@@ -50,17 +50,47 @@ class ExactSums(NamedTuple):
         ]
 
 
-def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums]]:
+class Reduced(NamedTuple):
+    """The linear terms of squares whose forms are floats: found by the operations of the reduction, in their order.
+
+    Each step has its pivots and the forms that it found, coordinates and values; `order` is where those stand among the
+    angles.
+    """
+
+    steps: tuple[tuple[tuple[int, ...], tuple[dict[int, float], ...]], ...]
+    order: tuple[int, ...]
+
+    def at(self, b: NDArray[np.float64]) -> list[float]:
+        """Return the linear terms for floats b, to the bits of squares that are made for them.
+
+        Raises
+        ------
+        OverflowError
+            One is too large for float64.
+        """
+        rest, found = b.tolist(), []
+        for pivots, forms in self.steps:
+            betas = split_linear([rest[p] for p in pivots], [[form.get(p, 0.0) for p in pivots] for form in forms])
+            for beta, form in zip(betas, forms, strict=True):
+                for k, value in form.items():
+                    rest[k] -= beta * value
+            found += betas
+        if not all(map(isfinite, found)):
+            raise OverflowError("a completed square is too large for float64")
+        return [found[place] for place in self.order]
+
+
+def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums | Reduced]]:
     """Return how the offsets of completed squares follow from the linear term of the Hamiltonian.
 
     Parameters
     ----------
     parts : Parts
-        Of a Hamiltonian; its forms are exact numbers, as those of up to 16 coupled coordinates are.
+        Of a Hamiltonian. Forms of up to 16 coupled coordinates are exact numbers, others floats.
 
     Returns
     -------
-    list of (angles, ExactSums)
+    list of (angles, ExactSums or Reduced)
         For each set of coupled coordinates the angles of its squares, and their offsets. Single coordinates are left
         out: their offset is the coefficient.
 
@@ -85,13 +115,27 @@ def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums]]:
     clusters: dict[int, list[int]] = {}
     for angle in angles.tolist():
         clusters.setdefault(int(label[angle]), []).append(angle)
-    found = []
+    found: list[tuple[list[int], ExactSums | Reduced]] = []
     for own in clusters.values():
         rows = [_row(parts, angle) for angle in own]
         coordinates = sorted({k for row in rows for k in row})
-        if 1 < len(coordinates) <= LARGEST_RATIONAL and len(own) <= len(coordinates):
+        if len(coordinates) > LARGEST_RATIONAL and parts.pivots is not None:
+            found.append((own, _reduced(rows, parts.pivots[own])))
+        elif 1 < len(coordinates) <= LARGEST_RATIONAL and len(own) <= len(coordinates):
             found.append((own, _inverse(rows, coordinates)))
     return found
+
+
+def _reduced(rows: list[dict[int, Any]], pivots: NDArray[np.int64]) -> Reduced:
+    """Return the steps of the reduction from the forms that it found."""
+    steps: dict[int, tuple[tuple[int, ...], list[dict[int, float]]]] = {}
+    inverse = np.argsort(pivots[:, 0], kind="stable")
+    for place in inverse.tolist():
+        step, first, last = pivots[place].tolist()
+        both = (first,) if first == last else (first, last)
+        steps.setdefault(step, (both, []))[1].append(rows[place])
+    order = np.argsort(inverse).tolist()
+    return Reduced(tuple((both, tuple(forms)) for both, forms in steps.values()), tuple(order))
 
 
 def with_offsets_of(parts: Parts, linear: NDArray[np.float64]) -> Parts:
@@ -117,19 +161,19 @@ def with_offsets_of(parts: Parts, linear: NDArray[np.float64]) -> Parts:
     return Parts(parts.forms, offset, parts.weights, parts.row, special, parts.share, parts.timed)
 
 
-def _without_present(share: PolynomialShare | FunctionShare) -> PolynomialShare | FunctionShare:
+def _without_present(share: SpecialShare) -> SpecialShare:
     if not isinstance(share, PolynomialShare):
         return share
     monomials = {e: c for e, c in share.polynomial.monomials.items() if c != PRESENT}
     return PolynomialShare(share.coordinates, Polynomial(monomials, dim=share.polynomial.dim))
 
 
-def _row(parts: Parts, angle: int) -> dict[int, object]:
+def _row(parts: Parts, angle: int) -> dict[int, Any]:
     entries = slice(int(parts.forms.start[angle]), int(parts.forms.start[angle + 1]))
     return dict(zip(parts.forms.coordinate[entries].tolist(), parts.forms.value[entries].tolist(), strict=True))
 
 
-def _inverse(rows: list[dict[int, object]], coordinates: list[int]) -> ExactSums:
+def _inverse(rows: list[dict[int, Any]], coordinates: list[int]) -> ExactSums:
     """Return beta of sum_r beta_r l_r = b, for linearly independent forms."""
     from flint import fmpq_mat
 

@@ -12,7 +12,7 @@ from coadjoint.algebra.exact import exact_number, fraction, rational
 from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.algebra.monomials import Exponents
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.program.parts import FunctionShare, Parts
+from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
 
 # A completed square may have numerators of thousands of digits. Then the floats are taken, as in a run.
 MOST_BITS = 512
@@ -53,7 +53,8 @@ def part_polynomials(ring: ExactPolynomials, parts: Parts) -> list[Exact]:
     for s, share in parts.special.items():
         if isinstance(share, FunctionShare):
             raise TypeError("a part of the Hamiltonian is a function of Python, not a polynomial")
-        found[int(parts.part_of_angle[parts.row[s]])] += ring.of(share.polynomial)
+        if isinstance(share, PolynomialShare):
+            found[int(parts.part_of_angle[parts.row[s]])] += ring.of(share.polynomial)
     return found
 
 

@@ -32,6 +32,35 @@ class FunctionShare:
 
 
 @dataclass(frozen=True)
+class BodyShare:
+    """The flow of a free rigid body, or of a bond: its forms do not commute, and its angles change on the way.
+
+    The rows of the share are linear like others, and their forms and weights are the energy. They are the coordinates
+    3, 1, 2, 3 of the triple, the first without weights: the turns that compiled loops write the flow as. A bond turns
+    two triples about their sum: its forms are sums of two coordinates, one of each.
+
+    Parameters
+    ----------
+    coordinates : (int, int, int)
+        The triple.
+    matrix : tuple of tuples, (3, 3)
+        The energy is x.M.x/2 on the triple; of a bond on the sum of both, and three equal moments.
+    scale : (float, float, float)
+        The basis elements times these have the brackets [1, 2] = 3, [2, 3] = 1, [3, 1] = 2.
+    other : (int, int, int), optional
+        The other triple of a bond, with the same scale.
+    """
+
+    coordinates: tuple[int, int, int]
+    matrix: tuple[tuple[float, ...], ...]
+    scale: tuple[float, float, float]
+    other: tuple[int, int, int] | None = None
+
+
+SpecialShare = PolynomialShare | FunctionShare | BodyShare
+
+
+@dataclass(frozen=True)
 class Part:
     """The commuting forms of one exact flow, to be shown.
 
@@ -59,13 +88,20 @@ class Parts(Sequence[Part]):
         One row for each angle; the row is empty in other shares.
     row : ndarray of int64, shape (shares + 1,)
         Where the angles of each share begin.
-    special : mapping of int to PolynomialShare or FunctionShare
-        The shares that are not linear.
+    special : mapping of int to PolynomialShare, FunctionShare or BodyShare
+        The shares that are not linear, or whose forms do not commute. A part has shares of free bodies alone, or none.
     share : ndarray of int64, shape (parts + 1,)
         Where the shares of each part begin.
     timed : ndarray of bool, shape (parts,)
         Which parts depend on time.
+
+    Attributes
+    ----------
+    pivots : ndarray of int64, shape (angles, 3), or None
+        Of completed squares with forms in floats: see `Squares`; -1 for other angles.
     """
+
+    pivots: NDArray[np.int64] | None = None
 
     def __init__(
         self,
@@ -73,7 +109,7 @@ class Parts(Sequence[Part]):
         offset: NDArray[Any],
         weights: SparseRows,
         row: Integers,
-        special: Mapping[int, PolynomialShare | FunctionShare],
+        special: Mapping[int, SpecialShare],
         share: Integers,
         timed: NDArray[np.bool_],
     ) -> None:
@@ -101,7 +137,7 @@ class Parts(Sequence[Part]):
         if not pieces:
             return cls.linear(SparseRows.empty(0), np.zeros(0), SparseRows.empty(0), np.zeros(1, dtype=np.int64))
         shares = np.cumsum([0] + [len(piece.row) - 1 for piece in pieces]).tolist()
-        return cls(
+        whole = cls(
             SparseRows.concatenate([piece.forms for piece in pieces]),
             np.concatenate([piece.offset for piece in pieces]),
             SparseRows.concatenate([piece.weights for piece in pieces]),
@@ -114,6 +150,16 @@ class Parts(Sequence[Part]):
             joined_starts([piece.share for piece in pieces]),
             np.concatenate([piece.timed for piece in pieces]),
         )
+        if any(piece.pivots is not None for piece in pieces):
+            none = [np.full((len(piece.offset), 3), -1) for piece in pieces]
+            own = [one if piece.pivots is None else piece.pivots for one, piece in zip(none, pieces, strict=True)]
+            whole.pivots = np.concatenate(own)
+        return whole
+
+    @property
+    def bodies(self) -> dict[int, BodyShare]:
+        """The shares that are free bodies."""
+        return {s: share for s, share in self.special.items() if isinstance(share, BodyShare)}
 
     def with_rules(self, offset: NDArray[Any], weights: SparseRows) -> Parts:
         """Return the same forms with other angles."""
@@ -146,7 +192,7 @@ class Parts(Sequence[Part]):
         begin, end = self.row[shares], self.row[shares + 1]
         _, angles = expand(begin, end)
         place = dict(zip(shares.tolist(), range(len(shares)), strict=True)) if self.special else {}
-        return Parts(
+        taken = Parts(
             self.forms.take(angles),
             self.offset[angles],
             self.weights.take(angles),
@@ -155,6 +201,8 @@ class Parts(Sequence[Part]):
             starts_of(last - first),
             self.timed[chosen],
         )
+        taken.pivots = None if self.pivots is None else self.pivots[angles]
+        return taken
 
     def joined(self, label: NDArray[Any]) -> Parts:
         """Return the parts with equal labels, which must commute, as one part; in the order of their first members."""
@@ -165,7 +213,9 @@ class Parts(Sequence[Part]):
         begins = np.flatnonzero(fresh(group))
         timed = np.logical_or.reduceat(moved.timed, begins) if len(begins) else moved.timed
         share = np.append(moved.share[begins], moved.share[-1])
-        return Parts(moved.forms, moved.offset, moved.weights, moved.row, moved.special, share, timed)
+        joined = Parts(moved.forms, moved.offset, moved.weights, moved.row, moved.special, share, timed)
+        joined.pivots = moved.pivots
+        return joined
 
     @overload
     def __getitem__(self, index: int) -> Part: ...

@@ -60,13 +60,14 @@ def plain_table(program: Program) -> dict[str, Any]:
             for casimir, factor in program.shift
         ],
         "functions": sorted(int(k) for k in program.functions),
+        "bodies": sorted(program.parts.bodies),
     }
     return table | (_generators("group", program.group, program) if program.group is not None else {})
 
 
 def _generators(name: str, action: Action, program: Program) -> dict[str, NDArray[Any]]:
     """Return the entries of the generators D of all angles of all parts, sorted."""
-    from coadjoint.program.reading import run_entries
+    from coadjoint.program.run_matrices import run_entries
 
     found = []
     for part in range(len(program.parts)):

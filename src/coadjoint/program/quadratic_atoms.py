@@ -14,6 +14,7 @@ from coadjoint.program.commutation import Commutation
 from coadjoint.program.parts import Parts
 from coadjoint.program.sparse_rows import SparseRows, fresh, order_by, starts_of
 from coadjoint.program.sparse_squares import SparseSquares, sparse_squares
+from coadjoint.program.squares import LARGEST_RATIONAL
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.terms import QuadraticTerm
 
@@ -108,9 +109,11 @@ def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tu
     lengths = np.where(used, np.diff(forms.start), 0)
     weights = SparseRows(starts_of(lengths), rule.coordinate, np.repeat(factor[used], np.diff(rule.start)) * rule.value)
     offset = np.concatenate([found.linear for found in squares])
-    return Parts.linear(forms, offset, weights, np.arange(len(factor) + 1)), np.repeat(
-        label[members[ends[:-1]]], counts
-    )
+    parts = Parts.linear(forms, offset, weights, np.arange(len(factor) + 1))
+    if np.diff(ends).max() > LARGEST_RATIONAL:
+        parts.pivots = np.concatenate([found.pivots for found in squares])
+        parts.pivots[:, 1:] = members[parts.pivots[:, 1:] + np.repeat(ends[:-1], counts)[:, None]]
+    return parts, np.repeat(label[members[ends[:-1]]], counts)
 
 
 def _without_rounding(squares: SparseSquares, entries: NDArray[np.float64]) -> SparseSquares:
@@ -118,4 +121,4 @@ def _without_rounding(squares: SparseSquares, entries: NDArray[np.float64]) -> S
     floor = 8 * UNIT_ROUNDOFF * np.max(np.abs(entries))
     largest = np.maximum.reduceat(np.abs(squares.forms.value), squares.forms.start[:-1])
     kept = np.flatnonzero((squares.linear != 0) | (np.abs(squares.weights) * largest**2 > floor))
-    return SparseSquares(squares.forms.take(kept), squares.weights[kept], squares.linear[kept])
+    return SparseSquares(squares.forms.take(kept), squares.weights[kept], squares.linear[kept], squares.pivots[kept])

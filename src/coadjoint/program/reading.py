@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action
-from coadjoint.program.blocks import CUBIC_HEADER, MOST_SUBSTEPS, Kind
+from coadjoint.program.blocks import MOST_SUBSTEPS, Kind
+from coadjoint.program.body_reading import Moving, flow_of_bodies, largest_of, pieces
 from coadjoint.program.elementary import elementary
 from coadjoint.program.numbers import array_of, roundoff
 from coadjoint.program.rational_rotations import bent
+from coadjoint.program.run_matrices import run_blocks, run_entries
 from coadjoint.program.table import Program
 from coadjoint.program.term_table import FUNCTION, LINEAR, derivative_of
 
@@ -42,6 +45,7 @@ class Reading:
         self.program = program
         self.functions = elementary(program.number)
         self._u = roundoff(program.number)
+        self._called = called_parts(program)
 
     def steps(
         self,
@@ -94,6 +98,9 @@ class Reading:
         for r in rows:
             part = int(table.part[r])
             tau, moment = table.coefficient[r] * h, t + table.moment[r] * h
+            if self._called[part]:
+                flow_of_bodies(self, part, tau, Moving(x, group, tangent))
+                continue
             theta = [tau * angle for angle in self.angles(part, x, moment)]
             turned = None if tangent is None else [tau * d for d in self._angle_tangents(part, x, moment, tangent)]
             theta, turned = self._bent(part, theta, turned)
@@ -167,16 +174,29 @@ class Reading:
             coefficient = coefficient * y[place] ** exponent
         return coefficient
 
+    def pieces(self, reach: Callable[[], Any]) -> int:
+        """Return in how many pieces of time a free body goes."""
+        return pieces(reach(), self.functions.ceil)
+
+    def negligible(self, terms: Sequence[Moving]) -> bool:
+        """Return whether the last two terms of a series are rounding."""
+        whole, last, before = (largest_of(terms[k]) for k in (0, -1, -2))
+        return all(max(a, b) <= self._u * c / 16 for a, b, c in zip(last, before, whole, strict=True))
+
+    def generator(self, action: Action, part: int, angle: int) -> dict[tuple[int, int], Any]:
+        """Return the entries of the generator of one form of a part."""
+        return self._entries(part, angle, action)
+
     def _generator_on(self, part: int, angle: int, x: NDArray[Any]) -> NDArray[Any]:
         """Return D_a x for one form of a part (the verb `apply`)."""
-        entries = self._entries(part, angle)
+        entries = self._entries(part, angle, self.program.state)
         result = 0 * x
         for (i, j), value in entries.items():
             result[i] += value * x[j]
         return result
 
-    def _entries(self, part: int, angle: int) -> dict[tuple[int, int], Any]:
-        action = self.program.state
+    @staticmethod
+    def _entries(part: int, angle: int, action: Action) -> dict[tuple[int, int], Any]:
         found: dict[tuple[int, int], Any] = {}
         for run in range(action.run[part], action.run[part + 1]):
             q = angle - int(action.angle[run])
@@ -253,42 +273,7 @@ class Reading:
         return sine / w, (2 if z > 0 else -2) * half**2
 
 
-def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-    """Return the blocks of a run at its angle number q, as (coordinates, matrix)."""
-    kind, repeat = action.kind[run], int(action.repeat[run])
-    width, index, constant = int(action.width[run]), int(action.place[run]), int(action.constant[run])
-    constants = action.constants
-    zero = 0 * constants[constant]
-    found = []
-    for b in range(repeat):
-        place = index + (q * repeat + b) * width
-        coordinates = action.indices[place : place + width].astype(np.int64)
-        matrix = np.full((width, width), zero, dtype=constants.dtype)
-        if kind == Kind.SCALE:
-            matrix[0, 0] = constants[constant + q]
-        elif kind == Kind.ROTATE:
-            matrix[1, 0] = constants[constant + q]
-            matrix[0, 1] = -matrix[1, 0]
-        elif kind == Kind.SHEAR:
-            matrix[0, 1] = constants[constant + q * repeat + b]
-        elif kind == Kind.PLANE:
-            mean, half, upper, lower = constants[constant + 4 * q : constant + 4 * q + 4]
-            matrix[:] = [[mean + half, upper], [lower, mean - half]]
-        else:
-            count = int(action.entries[run])
-            header = CUBIC_HEADER if kind == Kind.CUBIC else 1
-            starts = action.indices[index + width : index + 2 * width + 1].astype(np.int64)
-            rows = np.repeat(np.arange(width), np.diff(starts))
-            columns = action.indices[index + 2 * width + 1 :][:count]
-            matrix[rows, columns] = constants[constant + header :][:count]
-        found.append((coordinates, matrix))
-    return found
-
-
-def run_entries(action: Action, run: int, q: int) -> dict[tuple[int, int], Any]:
-    """Return the nonzero entries of a run's generator at its angle number q."""
-    found = {}
-    for coordinates, matrix in run_blocks(action, run, q):
-        for i, j in np.argwhere(matrix != 0):
-            found[int(coordinates[i]), int(coordinates[j])] = matrix[i, j]
-    return found
+def called_parts(program: Program) -> list[bool]:
+    """Return for each part whether it is made of free bodies."""
+    shares = program.parts.bodies
+    return [int(first) in shares for first in program.share[:-1]]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.joins import expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
+from coadjoint.program.parts import BodyShare, FunctionShare, Parts, PolynomialShare
 from coadjoint.program.term_table import derivative_of
 
 Floats = NDArray[np.float64]
@@ -53,6 +53,8 @@ def part_jets(parts: Parts, points: Floats, t: float = 0.0) -> Jet:
     gradient = constant + _applied(bent, points)
     hessian = np.repeat(bent, count, axis=1) if parts.special else bent
     for s, share in parts.special.items():
+        if isinstance(share, BodyShare):
+            continue
         own = share.term.coordinates if isinstance(share, FunctionShare) else np.array(share.coordinates)
         p = part[parts.row[s]]
         for k, x in enumerate(points):

@@ -20,11 +20,12 @@ Form = dict[int, float]
 
 
 class SparseSquares(NamedTuple):
-    """Forms l_r, factors d_r and beta_r, as in `Squares`, the forms sparse."""
+    """Forms l_r, factors d_r and beta_r, and pivots, as in `Squares`, the forms sparse."""
 
     forms: SparseRows
     weights: NDArray[Any]
     linear: NDArray[Any]
+    pivots: NDArray[np.int64]
 
 
 def sparse_squares(matrix: SparseRows, linear: NDArray[np.float64]) -> SparseSquares:
@@ -53,10 +54,10 @@ def sparse_squares(matrix: SparseRows, linear: NDArray[np.float64]) -> SparseSqu
         return _Reduction(matrix, linear).squares()
     dense = np.zeros((size, size))
     dense[matrix.owner, matrix.coordinate] = matrix.value
-    forms, weights, betas = complete_squares(dense, linear)
+    forms, weights, betas, pivots = complete_squares(dense, linear)
     row, place = np.nonzero(forms != 0)
     start = np.searchsorted(row, np.arange(len(forms) + 1)).astype(np.int64)
-    return SparseSquares(SparseRows(start, place.astype(np.uint32), forms[row, place]), weights, betas)
+    return SparseSquares(SparseRows(start, place.astype(np.uint32), forms[row, place]), weights, betas, pivots)
 
 
 class _Reduction:
@@ -80,6 +81,7 @@ class _Reduction:
         forms: list[Form] = []
         weights: list[float] = []
         betas: list[float] = []
+        steps: list[tuple[int, int, int]] = []
         while (pivots := self._pivots()) is not None:
             new = self._square(*pivots) if len(pivots) == 1 else self._pair(*pivots)
             self._eliminate(pivots, new)
@@ -92,6 +94,7 @@ class _Reduction:
                 forms.append(form)
                 weights.append(weight)
                 betas.append(beta)
+            steps += [(len(steps), pivots[0], pivots[-1])] * len(new)
             for p in pivots:
                 self.linear[p] = 0.0
         for k, b in enumerate(self.linear):
@@ -99,10 +102,12 @@ class _Reduction:
                 forms.append({k: 1.0})
                 weights.append(0.0)
                 betas.append(b)
+                steps.append((len(steps), k, k))
         sparse = SparseRows.of_lists(
             [sorted(form) for form in forms], [[form[k] for k in sorted(form)] for form in forms]
         )
-        return SparseSquares(sparse, np.array(weights), np.array(betas))
+        pivoted = np.array(steps, dtype=np.int64).reshape(-1, 3)
+        return SparseSquares(sparse, np.array(weights), np.array(betas), pivoted)
 
     def _pivots(self) -> tuple[int, ...] | None:
         """Return the coordinate of the next square, or two coupled ones; None where nothing is left."""

@@ -60,6 +60,11 @@ def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Ter
     return _as_given(system, choice, atoms, commutation)
 
 
+def atoms_of(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation) -> Parts:
+    """Return the smallest parts of some terms, before any are joined."""
+    return _sorted(_atoms(system, terms, commutation, apart=False))
+
+
 def _sorted(atoms: Parts) -> Parts:
     return atoms.take(np.argsort(atoms.first_coordinate, kind="stable")) if len(atoms) else atoms
 

@@ -29,11 +29,14 @@ class Squares(NamedTuple):
         The factors d_r; zero for a form that carries only a piece of b.
     linear : ndarray, shape (r,)
         The factors beta_r.
+    pivots : ndarray of int64, shape (r, 3)
+        In which step of the reduction a form was found, and its pivots, twice the same where there is one.
     """
 
     forms: NDArray[Any]
     weights: NDArray[Any]
     linear: NDArray[Any]
+    pivots: NDArray[np.int64]
 
 
 def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
@@ -68,6 +71,7 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
     forms: list[NDArray[Any]] = []
     weights: list[Any] = []
     betas: list[Any] = []
+    steps: list[tuple[int, int, int]] = []
     free = np.ones(size, dtype=bool)
     while free.any():
         places = np.flatnonzero(free)
@@ -84,6 +88,7 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
             residual = residual - weight * np.multiply.outer(form, form)
             forms.append(form)
             weights.append(weight)
+        steps += [(len(steps), pivots[0], pivots[-1])] * len(new)
         residual[list(pivots), :] = residual[:, list(pivots)] = 0 * residual[0, 0]
         free[list(pivots)] = False
         at = list(pivots)
@@ -97,8 +102,10 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
         forms.append(form)
         weights.append(0 * b[k])
         betas.append(b[k])
+        steps.append((len(steps), int(k), int(k)))
     stacked = np.array(forms, dtype=b.dtype).reshape(len(forms), size)
-    return Squares(stacked, np.array(weights, dtype=b.dtype), np.array(betas, dtype=b.dtype))
+    pivoted = np.array(steps, dtype=np.int64).reshape(-1, 3)
+    return Squares(stacked, np.array(weights, dtype=b.dtype), np.array(betas, dtype=b.dtype), pivoted)
 
 
 def _square(residual: NDArray[Any], i: int) -> list[tuple[NDArray[Any], Any]]:

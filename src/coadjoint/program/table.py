@@ -15,7 +15,7 @@ from coadjoint.program.actions import Action, build_action
 from coadjoint.program.decompose import decompose
 from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.numbers import Number, array_of
-from coadjoint.program.parts import Parts, PolynomialShare
+from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
 from coadjoint.program.rational_rotations import rational_frequencies
 from coadjoint.program.rows import Joining, Rows, rows_of
@@ -121,6 +121,11 @@ def build_program(
     except NotSplit as reason:
         raise ValueError(f"{type(method).__name__} cannot serve {system.name}: {reason}") from None
     parts = decomposition.parts
+    if decomposition.shift is None and group is not None:
+        raise ValueError(
+            f'parts="{method.parts}" takes Casimirs off the energy of {system.name} that are too long to be written, '
+            'so that the attitude is not known; take parts="auto"'
+        )
     table = _term_table(parts)
     state = _state_action(system.algebra, parts, number)
     frequency = array_of(number, np.zeros(len(parts.offset), dtype=np.int64))
@@ -137,7 +142,7 @@ def build_program(
         sign=system.sign,
         number=number,
         frequency=frequency,
-        shift=decomposition.shift,
+        shift=decomposition.shift or (),
     )
 
 
@@ -145,7 +150,7 @@ def _term_table(parts: Parts) -> TermTable:
     """Return the shares of all parts, in their order."""
     table = TermTable()
     angle = parts.weights.start
-    edges = sorted(parts.special)
+    edges = sorted(parts.special.keys() - parts.bodies.keys())
     for first, last in zip([0, *(s + 1 for s in edges)], [*edges, len(parts.row) - 1], strict=True):
         if last > first:
             rows = parts.row[first : last + 1]
@@ -159,7 +164,7 @@ def _term_table(parts: Parts) -> TermTable:
         share = parts.special.get(last)
         if isinstance(share, PolynomialShare):
             table.add_polynomial(share.coordinates, share.polynomial)
-        elif share is not None:
+        elif isinstance(share, FunctionShare):
             table.function(share.term)
     return table
 

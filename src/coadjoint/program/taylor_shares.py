@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
+from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare, SpecialShare
 from coadjoint.program.term_table import derivative_of
 from coadjoint.systems.terms import FunctionTerm
 
@@ -49,7 +49,7 @@ def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
     ValueError
         A function is not analytic near the point, or has too many coordinates.
     """
-    special: dict[int, PolynomialShare | FunctionShare] = {}
+    special: dict[int, SpecialShare] = {}
     for s, share in parts.special.items():
         if isinstance(share, FunctionShare):
             where = share.term.coordinates

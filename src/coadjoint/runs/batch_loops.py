@@ -59,7 +59,7 @@ class BatchLoops(Loops):
     """
 
     def __init__(self, batch: Batch, method: Method, h: float, representations: Sequence[Representation]) -> None:
-        from coadjoint.kernels.tables import watch_tables
+        from coadjoint.kernels.tables import balance_tables, watch_tables
 
         method.look_ahead(list(batch))
         names = list(batch[0].casimirs)
@@ -70,7 +70,8 @@ class BatchLoops(Loops):
             except (TypeError, ValueError) as error:
                 raise type(error)(f"member {m} of the batch: {error}") from error
             casimirs = system.casimirs
-            watches.append(watch_tables(system, {name: casimirs[name] for name in names}))
+            followed, accounts = {name: casimirs[name] for name in names}, prepared[-1].accounts
+            watches.append(balance_tables(system, followed, accounts) if accounts else watch_tables(system, followed))
         self.groups = groups_of(prepared, [watch.tables for watch in watches])
         members = np.concatenate([group.members for group in self.groups])
         self.order = None if len(self.groups) == 1 else members
@@ -82,7 +83,8 @@ class BatchLoops(Loops):
         self._prepared, self._keep = prepared, [watch.keep for watch in watches]
         self._first = np.cumsum([0] + [len(group.members) for group in self.groups])
         self.names = ["energy", *names]
-        self.size, self.memory = batch.dim, max(found.memory for found in prepared)
+        self.accounts = prepared[0].accounts
+        self.size, self.memory = batch.dim + len(self.accounts), max(found.memory for found in prepared)
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return rounds of crews, each crew within one group, beginning where lanes begin."""

@@ -13,7 +13,6 @@ from coadjoint.runs.batch_loops import in_rounds
 from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops import Loops, Plan, SystemLoops, shared_out
 from coadjoint.runs.start import Representation
-from coadjoint.systems.linear_term import with_linear
 
 Floats = NDArray[np.float64]
 
@@ -40,9 +39,7 @@ class InputLoops:
 
     def __init__(self, inputs: Inputs, method: Method, h: float, representation: Representation) -> None:
         drawn = inputs.drawn()
-        self.base, other = (
-            SystemLoops(with_linear(inputs.system, linear), method, h, representation) for linear in drawn
-        )
+        self.base, other = (SystemLoops(inputs.system_at(values), method, h, representation) for values in drawn)
         try:
             self.tables = InputTables((self.base.prepared, other.prepared), (self.base.watch, other.watch), drawn)
         except NotPlaced as reason:
@@ -52,10 +49,10 @@ class InputLoops:
         """Make now what would be made when it is first needed."""
         self.base.make_all()
 
-    def at(self, linear: Floats) -> Loops:
-        """Return the loops of one call, from its linear term, (n,) or (members, n)."""
+    def at(self, values: Floats) -> Loops:
+        """Return the loops of one call, from the values of `Inputs.read`, (m,) or (members, m)."""
         try:
-            return LoopsOfCall(self, linear)
+            return LoopsOfCall(self, values)
         except OverflowError:
             raise ValueError(
                 "the linear term is too large: a completed square overflows; give smaller inputs"
@@ -65,16 +62,17 @@ class InputLoops:
 class LoopsOfCall(Loops):
     """The loops of one call, with its inputs in their tables."""
 
-    def __init__(self, made: InputLoops, linear: Floats) -> None:
+    def __init__(self, made: InputLoops, values: Floats) -> None:
         base, tables = made.base, made.tables
         self._base, self._stride = base, 0
-        self.names, self.size, self.memory, self.turned = base.names, base.size, base.memory, base.turned
-        if linear.ndim == 1:
-            self._given = [tables.shared(linear)]
+        self.names, self.accounts, self.turned = base.names, base.accounts, base.turned
+        self.size, self.memory = base.size, base.memory
+        if values.ndim == 1:
+            self._given = [tables.shared(values)]
         elif tables.apart:
-            self._given = [tables.shared(own) for own in linear]
+            self._given = [tables.shared(own) for own in values]
         else:
-            *given, self._stride = tables.each(linear)
+            *given, self._stride = tables.each(values)
             self._given = [tuple(given)]
 
     def plan(self, members: int, points: int, square: int, workers: int) -> Plan:

@@ -1,8 +1,9 @@
-"""Inputs of a prepared run: which coefficients of the linear term of H a call brings, and what it brought."""
+"""Inputs of a prepared run: which coefficients of the linear term of H, and which torques, a call brings."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,10 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
 from coadjoint.given import are_finite, read_numbers
+from coadjoint.methods.base import Method
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.forces.torque import Torque
 from coadjoint.systems.kinds import System
 from coadjoint.systems.linear_term import check_linear, linear_of, with_linear
 from coadjoint.wording import short
@@ -27,15 +31,24 @@ class Inputs:
 
     Parameters
     ----------
-    system : LiePoissonSystem or PoissonSystem
-        Its Hamiltonian has a linear term that may be another one.
+    system : LiePoissonSystem, PoissonSystem or ForcedSystem
+        Its Hamiltonian has a linear term that may be another one, or its torques may be others.
     given : True, sequence of int, or mapping
-        Coordinates whose coefficients may change: all, or these, as the input ``linear``; or name -> coordinates.
+        Coordinates whose coefficients may change: all, or these, as the input ``linear``; or name -> coordinates, or
+        name -> label of a constant torque among the forces.
+
+    Attributes
+    ----------
+    values : ndarray, shape (m,)
+        As the system has them: the linear term, where any of it may change, and then the torques that may.
+    places : dict
+        Name -> where its numbers stand among the values.
 
     Raises
     ------
     TypeError, ValueError
-        The Hamiltonian has no linear term that could change, or what was given is wrong.
+        The Hamiltonian has no linear term that could change, no constant torque has the label, or what was given is
+        wrong.
 
     Examples
     --------
@@ -45,34 +58,67 @@ class Inputs:
     array([0.5 , 0.  , 0.25])
     """
 
-    def __init__(self, system: System | Batch, given: Any) -> None:
+    def __init__(self, system: System | ForcedSystem | Batch, given: Any) -> None:
         if isinstance(system, Batch):
             raise TypeError(
                 f"inputs are for one system, and this is {system!r}; prepare one system, whose inputs may have a value "
                 "for each member"
             )
-        check_linear(system)
-        self.system, self.linear = system, linear_of(system.hamiltonian, system.dim)
+        self.system = system
+        self._unforced: Any = system.system if isinstance(system, ForcedSystem) else system
         if isinstance(given, bool | np.bool_) and given:
-            self.coordinates = {"linear": np.arange(system.dim)}
-        elif isinstance(given, Mapping):
-            self.coordinates = {_name(name): _coordinates(where, name, system.dim) for name, where in given.items()}
-        else:
-            self.coordinates = {"linear": _coordinates(given, "linear", system.dim)}
-        if not self.coordinates:
+            given = range(system.dim)
+        if isinstance(given, str):
+            raise TypeError(f"inputs is {short(given)}; give each torque a name, such as {{'torque': 'Torque'}}")
+        named = given if isinstance(given, Mapping) else {"linear": given}
+        if not named:
             raise ValueError("inputs names none; give True, coordinates, or a mapping from names to coordinates")
-        whole = (name for name, where in self.coordinates.items() if np.array_equal(where, np.arange(system.dim)))
-        self._all = next(whole, "")
-        self.changing = np.concatenate([where.ravel() for where in self.coordinates.values()])
-        if len(np.unique(self.changing)) < len(self.changing):
-            twice = int(np.flatnonzero(np.bincount(self.changing) > 1)[0])
+        self._linear = np.zeros(0)
+        if not all(isinstance(where, str) for where in named.values()):
+            check_linear(self._unforced)
+            self._linear = linear_of(self._unforced.hamiltonian, system.dim)
+        self.values = self._linear
+        self._torques: dict[int, NDArray[np.int64]] = {}
+        self.places: dict[str, NDArray[np.int64]] = {}
+        for name, where in named.items():
+            self.places[_name(name)] = (
+                self._places_of_torque(where, name) if isinstance(where, str) else _coordinates(where, name, system.dim)
+            )
+        every = np.arange(len(self.values))
+        self._all = next((name for name, where in self.places.items() if np.array_equal(where, every)), "")
+        self._changing = np.concatenate([where.ravel() for where in self.places.values()])
+        if len(np.unique(self._changing)) < len(self._changing):
+            twice = int(np.flatnonzero(np.bincount(self._changing) > 1)[0])
             raise ValueError(f"inputs name coordinate {twice} more than once; each coefficient is one input")
 
+    def _places_of_torque(self, label: str, name: str) -> NDArray[np.int64]:
+        """Put the torque of this label behind the values, and return where it stands."""
+        if not isinstance(self.system, ForcedSystem):
+            raise ValueError(
+                f"inputs has {short(label)} for {name}, and {self.system.name} has no forces; give coordinates, or a "
+                "system with_forces(co.forces.Torque(...))"
+            )
+        labels = self.system.labels
+        if label not in labels:
+            raise unknown_name("force", label, labels)
+        k = labels.index(label)
+        force = self.system.forces[k]
+        if not isinstance(force, Torque) or callable(force.torque):
+            raise TypeError(
+                f"inputs has {short(label)} for {name}, which is {short(str(force))}; of the forces only a constant "
+                "Torque may be an input"
+            )
+        if k in self._torques:
+            raise ValueError(f"inputs name {short(label)} more than once; each torque is one input")
+        places = self._torques[k] = len(self.values) + np.arange(self.system.dim)
+        self.values = np.concatenate([self.values, force.torque])
+        return places
+
     def __repr__(self) -> str:
-        return ", ".join(f"{name} {where.shape}" for name, where in self.coordinates.items())
+        return ", ".join(f"{name} {where.shape}" for name, where in self.places.items())
 
     def read(self, given: Mapping[str, Any]) -> Floats:
-        """Return the linear term with what was given, (n,), or (members, n) where members have their own.
+        """Return the values with what was given, (m,), or (members, m) where members have their own.
 
         Raises
         ------
@@ -82,13 +128,13 @@ class Inputs:
         if len(given) == 1 and self._all in given:
             # Every coefficient, in the order of the coordinates: nothing is to be put together.
             numbers = read_numbers(given[self._all], self._all)
-            if numbers.shape[-1:] == self.linear.shape and numbers.ndim <= 2 and len(numbers) and are_finite(numbers):
+            if numbers.shape[-1:] == self.values.shape and numbers.ndim <= 2 and len(numbers) and are_finite(numbers):
                 return numbers
         found, members = {}, None
         for name, value in given.items():
-            where = self.coordinates.get(name)
+            where = self.places.get(name)
             if where is None:
-                raise unknown_name("input of this run", name, self.coordinates)
+                raise unknown_name("input of this run", name, self.places)
             numbers = read_numbers(value, name)
             if numbers.shape != where.shape:
                 several = numbers.shape[1:] == where.shape and numbers.ndim > where.ndim
@@ -96,33 +142,49 @@ class Inputs:
                     raise self._misshapen(name, numbers.shape, members)
                 members = len(numbers)
             if not are_finite(numbers):
-                raise ValueError(f"{name} contains NaN or infinity; every coefficient must be finite")
+                raise ValueError(f"{name} contains NaN or infinity; every number must be finite")
             found[name] = numbers
-        linear = self.linear.copy() if members is None else np.tile(self.linear, (members, 1))
+        values = self.values.copy() if members is None else np.tile(self.values, (members, 1))
         for name, numbers in found.items():
-            where = self.coordinates[name]
-            linear[..., where.ravel()] = numbers.reshape(*numbers.shape[: numbers.ndim - where.ndim], -1)
-        return linear
+            where = self.places[name]
+            values[..., where.ravel()] = numbers.reshape(*numbers.shape[: numbers.ndim - where.ndim], -1)
+        return values
 
     def _misshapen(self, name: str, shape: tuple[int, ...], members: int | None) -> ValueError:
-        own = self.coordinates[name].shape
+        own = self.places[name].shape
         each = ", ".join(map(str, ("members" if members is None else members, *own)))
         return ValueError(
             f"{name} has the shape {shape}; as prepared it must be {own}, or ({each}) with a value for each member"
         )
 
     def drawn(self) -> tuple[Floats, Floats]:
-        """Return two linear terms whose coefficients that may change have random digits, the same ones always."""
-        one, other = self.linear.copy(), self.linear.copy()
-        digits = 1.0 + np.random.default_rng(SEED).random((2, len(self.changing)))
-        one[self.changing], other[self.changing] = digits
+        """Return two arrays of values; those that may change have random digits, the same ones always."""
+        one, other = self.values.copy(), self.values.copy()
+        digits = 1.0 + np.random.default_rng(SEED).random((2, len(self._changing)))
+        one[self._changing], other[self._changing] = digits
         return one, other
 
-    def system_of(self, linear: Floats) -> System | Batch:
+    def settled(self, method: Method) -> Method:
+        """Return the scheme with what it chooses by itself written out, where the linear term may change."""
+        coordinates = np.sort(self._changing[self._changing < len(self._linear)])
+        return method.settled(self._unforced, coordinates.tolist()) if len(coordinates) else method
+
+    def system_at(self, values: Floats) -> Any:
+        """Return the system that has these values, (m,)."""
+        size = len(self._linear)
+        system = with_linear(self._unforced, values[:size]) if size else self._unforced
+        if not isinstance(self.system, ForcedSystem):
+            return system
+        forces: list[Any] = list(self.system.forces)
+        for k, places in self._torques.items():
+            forces[k] = replace(forces[k], torque=values[places])
+        return ForcedSystem(system, forces)
+
+    def system_of(self, values: Floats) -> Any:
         """Return the system of a call, or one for each member."""
-        if linear.ndim == 1:
-            return with_linear(self.system, linear)
-        return Batch([with_linear(self.system, own) for own in linear])
+        if values.ndim == 1:
+            return self.system_at(values)
+        return Batch([self.system_at(own) for own in values])
 
 
 def _name(name: Any) -> str:

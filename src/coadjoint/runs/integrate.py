@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 from coadjoint.methods.base import Method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.run import read_progress
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_system
 from coadjoint.wording import short
 
 
 def integrate(
-    system: System | Batch,
+    system: System | ForcedSystem | Batch,
     x0: Any,
     t_span: tuple[float, float],
     step: float | None = None,
@@ -38,7 +39,7 @@ def integrate(
 
     Parameters
     ----------
-    system : LiePoissonSystem, PoissonSystem or Batch
+    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
         What moves; a `batch` has a system for each member.
     x0 : array_like, shape (n,) or (members, n)
         Initial momentum, or one for each member of an ensemble; (n,) is shared by all members of a batch.
@@ -110,7 +111,7 @@ def integrate(
             raise TypeError("accuracy chooses the step for one system, and this is a batch; choose for a member")
         from coadjoint.choosing.accuracy import choose
 
-        choice = choose(system, x0, t_span, accuracy, attitude=attitude, methods=method)
+        choice = choose(cast(Any, system), x0, t_span, accuracy, attitude=attitude, methods=method)
         method, step = choice.method, choice.step
     assert step is not None
     ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads)

@@ -50,8 +50,11 @@ class Loops(ABC):
         In which order a run holds the members, where that is not the order in which they were given.
     names : list of str
         The invariants that are followed, the energy first.
+    accounts : tuple of (str, str)
+        What the places behind the coordinates of a state add up: what a force has done to an invariant. Where there are
+        any, each of `names` is followed once more, less what forces have done to it.
     size : int
-        The dimension of the system.
+        How many numbers a state has: the dimension of the system, and the accounts.
     memory : int
         How many numbers a member remembers from step to step.
     turned : callable
@@ -61,6 +64,7 @@ class Loops(ABC):
 
     order: NDArray[np.int64] | None = None
     names: list[str]
+    accounts: tuple[tuple[str, str], ...] = ()
     size: int
     memory: int
     turned: Turned
@@ -71,7 +75,8 @@ class Loops(ABC):
         key = (members, points, square, workers)
         plan = self._plan
         if plan is None or plan.key != key:
-            extent = Extent(members, points, self.size, square, len(self.names), self.memory)
+            followed = len(self.names) * (2 if self.accounts else 1)
+            extent = Extent(members, points, self.size, square, followed, self.memory)
             plan = self._plan = Plan(key, Layout(extent), self.rounds(members, workers))
         return plan
 
@@ -157,14 +162,18 @@ class SystemLoops(Loops):
     ) -> None:
         from coadjoint.kernels.description import limit
         from coadjoint.kernels.structures import pointed
-        from coadjoint.kernels.tables import watch_tables
+        from coadjoint.kernels.tables import balance_tables, watch_tables
 
         followed = system.casimirs if casimirs is None else casimirs
         prepared = prepared or method.loop(system, h, representation)
+        self.accounts = prepared.accounts
         self._matrices = system if isinstance(system, MatrixSystem) else None
-        watch = watch_tables(system, dict.fromkeys(followed, NOTHING) if self._matrices else followed)
+        if self._matrices:
+            watch = watch_tables(system, dict.fromkeys(followed, NOTHING))
+        else:
+            watch = balance_tables(system, followed, self.accounts) if self.accounts else watch_tables(system, followed)
         self.names = ["energy", *followed]
-        self.size, self.memory = system.dim, prepared.memory
+        self.size, self.memory = system.dim + len(self.accounts), prepared.memory
         self._shifted = representation is not None and bool(prepared.shift)
         self.turned = Unshift(system, prepared.shift, representation) if self._shifted else plainly
         self._keep = watch.keep

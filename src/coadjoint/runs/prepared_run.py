@@ -6,13 +6,14 @@ import os
 import threading
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_flag, read_whole
 from coadjoint.methods.base import Method
+from coadjoint.methods.forced import serving
 from coadjoint.methods.splitting import Splitting
 from coadjoint.runs.batch_loops import BatchLoops
 from coadjoint.runs.input_loops import InputLoops
@@ -24,6 +25,7 @@ from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start, momenta_of, representations_of, with_group
 from coadjoint.runs.times import Times, checked_step, span_of, times_between
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_system
 from coadjoint.wording import short
 
@@ -41,7 +43,7 @@ class PreparedRun:
 
     def __init__(
         self,
-        system: System | Batch,
+        system: System | ForcedSystem | Batch,
         method: Method | None,
         step: float,
         *,
@@ -59,10 +61,12 @@ class PreparedRun:
         check_system(system)
         self._inputs = None if inputs is None or inputs is False else Inputs(system, inputs)
         if self._inputs is not None:
-            scheme = scheme.settled(self._inputs.system, sorted(self._inputs.changing.tolist()))
-        self.system, self.method, self.step = system, scheme, checked_step(step)
+            scheme = self._inputs.settled(scheme)
+        self.system: Any = system
+        self.method, self.step = scheme, checked_step(step)
+        self._scheme = serving(system, scheme)
         self._attitude, self._watching = attitude, watching
-        self._representations = representations_of(system, scheme, attitude)
+        self._representations = representations_of(cast(Any, system), self._scheme, attitude)
         self._observe = check_observe({} if observe is None else observe)
         self._threads = workers or os.cpu_count() or 1
         self._made: dict[float, Loops | InputLoops] = {}
@@ -98,13 +102,13 @@ class PreparedRun:
             Show a progress bar.
         **inputs : array_like
             The inputs of this run, by the names that they were prepared with: coefficients of the linear term of H, in
-            the shape of their coordinates, or with an axis of members before it. What is not given is as the system has
-            it.
+            the shape of their coordinates, or torques, (n,); or with an axis of members before it. What is not given is
+            as the system has it.
 
         Returns
         -------
         Solution
-            Its `system` has the linear term of this run, its `method` the parts that were prepared.
+            Its `system` has the linear term and the torques of this run, its `method` the parts that were prepared.
 
         Raises
         ------
@@ -115,26 +119,26 @@ class PreparedRun:
         """
         progress = read_progress(progress)
         times = times_between(span_of(t_span), self.step, save_every)
-        linear = self.linear(inputs)
-        return self.follow(times, self.start(x0, attitude, linear), progress, linear)
+        values = self.values_of(inputs)
+        return self.follow(times, self.start(x0, attitude, values), progress, values)
 
-    def linear(self, inputs: Mapping[str, Any]) -> NDArray[np.float64] | None:
-        """Return the linear term of a run with inputs, (n,) or (members, n); None where none were prepared."""
+    def values_of(self, inputs: Mapping[str, Any]) -> NDArray[np.float64] | None:
+        """Return what a run with inputs needs of them, (m,) or (members, m); None where none were prepared."""
         if self._inputs is not None:
             return self._inputs.read(inputs)
         if inputs:
             raise TypeError(
                 f"the run was given {next(iter(inputs))!r}, and it was prepared without inputs; say in `prepare` which "
-                "coefficients may change, such as inputs=True"
+                "coefficients or torques may change, such as inputs=True"
             )
         return None
 
-    def system_at(self, linear: NDArray[np.float64] | None) -> Any:
-        """Return the system of a run with this linear term."""
-        return self.system if linear is None or self._inputs is None else self._inputs.system_of(linear)
+    def system_at(self, values: NDArray[np.float64] | None) -> Any:
+        """Return the system of a run with what `values_of` returned."""
+        return self.system if values is None or self._inputs is None else self._inputs.system_of(values)
 
-    def start(self, x0: Any, attitude: Any = None, linear: NDArray[np.float64] | None = None) -> Start:
-        """Return a checked initial state for `follow`; x0 and attitude as in `run`, and the linear term."""
+    def start(self, x0: Any, attitude: Any = None, values: NDArray[np.float64] | None = None) -> Start:
+        """Return a checked initial state for `follow`; x0 and attitude as in `run`, and what `values_of` returned."""
         representation = self._representations[0]
         if attitude is not None and (representation is None or isinstance(attitude, bool | str)):
             raise ValueError(
@@ -142,27 +146,27 @@ class PreparedRun:
                 f"when it is prepared, with attitude=True or 'coadjoint' (here {short(self._attitude)})"
             )
         momenta, single = momenta_of(self.system, x0)
-        if linear is not None and linear.ndim > 1:
+        if values is not None and values.ndim > 1:
             if single:
-                momenta, single = np.tile(momenta, (len(linear), 1)), False
-            elif len(momenta) != len(linear):
-                raise ValueError(f"x0 has {len(momenta)} members and the inputs have values for {len(linear)}")
+                momenta, single = np.tile(momenta, (len(values), 1)), False
+            elif len(momenta) != len(values):
+                raise ValueError(f"x0 has {len(momenta)} members and the inputs have values for {len(values)}")
         initial = self._attitude if attitude is None else attitude
         return with_group(self.system, momenta, single, representation, initial)
 
     def follow(
-        self, times: Times, start: Start, progress: bool = False, linear: NDArray[np.float64] | None = None
+        self, times: Times, start: Start, progress: bool = False, values: NDArray[np.float64] | None = None
     ) -> Solution:
         """Take the steps of `times`, whose step is the prepared one or its negative, from a checked state.
 
-        `linear` is what `linear` returned, where the run was prepared with inputs.
+        `values` is what `values_of` returned, where the run was prepared with inputs.
         """
         workers = min(len(start.momenta), self._threads)
         system: Any = self.system
         loops = self.loops(times.h)
         if isinstance(loops, InputLoops):
-            assert linear is not None
-            loops, system = loops.at(linear), partial(self.system_at, linear)
+            assert values is not None
+            loops, system = loops.at(values), partial(self.system_at, values)
         run = Run(system, self.method, loops, times, start, self._watching, workers)
         observed = self._observed_at(start.momenta[0]) if self._observe else None
         run.advance(progress)
@@ -179,10 +183,10 @@ class PreparedRun:
 
     def _loops(self, h: float) -> Loops | InputLoops:
         if self._inputs is not None:
-            return InputLoops(self._inputs, self.method, h, self._representations[0])
+            return InputLoops(self._inputs, self._scheme, h, self._representations[0])
         if isinstance(self.system, Batch):
-            return BatchLoops(self.system, self.method, h, self._representations)
-        return SystemLoops(self.system, self.method, h, self._representations[0])
+            return BatchLoops(self.system, self._scheme, h, self._representations)
+        return SystemLoops(self.system, self._scheme, h, self._representations[0])
 
     def _observed_at(self, x0: NDArray[np.float64]) -> Observed:
         with self._making:
@@ -193,7 +197,7 @@ class PreparedRun:
 
 
 def prepare(
-    system: System | Batch,
+    system: System | ForcedSystem | Batch,
     method: Method | None,
     step: float,
     *,
@@ -210,7 +214,7 @@ def prepare(
 
     Parameters
     ----------
-    system : LiePoissonSystem, PoissonSystem or Batch
+    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
         What moves.
     method : Method or None
         The scheme; `Splitting()` of order 2 if None.
@@ -227,8 +231,9 @@ def prepare(
         Threads for the members of an ensemble; None is one for each core.
     inputs : True, sequence of int, or mapping, optional
         What may be another one in each run: coefficients of the linear term of H, such as a field, the weight of a top,
-        the momenta of rotors. Coordinates whose coefficients ``run(..., linear=)`` brings, all of them for True; or
-        name -> coordinates, an input for each name. See docs/control.md.
+        the momenta of rotors; and constant torques among the forces. Coordinates whose coefficients
+        ``run(..., linear=)`` brings, all of them for True; or a mapping with an input for each name: to coordinates, or
+        to the label of a `Torque` in ``system.labels``. See docs/control.md.
 
     Returns
     -------
@@ -257,6 +262,13 @@ def prepare(
     >>> x = (0.1, 1.0, 0.1)
     >>> for k in range(3):
     ...     x = steered.run(x, t_span=(0.5 * k, 0.5 * k + 0.5), rotors=(0.0, -0.1 * k, 0.0)).x[-1]
+
+    So is the torque of thrusters:
+
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.Torque((0, 0, 0)))
+    >>> pushed = co.prepare(body, None, step=0.125, inputs={"thrusters": "Torque"})
+    >>> pushed.run((0.0, 0.0, 1.0), t_span=(0, 2), thrusters=(0.0, 0.0, -0.5)).x[-1]
+    array([0., 0., 0.])
     """
     ready = PreparedRun(
         system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads, inputs=inputs

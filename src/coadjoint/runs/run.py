@@ -82,7 +82,8 @@ class Run:
         self.saved = NamedArrays(self.plan.layout.saved)
         if state is None:
             self.state = RunState(NamedArrays(self.plan.layout.state))
-            self.state["momenta"][:] = start.momenta
+            # Behind the coordinates stand accounts, which begin at zero.
+            self.state["momenta"][:, : start.momenta.shape[1]] = start.momenta
             if square:
                 self.state["groups"][:] = loops.started(start.groups)
         else:
@@ -213,7 +214,8 @@ class Run:
         if status in self.method.failures:
             what = self.method.failures[status]
         elif status == "NOT_CONVERGED":
-            what = f"the iteration of {self.method} did not converge (last correction {residual:.3g})"
+            or_of = ", or of a force," if self.loops.accounts else ""
+            what = f"the iteration of {self.method}{or_of} did not converge (last correction {residual:.3g})"
         elif status == "PARALLEL":
             what = "a tangent vector became what the others are, to half of its digits"
         else:

@@ -135,6 +135,7 @@ class Solution:
     _times: Times
     _start: Start
     _names: list[str]
+    _accounts: tuple[tuple[str, str], ...]
     _turned: Turned
     _system: System | Batch | partial[System | Batch]
 
@@ -151,10 +152,12 @@ class Solution:
             _times=run.times,
             _start=run.start,
             _names=loops.names,
+            _accounts=loops.accounts,
             _turned=loops.turned,
             _system=run.system,
         )
         if observed is not None:
+            # Behind the coordinates there may be accounts, which nothing that is observed reads.
             series = observed.along(self.t, self._series("x"))
             self.__dict__["observed"] = {name: self._picked(values) for name, values in series.items()}
 
@@ -192,11 +195,11 @@ class Solution:
     @cached_property
     def x(self) -> NDArray[np.float64]:
         """Momenta."""
-        found = self._picked(self._series("x"))
+        # Behind the coordinates there may be accounts of forces.
+        found = self._picked(self._series("x"))[..., : self._start.momenta.shape[1]]
         if isinstance(self._system, MatrixSystem):
             return self._system.from_vector(found)
-        shape = getattr(self._system, "shape", None)
-        return found if shape is None else found.reshape(*found.shape[:-1], *shape)
+        return found.reshape(*found.shape[:-1], *self._start.shape)
 
     @cached_property
     def energy(self) -> NDArray[np.float64]:
@@ -208,6 +211,18 @@ class Solution:
         """Name -> values."""
         values = self._series("values")
         return {name: self._picked(values[..., i + 1]) for i, name in enumerate(self._names[1:])}
+
+    @cached_property
+    def work(self) -> Mapping[str, Mapping[str, NDArray[np.float64]]]:
+        """What each force has done since the start: its label -> "energy", or a Casimir -> values.
+
+        A force that keeps the Casimirs has done nothing to them, and does not list them. Empty without forces.
+        """
+        done, dim = self._series("x"), self._start.momenta.shape[1]
+        found: dict[str, dict[str, NDArray[np.float64]]] = {}
+        for place, (force, invariant) in enumerate(self._accounts):
+            found.setdefault(force, {})[invariant] = self._picked(done[..., dim + place])
+        return found
 
     @cached_property
     def attitude(self) -> NDArray[np.float64] | None:
@@ -266,8 +281,50 @@ class Solution:
             ``"energy"`` and the name of each Casimir -> `Drift`: a float, the largest absolute deviation over every
             step (with ``watch=False`` over the saved points), with `tenths`, the same for each tenth of the run.
         """
+        if self.work:
+            raise TypeError(
+                f"energy and Casimirs of {self.system.name} are changed by its forces; take balance(), what is left of "
+                "the changes beside the work of the forces, or change()"
+            )
+        return self._deviations(0)
+
+    def balance(self) -> dict[str, Drift]:
+        """Return what is left of the change of each invariant beside what the forces have done: the error of the run.
+
+        What a force does is the difference of the invariant before and after each of its flows, added up with
+        compensation along the run; `work` has it at the saved points. What is left is what the scheme adds where the
+        Hamiltonian part should keep the invariant, and for a Hamiltonian that depends on time what the time does.
+
+        Returns
+        -------
+        dict
+            As `drift`, for ``invariant - work of all forces``. Without forces the same as `drift`.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.LinearDamping(0.1))
+        >>> sol = co.integrate(body, (1.0, 0.2, 0.1), t_span=(0, 10), step=0.125, method=co.GaussLegendre(2))
+        >>> lost, done = sol.energy[-1] - sol.energy[0], sol.work["LinearDamping"]["energy"][-1]
+        >>> bool(lost < -0.4), bool(abs(lost - done) < 1e-15), bool(sol.balance()["energy"] < 1e-15)
+        (True, True, True)
+        """
+        return self._deviations(1 + len(self.casimirs) if self.work else 0)
+
+    def change(self) -> dict[str, Drift]:
+        """Return how far forces and scheme have moved each invariant from its start.
+
+        Returns
+        -------
+        dict
+            As `drift`, which without forces it is.
+        """
+        return self._deviations(0)
+
+    def _deviations(self, first: int) -> dict[str, Drift]:
+        # Balances begin where their invariants do.
         series = {"energy": self.energy, **self.casimirs}
-        return {name: Drift(self._worst[..., i], values[0]) for i, (name, values) in enumerate(series.items())}
+        return {name: Drift(self._worst[..., first + i], values[0]) for i, (name, values) in enumerate(series.items())}
 
     def modified_energy(self, order: int = 4) -> NDArray[np.float64]:
         """Return the modified Hamiltonian of the scheme and the step of the run, at the saved points.

@@ -24,13 +24,15 @@ Representation = NDArray[np.float64] | str | None
 class Start(NamedTuple):
     """Initial momenta (members, n), group elements (members, d, d), and how they were given.
 
-    `representation` is what the elements are in; of a batch, what those of its first member are in.
+    `representation` is what the elements are in; of a batch, what those of its first member are in. `shape` is that of
+    a state.
     """
 
     momenta: NDArray[np.float64]
     groups: NDArray[np.float64]
     representation: Representation
     single: bool
+    shape: tuple[int, ...]
 
     @property
     def carried(self) -> str | None:
@@ -149,13 +151,13 @@ def with_group(
         The initial element has another shape, is not finite, or singular.
     """
     if representation is None:
-        return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single)
+        return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single, shape_of(system))
     size = system.dim if isinstance(representation, str) else representation.shape[1]
     if len(momenta) * size**2 > FEW:
         check_room(8 * (len(momenta) + 2) * size**2, f"the group elements of {len(momenta)} members, {size} x {size},")
     if isinstance(attitude, bool | np.bool_ | str):
         units = _unit(size) if len(momenta) == 1 else np.tile(_unit(size), (len(momenta), 1, 1))
-        return Start(momenta, units, representation, single)
+        return Start(momenta, units, representation, single, shape_of(system))
     initial = read_numbers(attitude, "attitude")
     if initial.shape not in ((size, size), (len(momenta), size, size)):
         raise ValueError(
@@ -167,7 +169,7 @@ def with_group(
         raise ValueError("attitude is a singular matrix; a group element has an inverse")
     shared = initial.ndim == 2 and len(momenta) > 1
     groups = np.tile(initial, (len(momenta), 1, 1)) if shared else np.ascontiguousarray(initial).reshape(-1, size, size)
-    return Start(momenta, groups, representation, single)
+    return Start(momenta, groups, representation, single, shape_of(system))
 
 
 @lru_cache(maxsize=4)

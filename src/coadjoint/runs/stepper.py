@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from coadjoint.given import read_number
 from coadjoint.memory import check_room
 from coadjoint.methods.base import Method
+from coadjoint.methods.forced import check_serves, serving
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times
+from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_one_system
 from coadjoint.systems.points import QUIET
 from coadjoint.wording import short
@@ -25,7 +27,7 @@ class Stepper:
 
     Parameters
     ----------
-    system : LiePoissonSystem or PoissonSystem
+    system : LiePoissonSystem, PoissonSystem or ForcedSystem
         What moves.
     method : Method
         The scheme.
@@ -35,15 +37,17 @@ class Stepper:
         What each call may bring, as for `prepare`.
     """
 
-    def __init__(self, system: System, method: Method, h: float, inputs: Any = None) -> None:
+    def __init__(self, system: System | ForcedSystem, method: Method, h: float, inputs: Any = None) -> None:
         if not isinstance(method, Method):
             raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
         self.h = read_number(h, "h")
         if self.h == 0.0:
             raise ValueError(f"h is {self.h!r}; it must not be zero")
-        check_one_system(system)
-        method.properties(system)
-        self.system, self.method, self._inputs = system, method, inputs
+        if not isinstance(system, ForcedSystem):
+            check_one_system(system)
+        check_serves(system, method)
+        self.system: Any = system
+        self.method, self._inputs = method, inputs
         self._prepared: dict[bool | str, PreparedRun] = {}
 
     def __repr__(self) -> str:
@@ -58,9 +62,9 @@ class Stepper:
 
     def _advance(self, x: Any, t: float, attitude: bool | str, initial: Any, inputs: Mapping[str, Any]) -> Solution:
         ready = self._ready(attitude)
-        linear = ready.linear(inputs)
-        start = ready.start(x, initial, linear)
-        return ready.follow(Times(read_number(t, "t"), self.h, 1, 1), start, linear=linear)
+        values = ready.values_of(inputs)
+        start = ready.start(x, initial, values)
+        return ready.follow(Times(read_number(t, "t"), self.h, 1, 1), start, values=values)
 
     def __call__(self, x: Any, t: float = 0.0, **inputs: Any) -> NDArray[np.float64]:
         """Return the state after one step.
@@ -205,10 +209,11 @@ class Stepper:
     def _scheme(self, inputs: Mapping[str, Any]) -> tuple[Method, Any]:
         """Return the scheme and the system of a step with these inputs, as they are read in Python."""
         ready = self._ready(False)
-        linear = ready.linear(inputs)
-        if linear is not None and linear.ndim > 1:
+        values = ready.values_of(inputs)
+        if values is not None and values.ndim > 1:
             raise ValueError(f"{next(iter(inputs))} has values for members; a tangent is taken at one state, with one")
-        return ready.method, ready.system_at(linear)
+        system = ready.system_at(values)
+        return serving(system, ready.method), system
 
     def _place(self, x: Any, t: float) -> tuple[NDArray[np.float64], float]:
         momenta, single = momenta_of(self.system, x)
@@ -220,19 +225,19 @@ class Stepper:
         return momenta[0], read_number(t, "t")
 
 
-def stepper(system: System, method: Method, h: float, *, inputs: Any = None) -> Stepper:
+def stepper(system: System | ForcedSystem, method: Method, h: float, *, inputs: Any = None) -> Stepper:
     """Return one step of a scheme as a function, for maps, certificates and Lyapunov exponents.
 
     Parameters
     ----------
-    system : LiePoissonSystem or PoissonSystem
+    system : LiePoissonSystem, PoissonSystem or ForcedSystem
         What moves.
     method : Method
         The scheme.
     h : float
         The step; negative for backward.
     inputs : True, sequence of int, or mapping, optional
-        What each call may bring, as for `prepare`: coefficients of the linear term of H.
+        What each call may bring, as for `prepare`: coefficients of the linear term of H, and constant torques.
 
     Returns
     -------

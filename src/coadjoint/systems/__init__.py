@@ -5,8 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
-from coadjoint.errors import unknown_name
-from coadjoint.given import read_choice
+from coadjoint.given import check_parameters, read_choice
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.ready_made import ready_made_systems
@@ -57,8 +56,5 @@ def get(name: str, **parameters: Any) -> LiePoissonSystem | PoissonSystem:
     """
     systems = ready_made_systems()
     read_choice(name, "system", systems)
-    known = inspect.signature(systems[name]).parameters
-    for parameter in parameters:
-        if parameter not in known:
-            raise unknown_name(f"parameter of {name}", parameter, known)
+    check_parameters(name, parameters, inspect.signature(systems[name]).parameters)
     return systems[name](**parameters)

@@ -7,11 +7,13 @@ from itertools import zip_longest
 from typing import Any
 
 from coadjoint.given import read_list
+from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.wording import short
 
 Member = LiePoissonSystem | PoissonSystem
+KINDS = (LiePoissonSystem, PoissonSystem, ForcedSystem)
 
 
 class Batch:
@@ -30,15 +32,15 @@ class Batch:
         Of every member.
     """
 
-    def __init__(self, systems: Iterable[Member]) -> None:
+    def __init__(self, systems: Iterable[Member | ForcedSystem]) -> None:
         rule = "give a list of systems, one for each member"
-        if isinstance(systems, Member | Batch):
+        if isinstance(systems, (*KINDS, Batch)):
             raise TypeError(f"what batch was given is {short(systems)}; {rule}")
-        self.systems = read_list(systems, "what batch was given", rule)
+        self.systems: tuple[Any, ...] = read_list(systems, "what batch was given", rule)
         if not self.systems:
             raise ValueError("the batch is empty; give at least one system")
         for m, system in enumerate(self.systems):
-            if not isinstance(system, Member):
+            if not isinstance(system, KINDS):
                 raise TypeError(
                     f"member {m} of the batch is {short(system)}; it must be a LiePoissonSystem or a PoissonSystem"
                 )
@@ -77,6 +79,12 @@ def _difference(first: Any, other: Any) -> str:
         return f"has dimension {other.dim} and member 0 has {first.dim}"
     if other.sign != first.sign:
         return f"has sign={other.sign:+d} and member 0 has {first.sign:+d}"
+    if isinstance(first, ForcedSystem):
+        inner = _difference(first.system, other.system)
+        if inner or first.labels != other.labels:
+            return inner or f"has the forces {', '.join(other.labels)} and member 0 has {', '.join(first.labels)}"
+        kept = [[force.casimirs for force in system.forces] for system in (first, other)]
+        return "" if kept[0] == kept[1] else "has forces that keep other Casimirs than those of member 0"
     if first.algebra is not None and other.algebra is not first.algebra:
         bracket = _own_bracket(first.algebra, other.algebra)
         if bracket:
@@ -98,7 +106,7 @@ def _own_bracket(first: Any, other: Any) -> str:
     return f"has another algebra: [{e[i]}, {e[j]}] with a component along {e[k]}, which {has} and {misses}"
 
 
-def batch(systems: Iterable[Member]) -> Batch:
+def batch(systems: Iterable[Member | ForcedSystem]) -> Batch:
     """Return systems of the same structure with other constants, as one ensemble for `integrate` and `prepare`.
 
     Choose it for scans over parameters: inertias, coupling constants, constants of the algebra. Every member has the
@@ -106,9 +114,10 @@ def batch(systems: Iterable[Member]) -> Batch:
 
     Parameters
     ----------
-    systems : iterable of LiePoissonSystem, or of PoissonSystem
+    systems : iterable of LiePoissonSystem, of PoissonSystem, or of ForcedSystem
         One for each member. Of one kind, dimension and sign; with the same brackets not zero, and Casimirs of the same
-        names. Structure constants, Hamiltonians (functions too), Casimirs and representations may differ.
+        names. Structure constants, Hamiltonians (functions too), Casimirs and representations may differ, and so may
+        the parameters of forces of the same kinds.
 
     Returns
     -------

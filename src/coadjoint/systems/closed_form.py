@@ -80,6 +80,34 @@ def states_alone(attitude: Any, name: str) -> None:
         raise TypeError(f"{name} has a closed form of the state alone; leave attitude out, or integrate")
 
 
+def first_element(attitude: Any, size: int) -> Floats:
+    """Return the group element at time zero: the unit, or the one that was given as `attitude`.
+
+    Examples
+    --------
+    >>> first_element(True, 2)
+    array([[1., 0.],
+           [0., 1.]])
+    """
+    if isinstance(attitude, bool | np.bool_):
+        return np.eye(size)
+    first = read_finite(attitude, "attitude")
+    if first.shape != (size, size):
+        raise ValueError(f"attitude has shape {first.shape}; give True or a finite ({size}, {size})")
+    return first
+
+
+def with_element(x: Floats, g: Floats, attitude: Any) -> Any:
+    """Return states, and beside them group elements where `attitude` asks for them.
+
+    Examples
+    --------
+    >>> with_element(np.array([1.0]), np.eye(1), False)
+    array([1.])
+    """
+    return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, g)
+
+
 def all_finite(x: Floats, start: Floats, times: Floats) -> Floats:
     """Return states of a closed form; refuse those that left float64."""
     if not np.isfinite(x).all():

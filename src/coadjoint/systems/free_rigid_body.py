@@ -10,101 +10,61 @@ angle that is an integral of the third kind.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_finite
-from coadjoint.systems.closed_form import all_finite, start_and_times
+from coadjoint.systems.closed_form import all_finite, first_element, start_and_times, with_element
+from coadjoint.systems.elliptic_integrals import across_integral, amplitude, first_kind
+from coadjoint.systems.long_phases import (
+    ball,
+    exact_principal_axes,
+    fraction_of,
+    remainders,
+    turned_back,
+    working_bits,
+)
 
 Floats = npt.NDArray[np.float64]
 
-
-def amplitude(u: Floats, complement: float) -> Floats:
-    """Return Jacobi's amplitude am(u), continuous over all periods, by the arithmetic-geometric mean.
-
-    Parameters
-    ----------
-    u : (k,)
-        Arguments.
-    complement : float
-        k'^2 = 1 - k^2, in (0, 1]; given in place of k^2 so that it may be tiny.
-
-    Returns
-    -------
-    (k,) array
-
-    Notes
-    -----
-    DLMF 22.20.6. The arcsine of (c/a) sin phi is taken as an arctangent with 1 - (c/a)^2 = (b/a)^2, which does not
-    lose digits where c/a is nearly one.
-
-    Examples
-    --------
-    >>> amplitude(np.array([2.0]), 1.0)
-    array([2.])
-    """
-    a, b = 1.0, math.sqrt(complement)
-    means = []
-    while abs(a - b) > 2.0**-50 * a:
-        a, b, c = 0.5 * (a + b), math.sqrt(a * b), 0.5 * (a - b)
-        means.append((a, b, c))
-    phi = u * (a * 2.0 ** len(means))
-    for a, b, c in reversed(means):
-        phi = 0.5 * (phi + np.arctan2(c / a * np.sin(phi), np.hypot(np.cos(phi), b / a * np.sin(phi))))
-    return phi
-
-
-def first_kind(sine: float, cosine: float, complement: float) -> float:
-    """Return F(phi | k^2), -pi < phi <= pi, from sin phi and cos phi, by Carlson's R_F.
-
-    Examples
-    --------
-    >>> round(first_kind(0.0, -1.0, 1.0), 12)
-    3.14159265359
-    """
-    from scipy.special import elliprf
-
-    part = sine * float(elliprf(cosine**2, cosine**2 + complement * sine**2, 1.0))
-    if cosine >= 0.0:
-        return part
-    return math.copysign(2.0 * float(elliprf(0.0, complement, 1.0)), sine) - part
-
-
-def third_kind(nu: float, phi: Floats, complement: float) -> Floats:
-    """Return Legendre's Pi(nu; phi | k^2) for any amplitude and nu <= 0, by Carlson's R_F and R_J.
-
-    Examples
-    --------
-    >>> third_kind(0.0, np.array([4.0]), 1.0)
-    array([4.])
-    """
-    from scipy.special import elliprf, elliprj
-
-    half_turns = np.rint(phi / math.pi)
-    sine, cosine = np.sin(phi), np.cos(phi)
-    sine = np.where(half_turns % 2 == 0, sine, -sine)
-    delta = cosine**2 + complement * sine**2
-    part = sine * elliprf(cosine**2, delta, 1.0)
-    part += nu / 3.0 * sine**3 * elliprj(cosine**2, delta, 1.0, 1.0 - nu * sine**2)
-    complete = float(elliprf(0.0, complement, 1.0)) + nu / 3.0 * float(elliprj(0.0, complement, 1.0, 1.0 - nu))
-    return np.asarray(2.0 * complete * half_turns + part)
+PRINCIPAL_BITS = 256
 
 
 def _cross_matrix(w: Floats) -> Floats:
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 
-def fixed_axis(w: Floats, t: Floats) -> Floats:
-    """Return exp(t hat(w)), shape (k, 3, 3), by Rodrigues' formula."""
-    speed = math.hypot(*w)
-    if speed == 0.0:
+def fixed_axis(w: Sequence[Any] | Floats, t: Floats) -> Floats:
+    """Return exp(t hat(w)), shape (k, 3, 3), by Rodrigues' formula; the angle loses no digits over long times.
+
+    Examples
+    --------
+    >>> fixed_axis([0.0, 0.0, 0.5], np.array([0.0]))[0].diagonal()
+    array([1., 1., 1.])
+    """
+    from flint import arb, ctx
+
+    exact = [Fraction(float(v) if isinstance(v, np.floating) else v) for v in w]
+    square = sum((v * v for v in exact), Fraction(0))
+    if square == 0:
         return np.broadcast_to(np.eye(3), (t.size, 3, 3)).copy()
-    K = _cross_matrix(w / speed)
-    angle = (t * speed)[:, None, None]
+    bits = working_bits(t, _root(square), 6.0)
+    with ctx.workprec(2 * bits):
+        speed = ball(square).sqrt()
+        along = np.array([float(fraction_of(ball(v) / speed)) for v in exact])
+        _, rests = remainders(speed, 2 * arb.pi(), t, bits)
+    K = _cross_matrix(along)
+    angle = rests[:, None, None]
     return np.eye(3) + np.sin(angle) * K + 2.0 * np.sin(0.5 * angle) ** 2 * (K @ K)
+
+
+def _root(square: Fraction) -> float:
+    """Return the square root of a fraction of any size, as far as float64 reaches."""
+    exponent = (square.numerator.bit_length() - square.denominator.bit_length()) // 2
+    return math.ldexp(math.sqrt(square / Fraction(4) ** exponent), min(exponent, 1020))
 
 
 def _frames(x: Floats, axis: int) -> Floats:
@@ -137,7 +97,8 @@ def free_rigid_body(m: Floats, x0: Floats, t: Floats) -> tuple[Floats, Floats]:
     Notes
     -----
     T, L^2 and the three differences of 2T and m L^2 are taken exactly, in rationals: they cancel near the separatrix
-    and near a permanent rotation, and decide which case it is. What remains is an error of some u |lam t| in the phase.
+    and near a permanent rotation, and decide which case it is. Whole periods are counted in many digits, so that the
+    error does not grow with time.
 
     Examples
     --------
@@ -145,57 +106,133 @@ def free_rigid_body(m: Floats, x0: Floats, t: Floats) -> tuple[Floats, Floats]:
     >>> np.allclose(A[1] @ x[1], x[0], rtol=0, atol=1e-14)
     True
     """
+    return _along_principal_axes([Fraction(v) for v in m.tolist()], [Fraction(v) for v in x0.tolist()], t)
+
+
+def _along_principal_axes(m: list[Fraction], x0: list[Fraction], t: Floats) -> tuple[Floats, Floats]:
     pairs = ((0, 1), (1, 2), (0, 2))
-    if all(m[i] == m[j] or x0[i] == 0.0 or x0[j] == 0.0 for i, j in pairs):
-        return np.broadcast_to(x0, (t.size, 3)).copy(), fixed_axis(m * x0, t)
+    start = np.array([float(v) for v in x0])
+    if all(m[i] == m[j] or x0[i] == 0 or x0[j] == 0 for i, j in pairs):
+        w = [p * q for p, q in zip(m, x0, strict=True)]
+        return np.broadcast_to(start, (t.size, 3)).copy(), fixed_axis(w, t)
     # x(t; 2^e y) = 2^e x(2^e t; y): momenta of any size without overflow.
-    exponent = math.frexp(float(np.abs(x0).max()))[1]
-    y = np.ldexp(x0, -exponent)
-    x, A = _general(m, y, np.ldexp(t, exponent))
+    exponent = math.frexp(float(np.abs(start).max()))[1]
+    y = [v / Fraction(2) ** exponent for v in x0]
+    scaled = np.ldexp(t, exponent)
+    if not np.isfinite(scaled).all():
+        return np.full((t.size, 3), np.nan), np.full((t.size, 3, 3), np.nan)
+    x, A = _general(m, y, scaled)
     return np.ldexp(x, exponent), A
 
 
-def _general(m: Floats, x0: Floats, t: Floats) -> tuple[Floats, Floats]:
-    masses, squares = [Fraction(v) for v in m.tolist()], [Fraction(v) ** 2 for v in x0.tolist()]
+def _general(masses: list[Fraction], x0: list[Fraction], t: Floats) -> tuple[Floats, Floats]:
+    squares = [v**2 for v in x0]
     length2 = sum(squares, Fraction(0))
     energy2 = sum((p * q for p, q in zip(masses, squares, strict=True)), Fraction(0))
     low, b, high = sorted(range(3), key=lambda i: masses[i])
     c, a = (high, low) if energy2 > masses[b] * length2 else (low, high)
     ma, mb, mc = masses[a], masses[b], masses[c]
     over_c, under_a, under_b = energy2 - mc * length2, ma * length2 - energy2, mb * length2 - energy2
-    L = math.sqrt(length2)
-    lam = math.sqrt((mb - mc) * under_a)
-    complement = float((ma - mc) * under_b / ((mb - mc) * under_a))
-    nu = -float((ma - mb) / (mb - mc))
+    exact_complement = (ma - mc) * under_b / ((mb - mc) * under_a)
+    complement = float(exact_complement)
+    exact_nu = -(ma - mb) / (mb - mc)
+    nu = float(exact_nu)
     parity = 1.0 if (b - a) % 3 == 1 else -1.0
-    sign_a = -1.0 if complement == 0.0 and x0[a] < 0.0 else 1.0
-    size_a = sign_a * math.sqrt(over_c / (ma - mc))
-    size_b = sign_a * parity * math.copysign(1.0, x0[c]) * (1.0 if mb > mc else -1.0) * math.sqrt(over_c / (mb - mc))
-    size_c = math.copysign(math.sqrt(under_a / (ma - mc)), x0[c])
+    sign_a = -1.0 if complement == 0.0 and x0[a] < 0 else 1.0
+    sign_c = 1.0 if x0[c] >= 0 else -1.0
+    size_a = sign_a * _root(over_c / (ma - mc))
+    size_b = sign_a * parity * sign_c * (1.0 if mb > mc else -1.0) * _root(over_c / (mb - mc))
+    size_c = sign_c * _root(under_a / (ma - mc))
     cosine, sine = float(x0[a]) / size_a, float(x0[b]) / size_b
     radius = math.hypot(cosine, sine)
     cosine, sine = cosine / radius, sine / radius
     if complement == 0.0:
+        exact_complement = Fraction(0)
+    phases = _Phases(length2, (ma, mc), (mb - mc) * under_a, exact_complement, exact_nu, t)
+    if complement == 0.0:
         u0 = math.asinh(sine / cosine)
-        u = np.append(u0 + lam * t, u0)
+        u = np.append(u0 + phases.u, u0)
         sn, cn = np.tanh(u), 2.0 * np.exp(-np.abs(u)) / (1.0 + np.exp(-2.0 * np.abs(u)))
         dn = cn
         root = math.sqrt(-nu)
-        third = (u + root * np.arctan(root * sn)) / (1.0 - nu)
+        third = root * np.arctan(root * sn) / (1.0 - nu)
     else:
         u0 = first_kind(sine, cosine, complement)
-        phi = amplitude(np.append(u0 + lam * t, u0), complement)
+        u = np.append(u0 + phases.u, u0)
+        phi = amplitude(u, complement)
         sn, cn = np.sin(phi), np.cos(phi)
         dn = np.sqrt(complement + (1.0 - complement) * cn**2)
-        third = third_kind(nu, phi, complement)
+        third = -nu / (1.0 - nu) * across_integral(nu, phi, complement)
     x = np.empty((t.size + 1, 3))
     x[:, a], x[:, b], x[:, c] = size_a * cn, size_b * sn, size_c * dn
-    psi = L * float(mc) * t + L * float(ma - mc) / lam * (third[:-1] - third[-1])
+    # Of the integral of the third kind, u/(1 - nu) is in the phases: near the separatrix u does not follow from phi.
+    psi = phases.psi + phases.factor * (third[:-1] - third[-1])
     frames = _frames(x, c)
     turn = np.zeros((t.size, 3, 3))
     turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = np.cos(psi), -np.sin(psi), np.sin(psi), np.cos(psi)
     turn[:, 2, 2] = 1.0
     return x[:-1], frames[-1].T @ turn @ frames[:-1]
+
+
+class _Phases:
+    """The phases of a body at some times, without their whole periods.
+
+    Parameters
+    ----------
+    length2 : Fraction
+        |x|^2.
+    masses : (Fraction, Fraction)
+        m along the axes a and c.
+    lam2 : Fraction
+        The square of the rate of u.
+    complement, nu : Fraction
+        Of the elliptic integrals.
+    t : (k,)
+        Times.
+
+    Attributes
+    ----------
+    u : (k,) array
+        lam t, less whole periods 4 K of the elliptic functions.
+    psi : (k,) array
+        What the turn of the moving frame has beside the integral over u, less whole turns: the part that is linear in
+        time, and what the integral gains over those periods.
+    factor : float
+        Of the integral of the third kind in that turn.
+    """
+
+    def __init__(
+        self,
+        length2: Fraction,
+        masses: tuple[Fraction, Fraction],
+        lam2: Fraction,
+        complement: Fraction,
+        nu: Fraction,
+        t: Floats,
+    ) -> None:
+        from flint import acb, arb, ctx
+
+        ma, mc = masses
+        period = 6.0 + 4.0 * abs(math.log(max(float(complement), 1e-300)))
+        size = max(_root(lam2), abs(float(ma)), abs(float(mc)))
+        bits = working_bits(t, size, min(1.0, _root(lam2) or 1.0))
+        with ctx.workprec(4 * bits + abs(math.frexp(period)[1])):
+            L, lam = ball(length2).sqrt(), ball(lam2).sqrt()
+            factor = L * ball(ma - mc) / lam
+            self.factor = float(factor)
+            linear = L * ball(mc) + L * ball(ma - mc) / ball(1 - nu)
+            gained = arb(0)
+            counts = [0] * t.size
+            if complement == 0:
+                self.u = np.array([float(fraction_of(lam * arb(time))) for time in t.tolist()])
+            else:
+                square, one = ball(complement), acb(1)
+                quarter = arb.pi() / (2 * arb(1).agm(square.sqrt()))
+                counts, self.u = remainders(lam, 4 * quarter, t, bits)
+                rest = square / ball(1 - nu)
+                over = rest / 3 * acb.elliptic_rj(acb(0), acb(square), one, acb(rest)).real
+                gained = -4 * factor * ball(nu / (1 - nu)) * over
+            _, self.psi = remainders(linear, 2 * arb.pi(), t, bits, gained, counts)
 
 
 def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False) -> Any:
@@ -230,21 +267,18 @@ def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False)
     array([0., 0., 2.])
     """
     start, times = start_and_times(x0, t, 3)
-    first = np.eye(3)
-    if not isinstance(attitude, bool | np.bool_):
-        first = read_finite(attitude, "attitude")
-        if first.shape != (3, 3):
-            raise ValueError(f"attitude has shape {first.shape}; give True or a finite (3, 3)")
-    axes, m = np.eye(3), M
-    if M.ndim == 2 and np.array_equal(M, np.diag(np.diag(M))):
-        m = np.diag(M)
-    elif M.ndim == 2:
-        m, axes = np.linalg.eigh(M)
-        axes *= round(float(np.linalg.det(axes)))
+    first = first_element(attitude, 3)
+    exact, rotation = [Fraction(v) for v in start.tolist()], np.eye(3)
+    if M.ndim == 2 and not np.array_equal(M, np.diag(np.diag(M))):
+        bits = PRINCIPAL_BITS + 2 * working_bits(times, float(np.abs(M).max()) * float(np.abs(start).max()), 1.0)
+        moments, axes = exact_principal_axes(M, bits)
+        exact, rotation = turned_back(axes, exact), np.array([[float(v) for v in row] for row in axes])
+    else:
+        moments = [Fraction(v) for v in (M if M.ndim == 1 else np.diag(M)).tolist()]
     with np.errstate(over="ignore", invalid="ignore"):
-        x, A = free_rigid_body(m, start @ axes, -sign * np.atleast_1d(times))
-        x, A = x @ axes.T, first @ (axes @ A @ axes.T)
+        x, A = _along_principal_axes(moments, exact, -sign * np.atleast_1d(times))
+        x, A = x @ rotation.T, first @ (rotation @ A @ rotation.T)
     x, A = (all_finite(part, start, times) for part in (x, A))
     if times.ndim == 0:
         x, A = x[0], A[0]
-    return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, A)
+    return with_element(x, A, attitude)

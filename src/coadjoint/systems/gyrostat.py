@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_finite
-from coadjoint.systems.closed_form import all_finite, start_and_times
+from coadjoint.systems.closed_form import all_finite, first_element, start_and_times, with_element
 from coadjoint.systems.free_rigid_body import fixed_axis
 from coadjoint.systems.inertia import axis_of_symmetry, inverse_inertia, momentum_along, principal, read_vector
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -113,11 +112,7 @@ def _symmetric(m: Floats, k: Floats, axis: Floats, x0: Any, t: Any, attitude: An
     ``-s t``, and ``A(t) = A(0) exp(n t hat(x(0))) exp(s t hat(axis))``.
     """
     start, times = start_and_times(x0, t, 3)
-    first = np.eye(3)
-    if not isinstance(attitude, bool | np.bool_):
-        first = read_finite(attitude, "attitude")
-        if first.shape != (3, 3):
-            raise ValueError(f"attitude has shape {first.shape}; give True or a finite (3, 3)")
+    first = first_element(attitude, 3)
     n = float(m[np.argmin(np.abs(axis))])
     with np.errstate(over="ignore", invalid="ignore"):
         spin = float((axis * ((m - n) * start - m * k)).sum()) * axis
@@ -127,4 +122,4 @@ def _symmetric(m: Floats, k: Floats, axis: Floats, x0: Any, t: Any, attitude: An
     all_finite(np.concatenate([x.ravel(), A.ravel()]), start, times)
     if times.ndim == 0:
         x, A = x[0], A[0]
-    return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, A)
+    return with_element(x, A, attitude)

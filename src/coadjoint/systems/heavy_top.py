@@ -70,6 +70,9 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
 
     Notes
     -----
+    Where gravity is weak, ``Splitting(parts="free_body")`` has the free body as one part and gravity as the other: its
+    error has the size of gravity. At equal cost it gains up to potential energies of about that of the rotation.
+
     Marsden and Ratiu, "Introduction to Mechanics and Symmetry" (1999), section 15.10; Audin, "Spinning Tops" (1996).
 
     Examples

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.wording import short
@@ -87,7 +88,7 @@ def check_system(system: Any) -> None:
     TypeError
         It is neither a `LiePoissonSystem` nor a `PoissonSystem`, nor a `Batch` of them, and no `GeneralSystem`.
     """
-    if not isinstance(system, LiePoissonSystem | PoissonSystem | Batch | GeneralSystem):
+    if not isinstance(system, LiePoissonSystem | PoissonSystem | Batch | ForcedSystem | GeneralSystem):
         raise TypeError(
             f"system is {short(system)}; it must be a LiePoissonSystem or a PoissonSystem, such as "
             "co.systems.rigid_body()"
@@ -105,8 +106,13 @@ def check_one_system(system: Any) -> None:
     Raises
     ------
     TypeError
-        It is neither a `LiePoissonSystem` nor a `PoissonSystem`.
+        It is neither a `LiePoissonSystem` nor a `PoissonSystem`, or has forces.
     """
     check_system(system)
+    if isinstance(system, ForcedSystem):
+        raise TypeError(
+            f"{system.name} has forces, which break what is asked for here; runs and steppers serve it, and its "
+            "Hamiltonian part is system.system"
+        )
     if isinstance(system, Batch):
         raise TypeError(f"system is {short(system)}; it must be one system, such as a member of the batch, batch[0]")

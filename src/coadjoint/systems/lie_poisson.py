@@ -14,6 +14,8 @@ from coadjoint.algebra.representation import check_representation
 from coadjoint.memory import check_room
 from coadjoint.systems.closed_form import checked_exact, checked_parameters, solution_of
 from coadjoint.systems.followed_casimirs import casimirs_of, checked_casimirs
+from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.known_integrals import checked_integrals
 from coadjoint.systems.points import QUIET, checked_name, checked_sign, matching, point, scatter
@@ -286,6 +288,21 @@ class LiePoissonSystem:
             No closed form is known.
         """
         return solution_of(self._exact, self.name)(x0, t, attitude)
+
+    def with_forces(self, *forces: Force) -> ForcedSystem:
+        """Return the system with damping, torques or noise, which break its structure and are labelled so.
+
+        Parameters
+        ----------
+        *forces : Force
+            One or more of ``co.forces``, in the order in which their flows are taken.
+
+        Returns
+        -------
+        ForcedSystem
+            For `integrate`, `prepare` and `stepper`.
+        """
+        return ForcedSystem(self, forces)
 
     def __repr__(self) -> str:
         where = self.algebra.name or f"an algebra of dimension {self.dim}"

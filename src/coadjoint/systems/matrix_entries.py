@@ -30,13 +30,17 @@ def real_array(given: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
     return exact
 
 
-def sparse_entries(M: Any) -> tuple[int, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]]:
-    """Return n and the rows, columns and values of a SciPy sparse matrix, without importing SciPy."""
+def sparse_entries(M: Any) -> tuple[int, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], bool]:
+    """Return n, the rows, columns and values of a SciPy sparse matrix, and whether it is its own mirror image.
+
+    The entries are sorted, row after row, each place once. SciPy is not imported.
+    """
     if M.ndim != 2 or M.shape[0] != M.shape[1]:
         raise ValueError(f"M has shape {M.shape}; give a symmetric (n, n)")
     check_room(BYTES_PER_ENTRY * M.nnz + 40 * M.shape[0], f"M of shape {M.shape}, with {M.nnz} entries,")
     csr = M.tocsr().copy()
     csr.sum_duplicates()
+    csr.eliminate_zeros()
     if csr.dtype.kind not in REAL:
         raise TypeError(f"M has numbers of type {csr.dtype}; give real numbers")
     n, entries = int(M.shape[0]), csr.data.astype(np.float64)
@@ -44,7 +48,9 @@ def sparse_entries(M: Any) -> tuple[int, npt.NDArray[Any], npt.NDArray[Any], npt
     bad = np.flatnonzero(~np.isfinite(entries))
     if bad.size:
         raise ValueError(f"M[{rows[bad[0]]}, {csr.indices[bad[0]]}] is {entries[bad[0]]}; give finite numbers")
-    return n, rows, csr.indices, entries
+    turned = csr.transpose().tocsr()
+    pairs = ((turned.indptr, csr.indptr), (turned.indices, csr.indices), (turned.data, csr.data))
+    return n, rows, csr.indices, entries, all(np.array_equal(one, other) for one, other in pairs)
 
 
 def check_symmetric(n: int, rows: npt.NDArray[Any], columns: npt.NDArray[Any], values: npt.NDArray[Any]) -> None:

@@ -14,7 +14,7 @@ from coadjoint.algebra import catalogue
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.given import read_positive
 from coadjoint.systems.closed_form import all_finite, start_and_times, states_alone
-from coadjoint.systems.free_rigid_body import amplitude, first_kind
+from coadjoint.systems.elliptic_integrals import amplitude, first_kind
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made

@@ -86,6 +86,7 @@ def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePo
         "the smallest moment of inertia, and between them the separatrix through the middle axis, which is "
         "unstable.",
         pictures=(
+            Picture("error"),
             Picture(
                 "directions",
                 vectors={"x": (0, 1, 2)},

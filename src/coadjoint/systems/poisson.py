@@ -14,6 +14,8 @@ from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.closed_form import checked_exact, checked_parameters, solution_of
 from coadjoint.systems.followed_casimirs import checked_casimirs
+from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.points import QUIET, checked_name, checked_sign, point
 from coadjoint.systems.user_functions import check_derivative, sample_points, takes_time
@@ -225,6 +227,10 @@ class PoissonSystem:
     def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
         """Return the solution in closed form, where one is known; see `LiePoissonSystem.exact`."""
         return solution_of(self._exact, self.name)(x0, t, attitude)
+
+    def with_forces(self, *forces: Force) -> ForcedSystem:
+        """Return the system with forces; see `LiePoissonSystem.with_forces`."""
+        return ForcedSystem(self, forces)
 
     def __repr__(self) -> str:
         return f"<{self.name}: {self.hamiltonian!r}, J a function of x, sign={self.sign:+d}>"

@@ -83,15 +83,23 @@ class Quadratic:
             n = len(self._linear) if self._linear is not None else 0
             self._store(n, np.arange(n), np.arange(n), np.full(n, array.item(), dtype=array.dtype))
         elif array.ndim == 1:
-            self._store(array.size, np.arange(array.size), np.arange(array.size), array)
+            own = np.flatnonzero(array)
+            self._store(array.size, own, own, array[own], mirrored=True)
         elif array.ndim == 2 and array.shape[0] == array.shape[1]:
             rows, columns = np.nonzero(array)
             self._store(array.shape[0], rows, columns, array[rows, columns])
         else:
             raise ValueError(f"M has shape {array.shape}; give a number, (n,) or a symmetric (n, n)")
 
-    def _store(self, n: int, rows: npt.NDArray[Any], columns: npt.NDArray[Any], entries: npt.NDArray[Any]) -> None:
-        """Keep the upper triangle and its mirror image as compressed sparse rows."""
+    def _store(
+        self,
+        n: int,
+        rows: npt.NDArray[Any],
+        columns: npt.NDArray[Any],
+        entries: npt.NDArray[Any],
+        mirrored: bool = False,
+    ) -> None:
+        """Keep the upper triangle and its mirror image as sparse rows; `mirrored` ones, sorted, are kept as given."""
         if n == 0:
             raise ValueError("M has no entries; give at least one coordinate")
         if self._linear is None:
@@ -99,16 +107,17 @@ class Quadratic:
         if self._linear.size != n:
             raise ValueError(f"linear has {self._linear.size} coefficients but M is {n} x {n}; give {n}")
         rows, columns = rows.astype(np.int64), columns.astype(np.int64)
-        check_symmetric(n, rows, columns, entries.astype(np.float64))
-        upper = (rows <= columns) & (entries != 0)
-        above = upper & (rows < columns)
-        rows, columns = np.r_[rows[upper], columns[above]], np.r_[columns[upper], rows[above]]
-        entries = np.r_[entries[upper], entries[above]]
-        order = np.lexsort((columns, rows))
+        if not mirrored:
+            check_symmetric(n, rows, columns, entries.astype(np.float64))
+            upper = (rows <= columns) & (entries != 0)
+            above = upper & (rows < columns)
+            rows, columns = np.r_[rows[upper], columns[above]], np.r_[columns[upper], rows[above]]
+            entries = np.r_[entries[upper], entries[above]]
+            order = np.lexsort((columns, rows))
+            rows, columns, entries = rows[order], columns[order], entries[order]
         self.dim = n
-        self._rows, self._indices = rows[order], columns[order]
+        self._rows, self._indices, self._entries = rows, columns, entries
         self._indptr = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=n))]).astype(np.int64)
-        self._entries = entries[order]
         for array in (self._rows, self._indices, self._indptr, self._entries, self._linear):
             array.flags.writeable = False
 

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.given import read_finite, read_number
-from coadjoint.systems.closed_form import all_finite, start_and_times
+from coadjoint.given import read_number
+from coadjoint.systems.closed_form import all_finite, first_element, start_and_times
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
@@ -34,7 +34,7 @@ def _root(sign: float, x: Any) -> Any:
         step=0.02,
         says="The two roots w of the quadratic equation follow w' = 1 + w^2 and go through infinity (left), while "
         "the state moves smoothly on a closed curve of its hyperboloid (right).",
-        pictures=(Picture("coadjoint orbit", view=(-150.0, 25.0)),),
+        pictures=(Picture("error"), Picture("coadjoint orbit", view=(-150.0, 25.0))),
         components=Picture(
             "components", functions={"v": partial(_root, -1.0), "w": partial(_root, 1.0)}, quantity="roots"
         ),
@@ -95,11 +95,7 @@ def _exact(u: Floats, x0: Any, t: Any, attitude: Any = False) -> Any:
     D_u^3 = d D_u and rho(u)^2 = d/4, with the discriminant d, so that sines and cosines of t sqrt(d)/2 are enough.
     """
     start, times = start_and_times(x0, t, 3)
-    first = np.eye(2)
-    if not isinstance(attitude, bool | np.bool_):
-        first = read_finite(attitude, "attitude")
-        if first.shape != (2, 2):
-            raise ValueError(f"attitude has shape {first.shape}; give True or a finite (2, 2)")
+    first = first_element(attitude, 2)
     p, q, r = u.tolist()
     D = np.array([[q, -2.0 * r, 0.0], [-p, 0.0, r], [0.0, 2.0 * p, -q]])
     rho = np.array([[0.5 * q, r], [p, -0.5 * q]])

@@ -153,7 +153,7 @@ def spin_lattice(
         D = np.zeros(3)
     coupling = -J[..., None, None] * T + np.einsum("...k,kab->...ab", D, LEVI_CIVITA)
     H: Any = Quadratic(
-        _matrix(sites, edges, np.broadcast_to(coupling, (len(edges), 3, 3)), -2.0 * K),
+        _matrix(sites, edges, coupling, -2.0 * K),
         linear=np.broadcast_to(-B, (sites, 3)).ravel(),
     )
     if driven:
@@ -201,13 +201,17 @@ def _matrix(sites: int, edges: npt.NDArray[np.int64], coupling: Floats, on_site:
     """Return M, from S_i . coupling S_j and S_i . on_site S_i / 2, as a sparse matrix."""
     import scipy.sparse
 
-    edge, a, b = np.nonzero(coupling)
-    value = coupling[edge, a, b]
-    rows, columns = 3 * edges[edge, 0] + a, 3 * edges[edge, 1] + b
-    site, c, d = np.nonzero(np.broadcast_to(on_site, (sites, 3, 3)))
-    own = np.broadcast_to(on_site, (sites, 3, 3))[site, c, d]
+    a, b = np.nonzero(np.any(coupling.reshape(-1, 3, 3), axis=0))
+    c, d = np.nonzero(np.any(on_site.reshape(-1, 3, 3), axis=0))
+    value = np.broadcast_to(coupling, (len(edges), 3, 3))[:, a, b].ravel()
+    own = np.broadcast_to(on_site, (sites, 3, 3))[:, c, d].ravel()
+    rows, columns = (3 * edges[:, :1] + a).ravel(), (3 * edges[:, 1:] + b).ravel()
+    site = 3 * np.arange(sites)[:, None]
     entries = np.concatenate([value, value, own])
-    places = np.concatenate([rows, columns, 3 * site + c]), np.concatenate([columns, rows, 3 * site + d])
+    places = (
+        np.concatenate([rows, columns, (site + c).ravel()]),
+        np.concatenate([columns, rows, (site + d).ravel()]),
+    )
     return scipy.sparse.coo_matrix((entries, places), shape=(3 * sites, 3 * sites))
 
 

@@ -30,7 +30,7 @@ def coadjoint_orbit(drawn: Drawn, view: tuple[float, float] = (-60.0, 30.0)) -> 
 
     def paint(axes: Any) -> None:
         labels = [drawn.label(i) for i in range(3)]
-        draw_orbit(axes, drawn.x[:, drawn.kept], drawn.system.casimirs, labels, drawn.joined)
+        draw_orbit(axes, drawn.x[:, drawn.kept], drawn.system.casimirs, labels, drawn.joined, drawn.left is None)
         axes.view_init(azim=view[0], elev=view[1])  # type: ignore[attr-defined]
 
     return paint

@@ -54,7 +54,8 @@ def components(
         places = spread(n, MOST_COMPONENTS).tolist()
     lines = {drawn.label(i): drawn.x[..., i] for i in places}
     for name, function in (functions or {}).items():
-        lines[coordinate(name)] = np.asarray(function(drawn.x))
+        with np.errstate(all="ignore"):  # what is not finite is not drawn
+            lines[coordinate(name)] = np.asarray(function(drawn.x))
     flipping = None if flips is None else drawn.place(flips)
 
     def paint(axes: Any) -> None:

@@ -22,7 +22,8 @@ def drift(drawn: Drawn) -> Paint:
     """Show the absolute deviations from the start on a logarithmic scale.
 
     Where the Hamiltonian depends on time the energy is meant to change, and the picture says so. Of many Casimirs the
-    worst four have lines, and a band reaches from the smallest to the largest deviation of all.
+    worst four have lines, and a band reaches from the smallest to the largest deviation of all. Where forces change the
+    invariants, dotted lines show what is left of the change less their work: that is the error of the run.
 
     Parameters
     ----------
@@ -45,9 +46,13 @@ def drift(drawn: Drawn) -> Paint:
             visible = np.where(members > 0.0, members, np.nan)
             label = "$H$, driven" if name == "energy" and drawn.driven else symbol(name)
             draw_members(axes, drawn.t, visible, drawn.close, colour(i), label)
+            if drawn.left is not None:
+                _draw_left(axes, drawn, name, colour(i), None if i else "$H$ less their work")
         axes.set(yscale="log", ylabel="absolute deviation from start")
         plain = "drift of the energy $H$ and the Casimirs"
         title = "change of the driven energy $H$, drift of the Casimirs" if drawn.driven else plain
+        if drawn.left is not None:
+            title = "change of the energy $H$ and the Casimirs, which forces move"
         axes.set_title(f"{title}, at the saved points")
         if not any(np.any(values > 0.0) for values in (energy, *deviations.values())):
             axes.text(0.5, 0.5, "no deviation in any bit", transform=axes.transAxes, ha="center", fontsize=9)
@@ -56,6 +61,13 @@ def drift(drawn: Drawn) -> Paint:
         key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
     return paint
+
+
+def _draw_left(axes: Any, drawn: Drawn, name: str, shade: str, label: str | None) -> None:
+    assert drawn.left is not None
+    for m, values in enumerate(np.abs(drawn.left[name])):
+        visible = np.where(values > 0.0, values, np.nan)
+        axes.plot(drawn.t, visible, ":", color=shade, linewidth=0.8, label=label if m == 0 else None)
 
 
 def _worst(deviations: dict[str, npt.NDArray[np.float64]]) -> dict[str, npt.NDArray[np.float64]]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.given import read_number, read_positive
+from coadjoint.given import read_positive
 from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import INK
@@ -18,18 +18,26 @@ LEVELS = 21
 
 @kind("field")
 def field(
-    drawn: Drawn, modes: Callable[..., Any], width: Callable[[Any], float], at: float = 0.0, label: str = "field"
+    drawn: Drawn,
+    width: Callable[[Any], float],
+    modes: Callable[..., Any] | None = None,
+    values: Callable[[Any, Any], Any] | None = None,
+    at: float = 0.0,
+    label: str = "field",
 ) -> Paint:
-    """Show the sum of the modes, each times its coordinate, at one time.
+    """Show the sum of the modes, each times its coordinate, at one time; or values that a function gives.
 
     Parameters
     ----------
     drawn : Drawn
         The run; of several members the first.
-    modes : callable
-        Function of the system and of places X, Y, (k, k), that returns the modes, (n, k, k).
     width : callable
         Function of the system that returns how wide the square is that is shown.
+    modes : callable
+        Function of the system and of places X, Y, (k, k), that returns the modes, (n, k, k).
+    values : callable
+        Instead: function of the system and of a state that returns the values on a grid, (rows, columns), from one
+        edge of the square to the other, both included: rows along Y, columns along X.
     at : float
         The time, as a part of the span: 0 is the start, 1 the end.
     label : str
@@ -39,21 +47,26 @@ def field(
     -------
     Paint
     """
-    part = min(max(read_number(at, "at"), 0.0), 1.0)
-    k = round(part * (len(drawn.t) - 1))
-    edge = np.linspace(0.0, read_positive(width(drawn.system), "width"), CELLS + 1)
-    waves = np.asarray(modes(drawn.system, *np.meshgrid(edge, edge)))
-    if len(waves) != drawn.n:
-        raise CannotShow(f"the field has {len(waves)} modes, and the state has {drawn.n} coordinates")
-    values = np.tensordot(drawn.x[0, k], waves, axes=1)
-    # One scale for all times: no wave is larger than 1, so that this is never left.
-    size = float(np.abs(np.tensordot(np.abs(drawn.x[0]), np.abs(waves).max(axis=(1, 2)), axes=1)).max()) or 1.0
+    k, wide = drawn.at(at), read_positive(width(drawn.family), "width")
+    if values is not None:
+        shown, size = drawn.of_state(values, k)
+    elif modes is not None:
+        edge = np.linspace(0.0, wide, CELLS + 1)
+        waves = np.asarray(modes(drawn.family, *np.meshgrid(edge, edge)))
+        if len(waves) != drawn.n:
+            raise CannotShow(f"the field has {len(waves)} modes, and the state has {drawn.n} coordinates")
+        shown = np.tensordot(drawn.x[0, k], waves, axes=1)
+        # One scale for all times, which no sum of the modes leaves.
+        size = float(np.max(np.abs(drawn.x[0]) @ np.abs(waves).max(axis=(1, 2)))) or 1.0
+    else:
+        raise TypeError("a field needs its modes, or a function that gives its values")
 
     def paint(axes: Any) -> None:
         from matplotlib.ticker import MaxNLocator
 
+        places = (np.linspace(0.0, wide, count) for count in shown.shape[::-1])
         levels = np.linspace(-size, size, LEVELS)
-        drawn_field = axes.contourf(edge, edge, values, levels, cmap="RdBu_r")
+        drawn_field = axes.contourf(*places, shown, levels, cmap="RdBu_r")
         bar = axes.figure.colorbar(drawn_field, ax=axes, shrink=0.7, pad=0.02, ticks=MaxNLocator(5))
         bar.set_label(label, fontsize=9)
         bar.ax.tick_params(labelsize=8)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.given import read_whole
+from coadjoint.given import read_number, read_whole
 from coadjoint.pictures.drawn import Drawn, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import INK, plain_axes
@@ -53,10 +53,11 @@ def phase_ellipse(
         qq, qp, pp = (x[:, drawn.place(i)] for i in moments)
         shown: Sequence[Lump] = [(0.0 * qq, 0.0 * qq, qq, qp, pp)]
     elif lumps is not None:
-        shown = lumps(x, drawn.system)
+        shown = lumps(x, drawn.family)
     else:
         raise TypeError("a phase ellipse needs the coordinates of moments, or a function that gives lumps")
-    end = len(drawn.t) if until is None else max(2, int(round(until * (len(drawn.t) - 1))) + 1)
+    part = 1.0 if until is None else min(max(read_number(until, "until"), 0.0), 1.0)
+    end = round(part * (len(drawn.t) - 1)) + 1
 
     def paint(axes: Any) -> None:
         from matplotlib import colormaps

@@ -77,7 +77,8 @@ def phase_portrait(
 
 def _of(drawn: Drawn, chosen: Any) -> Floats:
     x = drawn.x[:, drawn.kept]
-    return np.asarray(chosen(x)) if callable(chosen) else x[..., drawn.place(chosen)]
+    with np.errstate(all="ignore"):  # what is not finite is not drawn
+        return np.asarray(chosen(x)) if callable(chosen) else x[..., drawn.place(chosen)]
 
 
 def _folded(values: Floats, cyclic: float) -> Floats:

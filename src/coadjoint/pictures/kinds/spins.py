@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.given import read_choice, read_number
+from coadjoint.given import read_choice
 from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.sites import places_of_sites
@@ -38,13 +38,12 @@ def spins(drawn: Drawn, at: float = 1.0, seen: str = "plane") -> Paint:
     n = drawn.n
     if n % 3:
         raise CannotShow(f"the state has {n} coordinates, which are no spins of three")
-    parameters = drawn.system.parameters or {}
+    parameters = drawn.family.parameters or {}
     places = places_of_sites(parameters.get("lattice"), parameters.get("shape"), n // 3)
     if len(places) != n // 3:
         raise CannotShow(f"the lattice has {len(places)} sites, and there are {n // 3} spins")
     flat, out = ((0, 1), 2) if read_choice(seen, "way to see spins", FLAT) == "plane" else ((0, 2), 1)
-    part = min(max(read_number(at, "at"), 0.0), 1.0)
-    k = int(round(part * (len(drawn.t) - 1)))
+    k = drawn.at(at)
     S = drawn.x[0, k].reshape(-1, 3)
     size = float(np.linalg.norm(S, axis=1).max()) or 1.0
 

@@ -45,6 +45,15 @@ CODES(StreamKind, STREAMS)
 #define SOLVERS(_) _(EXPLICIT, 0) _(ITERATED, 1) _(IMPLICIT, 2) _(STRUCTURE, 3) _(GRADIENT, 4)
 CODES(Solver, SOLVERS)
 
+// How a force moves a state: towards a point; by a torque that is constant, or a function of time or of state and time;
+// along coadjoint orbits; or by a flow that is a function.
+#define FORCES(_) _(DAMPING, 0) _(CONSTANT, 1) _(OF_TIME, 2) _(OF_STATE, 3) _(ON_ORBIT, 4) _(BY_FLOW, 5)
+CODES(ForceKind, FORCES)
+
+// What is given of a matrix: a multiple of the unit, its diagonal, or all of it.
+#define SHAPES(_) _(MULTIPLE, 0) _(DIAGONAL, 1) _(FULL, 2)
+CODES(Shape, SHAPES)
+
 // TENTHS: pieces of a run whose largest deviations are told apart. RATIONAL: added to the kind of a rotation by
 // tan(angle/2) := half the angle. CUBIC_HEADER: constants of a CUBIC block before the values of its entries.
 // MOST_SUBSTEPS: of norm one, in a step of a series; a longer step would have lost the motion anyway.

@@ -1,6 +1,7 @@
 // The elementary functions and linear solves of the kernels on arrays, so that tests can look at each by itself.
 #include <vector>
 
+#include "forces/random.hpp"
 #include "numbers/arithmetic.hpp"
 #include "numbers/linear_solve.hpp"
 #include "numbers/room.hpp"
@@ -25,6 +26,18 @@ EXPORT void probe_pairs(int64_t what, const double* arguments, int64_t count, do
         out[2 * k] = pair.sine;
         out[2 * k + 1] = pair.lowered;
     }
+}
+
+// A block of the generator; the normal deviate of each word; the deviates of a member from a moment on.
+EXPORT void probe_philox(const uint64_t* counter, uint64_t key, uint64_t other, uint64_t* out) {
+    const Words words = philox({{counter[0], counter[1], counter[2], counter[3]}}, key, other);
+    for (int k = 0; k < 4; ++k) out[k] = words.at[k];
+}
+EXPORT void probe_normal(const uint64_t* words, int64_t count, double* out) {
+    for (int64_t k = 0; k < count; ++k) out[k] = normal_of(words[k]);
+}
+EXPORT void probe_deviates(uint64_t seed, uint64_t stream, double moment, uint64_t part, int64_t count, double* out) {
+    normal_deviates(seed, stream, moment, part, count, out);
 }
 
 EXPORT double probe_fma(double a, double b, double c) { return fma(a, b, c); }

@@ -50,10 +50,12 @@ TABLE(Forms, FORMS_FIELDS)
     _(indices, indices) _(constants, constants)
 TABLE(Action, ACTION_FIELDS)
 
+// called[k] is the free body that share k calls, else -1. Body b has six entries of body_column and fifteen of body.
 #define FLOW_FIELDS(_)                                                                                               \
     _(integer, longest) _(integers, only) _(bytes, bent) _(constants, frequency) _(indices, part) _(numbers, tau)      \
     _(numbers, moment) _(indices, section) _(indices, share) _(Terms, terms) _(addresses, addresses)                 \
-    _(Action, state) _(Action, group) _(flag, compensated)
+    _(Action, state) _(Action, group) _(flag, compensated) _(integers, called) _(indices, body_column)               \
+    _(constants, body) _(bytes, direct)
 TABLE(FlowTables, FLOW_FIELDS)
 
 #define WATCH_FIELDS(_)                                                                                              \
@@ -92,6 +94,15 @@ TABLE(RungeKuttaTables, RUNGE_KUTTA_FIELDS)
 #define STEP_FIELDS(_)                                                                                               \
     _(Field, field) _(addresses, values) _(GroupField, group) _(Watch, kept) _(integers, whole) _(numbers, coefficients)
 TABLE(StepTables, STEP_FIELDS)
+
+// A force. `shape` is that of `rate`, a matrix, and of its root in `aim`; else `aim` is a vector. What it changes of the
+// first `accounts` invariants is added up behind the coordinates, from place `account` on. The directions of a noise,
+// columns of the root, fall into `sets` that commute: the directions direction[begin[s]] to direction[begin[s + 1]].
+#define FORCE_FIELDS(_)                                                                                              \
+    _(integer, kind) _(integer, account) _(integer, accounts) _(integer, shape) _(numbers, rate) _(numbers, aim)     \
+    _(integers, function) _(number, amplitude) _(integer, seed) _(integer, stream) _(integer, sets)                  \
+    _(integers, begin) _(integers, direction)
+TABLE(ForceTable, FORCE_FIELDS)
 
 #define STEPPING_FIELDS(_)                                                                                           \
     _(integers, step) _(integer, substeps) _(numbers, fraction) _(numbers, moment) _(StepTables, tables)            \

@@ -84,7 +84,15 @@ NOINLINE void gradient_rows(const Terms& terms, const C& constants, const int64_
                           const A& t, A* out, int64_t first, A* y, double* room) {
     int64_t start = terms.row[k], stop = terms.row[k + 1];
     if (terms.kind[k] == LINEAR) {
-        for (int64_t row = start; row < stop; ++row) out[row - first] = linear_row(terms, constants, row, x);
+        const uint32_t *high = terms.entry + 1, *column = terms.column;
+        const double *offset = terms.offset, *weight = terms.weight;
+        uint32_t entry = terms.entry[start];
+        for (int64_t row = start; row < stop; ++row) {
+            A total = constants.template number_at<A>(offset, row);
+            for (const uint32_t last = high[row]; entry < last; ++entry)
+                total = fma(constants.template number_at<A>(weight, entry), x[column[entry]], total);
+            out[row - first] = total;
+        }
     } else if (terms.kind[k] == POLYNOMIAL) {
         for (int64_t row = start; row < stop; ++row) out[row - first] = A(0.0);
         for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial)

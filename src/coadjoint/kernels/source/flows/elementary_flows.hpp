@@ -76,7 +76,7 @@ class FlowsOfRows {
         const Terms& terms = tables.terms;
         const uint32_t part = tables.part[r], low = tables.share[part], high = tables.share[part + 1];
         for (uint32_t k = low; k < high; ++k)
-            if (terms.kind[k] != LINEAR) return false;
+            if (terms.kind[k] != LINEAR || tables.called[k] >= 0) return false;
         if (!blocks_of(tables.state, part, tables.tau[r], momentum)) return false;
         if (carry && !blocks_of(tables.group, part, tables.tau[r], group)) return false;
         if (carry && group.size() != momentum.size()) return false;

@@ -35,6 +35,7 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
     Room<double> scratch(3 * size), copies(2 * size), momenta(2 * size);
     Room<GroupRows> elements(2 * d * rows), finished(2 * d * rows), group_scratch(3 * d * rows);
     AngleRoom<double> angles(tables.longest);
+    angles.even = even_terms(tables.terms, tables.longest);
     Finisher<care, Side> finisher(tables, schedule, size);
     MemberRecorder<Side, Shared, Finisher<care, Side>> recorder(loop.watch, arrays, schedule, Shared{}, finisher);
     recorder.begin(member, Shared{}, loop.k0);

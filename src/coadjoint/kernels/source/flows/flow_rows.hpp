@@ -1,19 +1,79 @@
 // The rows of a program, read from their table, and what a loop over steps is given.
 #pragma once
 
-#include "flows/actions.hpp"
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "flows/bonds.hpp"
 #include "boundary/crew.hpp"
 
 namespace coadjoint {
 
-// Room for the angles of a part and for the calls of user functions.
+// Which linear terms of many rows have one offset and one weight for all of them, as a lattice in a uniform field has?
+// Only the columns of such a term are read in each step. Constants are those of one system.
+inline std::vector<bool> even_terms(const Terms& terms, int64_t longest) {
+    constexpr int64_t many = 1024;
+    std::vector<bool> even;
+    if (longest < many) return even;
+    even.resize(terms.size);
+    for (int64_t k = 0; k < terms.size; ++k) {
+        const uint32_t row = terms.row[k], stop = terms.row[k + 1];
+        if (terms.kind[k] != LINEAR || stop - row < many) continue;
+        auto alike = [](const double* all, uint32_t first, uint32_t last) {
+            const bool negative = std::signbit(all[first]);
+            return std::all_of(all + first, all + last,
+                               [=](double one) { return one == all[first] && std::signbit(one) == negative; });
+        };
+        const uint32_t entry = terms.entry[row], end = terms.entry[stop];
+        even[k] = entry < end && alike(terms.offset, row, stop) && alike(terms.weight, entry, end);
+    }
+    return even;
+}
+
+// `gradient_rows` of such a term.
+template <class A>
+NOINLINE void even_rows(const Terms& terms, int64_t k, const A* x, A* out) {
+    const uint32_t start = terms.row[k], stop = terms.row[k + 1];
+    const uint32_t *entry = terms.entry, *column = terms.column;
+    const A offset(terms.offset[start]), weight(terms.weight[entry[start]]);
+    for (uint32_t row = start, e = entry[start]; row < stop; ++row) {
+        A total = offset;
+        for (const uint32_t last = entry[row + 1]; e < last; ++e) total = fma(weight, x[column[e]], total);
+        *out++ = total;
+    }
+}
+
+// Room for the angles of a part and for the calls of user functions, and what is known of the terms.
 template <class A>
 struct AngleRoom {
     Room<A> theta, turned, arguments;
     std::vector<double> calls;
+    std::vector<bool> even;
     explicit AngleRoom(int64_t longest)
         : theta(longest), turned(longest), arguments(longest), calls(2 * longest + 2) {}
 };
+
+// The turns of a part whose shares are called.
+template <class A, class C>
+Turns<A> turns_of_part(const FlowTables& tables, const C& constants, uint32_t part, double tau, const A* x,
+                       AngleRoom<A>& room) {
+    const Turns<A> turns{room.theta.at, room.turned.at, room.arguments.at, (tables.direct[part] & DIRECT) != 0};
+    for (uint32_t k = tables.share[part], first = tables.terms.row[k]; k < tables.share[part + 1]; ++k) {
+        const uint32_t own = tables.terms.row[k] - first;
+        called_turns(tables, constants, tables.called[k], tau, x,
+                     Turns<A>{turns.angle + own, turns.sine + own, turns.lowered + own, turns.direct});
+    }
+    return turns;
+}
+
+// Whether a part is made of bonds that turn momenta without blocks. Compensated sums take the blocks.
+template <Care care>
+bool goes_together(const FlowTables& tables, uint32_t part) {
+    return care == PLAIN && (tables.direct[part] & TOGETHER) != 0;
+}
+
+inline bool is_called(const FlowTables& tables, uint32_t part) { return tables.called[tables.share[part]] >= 0; }
 
 // Apply row r: angles from its share, then the action on the momentum and on the group element.
 template <Care care, bool carry, class A, class G, class C>
@@ -29,10 +89,24 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
         lone = linear_row(terms, constants, row, x.at);
     } else {
         const uint32_t low = tables.share[part], high = tables.share[part + 1];
+        if (tables.called[low] >= 0) {
+            const bool together = goes_together<care>(tables, part);
+            Turns<A> turns{};
+            if (carry || !together) turns = turns_of_part(tables, constants, part, tau, x.at, room);
+            if (together)
+                turn_bonds(tables, constants, part, tau, x.at);
+            else
+                act_called<care>(tables.state, constants, part, turns, x, tables.state.size);
+            if constexpr (carry) act_called<CORRECTED>(tables.group, constants, part, turns, group, tables.group.size);
+            return;
+        }
         const A moment = t + A(tables.moment[r] * h);
         for (uint32_t k = low; k < high; ++k)
-            gradient_rows(terms, constants, tables.addresses, k, x.at, moment, room.theta.at, terms.row[low],
-                          room.arguments.at, room.calls.data());
+            if (!room.even.empty() && room.even[k])
+                even_rows(terms, k, x.at, room.theta.at + (terms.row[k] - terms.row[low]));
+            else
+                gradient_rows(terms, constants, tables.addresses, k, x.at, moment, room.theta.at, terms.row[low],
+                              room.arguments.at, room.calls.data());
     }
     Turned<A> turned;
     act<care, false>(tables.state, constants, part, tau, single, lone, room.theta.at, turned, x);
@@ -75,7 +149,11 @@ inline int64_t work_of_step(const FlowLoop& loop) {
     const uint32_t first = tables.section[1], last = tables.section[3];
     int64_t work = work_of_terms(loop.watch.terms, 0, loop.watch.terms.size);
     for (uint32_t r = first; r < last; ++r)
-        work += 16 + work_of_terms(tables.terms, tables.share[tables.part[r]], tables.share[tables.part[r] + 1]);
+        if (is_called(tables, tables.part[r]))
+            work += (goes_together<PLAIN>(tables, tables.part[r]) ? WORK_OF_A_BOND : WORK_OF_A_BODY) *
+                    (tables.share[tables.part[r] + 1] - tables.share[tables.part[r]]);
+        else
+            work += 16 + work_of_terms(tables.terms, tables.share[tables.part[r]], tables.share[tables.part[r] + 1]);
     work += work_of_rows(tables, tables.state, first, last);
     if (tables.group.size > 0) work += tables.group.size * work_of_rows(tables, tables.group, first, last);
     return work;

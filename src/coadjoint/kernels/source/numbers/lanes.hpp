@@ -27,6 +27,8 @@ constexpr int NATIVE = 4;
 constexpr int NATIVE = 2;
 #endif
 
+constexpr int64_t EXPONENT_BITS = int64_t(0x7ff) << 52, INVERSE_BITS = int64_t(2046) << 52;
+
 template <int width>
 struct Registers;
 #define REGISTERS(width)                                                \
@@ -146,6 +148,22 @@ struct Lanes {
         EACH(c.part[k] = (Vector)(((Unsigned)rounded.part[k] << 52) + (uint64_t(1023) << 52)))
         return c;
     }
+    // The power of two below each lane, or its inverse: exponents without digits. Zero has 2^1023 for an inverse.
+    INLINE friend Lanes leading_power(const Lanes& a) {
+        Lanes b;
+        EACH(b.part[k] = (Vector)((Bits)a.part[k] & EXPONENT_BITS))
+        return b;
+    }
+    INLINE friend Lanes inverse_power(const Lanes& power) {
+        Lanes b;
+        EACH(b.part[k] = (Vector)(INVERSE_BITS - (Bits)power.part[k]))
+        return b;
+    }
+    INLINE friend Lanes square_root(const Lanes& a) {
+        Lanes b;
+        EACH(b.part[k] = rooted(a.part[k]))
+        return b;
+    }
     template <class Function>
     INLINE friend Lanes map(const Lanes& a, Function function) {
         Lanes b;
@@ -181,6 +199,17 @@ struct Lanes {
 #endif
         return fused_by_lane(a, b, c);
     }
+    INLINE static Vector rooted(Vector a) {
+#if defined(__AVX512F__)
+        if constexpr (width == 8) return (Vector)_mm512_sqrt_pd((__m512d)a);
+#endif
+#if defined(__AVX2__)
+        if constexpr (width == 4) return (Vector)_mm256_sqrt_pd((__m256d)a);
+#endif
+        Vector b{};
+        for (int lane = 0; lane < width; ++lane) b[lane] = __builtin_sqrt(a[lane]);
+        return b;
+    }
     // Without the instruction each lane is a call: not many times in every loop.
     NOINLINE static Vector fused_by_lane(Vector a, Vector b, Vector c) {
         Vector d{};
@@ -208,6 +237,21 @@ INLINE double power_of_two(double rounded) {
     std::memcpy(&rounded, &bits, 8);
     return rounded;
 }
+INLINE double leading_power(double a) {
+    int64_t bits;
+    std::memcpy(&bits, &a, 8);
+    bits &= EXPONENT_BITS;
+    std::memcpy(&a, &bits, 8);
+    return a;
+}
+INLINE double inverse_power(double power) {
+    int64_t bits;
+    std::memcpy(&bits, &power, 8);
+    bits = INVERSE_BITS - bits;
+    std::memcpy(&power, &bits, 8);
+    return power;
+}
+INLINE double square_root(double a) { return __builtin_sqrt(a); }
 template <class Function>
 INLINE double map(double a, Function function) { return function(a); }
 INLINE double lane_of(double a, int) { return a; }

@@ -13,6 +13,7 @@ struct StepScheme {
     double residual = 0.0;  // the last correction of the last step
     int64_t evaluations = 0, iterations = 0;
     int64_t remembered = 0;    // how many numbers the scheme remembers of a member from step to step: its constructor says
+    int64_t member = 0;        // whose step is taken: its number in the run
     double* memory = nullptr;  // where they stand, NaN before the first step; null where there are none
 
     virtual ~StepScheme() = default;

@@ -67,6 +67,7 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
             own = made(tables, constants);
             scheme = own.get();
         }
+        scheme->member = member;
         scheme->memory = arrays.remembered ? loop.memory_of(member) : nullptr;
         // Beyond the last coordinate there are zeros, and nothing that the member before has left.
         std::fill_n(x, 16 * eights, 0.0);

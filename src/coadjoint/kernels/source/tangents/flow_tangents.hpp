@@ -80,23 +80,35 @@ struct FlowTraveller {
         const double tau = tables.tau[r];
         const A moment = t + A(tables.moment[r] * h);
         A* theta = angles.theta.at;
-        for (uint32_t k = low; k < high; ++k) {
-            gradient_rows(terms, Shared{}, tables.addresses, k, x, moment, theta, base, angles.arguments.at,
-                          angles.calls.data());
-            gradient_changes(terms, tangents.hessians, k, x, moment, vectors, rows, changes.at, base, bends);
+        if (is_called(tables, part)) {
+            for (uint32_t k = low; k < high; ++k)
+                called_changes(tables, tables.called[k], tau, x, vectors, rows,
+                               changes.at + (terms.row[k] - base) * rows);
+            const Turns<A> turns = turns_of_part(tables, Shared{}, part, tau, x, angles);
+            if (goes_together<care>(tables, part))
+                turn_bonds(tables, Shared{}, part, tau, x);
+            else
+                act_called<care>(tables.state, Shared{}, part, turns, Vectors<A>{x, dx, 1, scratch.at}, size);
+            act_called<PLAIN>(tables.state, Shared{}, part, turns, Vectors<V>{vectors, nullptr, rows, wide.at}, size);
+        } else {
+            for (uint32_t k = low; k < high; ++k) {
+                gradient_rows(terms, Shared{}, tables.addresses, k, x, moment, theta, base, angles.arguments.at,
+                              angles.calls.data());
+                gradient_changes(terms, tangents.hessians, k, x, moment, vectors, rows, changes.at, base, bends);
+            }
+            for (int64_t a = 0; a < count; ++a) {
+                // A rational rotation by phi turns by 2 atan(phi/2).
+                const A half = 0.5 * tables.frequency[base + a] * (tau * theta[a]);
+                const V by(A(tau) / fma(half, half, A(1.0)));
+                for (int64_t b = 0; b < rows; ++b) changes.at[a * rows + b] *= by;
+            }
+            const A lone = single ? theta[0] : A(0.0);
+            Turned<A> turned;
+            act<care, false>(tables.state, Shared{}, part, tau, single, lone, theta, turned,
+                             Vectors<A>{x, dx, 1, scratch.at});
+            act<PLAIN, true>(tables.state, Shared{}, part, tau, single, lone, theta, turned,
+                             Vectors<V>{vectors, nullptr, rows, wide.at});
         }
-        for (int64_t a = 0; a < count; ++a) {
-            // A rational rotation by phi turns by 2 atan(phi/2).
-            const A half = 0.5 * tables.frequency[base + a] * (tau * theta[a]);
-            const V by(A(tau) / fma(half, half, A(1.0)));
-            for (int64_t b = 0; b < rows; ++b) changes.at[a * rows + b] *= by;
-        }
-        const A lone = single ? theta[0] : A(0.0);
-        Turned<A> turned;
-        act<care, false>(tables.state, Shared{}, part, tau, single, lone, theta, turned,
-                         Vectors<A>{x, dx, 1, scratch.at});
-        act<PLAIN, true>(tables.state, Shared{}, part, tau, single, lone, theta, turned,
-                         Vectors<V>{vectors, nullptr, rows, wide.at});
         add_turned(tables.state, part, x, changes.at, vectors, rows);
     }
 };

@@ -1,0 +1,160 @@
+"""From forces to the tables of their flows, functions compiled."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.extras import need
+from coadjoint.kernels.description import codes
+from coadjoint.kernels.functions import CompiledFunction
+from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.step_tables import PLACE_OF_INNER, places_of, step_tables_of
+from coadjoint.kernels.stepping import STEP_LOOP
+from coadjoint.kernels.structures import pointed
+from coadjoint.kernels.tables import watch_tables
+from coadjoint.systems.forces.base import Noise
+
+NOTHING = np.zeros(1, dtype=np.int64)
+
+
+class ForceTable(NamedTuple):
+    """A force as the kernels read it; `account` is where what it has done begins, `accounts` how many invariants.
+
+    The directions of a noise fall into `sets` that commute; set s has the directions begin[s] to begin[s + 1].
+    """
+
+    kind: int
+    account: int
+    accounts: int
+    shape: int
+    rate: NDArray[np.float64]
+    aim: NDArray[np.float64]
+    function: NDArray[np.int64]
+    amplitude: float = 0.0
+    seed: int = 0
+    stream: int = 0
+    sets: int = 0
+    begin: NDArray[np.int64] = NOTHING
+    direction: NDArray[np.int64] = NOTHING
+
+
+class Account(NamedTuple):
+    """What a force has changed of an invariant since the start: an entry behind the coordinates of a state."""
+
+    force: str
+    invariant: str
+
+
+def accounts_of(system: Any) -> tuple[Account, ...]:
+    """Return the accounts of a system with forces: of each force the energy, and the Casimirs where it breaks them."""
+    found = []
+    for label, force in zip(system.labels, system.forces, strict=True):
+        followed = ["energy", *(() if force.casimirs else system.casimirs)]
+        found += [Account(label, name) for name in followed]
+    return tuple(found)
+
+
+class _Reader:
+    """Makes the table of a force; `keep` holds the machine code of its function."""
+
+    def __init__(self, n: int, account: int, accounts: int) -> None:
+        self.n, self._accounts = n, (account, accounts)
+        self.keep: tuple[CompiledFunction, ...] = ()
+
+    def _table(self, kind: str, rate: Any = 0.0, aim: Any = (), **more: Any) -> ForceTable:
+        matrix, vector = np.array(rate, dtype=np.float64), np.array(aim, dtype=np.float64)
+        shape = codes("Shape")[("MULTIPLE", "DIAGONAL", "FULL")[matrix.ndim]]
+        function = np.array([kept.address for kept in self.keep], dtype=np.int64)
+        return ForceTable(
+            codes("ForceKind")[kind], *self._accounts, shape, matrix.ravel(), vector.ravel(), function, **more
+        )
+
+    def damping(self, rate: NDArray[Any], toward: NDArray[Any]) -> ForceTable:
+        return self._table("DAMPING", rate, toward)
+
+    def constant(self, torque: NDArray[Any]) -> ForceTable:
+        return self._table("CONSTANT", aim=torque)
+
+    def function(self, torque: Callable[..., Any], arguments: str) -> ForceTable:
+        self._compile(torque, arguments, self.n, "the torque")
+        return self._table("OF_TIME" if arguments == "t" else "OF_STATE")
+
+    def on_orbit(self, metric: NDArray[Any], root: NDArray[Any], noise: Noise | None) -> ForceTable:
+        if noise is None:
+            return self._table("ON_ORBIT", metric, root)
+        begin = np.cumsum([0, *map(len, noise.sets)], dtype=np.int64)
+        direction = np.array([a for some in noise.sets for a in some], dtype=np.int64)
+        counts = {"sets": len(noise.sets), "begin": begin, "direction": direction}
+        drawn = {"amplitude": noise.amplitude, "seed": noise.seed, "stream": noise.stream}
+        return self._table("ON_ORBIT", metric, root, **drawn, **counts)
+
+    def flow(self, function: Callable[..., Any]) -> ForceTable:
+        self._compile(function, "x, t, tau", self.n + 1, "the flow of a force")
+        return self._table("BY_FLOW")
+
+    def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
+        need(f"{what}, a Python function,", "numba")
+        timed = arguments != "x"
+        taken = _taking(function, arguments)
+        self.keep = (CompiledFunction(taken, size, self.n, scalar=False, flat=True, timed=timed, what=what),)
+
+
+# Kept, so that a function is compiled once for many runs.
+@lru_cache(maxsize=256)
+def _taking(function: Callable[..., Any], arguments: str) -> Callable[..., Any]:
+    """Return a function of (y) or (y, t), as the kernels call it, from one of other arguments."""
+    if arguments in ("x", "x, t"):
+        return function
+    import numba
+
+    inner = function if hasattr(function, "py_func") else numba.njit(error_model="numpy", boundscheck=True)(function)
+
+    def of_time(y: Any, t: float) -> Any:
+        return inner(t)
+
+    def of_flow(y: Any, t: float) -> Any:
+        return inner(y[:-1], t, y[-1])
+
+    return of_time if arguments == "t" else of_flow
+
+
+def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> CompiledLoop:
+    """Return the loop over steps of another loop between half flows of forces.
+
+    Parameters
+    ----------
+    system : ForcedSystem
+        The system.
+    inner : CompiledLoop
+        The loop of its Hamiltonian part, of one member.
+    representation : None, "coadjoint" or (n, d, d) array
+        The group element that is carried along.
+
+    Returns
+    -------
+    CompiledLoop
+        With a `Stepping`, and the accounts of the forces.
+    """
+    accounts, first = accounts_of(system), 0
+    tables: list[ForceTable] = []
+    keep: list[Any] = []
+    for label, force in zip(system.labels, system.forces, strict=True):
+        count = sum(account.force == label for account in accounts)
+        reader = _Reader(system.dim, first, count)
+        tables.append(force.given_to(reader, system.system))
+        first += count
+        keep += reader.keep
+    every = all(force.casimirs for force in system.forces)
+    followed = watch_tables(system.system, {} if every else system.casimirs)
+    places, kept = places_of(inner, system.system, representation)
+    read = [pointed(table) for table in tables]
+    whole = [*places, len(tables), *map(ctypes.addressof, read)]
+    found = step_tables_of(system.system, "forced", followed, whole, representation, (*keep, *read, *kept))
+    held: dict[int, Any] = {PLACE_OF_INNER: inner, **dict(enumerate(tables, len(places) + 1))}
+    return CompiledLoop(STEP_LOOP, found.tables, found.keep, accounts=accounts, held=held)

@@ -1,0 +1,234 @@
+// Parts whose flow is called by its name: their generators do not commute, and their angles change on the way.
+//
+// A called flow moves by a group element, and that is written as turns about fixed generators, one after the other. So
+// the blocks of the table turn whatever the algebra and the group element have, as they do for other parts. For the free
+// body on e1, e2, e3 the turns are about e3, e1, e2, e3, in this order; the first one is zero except where the turn
+// about e2 is near a right angle.
+//
+// A bond is a spherical body whose momentum is the sum of two: it turns both about their sum.
+#pragma once
+
+#include <vector>
+
+#include "flows/actions.hpp"
+#include "flows/free_body.hpp"
+
+namespace coadjoint {
+
+constexpr int BODY_TURNS = 4;
+constexpr int BODY_COLUMNS = 6;       // the triple, and the other one of a bond; of a free body the same again
+constexpr int BODY_CONSTANTS = 15;    // moments, principal axes in rows of components, lengths of the generators
+constexpr double UPRIGHT = 0.9;       // the sine from which a turn about e2 counts as near a right angle
+constexpr int64_t WORK_OF_A_BODY = 500;  // multiplications that a short flow of a body takes
+constexpr int64_t WORK_OF_A_BOND = 60;
+constexpr int DIRECT = 1, TOGETHER = 2;  // bits of FlowTables::direct
+constexpr double TWO_PI = 6.2831853071795865;
+
+// The turns of a called flow: each by sine and cosine minus one, or by its angle.
+template <class A>
+struct Turns {
+    A *angle, *sine, *lowered;
+    bool direct;  // every block turns by the angle itself: angles are not needed
+};
+
+// The free body or the bond that a share calls, in the numbers of one member or of lanes.
+template <class A>
+struct CalledBody {
+    A moments[3], axes[9], scale[3], momentum[3];
+    const uint32_t* column;
+    bool bond;
+
+    template <class C>
+    CalledBody(const FlowTables& tables, const C& constants, int64_t body, const A* x)
+        : column(tables.body_column + BODY_COLUMNS * body), bond(column[3] != column[0]) {
+        const auto constant = [&](int k) {
+            return constants.template number_at<A>(tables.body, BODY_CONSTANTS * body + k);
+        };
+        for (int i = 0; i < 3; ++i) moments[i] = constant(i), scale[i] = constant(12 + i);
+        for (int i = 0; i < 9; ++i) axes[i] = constant(3 + i);
+        A own[3];
+        for (int i = 0; i < 3; ++i) own[i] = scale[i] * (bond ? x[column[i]] + x[column[3 + i]] : x[column[i]]);
+        for (int c = 0; c < 3; ++c) {
+            const A axis[3] = {axes[c], axes[3 + c], axes[6 + c]};
+            momentum[c] = dot(axis, own);
+        }
+    }
+
+    // The quaternion of the turn along the principal axes.
+    template <class R>
+    Quaternion<R> turn(const R* z, double tau) const {
+        return bond ? spherical_turn<A, R>(moments[0], z, tau) : body_turn<A, R>(moments, z, tau);
+    }
+
+    // From the principal axes to the coordinates.
+    template <class R>
+    void outward(const R* along, R* v) const {
+        for (int i = 0; i < 3; ++i)
+            v[i] = fma(R(axes[3 * i + 2]), along[2], fma(R(axes[3 * i + 1]), along[1], R(axes[3 * i]) * along[0]));
+    }
+};
+
+// The angle in (-pi, pi] of a sine and a cosine.
+inline double angle_of(double sine, double cosine) {
+    const double size = absolute(cosine);
+    double t = sine / (1.0 + size);  // of half the angle, then of an eighth
+    t = t / (1.0 + std::sqrt(fma(t, t, 1.0)));
+    t = t / (1.0 + std::sqrt(fma(t, t, 1.0)));
+    const double z = -t * t;
+    double sum = 0.0;
+    for (int k = 14; k > 0; --k) sum = z * (sum + 1.0 / (2 * k + 1));
+    const double angle = 8.0 * fma(t, sum, t);
+    return cosine < 0.0 ? (sine < 0.0 ? -0.5 * TWO_PI : 0.5 * TWO_PI) - angle : angle;
+}
+
+// The turn by the angle of (along, across), whose length is `size`.
+template <class A>
+INLINE void set_turn(const Turns<A>& turns, int k, const A& across, const A& along, const A& size) {
+    const A sum = along + size, inverse = A(1.0) / (size * sum);
+    turns.sine[k] = across * sum * inverse;
+    turns.lowered[k] = -(across * across) * inverse;
+    const auto backward = along < A(0.0);
+    if (__builtin_expect(any(backward), 0)) {
+        turns.sine[k] = select(backward, across / size, turns.sine[k]);
+        turns.lowered[k] = select(backward, along / size - A(1.0), turns.lowered[k]);
+    }
+    if (!turns.direct)
+        for (int lane = 0; lane < Numbers<A>::lanes; ++lane)
+            set_lane(turns.angle[k], lane,
+                     angle_of(lane_of(turns.sine[k], lane), 1.0 + lane_of(turns.lowered[k], lane)));
+}
+
+// Whether four turns are minus a quaternion, which matters where a block turns by half the angle.
+inline bool opposite(const double* angle, const Quaternion<double>& q) {
+    Quaternion<double> total{1.0, {0.0, 0.0, 0.0}};
+    const int axis[BODY_TURNS] = {2, 0, 1, 2};
+    for (int k = 0; k < BODY_TURNS; ++k) {
+        const Rotation<double> half = rotation_by(0.5 * angle[k]);
+        Quaternion<double> one{half.lowered + 1.0, {0.0, 0.0, 0.0}};
+        one.vector[axis[k]] = half.sine;
+        total = after(one, total);
+    }
+    return fma(total.whole, q.whole, dot(total.vector, q.vector)) < 0.0;
+}
+
+// A quaternion as turns about e3, e1, e2, e3.
+template <class A>
+INLINE void turns_of(const Quaternion<A>& q, const Turns<A>& turns) {
+    const A w = q.whole, x = q.vector[0], y = q.vector[1], z = q.vector[2];
+    const A ww = w * w, xx = x * x, yy = y * y, zz = z * z, wx = w * x, wy = w * y, wz = w * z;
+    const A size = (ww + xx) + (yy + zz);
+    const A tilt = 2.0 * (wy - x * z);                              // -R31
+    const A a = 2.0 * fma(y, z, wx), b = (ww + zz) - (xx + yy);     // R32, R33
+    const A c = 2.0 * fma(x, y, wz), d = (ww + xx) - (yy + zz);     // R21, R11
+    const A level = square_root(fma(a, a, b * b));
+    A across[BODY_TURNS] = {A(0.0), a, tilt, c}, along[BODY_TURNS] = {A(1.0), b, level, d};
+    A length[BODY_TURNS] = {A(1.0), level, size, level};
+    const auto upright = A(UPRIGHT) * size < absolute(tilt);
+    if (__builtin_expect(any(upright), 0)) {
+        const A f = 2.0 * (y * z - wx), g = 2.0 * fma(x, z, wy);    // R23, R13
+        const A beside = square_root(fma(a, a, tilt * tilt)), one(1.0), zero(0.0);
+        const A other_across[BODY_TURNS] = {a, zero, beside, f}, other_along[BODY_TURNS] = {tilt, one, b, g};
+        const A other_length[BODY_TURNS] = {beside, one, size, beside};
+        for (int k = 0; k < BODY_TURNS; ++k) {
+            across[k] = select(upright, other_across[k], across[k]);
+            along[k] = select(upright, other_along[k], along[k]);
+            length[k] = select(upright, other_length[k], length[k]);
+        }
+    }
+    for (int k = 0; k < BODY_TURNS; ++k) set_turn(turns, k, across[k], along[k], length[k]);
+    if (turns.direct || all(A(0.5) * size < ww * select(w < A(0.0), A(0.0), A(1.0)))) return;
+    for (int lane = 0; lane < Numbers<A>::lanes; ++lane) {
+        double angle[BODY_TURNS];
+        for (int k = 0; k < BODY_TURNS; ++k) angle[k] = lane_of(turns.angle[k], lane);
+        const Quaternion<double> own{lane_of(w, lane), {lane_of(x, lane), lane_of(y, lane), lane_of(z, lane)}};
+        if (opposite(angle, own)) set_lane(turns.angle[0], lane, angle[0] + TWO_PI);
+    }
+}
+
+// The turns that a share calls, over the time tau.
+template <class A, class C>
+NOINLINE void called_turns(const FlowTables& tables, const C& constants, int64_t body, double tau, const A* x,
+                           const Turns<A>& turns) {
+    const CalledBody<A> own(tables, constants, body, x);
+    Quaternion<A> along = own.turn(own.momentum, tau), q{along.whole, {}};
+    own.outward(along.vector, q.vector);
+    turns_of(q, turns);
+    const A lengths[BODY_TURNS] = {own.scale[2], own.scale[0], own.scale[1], own.scale[2]};
+    for (int k = 0; k < BODY_TURNS; ++k) {
+        turns.sine[k] = turns.sine[k] * lengths[k];
+        if (!turns.direct) turns.angle[k] = turns.angle[k] * lengths[k];
+    }
+}
+
+// How the element that a share calls is turned further where the momentum changes: by changes of its turns about e1,
+// e2, e3 that come last, for vectors side by side.
+template <class A, class V>
+NOINLINE void called_changes(const FlowTables& tables, int64_t body, double tau, const A* x, const V* vectors,
+                             int64_t rows, V* changes) {
+    typedef Dual<A> R;
+    const CalledBody<A> own(tables, Shared{}, body, x);
+    R momentum[3];
+    for (int i = 0; i < 3; ++i)
+        momentum[i] = R(own.momentum[i], A(double(i == 0)), A(double(i == 1)), A(double(i == 2)));
+    const Quaternion<R> q = own.turn(momentum, tau);
+    const uint32_t* column = own.column;
+    const A vector[3] = {q.vector[0].value, q.vector[1].value, q.vector[2].value};
+    A bend[9];  // by row: the change along a coordinate for each component of the momentum along the principal axes
+    for (int c = 0; c < 3; ++c) {
+        const A slope[3] = {q.vector[0].slope[c], q.vector[1].slope[c], q.vector[2].slope[c]};
+        A crossed[3], along[3], outward[3];
+        cross(slope, vector, crossed);
+        for (int i = 0; i < 3; ++i)
+            along[i] = 2.0 * (fma(q.whole.value, slope[i], -(q.whole.slope[c] * vector[i])) - crossed[i]);
+        own.outward(along, outward);
+        for (int i = 0; i < 3; ++i) bend[3 * i + c] = outward[i];
+    }
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j) {
+            const A axes[3] = {own.axes[3 * j], own.axes[3 * j + 1], own.axes[3 * j + 2]};
+            const V by((own.scale[i] * own.scale[j]) * dot(bend + 3 * i, axes));
+            for (int64_t b = 0; b < rows; ++b) {
+                V& change = changes[(1 + i) % BODY_TURNS * rows + b];
+                const V moved = own.bond ? by * (vectors[column[j] * rows + b] + vectors[column[3 + j] * rows + b])
+                                         : by * vectors[column[j] * rows + b];
+                change = j == 0 ? moved : change + moved;
+            }
+        }
+    for (int64_t b = 0; b < rows; ++b) changes[b] = V(0.0);
+}
+
+// Move vectors by the turns of a part. A first turn that is zero leaves everything as it is, the bits of errors too.
+template <Care care, class A, class V, class C>
+NOINLINE void act_called(const Action& action, const C& constants, uint32_t part, const Turns<A>& turns,
+                         const Vectors<V>& x, int64_t size) {
+    for (uint32_t run = action.run[part], last = action.run[part + 1]; run < last; ++run) {
+        const uint32_t first = action.angle[run];
+        const auto turn_all = [&] {
+            if (!turns.direct) return act_apart<care>(action, constants, run, 1.0, turns.angle + first, x);
+            const uint32_t repeat = action.repeat[run], *index = action.indices + action.place[run];
+            for (uint32_t q = 0; q < action.angles[run]; ++q, index += 2 * repeat) {
+                const A w = constants.template number_at<A>(action.constants, action.constant[run] + q);
+                rotate<care>(Rotation<A>{turns.sine[first + q] * w, turns.lowered[first + q]}, index, repeat, x);
+            }
+        };
+        if (first % BODY_TURNS != 0) {
+            turn_all();
+            continue;
+        }
+        const auto turned = !((turns.direct ? turns.lowered[first] : turns.angle[first]) == A(0.0));
+        if (__builtin_expect(!any(turned), 1)) continue;
+        if constexpr (Numbers<A>::lanes > 1) {
+            std::vector<V> before(x.at, x.at + size * x.rows), owed;
+            if (care != PLAIN) owed.assign(x.errors, x.errors + size * x.rows);
+            turn_all();
+            for (int64_t i = 0; i < size * x.rows; ++i) {
+                x.at[i] = select(turned, x.at[i], before[i]);
+                if (care != PLAIN) x.errors[i] = select(turned, x.errors[i], owed[i]);
+            }
+        } else {
+            turn_all();
+        }
+    }
+}
+
+}  // namespace coadjoint

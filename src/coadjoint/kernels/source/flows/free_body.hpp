@@ -1,0 +1,250 @@
+// The free rigid body over a time, exactly: by which quaternion does it turn? And how does that depend on the momentum?
+//
+// On coordinates z of so(3) with H = (m1 z1^2 + m2 z2^2 + m3 z3^2)/2 the motion z' = (m z) cross z is
+//     z_i(s) = (z_i C_j C_k + s a_i C_i z_j z_k)/D,    C_i^2 = D + s^2 p_i,    D = s^2 (P(s) - p),
+// with a_1 = m2 - m3 and so on, p_1 = a2 a3 z1^2 and so on, 3 p = p1 + p2 + p3, and Weierstrass's function P, whose
+// roots are e_i = p - p_i: the addition theorem from the pole of P. It holds for moments of any sign and order, equal
+// ones too, on a separatrix and at rest, and nothing in it is small where z is not. Time goes in pieces so short that
+// the series of P and of the roots converge in a few terms.
+//
+// The body turns by the shortest rotation from z to z(s), and then about z(s) by an angle whose rate is a smooth
+// function of z(s): Gauss's quadrature with five points is exact to rounding over such a piece.
+#pragma once
+
+#include "numbers/dual.hpp"
+
+namespace coadjoint {
+
+// The five points of the quadrature, the end of the piece, and what fills the lanes.
+constexpr int POINTS = 6, WIDTH = 8;
+constexpr double NODE[WIDTH] = {0.046910077030668004, 0.23076534494715845, 0.5,
+                                0.7692346550528415, 0.953089922969332, 1.0, 1.0, 1.0};
+constexpr double SHARE[POINTS - 1] = {0.11846344252809454, 0.23931433524968324, 0.28444444444444444,
+                                      0.23931433524968324, 0.11846344252809454};
+
+constexpr double PIECE = 0.125;       // the longest time, in units of 1/(|z| max |a|)
+constexpr double MOST_PIECES = 65536; // in one flow; a longer one would have lost the motion anyway
+
+template <class A>
+struct Quaternion {
+    A whole, vector[3];
+};
+
+template <class A>
+INLINE void cross(const A* u, const A* v, A* w) {
+    for (int i = 0; i < 3; ++i) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+        w[i] = fma(u[j], v[k], -(u[k] * v[j]));
+    }
+}
+
+template <class A>
+INLINE A dot(const A* u, const A* v) {
+    return fma(u[2], v[2], fma(u[1], v[1], u[0] * v[0]));
+}
+
+// What one piece of time has at all of its points: m, a, z, p, and s^2 P(s) = 1 + c2 s^4 + c3 s^6 + ... + c6 s^12.
+template <class A>
+struct BodyPiece {
+    A m[3], a[3], z[3], p[3], middle, energy, length2, c[5];
+
+    BodyPiece() = default;
+
+    INLINE BodyPiece(const A* moments, const A* differences, const A* momentum) {
+        A e[3];
+        for (int i = 0; i < 3; ++i) m[i] = moments[i], a[i] = differences[i], z[i] = momentum[i];
+        for (int i = 0; i < 3; ++i) p[i] = (a[(i + 1) % 3] * a[(i + 2) % 3]) * (z[i] * z[i]);
+        middle = (p[0] + p[1] + p[2]) * A(1.0 / 3.0);
+        for (int i = 0; i < 3; ++i) e[i] = middle - p[i];
+        A turn[3];
+        for (int i = 0; i < 3; ++i) turn[i] = m[i] * z[i];
+        energy = dot(turn, z);
+        length2 = dot(z, z);
+        c[0] = dot(e, e) * A(1.0 / 10.0);
+        c[1] = (e[0] * e[1] * e[2]) * A(1.0 / 7.0);
+        c[2] = (c[0] * c[0]) * A(1.0 / 3.0);
+        c[3] = (c[0] * c[1]) * A(3.0 / 11.0);
+        c[4] = fma(c[0] + c[0], c[2], c[1] * c[1]) * A(1.0 / 13.0);
+    }
+
+    // The same numbers on wider lanes.
+    template <class B>
+    INLINE explicit BodyPiece(const BodyPiece<B>& other)
+        : middle(widened(other.middle)), energy(widened(other.energy)), length2(widened(other.length2)) {
+        for (int i = 0; i < 3; ++i) {
+            m[i] = widened(other.m[i]), a[i] = widened(other.a[i]);
+            z[i] = widened(other.z[i]), p[i] = widened(other.p[i]);
+        }
+        for (int k = 0; k < 5; ++k) c[k] = widened(other.c[k]);
+    }
+
+    template <class B>
+    static INLINE A widened(const B& b) { return A(b); }
+    template <class B>
+    static INLINE A widened(const Dual<B>& b) {
+        typedef decltype(A().value) V;
+        return A(V(b.value), V(b.slope[0]), V(b.slope[1]), V(b.slope[2]));
+    }
+
+    // At s, with square = s^2: by how much z has changed, and the rate of the turn about z(s), over |z|.
+    INLINE A at(const A& s, const A& square, A* change) const {
+        const A fourth = square * square;
+        const A r = fourth * fma(fourth, fma(fourth, c[4], fma(square, c[3], c[2])), fma(square, c[1], c[0]));
+        const A lowered = fma(-square, middle, r);  // D - 1
+        A root[3];                                  // C_i - 1
+        for (int i = 0; i < 3; ++i) root[i] = lowered_root(fma(square, p[i], lowered));
+        const A inverse = A(1.0) / (lowered + A(1.0));
+        for (int i = 0; i < 3; ++i) {
+            const int j = (i + 1) % 3, k = (i + 2) % 3;
+            const A along = fma(root[j], root[k], root[j] + root[k]) - lowered;
+            const A across = (s * a[i]) * (z[j] * z[k]);
+            change[i] = fma(z[i], along, fma(across, root[i], across)) * inverse;
+        }
+        A turn[3];
+        for (int i = 0; i < 3; ++i) turn[i] = m[i] * z[i];
+        return (dot(turn, change) + (energy + energy)) / (dot(z, change) + (length2 + length2));
+    }
+
+    // sqrt(1 + e) - 1 for |e| < 0.011, by the binomial series: the first neglected term is below 2^-57 of it.
+    static INLINE A lowered_root(const A& e) {
+        const A ee = e * e;
+        const A low = fma(ee, fma(e, A(-5.0 / 128), A(1.0 / 16)), fma(e, A(-1.0 / 8), A(1.0 / 2)));
+        const A high = fma(ee, fma(e, A(-429.0 / 32768), A(33.0 / 2048)), fma(e, A(-21.0 / 1024), A(7.0 / 256)));
+        return e * fma(ee * ee, high, low);
+    }
+};
+
+// How one number, and how lanes, go through all points of a piece: side by side, or one after the other. Each point is
+// computed by the same operations.
+typedef Lanes<WIDTH> Wide;
+
+template <class A>
+INLINE A added_up(const A* rates) {
+    return fma(A(SHARE[2]), rates[2], A(SHARE[0]) * rates[0] + A(SHARE[1]) * rates[1]) +
+           (A(SHARE[3]) * rates[3] + A(SHARE[4]) * rates[4]);
+}
+
+INLINE double through_points(const BodyPiece<double>& piece, double* change) {
+    const BodyPiece<Wide> wide(piece);
+    const Wide s = load<Wide>(NODE);
+    Wide changes[3];
+    double rates[WIDTH];
+    store(rates, wide.at(s, s * s, changes));
+    for (int i = 0; i < 3; ++i) change[i] = changes[i][POINTS - 1];
+    return added_up(rates);
+}
+
+INLINE Dual<double> through_points(const BodyPiece<Dual<double>>& piece, Dual<double>* change) {
+    const BodyPiece<Dual<Wide>> wide(piece);
+    const Dual<Wide> s(load<Wide>(NODE));
+    Dual<Wide> changes[3];
+    const Dual<Wide> found = wide.at(s, s * s, changes);
+    const auto lane = [](const Dual<Wide>& d, int k) {
+        return Dual<double>(d.value[k], d.slope[0][k], d.slope[1][k], d.slope[2][k]);
+    };
+    Dual<double> rates[POINTS];
+    for (int k = 0; k < POINTS; ++k) rates[k] = lane(found, k);
+    for (int i = 0; i < 3; ++i) change[i] = lane(changes[i], POINTS - 1);
+    return added_up(rates);
+}
+
+template <class A>
+NOINLINE A through_points(const BodyPiece<A>& piece, A* change) {
+    A rates[POINTS];
+    for (int k = 0; k < POINTS; ++k) {
+        const A s(NODE[k]);
+        rates[k] = piece.at(s, s * s, change);
+    }
+    return added_up(rates);
+}
+
+// The quaternion of one piece of time, which is contained in m and a; moves z.
+template <class A, class Mask>
+INLINE Quaternion<A> turn_in_piece(const A* m, const A* a, A* z, const Mask& moving) {
+    BodyPiece<A> piece(m, a, z);
+    piece.length2 = select(moving, piece.length2, A(1.0));
+    A change[3], shortest[3], about[3];
+    const A rate = through_points(piece, change);
+    const A length2 = piece.length2, length = square_root(length2);
+    const Rotation<A> turn = rotation_by(A(0.5) * (length * rate));
+    const A cosine = turn.lowered + A(1.0), sine = turn.sine / length;
+    const A doubled = length2 + length2;
+    const A whole = square_root(A(1.0) - dot(change, change) / (doubled + doubled));
+    cross(z, change, shortest);
+    const A by = A(1.0) / (doubled * whole);
+    for (int i = 0; i < 3; ++i) shortest[i] = shortest[i] * by, z[i] = z[i] + change[i];
+    cross(z, shortest, about);
+    Quaternion<A> found;
+    found.whole = cosine * whole;
+    for (int i = 0; i < 3; ++i)
+        found.vector[i] = fma(cosine, shortest[i], sine * fma(whole, z[i], about[i]));
+    return found;
+}
+
+// q after p.
+template <class A>
+INLINE Quaternion<A> after(const Quaternion<A>& q, const Quaternion<A>& p) {
+    A crossed[3];
+    cross(q.vector, p.vector, crossed);
+    Quaternion<A> found;
+    found.whole = fma(q.whole, p.whole, -dot(q.vector, p.vector));
+    for (int i = 0; i < 3; ++i)
+        found.vector[i] = fma(q.whole, p.vector[i], fma(p.whole, q.vector[i], crossed[i]));
+    return found;
+}
+
+INLINE double value_of(double a) { return a; }
+template <int N>
+INLINE Lanes<N> value_of(const Lanes<N>& a) { return a; }
+template <class A>
+INLINE A value_of(const Dual<A>& a) { return a.value; }
+
+// The quaternion of the turn of a body with three equal moments: about the momentum, by the angle moment tau |z|.
+template <class A, class R>
+INLINE Quaternion<R> spherical_turn(const A& moment, const R* momentum, double tau) {
+    const A size = larger(absolute(value_of(momentum[0])),
+                          larger(absolute(value_of(momentum[1])), absolute(value_of(momentum[2]))));
+    const A power = leading_power(size), inverse = inverse_power(power);
+    R z[3];
+    for (int i = 0; i < 3; ++i) z[i] = momentum[i] * R(inverse);
+    const R length = square_root(select(A(0.0) < size, dot(z, z), R(1.0)));
+    const Rotation<R> turn = rotation_by(R(0.5 * (moment * (tau * power))) * length);
+    const R sine = turn.sine / length;
+    return Quaternion<R>{turn.lowered + R(1.0), {sine * z[0], sine * z[1], sine * z[2]}};
+}
+
+// The quaternion of the turn over the time tau from the momentum z along the principal axes; no numbers where the time
+// is more than MOST_PIECES pieces. R is A, or A with its derivatives by z.
+template <class A, class R>
+INLINE Quaternion<R> body_turn(const A* moments, const R* momentum, double tau) {
+    R z[3];
+    const A size = larger(absolute(value_of(momentum[0])),
+                          larger(absolute(value_of(momentum[1])), absolute(value_of(momentum[2]))));
+    const A power = leading_power(size), inverse = inverse_power(power);
+    for (int i = 0; i < 3; ++i) z[i] = momentum[i] * R(inverse);
+    const A time = tau * power;
+    A differences[3];
+    for (int i = 0; i < 3; ++i) differences[i] = moments[(i + 1) % 3] - moments[(i + 2) % 3];
+    const A widest = larger(absolute(differences[0]), larger(absolute(differences[1]), absolute(differences[2])));
+    const A y[3] = {value_of(z[0]), value_of(z[1]), value_of(z[2])};
+    const A reach = (widest * absolute(time)) * square_root(dot(y, y)) * A(1.0 / PIECE);
+    const auto sound = reach <= A(MOST_PIECES);
+    const A near = select(sound, reach, A(1.0)), rounded = (near + A(ROUND)) - A(ROUND);
+    const A count = larger(A(1.0), select(rounded < near, rounded + A(1.0), rounded));
+    const A each = __builtin_expect(all(count == A(1.0)), 1) ? time : time / count;
+    const auto moving = A(0.0) < size;
+    R m[3], a[3];
+    for (int i = 0; i < 3; ++i) m[i] = R(moments[i] * each), a[i] = R(differences[i] * each);
+    Quaternion<R> total = turn_in_piece(m, a, z, moving);
+    for (double k = 1.0;; k += 1.0) {
+        const auto more = A(k) < count;
+        if (__builtin_expect(!any(more), 1)) break;
+        const Quaternion<R> next = after(turn_in_piece(m, a, z, moving), total);
+        total.whole = select(more, next.whole, total.whole);
+        for (int i = 0; i < 3; ++i) total.vector[i] = select(more, next.vector[i], total.vector[i]);
+    }
+    total.whole = select(sound, total.whole, R(A(NAN)));
+    return total;
+}
+
+}  // namespace coadjoint

@@ -1,0 +1,249 @@
+// The flow of one force over some time: what moves a state beside the Hamiltonian.
+#pragma once
+
+#include "field/field.hpp"
+#include "forces/random.hpp"
+#include "numbers/arithmetic.hpp"
+#include "recording/watching.hpp"
+#include "steps/exponential.hpp"
+
+namespace coadjoint {
+
+class Force {
+  public:
+    const ForceTable& table;
+    int64_t iterations = 0, evaluations = 0;
+    double residual = 0.0;
+
+    Force(const ForceTable& table, const Field& field, const Own& constants)
+        : table(table), field(field), constants(constants), n(field.size), room(field), exponential(n),
+          one(std::max<int64_t>(n + 1, 4)), two(n), three(n), four(n), five(n), six(n) {}
+
+    // Move x from time t on for the time tau, negative for backward; return a status.
+    int64_t flow(double* x, double t, double tau, int64_t member) {
+        iterations = evaluations = 0;
+        residual = std::numeric_limits<double>::quiet_NaN();
+        switch (table.kind) {
+            case DAMPING: return damp(x, tau);
+            case CONSTANT: return push(x, tau);
+            case OF_TIME: return push_by_time(x, t, tau);
+            case OF_STATE: return push_by_state(x, t, tau);
+            case ON_ORBIT: return stay_on_orbit(x, t, tau, member);
+        }
+        return leap(x, t, tau);
+    }
+
+  private:
+    const Field& field;
+    const Own constants;
+    const int64_t n;
+    FieldRoom<double> room;
+    ExponentialAction exponential;
+    std::vector<double> one, two, three, four, five, six, beyond;
+    double known = 0.0;  // the time that `beyond` is for
+
+    void call_at(const double* y, double t, double* out) {
+        Hearing::of_this_call().after(WORK_OF_A_CALL);
+        ++evaluations;
+        call(table.function[0], y, t, out);
+    }
+
+    // x' = -R (x - aim): x + (exp(-R tau) - 1) (x - aim).
+    int64_t damp(double* x, double tau) {
+        if (known != tau) prepare(tau);
+        for (int64_t i = 0; i < n; ++i) one[i] = x[i] - table.aim[i];
+        for (int64_t i = 0; i < n; ++i) {
+            if (table.shape == FULL) {
+                double sum = 0.0;
+                for (int64_t j = 0; j < n; ++j) sum = fma(beyond[i * n + j], one[j], sum);
+                x[i] += sum;
+            } else {
+                x[i] = fma(beyond[table.shape == DIAGONAL ? i : 0], one[i], x[i]);
+            }
+        }
+        return DONE;
+    }
+
+    void prepare(double tau) {
+        known = tau;
+        const int64_t count = table.shape == FULL ? n * n : table.shape == DIAGONAL ? n : 1;
+        beyond.assign(count, 0.0);
+        if (table.shape != FULL) {
+            for (int64_t i = 0; i < count; ++i) beyond[i] = growth_by(-table.rate[i] * tau).beyond;
+            return;
+        }
+        // exp(D) - 1 by its series for a D that was halved until its norm is below 1/2, and doubled as often.
+        double norm = 0.0;
+        for (int64_t i = 0; i < n; ++i) {
+            double sum = 0.0;
+            for (int64_t j = 0; j < n; ++j) sum += absolute(table.rate[i * n + j] * tau);
+            norm = larger(norm, sum);
+        }
+        int64_t halvings = 0;
+        for (double left = norm; left > 0.5 && halvings < MOST_HALVINGS; left *= 0.5) ++halvings;
+        std::vector<double> D(count), power(count), image(count);
+        const double scale = -tau * power_of_two(-halvings);
+        for (int64_t i = 0; i < count; ++i) D[i] = power[i] = beyond[i] = table.rate[i] * scale;
+        for (int64_t k = 2; k <= SERIES_OF_HALF; ++k) {
+            multiply(D, power, 1.0 / double(k), image);
+            power.swap(image);
+            for (int64_t i = 0; i < count; ++i) beyond[i] += power[i];
+        }
+        for (; halvings > 0; --halvings) {
+            multiply(beyond, beyond, 1.0, image);
+            for (int64_t i = 0; i < count; ++i) beyond[i] = 2.0 * beyond[i] + image[i];
+        }
+    }
+
+    void multiply(const std::vector<double>& A, const std::vector<double>& B, double factor, std::vector<double>& out) {
+        for (int64_t i = 0; i < n; ++i) {
+            Hearing::of_this_call().after(n * n);
+            double* row = out.data() + i * n;
+            std::fill_n(row, n, 0.0);
+            for (int64_t k = 0; k < n; ++k)
+                for (int64_t j = 0; j < n; ++j) row[j] = fma(A[i * n + k], B[k * n + j], row[j]);
+            for (int64_t j = 0; j < n; ++j) row[j] *= factor;
+        }
+    }
+
+    int64_t push(double* x, double tau) {
+        for (int64_t i = 0; i < n; ++i) x[i] = fma(tau, table.aim[i], x[i]);
+        return DONE;
+    }
+
+    // The integral of a function of time by Gauss' formula with five points, exact up to degree nine.
+    int64_t push_by_time(double* x, double t, double tau) {
+        constexpr double FAR = 0.90617984593866399280, NEAR = 0.53846931010568309104;
+        constexpr double NODE[] = {-FAR, -NEAR, 0.0, NEAR, FAR};
+        constexpr double OUTER = 0.23692688505618908751, INNER = 0.47862867049936646804;
+        constexpr double WEIGHT[] = {OUTER, INNER, 0.56888888888888888889, INNER, OUTER};
+        std::fill_n(two.data(), n, 0.0);
+        for (int k = 0; k < 5; ++k) {
+            call_at(x, fma(0.5 * tau, 1.0 + NODE[k], t), one.data());
+            for (int64_t i = 0; i < n; ++i) two[i] = fma(0.5 * WEIGHT[k], one[i], two[i]);
+        }
+        for (int64_t i = 0; i < n; ++i) x[i] = fma(tau, two[i], x[i]);
+        return defined(x);
+    }
+
+    // A step of the classical method of Runge and Kutta: its error is of the fifth order in tau.
+    int64_t push_by_state(double* x, double t, double tau) {
+        constexpr double PLACE[] = {0.0, 0.5, 0.5, 1.0}, WEIGHT[] = {1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0};
+        std::fill_n(two.data(), n, 0.0);
+        std::copy_n(x, n, three.data());
+        for (int k = 0; k < 4; ++k) {
+            for (int64_t i = 0; i < n && k > 0; ++i) three[i] = fma(PLACE[k] * tau, one[i], x[i]);
+            call_at(three.data(), fma(PLACE[k], tau, t), one.data());
+            for (int64_t i = 0; i < n; ++i) two[i] = fma(WEIGHT[k], one[i], two[i]);
+        }
+        for (int64_t i = 0; i < n; ++i) x[i] = fma(tau, two[i], x[i]);
+        return defined(x);
+    }
+
+    int64_t leap(double* x, double t, double tau) {
+        std::copy_n(x, n, one.data());
+        one[n] = tau;
+        std::fill_n(two.data(), n, std::numeric_limits<double>::quiet_NaN());
+        call_at(one.data(), t, two.data());
+        std::copy_n(two.data(), n, x);
+        return defined(x);
+    }
+
+    int64_t defined(const double* x) const { return finite(n, x) ? DONE : UNDEFINED; }
+
+    // x' = sign J(x) b with b = P sign J(x) grad H, P >= 0, between two halves of the noise in b. All that moves x are
+    // exponentials, so that every Casimir is kept, also where an iteration ends early.
+    int64_t stay_on_orbit(double* x, double t, double tau, int64_t member) {
+        const bool random = table.amplitude > 0.0;
+        if (random && !shake(x, t, tau, 0, member)) return failed(two.data());
+        const int64_t status = settle(x, t, tau);
+        if (status != DONE) return status;
+        return !random || shake(x, t, tau, 1, member) ? DONE : failed(two.data());
+    }
+
+    // Half of the noise of the time tau. Directions that commute move together, by an exponential whose law is exact;
+    // the sets follow each other, in the second half the other way: a symmetric splitting, of weak order two.
+    bool shake(double* x, double t, double tau, int half, int64_t member) {
+        double *v = two.data(), *deviates = three.data();
+        const double size = table.amplitude * std::sqrt(0.5 * tau);
+        normal_deviates(uint64_t(table.seed), uint64_t(table.stream + member), t, uint64_t(half), n, deviates);
+        for (int64_t k = 0; k < table.sets; ++k) {
+            const int64_t set = half ? table.sets - 1 - k : k;
+            std::fill_n(v, n, 0.0);
+            for (int64_t e = table.begin[set]; e < table.begin[set + 1]; ++e) {
+                const int64_t a = table.direction[e];
+                const double length = size * deviates[a];
+                if (table.shape == FULL)
+                    for (int64_t i = a; i < n; ++i) v[i] = fma(table.aim[i * n + a], length, v[i]);
+                else
+                    v[a] = table.aim[table.shape == DIAGONAL ? a : 0] * length;
+            }
+            if (!exponent(v, 1.0, x, x)) return false;
+        }
+        return true;
+    }
+
+    // The midpoint rule on the coadjoint orbit: x_new = exp(D_v) x with v = tau b at exp(D_v / 2) x.
+    int64_t settle(double* x, double t, double tau) {
+        double *v = two.data(), *middle = four.data(), *before = five.data(), *u = six.data();
+        std::copy_n(x, n, middle);
+        double last = std::numeric_limits<double>::infinity(), first = last, scale = 0.0;
+        for (int64_t i = 0; i < n; ++i) scale += absolute(x[i]);
+        for (iterations = 1; iterations <= MOST_MIDPOINTS; ++iterations) {
+            ++evaluations;
+            gradient(field, constants, middle, t + 0.5 * tau, u, room);
+            product(field, constants, middle, u, tau, one.data(), room);
+            apply_metric(one.data(), v);
+            std::copy_n(middle, n, before);
+            if (!exponent(v, 0.5, x, middle)) return failed(v);
+            residual = 0.0;
+            for (int64_t i = 0; i < n; ++i) residual += absolute(middle[i] - before[i]);
+            if (!(residual - residual == 0.0)) return failed(v);
+            if (iterations == 1) first = residual;
+            // Done where corrections are round-off, and have stopped falling.
+            if (residual == 0.0 || (residual >= 0.5 * last && residual <= NEAR_ROUND_OFF * scale)) break;
+            if (residual > GROWN * (first + scale)) return NOT_CONVERGED;
+            last = residual;
+        }
+        if (iterations > MOST_MIDPOINTS) return NOT_CONVERGED;
+        return exponent(v, 1.0, x, x) ? DONE : failed(v);
+    }
+
+    int64_t failed(const double* v) const { return finite(n, v) ? UNDEFINED : OVERFLOWED; }
+
+    // Set out to P y.
+    void apply_metric(const double* y, double* out) const {
+        for (int64_t i = 0; i < n; ++i) {
+            if (table.shape != FULL) {
+                out[i] = table.rate[table.shape == DIAGONAL ? i : 0] * y[i];
+                continue;
+            }
+            double sum = 0.0;
+            for (int64_t j = 0; j < n; ++j) sum = fma(table.rate[i * n + j], y[j], sum);
+            out[i] = sum;
+        }
+    }
+
+    // Set out to exp(factor D_v) x.
+    bool exponent(const double* v, double factor, const double* x, double* out) {
+        double* sums = one.data();
+        for (int64_t i = 0; i < n; ++i) {
+            double sum = 0.0;
+            for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
+                sum = fma(absolute(constants.number_at<double>(field.constant, q)), absolute(v[field.column[q]]), sum);
+            sums[i] = factor * sum;
+        }
+        if (!exponential.measure(sums, n, work_of(field))) return false;
+        exponential.act(x, n, [&](const double* from, double part, double* to) {
+            product(field, constants, from, v, factor * part, to, room);
+        });
+        for (int64_t i = 0; i < n; ++i) out[i] = x[i] + exponential.move[i];
+        return true;
+    }
+
+    static constexpr int MOST_HALVINGS = 1100;
+    static constexpr int64_t SERIES_OF_HALF = 16, MOST_MIDPOINTS = 192;
+    static constexpr double NEAR_ROUND_OFF = 0x1p-40, GROWN = 0x1p20;
+};
+
+}  // namespace coadjoint

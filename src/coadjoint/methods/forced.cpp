@@ -1,0 +1,80 @@
+// Half flows of forces, a step of another loop, and the half flows in the other order; with what each force has done.
+#include <memory>
+
+#include "forces/force.hpp"
+#include "steps/inner_step.hpp"
+#include "steps/step_scheme.hpp"
+
+namespace coadjoint {
+
+namespace {
+
+struct Forced final : StepScheme {
+    const StepTables& tables;
+    const Own constants;
+    const int64_t n, followed;
+    InnerStep inner;
+    std::vector<std::unique_ptr<Force>> forces;
+    std::vector<double> values, arguments, room;
+
+    Forced(const StepTables& tables, const Own& constants)
+        : tables(tables), constants(constants), n(tables.field.size), followed(tables.kept.size),
+          inner(tables.whole, n, tables.group.size * tables.group.size), values(followed),
+          arguments(tables.kept.longest + 1), room(2 * tables.kept.longest + 2) {
+        for (int64_t k = 0; k < tables.whole[5]; ++k)
+            forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field, constants));
+        work = 16 * work_of(tables.field) +
+               (2 * tables.whole[5] + 2) * work_of_terms(tables.kept.terms, 0, tables.kept.terms.size);
+    }
+
+    int64_t step(double* x, double* dx, double* group, double*, double t, double h) override {
+        const double half = 0.5 * h;
+        evaluate(x, t);
+        for (auto force = forces.begin(); force != forces.end(); ++force)
+            if (const int64_t status = move(**force, x, dx, t, half, t)) return status;
+        const int64_t status = inner.take(x, group, t, h);
+        evaluations += inner.evaluations;
+        iterations += inner.iterations;
+        residual = inner.residual;
+        if (status != DONE) return status;
+        evaluate(x, t + h);
+        for (auto force = forces.rbegin(); force != forces.rend(); ++force)
+            if (const int64_t status = move(**force, x, dx, t + half, half, t + h)) return status;
+        return DONE;
+    }
+
+    double value(int64_t i, const double* x, double t) {
+        return value_of(tables.kept, constants, i, x, t, arguments.data(), room.data());
+    }
+
+    void evaluate(const double* x, double t) {
+        for (int64_t i = 0; i < followed; ++i) values[i] = value(i, x, t);
+    }
+
+    // Let a force flow, and add what that changes to its accounts, which stand behind the coordinates. The invariants
+    // are those of the time `frozen`.
+    int64_t move(Force& force, double* x, double* dx, double t, double tau, double frozen) {
+        const int64_t status = force.flow(x, t, tau, member);
+        evaluations += force.evaluations;
+        iterations += force.iterations;
+        residual = force.residual;
+        if (status != DONE) return status;
+        for (int64_t i = 0; i < followed; ++i) {
+            const double before = values[i];
+            values[i] = value(i, x, frozen);
+            if (i >= force.table.accounts) continue;
+            const double period = constants.number_at<double>(tables.kept.period, i);
+            const double now = period > 0.0 ? unwrapped(values[i], before, period) : values[i];
+            const int64_t place = n + force.table.account + i;
+            const double old = x[place];
+            add_owing_rest(old, dx[place] + (now - before), x[place], dx[place]);
+        }
+        return DONE;
+    }
+};
+
+}  // namespace
+
+STEP_SCHEME(forced, Forced)
+
+}  // namespace coadjoint

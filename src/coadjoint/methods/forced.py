@@ -1,0 +1,170 @@
+"""Any scheme on a system with forces: half flows of the forces, a step of the scheme, half flows in the other order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.methods.base import Method, Representation, declared_by
+from coadjoint.methods.properties import Properties
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.forces.base import Force
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.work import Work
+
+WAYS = ("formula", "complex step", "differences")
+
+
+def serving(system: Any, method: Method) -> Method:
+    """Return the scheme that a run of a system takes: the given one, or where it has forces that between their flows.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
+        What moves.
+    method : Method
+        The scheme that was asked for.
+
+    Returns
+    -------
+    Method
+
+    Raises
+    ------
+    TypeError
+        The scheme is already `Forced`.
+    """
+    if isinstance(method, Forced):
+        raise TypeError(f"{method} is what runs make of {method.base} on a system with forces; give that")
+    one = system[0] if isinstance(system, Batch) else system
+    return Forced(method) if isinstance(one, ForcedSystem) else method
+
+
+def check_serves(system: Any, method: Method) -> None:
+    """Refuse by name a system that a scheme cannot serve, with forces or without."""
+    serving(system, method).properties(system)
+
+
+@dataclass(frozen=True)
+class Forced(Method):
+    """A scheme on a system with forces, split symmetrically: of order two, or one where the scheme is of order one.
+
+    A step is the half flows of the forces in their order, a step of the base for the Hamiltonian part, and the half
+    flows in the opposite order. Every step of the base begins anew. `integrate`, `prepare` and `stepper` take it by
+    themselves where a system has forces; it tells what is kept, and what breaks the rest.
+
+    Parameters
+    ----------
+    base : Method
+        Any scheme that serves the Hamiltonian part.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> spin = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 0, 1): -1.0}))
+    >>> damped = spin.with_forces(co.forces.DoubleBracketDamping(0.1))
+    >>> found = co.methods.Forced(co.Splitting()).properties(damped)
+    >>> found.casimirs, found.poisson, found.broken_by
+    ('all', False, ('Poisson map: DoubleBracketDamping',))
+    """
+
+    base: Method
+
+    offered = False
+    compensates = False
+
+    @property
+    def order(self) -> int:
+        """At most two, the order of the symmetric splitting."""
+        return min(2, self.base.order)
+
+    @property
+    def explicit(self) -> bool:
+        """As the base is; damping along orbits is found by iterating."""
+        return self.base.explicit
+
+    @property
+    def symmetric(self) -> bool:
+        """As the base is."""
+        return self.base.symmetric
+
+    @property
+    def failures(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Those of the base."""
+        return self.base.failures
+
+    def properties(self, system: Any) -> Properties:
+        """Return what is kept of the Hamiltonian part, less what the forces break."""
+        if not isinstance(system, ForcedSystem):
+            raise TypeError(f"{system.name} has no forces; take {type(self.base).__name__} alone")
+        inner = declared_by(self.base, system.system)
+        breaking = [label for label, force in zip(system.labels, system.forces, strict=True) if not force.casimirs]
+        every = list(system.labels)
+        broken = [("Poisson map", inner.poisson, every), ("energy", inner.energy, every)]
+        broken += [("Casimirs", inner.casimirs != "none", breaking)]
+        said = tuple(f"{what}: {', '.join(by)}" for what, had, by in broken if had and by)
+        return Properties(False, False, "none" if breaking else inner.casimirs, inner.attitude, said)
+
+    def compiled(self, system: Any, h: float, representation: Representation) -> CompiledLoop:
+        """Return the loop over steps that take one of the loop of the base each."""
+        from coadjoint.kernels.forces import forced_loop
+
+        if h < 0.0 and not system.reversible:
+            one_way = [label for label, force in zip(system.labels, system.forces, strict=True) if not force.reversible]
+            raise ValueError(f"{one_way[0]} does not run backward, and t_span ends before it starts")
+        return forced_loop(system, self.base.loop(system.system, h, representation), representation)
+
+    def step(self, system: Any, x: Any, t: Any, h: Any) -> NDArray[Any]:
+        """Return one step, read in NumPy; a noise is that of the first member."""
+        self.properties(system)
+        half, y = 0.5 * h, np.asarray(x)
+        for force in system.forces:
+            y = force.flow(system.system, y, t, half)
+        y = np.asarray(self.base.step(system.system, y, t, h))
+        for force in reversed(system.forces):
+            y = force.flow(system.system, y, t + half, half)
+        return y
+
+    def tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return one step and its derivative: that of the base, between those of the flows."""
+        return self._with_tangent(system, x, t, h)[:2]
+
+    def tangent_by(self, system: Any, x: Any, t: float, h: float) -> str:
+        """Return the least exact way by which a factor of the derivative is found."""
+        return max(self._with_tangent(system, x, t, h)[2], key=WAYS.index)
+
+    def _with_tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any], list[str]]:
+        from coadjoint.methods.step_derivatives import derivative_of
+
+        self.properties(system)
+        plain, half, y, P, ways = system.system, 0.5 * h, np.asarray(x, dtype=np.float64), np.eye(system.dim), []
+
+        def through(force: Force, at: float) -> None:
+            nonlocal y, P
+            found = derivative_of(lambda z: force.flow(plain, z, at, half), y)
+            y, P = found.value, found.derivative @ P
+            ways.append(found.by)
+
+        for force in system.forces:
+            through(force, t)
+        ways.append(self.base.tangent_by(plain, y, t, h))
+        y, own = self.base.tangent(plain, y, t, h)
+        P = own @ P
+        for force in reversed(system.forces):
+            through(force, t + half)
+        return y, P, ways
+
+    def work(self, system: Any, group: Representation = None) -> Work:
+        """Return the work of the base, without that of the forces."""
+        return self.base.work(system.system, group)
+
+    def look_ahead(self, systems: Sequence[Any]) -> None:
+        """Let the base look ahead."""
+        self.base.look_ahead([system.system for system in systems])

@@ -1,0 +1,53 @@
+"""How far a run is from the closed form, where one is known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coadjoint.pictures.drawn import Drawn, spread
+from coadjoint.pictures.register import CannotShow, Paint, kind
+from coadjoint.pictures.series import draw_members
+from coadjoint.pictures.style import colour, plain_axes
+from coadjoint.systems.batch import Batch
+
+MOST_TIMES = 400
+
+
+@kind("error", over_time=True)
+def error(drawn: Drawn) -> Paint:
+    """Show the distance from the closed form, relative to the size of the start, at 400 times at most.
+
+    Of a motion that keeps its orbit it is the error of the phase.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        A run of a system with a closed form; of a batch none is shown.
+
+    Returns
+    -------
+    Paint
+    """
+    system = drawn.system
+    if getattr(system, "closed_form", None) is None or isinstance(drawn.solution.system, Batch):
+        raise CannotShow(f"no closed form is known for {drawn.solution.system.name}")
+    at = spread(len(drawn.t), MOST_TIMES)
+    t = drawn.t[at]
+    found = []
+    for states in drawn.x:
+        exact = np.asarray(system.exact(states[0], t - drawn.t[0]))
+        size = float(np.linalg.norm(states[0])) or 1.0
+        found.append(np.linalg.norm(states[at] - exact, axis=-1) / size)
+    errors = np.array(found)
+
+    def paint(axes: Any) -> None:
+        # Zero has no logarithm: the line has gaps where the run is right in every bit.
+        draw_members(axes, t, np.where(errors > 0.0, errors, np.nan), drawn.close, colour(0), None)
+        axes.set(xlabel="time $t$", ylabel="relative error", title="distance from the closed form")
+        if np.any(errors > 0.0):
+            axes.set_yscale("log")
+        plain_axes(axes)
+
+    return paint

@@ -1,0 +1,98 @@
+"""A function on the sphere that the state holds: the vorticity of a fluid on a planet, seen from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.globe import VIEW, Globe
+from coadjoint.pictures.register import Paint, kind
+from coadjoint.pictures.style import INK
+
+Floats = npt.NDArray[np.float64]
+
+PIXELS = 301
+
+
+@kind("sphere field")
+def sphere_field(
+    drawn: Drawn,
+    values: Callable[[Any, Any], Any],
+    at: float = 0.0,
+    view: tuple[float, float] = VIEW,
+    label: str = "vorticity",
+) -> Paint:
+    """Show a function on the sphere at one time.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        The run; of several members the first.
+    values : callable
+        Function of the system and of a state that returns the values on a grid, (a, b): rows from the south pole to
+        the north pole, both included, evenly in latitude; columns evenly in longitude from 0, without 2 pi.
+    at : float
+        The time, as a part of the span: 0 is the start, 1 the end.
+    view : (float, float)
+        From where one looks: longitude and latitude in degrees.
+    label : str
+        What the function is.
+
+    Returns
+    -------
+    Paint
+    """
+    k = drawn.at(at)
+    grid, size = drawn.of_state(values, k)
+
+    def paint(axes: Any) -> None:
+        globe = Globe(axes, ("$X$", "$Y$", "$Z$"), view)
+        edge = np.linspace(-1.0, 1.0, PIXELS)
+        across, up = np.meshgrid(edge, edge)
+        height = 1.0 - across**2 - up**2
+        towards = np.stack([across, up, np.sqrt(np.maximum(height, 0.0))], axis=-1) @ globe.frame
+        seen = np.where(height >= 0.0, on_grid(grid, towards), np.nan)
+        picture = axes.imshow(
+            seen, extent=(-1, 1, -1, 1), origin="lower", cmap="RdBu_r", vmin=-size, vmax=size, zorder=0.5
+        )
+        axes.set(xlim=(-1.42, 1.42), ylim=(-1.42, 1.42))
+        bar = axes.figure.colorbar(picture, ax=axes, shrink=0.6, pad=0.02)
+        bar.set_label(label, fontsize=9)
+        bar.ax.tick_params(labelsize=8)
+        axes.set_title(f"{label} at $t$ = {drawn.t[k]:.4g}", fontsize=9.5, color=INK)
+
+    return paint
+
+
+def on_grid(grid: Floats, towards: Floats) -> Floats:
+    """Return the values in directions (..., 3), by linear interpolation in latitude and longitude.
+
+    Parameters
+    ----------
+    grid : ndarray, shape (a, b)
+        As `sphere_field` has it.
+    towards : ndarray, shape (..., 3)
+        Unit vectors.
+
+    Returns
+    -------
+    ndarray
+
+    Examples
+    --------
+    >>> float(on_grid(np.array([[-1.0, -1.0], [0.0, 0.0], [1.0, 1.0]]), np.array([0.0, 0.8660254037844386, 0.5])))
+    0.333...
+    """
+    rows, columns = grid.shape
+    latitude = (np.arcsin(np.clip(towards[..., 2], -1.0, 1.0)) / np.pi + 0.5) * (rows - 1)
+    longitude = np.arctan2(towards[..., 1], towards[..., 0]) / (2.0 * np.pi) * columns
+    i = np.clip(np.floor(latitude).astype(np.int64), 0, max(rows - 2, 0))
+    j = np.floor(longitude).astype(np.int64)
+    up, along = latitude - i, longitude - j
+    below, above = ((1.0 - along) * grid[row, j % columns] + along * grid[row, (j + 1) % columns] for row in (i, i + 1))
+    found: Floats = (1.0 - up) * below + up * above
+    return found

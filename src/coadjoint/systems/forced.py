@@ -1,0 +1,207 @@
+"""A system with forces: damping, torques, noise beside the Hamiltonian."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.given import read_list, read_number, read_numbers, title
+from coadjoint.systems.closed_form import solution_of
+from coadjoint.systems.forces.base import Force
+from coadjoint.systems.points import QUIET, point
+from coadjoint.wording import short
+
+
+class ForcedSystem:
+    """A system that forces move as well: ``x' = sign J(x) grad H(x, t) + the sum of the forces``.
+
+    ``system.with_forces(...)`` makes it. A run splits it symmetrically: half flows of the forces in their order, a step
+    of the scheme for the Hamiltonian part, half flows in the opposite order. What the forces break is labelled in
+    `Method.properties`, and what they do to energy and Casimirs is balanced (`Solution.balance`).
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The Hamiltonian part.
+    forces : sequence of Force
+        One or more, in the order in which their flows are taken.
+
+    Attributes
+    ----------
+    system, forces
+        As given.
+    dim, sign, name, algebra, representation, hamiltonian, casimirs
+        Those of the Hamiltonian part. The Casimirs are followed, and forces may change them.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No forces, something else among them, or one that cannot act on the system.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.LinearDamping(0.1))
+    >>> body.vector_field([0.0, 0.0, 1.0])
+    array([ 0. ,  0. , -0.1])
+    """
+
+    parameters = None
+    closed_form: Callable[..., Any] | None = None
+
+    def __init__(self, system: Any, forces: Sequence[Force]) -> None:
+        forces = read_list(forces, "what was given as forces", "give a list of forces of co.forces")
+        if not forces:
+            raise TypeError("with_forces was given no force; give one or more, such as co.forces.LinearDamping(0.1)")
+        for force in forces:
+            if not isinstance(force, Force):
+                raise TypeError(f"a force is {short(force)}; it must be one of co.forces, such as LinearDamping(0.1)")
+            force.check(system)
+        drawn = [(force.seed, force.stream) for force in forces if force.random]  # type: ignore[attr-defined]
+        if len(set(drawn)) < len(drawn):
+            raise ValueError("two forces draw the same noise; give each a seed of its own")
+        self.system, self.forces = system, forces
+
+    def with_forces(self, *forces: Force) -> ForcedSystem:
+        """Return the system with these forces after those that it has.
+
+        Parameters
+        ----------
+        *forces : Force
+            One or more.
+
+        Returns
+        -------
+        ForcedSystem
+        """
+        return ForcedSystem(self.system, (*self.forces, *forces))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What the forces are called: their labels, numbered from the second of a kind on."""
+        found: list[str] = []
+        for k, force in enumerate(self.forces):
+            earlier = sum(other.label == force.label for other in self.forces[:k])
+            found.append(f"{force.label} {earlier + 1}" if earlier else force.label)
+        return tuple(found)
+
+    @property
+    def reversible(self) -> bool:
+        """Whether all forces may run backward."""
+        return all(force.reversible for force in self.forces)
+
+    @property
+    def dim(self) -> int:
+        """Number of coordinates."""
+        return int(self.system.dim)
+
+    @property
+    def sign(self) -> int:
+        """Of the Hamiltonian part."""
+        return int(self.system.sign)
+
+    @property
+    def name(self) -> str:
+        """That of the Hamiltonian part, with the forces."""
+        return title(f"{self.system.name} with {', '.join(self.labels)}")
+
+    @property
+    def algebra(self) -> Any:
+        """That of the Hamiltonian part."""
+        return self.system.algebra
+
+    @property
+    def representation(self) -> Any:
+        """That of the Hamiltonian part."""
+        return self.system.representation
+
+    @property
+    def hamiltonian(self) -> Any:
+        """The energy, which forces change."""
+        return self.system.hamiltonian
+
+    @property
+    def casimirs(self) -> dict[str, Any]:
+        """Those of the Hamiltonian part, which forces may change."""
+        return dict(self.system.casimirs)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of a state."""
+        return tuple(getattr(self.system, "shape", (self.dim,)))
+
+    def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
+        """Return J(x), shape (n, n)."""
+        return np.asarray(self.system.structure_matrix(x))
+
+    @QUIET
+    def vector_field(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return x', with all forces.
+
+        Parameters
+        ----------
+        x : (n,)
+            The state.
+        t : float
+            The time.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+
+        Raises
+        ------
+        TypeError
+            A force is a noise.
+        """
+        y, t = point(read_numbers(x, "x"), self.dim), read_number(t, "t")
+        return np.asarray(
+            sum((force.field(self.system, y, t) for force in self.forces), start=self.system.vector_field(y, t))
+        )
+
+    def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
+        """Refuse: no closed form of a motion with forces is known here."""
+        return solution_of(None, self.name)(x0, t, attitude)
+
+    def energy(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
+        """Return H(x, t)."""
+        return self.system.energy(x, t)
+
+    @QUIET
+    def power(self, x: npt.ArrayLike, t: float = 0.0) -> dict[str, float]:
+        """Return the rate at which each force changes the energy at a state.
+
+        Parameters
+        ----------
+        x : (n,)
+            The state.
+        t : float
+            The time.
+
+        Returns
+        -------
+        dict
+            Label of a force -> ``grad H . force``; negative where it takes energy out.
+
+        Raises
+        ------
+        TypeError
+            A force is a noise.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 4)).with_forces(co.forces.LinearDamping(0.5))
+        >>> body.power([0.0, 0.0, 2.0])
+        {'LinearDamping': -0.5}
+        """
+        y, t = point(read_numbers(x, "x"), self.dim), read_number(t, "t")
+        slope = self.hamiltonian.gradient(y, t)
+        pairs = zip(self.labels, self.forces, strict=True)
+        return {label: float(slope @ force.field(self.system, y, t)) for label, force in pairs}
+
+    def __repr__(self) -> str:
+        return f"<{self.system!r} with {', '.join(map(str, self.forces))}>"

@@ -1,0 +1,47 @@
+"""What moves a state beside the Hamiltonian: damping, torques, heat baths (``co.forces``).
+
+A force breaks the structure, and says what it keeps. ``system.with_forces(force, ...)`` is the system with it.
+"""
+
+from __future__ import annotations
+
+import importlib
+
+TYPE_CHECKING = False
+
+_HOME = {
+    "DoubleBracketDamping": "coadjoint.systems.forces.double_bracket",
+    "Force": "coadjoint.systems.forces.base",
+    "HeatBath": "coadjoint.systems.forces.heat_bath",
+    "LinearDamping": "coadjoint.systems.forces.linear_damping",
+    "OwnForce": "coadjoint.systems.forces.own_force",
+    "Torque": "coadjoint.systems.forces.torque",
+    "get": "coadjoint.systems.forces.described",
+    "names": "coadjoint.systems.forces.described",
+}
+
+__all__ = sorted(_HOME)
+
+if TYPE_CHECKING:
+    from typing import Any
+
+    from coadjoint.systems.forces.base import Force as Force
+    from coadjoint.systems.forces.described import get as get
+    from coadjoint.systems.forces.described import names as names
+    from coadjoint.systems.forces.double_bracket import DoubleBracketDamping as DoubleBracketDamping
+    from coadjoint.systems.forces.heat_bath import HeatBath as HeatBath
+    from coadjoint.systems.forces.linear_damping import LinearDamping as LinearDamping
+    from coadjoint.systems.forces.own_force import OwnForce as OwnForce
+    from coadjoint.systems.forces.torque import Torque as Torque
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'coadjoint.systems.forces' has no attribute {name!r}")
+    found = getattr(importlib.import_module(_HOME[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,98 @@
+"""Forces by their names, as configuration files and records have them."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+from coadjoint.given import check_parameters, read_choice
+from coadjoint.systems.forces.base import Force
+from coadjoint.systems.forces.double_bracket import DoubleBracketDamping
+from coadjoint.systems.forces.heat_bath import HeatBath
+from coadjoint.systems.forces.linear_damping import LinearDamping
+from coadjoint.systems.forces.own_force import OwnForce
+from coadjoint.systems.forces.torque import Torque
+from coadjoint.wording import short
+
+KINDS: dict[str, type[Force]] = {
+    kind.__name__: kind for kind in (DoubleBracketDamping, HeatBath, LinearDamping, OwnForce, Torque)
+}
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of the forces, sorted.
+
+    Returns
+    -------
+    tuple of str
+
+    Examples
+    --------
+    >>> names()
+    ('DoubleBracketDamping', 'HeatBath', 'LinearDamping', 'OwnForce', 'Torque')
+    """
+    return tuple(sorted(KINDS))
+
+
+def get(name: str, /, **parameters: Any) -> Force:
+    """Return a force by its name, as a configuration file does.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+    **parameters
+        Those of the force; what is left out has its default.
+
+    Returns
+    -------
+    Force
+
+    Raises
+    ------
+    ValueError, TypeError
+        No such force or parameter (the nearest name is given), or a value is wrong.
+
+    Examples
+    --------
+    >>> get("LinearDamping", rate=0.5)
+    LinearDamping(rate=0.5, toward=0.0)
+    """
+    kind = KINDS[read_choice(name, "force", KINDS)]
+    known = inspect.signature(kind).parameters
+    required = [key for key, parameter in known.items() if parameter.default is inspect.Parameter.empty]
+    check_parameters(name, parameters, known, required)
+    return kind(**parameters)
+
+
+def from_description(description: Mapping[str, Any]) -> Force:
+    """Return the force that a mapping describes, as a configuration file does: its name, and its parameters beside it.
+
+    Parameters
+    ----------
+    description : mapping
+        ``"name"``, and parameters.
+
+    Returns
+    -------
+    Force
+
+    Raises
+    ------
+    ValueError, TypeError
+        As `get`; and if there is no name.
+
+    Examples
+    --------
+    >>> from_description({"name": "Torque", "torque": [0.0, 0.0, 1.0]})
+    Torque(torque=(0.0, 0.0, 1.0))
+    """
+    parameters = dict(description)
+    name = parameters.pop("name", None)
+    if not isinstance(name, str):
+        raise ValueError(
+            f"{short(dict(description))} is no force; give its name and parameters, such as name = 'LinearDamping', "
+            "rate = 0.1"
+        )
+    return get(name, **parameters)

@@ -1,0 +1,72 @@
+"""Linear damping towards a state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.systems.forces.base import Force, ForceReader
+from coadjoint.systems.forces.matrices import applied, check_dimension, read_matrix
+
+
+@dataclass(frozen=True)
+class LinearDamping(Force):
+    """Linear damping towards a state, ``x' = -rate (x - toward)``: friction, viscosity of modes, relaxation.
+
+    Its flow is exact, ``x - toward`` times ``exp(-rate tau)``, also for a rate that is large against the step. It
+    breaks energy and Casimirs. Where the length of a spin is to stay, take `DoubleBracketDamping`.
+
+    Parameters
+    ----------
+    rate : float, (n,) or (n, n) array_like
+        Rates, in inverse time. A matrix need not be symmetric. Negative rates feed.
+    toward : float or (n,) array_like
+        The state where the damping vanishes; a number stands for all coordinates.
+
+    Raises
+    ------
+    ValueError, TypeError
+        Of another shape, or no finite numbers.
+
+    Examples
+    --------
+    A symmetric body whose spin about its axis dies out:
+
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 1, 2)).with_forces(co.forces.LinearDamping(0.1))
+    >>> sol = co.integrate(body, (0.6, 0.0, 0.8), t_span=(0, 10), step=0.1, save_every=100)
+    >>> bool(abs(sol.x[-1, 2] - 0.8 * 2.718281828459045 ** -1) < 1e-15)
+    True
+    """
+
+    rate: Any
+    toward: Any = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rate", read_matrix(self.rate, "rate of LinearDamping"))
+        object.__setattr__(self, "toward", read_matrix(self.toward, "toward of LinearDamping", (0, 1)))
+
+    def check(self, system: Any) -> None:
+        check_dimension(self.rate, "rate of LinearDamping", system)
+        check_dimension(self.toward, "toward of LinearDamping", system)
+
+    def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        return np.asarray(applied(self.rate, np.asarray(self.toward) - x))
+
+    def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
+        from scipy.linalg import expm
+
+        rate, away = np.asarray(self.rate), np.asarray(x) - np.asarray(self.toward)
+        if rate.ndim == 2:
+            n = len(rate)
+            # The last column of this exponential is what the flow does to a state, less the state.
+            whole = np.zeros((n + 1, n + 1))
+            whole[:n, :n], whole[:n, n] = -tau * rate, -tau * (rate @ away)
+            return np.asarray(x + expm(whole)[:n, n])
+        return np.asarray(x + np.expm1(-tau * rate) * away)
+
+    def given_to(self, reader: ForceReader, system: Any) -> Any:
+        return reader.damping(np.asarray(self.rate), np.broadcast_to(np.asarray(self.toward), (system.dim,)))

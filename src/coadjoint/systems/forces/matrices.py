@@ -1,0 +1,80 @@
+"""Rates and metrics of forces: a number, a diagonal, or a matrix; read, kept as plain numbers, applied."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.given import read_finite
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+Plain = float | tuple[Any, ...]
+
+
+def read_matrix(given: Any, what: str, dimensions: tuple[int, ...] = (0, 1, 2)) -> Plain:
+    """Return a number, a vector or a square matrix as floats in tuples, or refuse it.
+
+    Examples
+    --------
+    >>> read_matrix([1, 2], "rate")
+    (1.0, 2.0)
+    """
+    found = read_finite(given, what)
+    square = found.ndim < 2 or found.shape[0] == found.shape[1]
+    if found.ndim not in dimensions or not square or not found.size:
+        shapes = " or ".join(("a number", "(n,)", "(n, n)")[k] for k in dimensions)
+        raise ValueError(f"{what} has the shape {found.shape}; it must be {shapes}")
+    plain = found.tolist()
+    return tuple(map(_in_tuples, plain)) if isinstance(plain, list) else float(plain)
+
+
+def _in_tuples(entry: Any) -> Any:
+    return tuple(entry) if isinstance(entry, list) else entry
+
+
+def check_dimension(given: Plain, what: str, system: Any) -> None:
+    """Refuse a vector or a matrix of another dimension than that of a system."""
+    shape = np.shape(given)
+    if shape and shape[0] != system.dim:
+        raise ValueError(f"{what} has the shape {shape}; {system.name} has dimension {system.dim}")
+
+
+def applied(matrix: Any, y: NDArray[Any]) -> NDArray[Any]:
+    """Return a number, a diagonal or a matrix times y."""
+    array = np.asarray(matrix)
+    return array @ y if array.ndim == 2 else array * y
+
+
+def root_of(metric: Plain, what: str) -> NDArray[np.float64]:
+    """Return L with L L^T = P: roots of a number or a diagonal, or a lower triangle, found in a fixed order.
+
+    Raises
+    ------
+    ValueError
+        P is not symmetric, or not positive semidefinite.
+
+    Examples
+    --------
+    >>> root_of(((4.0, 2.0), (2.0, 5.0)), "metric")
+    array([[2., 0.],
+           [1., 2.]])
+    """
+    P = np.array(metric, dtype=np.float64)
+    size = np.max(np.abs(P))
+    if P.ndim < 2:
+        if np.any(P < 0.0):
+            raise ValueError(f"{what} has the negative entry {P.min():g}; damping needs a positive semidefinite one")
+        return np.sqrt(P)
+    if not np.array_equal(P, P.T):
+        raise ValueError(f"{what} is not symmetric; damping needs a symmetric positive semidefinite one")
+    n = len(P)
+    L, left, tolerance = np.zeros((n, n)), P.copy(), 64 * n * UNIT_ROUNDOFF * size
+    for k in range(n):
+        if left[k, k] > tolerance:
+            L[k:, k] = left[k:, k] / np.sqrt(left[k, k])
+            left -= np.multiply.outer(L[:, k], L[:, k])
+        elif left[k, k] < -tolerance or np.max(np.abs(left[k:, k])) > np.sqrt(tolerance * size):
+            raise ValueError(f"{what} is not positive semidefinite; damping would feed energy in")
+    return L

@@ -1,0 +1,121 @@
+"""A force that is given as the function of its flow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import in_one_line
+from coadjoint.given import read_flag, read_title
+from coadjoint.systems.forces.base import Force, ForceReader
+from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments, sample_points
+
+MOMENT = 2.0**-12
+
+
+@dataclass(frozen=True)
+class OwnForce(Force):
+    """A force of your own, given as the function of its flow.
+
+    Choose it where the flow is known in closed form, or where no other force fits. A torque that is known only as a
+    function of the state is a `Torque`.
+
+    Parameters
+    ----------
+    function : callable
+        Pure function of ``(x, t, tau)``: where the force alone moves the state x, shape (n,), from the time t on in the
+        time tau, which is negative in runs backward. Compiled by Numba. For a time zero it returns x.
+    name : str
+        What it is called in balances and messages.
+    keeps_casimirs : bool
+        Whether it keeps every Casimir; then none is balanced for it.
+    backward : bool
+        Whether it may run backward.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No such function, or no name.
+
+    Examples
+    --------
+    Friction that grows with the square of the momentum, on each axis, ``x_i' = -|x_i| x_i``:
+
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> drag = co.forces.OwnForce(lambda x, t, tau: x / (1.0 + np.abs(x) * tau), name="drag", backward=False)
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(drag)
+    >>> co.integrate(body, (0.0, 0.0, 1.0), t_span=(0, 3), step=0.125).x[-1]
+    array([0.  , 0.  , 0.25])
+    """
+
+    function: Callable[..., Any]
+    name: str = "own force"
+    keeps_casimirs: bool = False
+    backward: bool = True
+
+    def __post_init__(self) -> None:
+        check_arguments(self.function, "the flow of an OwnForce", "x, t, tau")
+        object.__setattr__(self, "name", read_title(self.name, "name of a force"))
+        for flag in ("keeps_casimirs", "backward"):
+            object.__setattr__(self, flag, read_flag(getattr(self, flag), flag))
+
+    @property
+    def label(self) -> str:
+        """The name that was given."""
+        return self.name
+
+    @property
+    def casimirs(self) -> bool:  # type: ignore[override]
+        """As it was given."""
+        return self.keeps_casimirs
+
+    @property
+    def reversible(self) -> bool:  # type: ignore[override]
+        """As it was given."""
+        return self.backward
+
+    def check(self, system: Any) -> None:
+        n, failure = system.dim, ""
+        for x in sample_points(n):
+            try:
+                with np.errstate(all="ignore"):
+                    found, still = (np.asarray(self.function(x, SAMPLE_TIME, tau)) for tau in (MOMENT, 0.0))
+            except Exception as error:  # at a point outside its domain a function of the user may raise anything
+                failure = in_one_line(str(error), 200)
+                continue
+            for result in (found, still):
+                if result.shape != (n,) or result.dtype.kind not in "fiu":
+                    raise ValueError(
+                        f"the flow of {self.name} returns {result.dtype} of shape {result.shape}; {system.name} needs "
+                        f"real numbers of shape ({n},)"
+                    )
+            if np.all(np.isfinite(still)) and np.max(np.abs(still - x)) > 1e-9 * np.max(np.abs(x)):
+                raise ValueError(f"the flow of {self.name} moves a state in no time; for tau = 0 it must return x")
+            return
+        raise ValueError(f"the flow of {self.name} fails at every sample point ({failure}); correct the function")
+
+    def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        """Return the derivative of the flow at the start, by Richardson's central differences.
+
+        Raises
+        ------
+        TypeError
+            The force does not run backward.
+        """
+        if not self.backward:
+            raise TypeError(f"the field of {self.name} is not known: its flow does not run backward")
+        wide, narrow = (
+            (self.flow(system, x, t, tau) - self.flow(system, x, t, -tau)) / (2.0 * tau) for tau in (2 * MOMENT, MOMENT)
+        )
+        return np.asarray((4.0 * narrow - wide) / 3.0)
+
+    def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
+        return np.asarray(self.function(x, t, tau))
+
+    def given_to(self, reader: ForceReader, system: Any) -> Any:
+        return reader.flow(self.function)

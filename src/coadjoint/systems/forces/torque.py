@@ -1,0 +1,111 @@
+"""A torque: constant, or a function of time, or of state and time."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import in_one_line
+from coadjoint.given import read_numbers
+from coadjoint.systems.forces.base import Force, ForceReader
+from coadjoint.systems.forces.matrices import check_dimension, read_matrix
+from coadjoint.systems.user_functions import SAMPLE_TIME, sample_points, takes_time
+
+# Nodes and weights of Gauss' formula with five points on (-1, 1).
+NODES = (-0.9061798459386640, -0.5384693101056831, 0.0, 0.5384693101056831, 0.9061798459386640)
+WEIGHTS = (0.23692688505618908, 0.47862867049936647, 0.5688888888888889, 0.47862867049936647, 0.23692688505618908)
+
+
+@dataclass(frozen=True)
+class Torque(Force):
+    """A torque in the frame of the body, ``x' = N``: a thruster, a motor, a control law, radiation pressure.
+
+    The flow of a constant torque is exact. That of a function of time is its integral by Gauss' formula with five
+    points, exact for polynomials of degree nine. That of a function of the state is a step of the classical method of
+    Runge and Kutta, whose error is of the fifth order in the step, below that of the splitting.
+
+    A function is pure, and is compiled by Numba as those of a `Hamiltonian` are.
+
+    Parameters
+    ----------
+    torque : (n,) array_like, or callable
+        The torque, or a function of ``t``, of ``x``, or of ``(x, t)`` that returns it, shape (n,). A function of one
+        argument is one of the time where that argument is named ``t``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        Of another shape, no finite numbers, or a function of other arguments.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.Torque((0, 0, 0.5)))
+    >>> co.integrate(body, (0.0, 0.0, 1.0), t_span=(0, 2), step=0.125).x[-1]
+    array([0., 0., 2.])
+    """
+
+    torque: Any
+
+    def __post_init__(self) -> None:
+        if callable(self.torque):
+            self._arguments()
+        else:
+            object.__setattr__(self, "torque", read_matrix(self.torque, "the torque", (1,)))
+
+    def _arguments(self) -> str:
+        """Return what the function takes: "t", "x" or "x, t"."""
+        if takes_time(self.torque, "the torque"):
+            return "x, t"
+        first = next(iter(inspect.signature(getattr(self.torque, "py_func", self.torque)).parameters), "x")
+        return "t" if first == "t" else "x"
+
+    def check(self, system: Any) -> None:
+        if not callable(self.torque):
+            check_dimension(self.torque, "the torque", system)
+            return
+        arguments, n, failure = self._arguments(), system.dim, ""
+        for x in sample_points(n):
+            try:
+                with np.errstate(all="ignore"):
+                    value = self.torque(*_given(arguments, x, SAMPLE_TIME))
+            except (ArithmeticError, ValueError, TypeError, IndexError) as reason:  # perhaps outside its domain
+                failure = in_one_line(str(reason), 200)
+                continue
+            found = read_numbers(value, "what the torque returns")
+            if found.shape != (n,):
+                raise ValueError(f"the torque returns shape {found.shape}; {system.name} needs ({n},)")
+            return
+        raise ValueError(f"the torque fails at every sample point ({failure}); correct the function")
+
+    def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        if not callable(self.torque):
+            return np.asarray(self.torque)
+        return np.asarray(self.torque(*_given(self._arguments(), x, t)))
+
+    def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
+        if not callable(self.torque):
+            return np.asarray(x + tau * np.asarray(self.torque))
+        if self._arguments() == "t":
+            pairs = zip(NODES, WEIGHTS, strict=True)
+            return np.asarray(
+                x + 0.5 * tau * sum(w * self.field(system, x, t + 0.5 * tau * (1.0 + c)) for c, w in pairs)
+            )
+        one = self.field(system, x, t)
+        two = self.field(system, x + 0.5 * tau * one, t + 0.5 * tau)
+        three = self.field(system, x + 0.5 * tau * two, t + 0.5 * tau)
+        four = self.field(system, x + tau * three, t + tau)
+        return np.asarray(x + tau * (one + 2.0 * two + 2.0 * three + four) / 6.0)
+
+    def given_to(self, reader: ForceReader, system: Any) -> Any:
+        if callable(self.torque):
+            return reader.function(self.torque, self._arguments())
+        return reader.constant(np.asarray(self.torque))
+
+
+def _given(arguments: str, x: Any, t: Any) -> tuple[Any, ...]:
+    return {"t": (t,), "x": (x,), "x, t": (x, t)}[arguments]

@@ -1,0 +1,148 @@
+"""Phases over long times: how many periods, and what is left, without losing digits to their number."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+KEPT_BITS = 96
+"""Of a phase, below one period."""
+
+MOST_SWEEPS = 24
+
+
+def working_bits(t: Floats, rate: float, period: float) -> int:
+    """Return how many bits phases over some times need.
+
+    Parameters
+    ----------
+    t : (k,)
+        Times.
+    rate, period : float
+        Of the phase; their sizes matter.
+    """
+    sizes = [float(np.abs(t).max(initial=0.0)), abs(rate), 1.0 / period]
+    return 2 * KEPT_BITS + sum(max(0, math.frexp(size)[1]) for size in sizes if math.isfinite(size))
+
+
+def remainders(
+    rate: Any, period: Any, t: Floats, bits: int, jump: Any = None, jumps: Sequence[int] = ()
+) -> tuple[list[int], Floats]:
+    """Return the whole periods in rate * t for each time, and what is left.
+
+    Parameters
+    ----------
+    rate, period : arb
+        Of `working_bits` or more; the period is positive.
+    t : (k,)
+        Times, taken as they are.
+    bits : int
+        Behind the point.
+    jump : arb, optional
+        Of the phase; and how many of them there are up to each time.
+    jumps : sequence of int
+
+    Returns
+    -------
+    counts : list of int
+        Nearest whole numbers.
+    (k,) array
+        Between minus and plus half a period.
+
+    Examples
+    --------
+    >>> from flint import arb
+    >>> remainders(arb(3), arb(1), np.array([0.75, 1e3]), 128)
+    ([2, 3000], array([0.25, 0.  ]))
+    """
+    step, whole = (math.floor(fraction_of(value) * 2**bits) for value in (rate, period))
+    leap = 0 if jump is None else math.floor(fraction_of(jump) * 2**bits)
+    counts, rests = [], []
+    for time, leaps in zip(t.tolist(), jumps or [0] * t.size, strict=True):
+        above, below = time.as_integer_ratio()
+        phase = step * above // below + leap * leaps
+        counts.append((2 * phase + whole) // (2 * whole))
+        rests.append((phase - counts[-1] * whole) / 2**bits)
+    return counts, np.array(rests)
+
+
+def fraction_of(value: Any) -> Fraction:
+    """Return the middle of a ball as a fraction."""
+    digits, exponent = value.mid().man_exp()
+    return Fraction(int(digits)) * Fraction(2) ** int(exponent)
+
+
+def ball(value: Fraction) -> Any:
+    """Return a fraction as a ball of the precision at work."""
+    from flint import arb, fmpq
+
+    return arb(fmpq(value.numerator, value.denominator))
+
+
+def exact_principal_axes(M: Floats, bits: int) -> tuple[list[Fraction], list[list[Fraction]]]:
+    """Return principal moments and axes of a symmetric matrix to many bits, by Jacobi's rotations.
+
+    Parameters
+    ----------
+    M : (3, 3)
+        Symmetric; taken as it is.
+    bits : int
+        Of the result. Moments that agree to three quarters of them are taken as equal.
+
+    Returns
+    -------
+    moments : list of Fraction
+    axes : list of list of Fraction
+        Axis c is column c; a rotation.
+
+    Examples
+    --------
+    >>> moments, _ = exact_principal_axes(np.array([[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 5.0]]), 128)
+    >>> [float(m) for m in moments]
+    [1.0, 3.0, 5.0]
+    """
+    from flint import ctx
+
+    with ctx.workprec(bits + 32):
+        A = [[ball(Fraction(v)) for v in row] for row in M.tolist()]
+        Q = [[ball(Fraction(int(i == j))) for j in range(3)] for i in range(3)]
+        size = max((abs(fraction_of(v)) for row in A for v in row), default=Fraction(0))
+        for _ in range(MOST_SWEEPS):
+            if all(abs(fraction_of(A[p][q])) <= size / 2**bits for p, q in ((0, 1), (0, 2), (1, 2))):
+                break
+            for p, q in ((0, 1), (0, 2), (1, 2)):
+                if fraction_of(A[p][q]) != 0:
+                    _turn(A, Q, p, q)
+        moments = [fraction_of(A[i][i]) for i in range(3)]
+        axes = [[fraction_of(v) for v in row] for row in Q]
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        if abs(moments[i] - moments[j]) <= size / 2 ** (3 * bits // 4):
+            moments[j] = moments[i]
+    return moments, axes
+
+
+def _turn(A: list[list[Any]], Q: list[list[Any]], p: int, q: int) -> None:
+    """Make entry (p, q) zero; radii of balls are forgotten."""
+    slope = (A[q][q] - A[p][p]) / (2 * A[p][q])
+    t = 1 / (abs(slope) + (slope * slope + 1).sqrt())
+    t = (-t if fraction_of(slope) < 0 else t).mid()
+    c = (1 / (t * t + 1).sqrt()).mid()
+    s, r = (t * c).mid(), 3 - p - q
+    A[p][p], A[q][q] = (A[p][p] - t * A[p][q]).mid(), (A[q][q] + t * A[p][q]).mid()
+    A[p][q] = A[q][p] = A[p][q] * 0
+    one, other = (c * A[p][r] - s * A[q][r]).mid(), (s * A[p][r] + c * A[q][r]).mid()
+    A[p][r], A[q][r], A[r][p], A[r][q] = one, other, one, other
+    for row in Q:
+        row[p], row[q] = (c * row[p] - s * row[q]).mid(), (s * row[p] + c * row[q]).mid()
+
+
+def turned_back(axes: Sequence[Sequence[Fraction]], x: Sequence[Fraction]) -> list[Fraction]:
+    """Return the components of a vector along axes."""
+    return [sum((axes[i][c] * x[i] for i in range(3)), Fraction(0)) for c in range(3)]

@@ -1,0 +1,427 @@
+"""Systems with forces against closed forms and references; what they keep, what they break, and the balance of it."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import coadjoint as co
+from coadjoint.analysis.round_off import round_off, spatial_momentum
+from coadjoint.methods.forced import Forced
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+AXES = co.systems.rigid_body(inertia=(1.0, 1.0, 2.0))
+GAP = 1.0 / 2.0 - 1.0 / 1.0  # x1' = GAP x3 x2, x2' = -GAP x3 x1
+
+
+def turned(x0, phase, shrunk=1.0):
+    """The transverse momentum of a symmetric body after a phase, the integral of GAP x3."""
+    z = (x0[0] + 1j * x0[1]) * np.exp(-1j * phase) * shrunk
+    return z.real, z.imag
+
+
+def full(n, seed, size=0.2):
+    B = np.random.default_rng(seed).uniform(-0.5, 0.5, (n, n))
+    return np.diag(np.linspace(0.6, 1.4, n)) + size * (B + B.T)
+
+
+def positive(n, seed):
+    B = np.random.default_rng(seed).uniform(-0.5, 0.5, (n, n))
+    return B @ B.T + 0.1 * np.eye(n)
+
+
+def on(algebra, sign, seed=0):
+    n = algebra.dim
+    return co.LiePoissonSystem(algebra, co.Quadratic(full(n, seed), linear=np.linspace(-0.3, 0.4, n)), sign=sign)
+
+
+SYSTEMS = {
+    "e(3)": on(co.algebras.e(3), -1),
+    "so(4)": on(co.algebras.so(4), +1, 1),
+    "A3,7": on(co.algebras.A3_7(0.7), +1, 2),
+    "su(3)": on(co.algebras.su(3), -1, 3),
+}
+BASES = [
+    co.Splitting(order=2),
+    co.Splitting(order=4, compensated=True),
+    co.GaussLegendre(2),
+    co.Taylor(6),
+    co.CommutatorFree(3),
+    co.ExplicitRungeKutta("rk4"),
+    co.Projected(co.ExplicitRungeKutta("rk4")),
+]
+
+
+def state(n):
+    return np.linspace(0.7, -0.5, n)
+
+
+def fitted_order(run, exact, steps=(2**-4, 2**-5, 2**-6)):
+    errors = [np.max(np.abs(run(h) - exact)) for h in steps]
+    return np.polyfit(np.log2(steps), np.log2(errors), 1)[0]
+
+
+def test_a_damped_symmetric_body():
+    """x3 = x3(0) exp(-r3 t); the phase is the integral of GAP x3. Both signs of time; the axis is exact."""
+    rates, x0 = (0.3, 0.3, 0.2), np.array([0.5, -0.2, 0.8])
+    body = AXES.with_forces(co.forces.LinearDamping(rates))
+    for end in (4.0, -2.0):
+        phase = GAP * x0[2] * -np.expm1(-rates[2] * end) / rates[2]
+        exact = [*turned(x0, phase, np.exp(-rates[0] * end)), x0[2] * np.exp(-rates[2] * end)]
+
+        def run(h, end=end):
+            return co.integrate(body, x0, (0, end), h, co.Splitting()).x[-1]
+
+        assert abs(run(2**-4)[2] - exact[2]) < 256 * UNIT_ROUNDOFF
+        assert abs(fitted_order(run, exact) - 2.0) < 0.05
+
+
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(3)], ids=str)
+def test_torques_about_the_axis_of_a_symmetric_body(method):
+    """Constant N: the phase grows by N t^2/2. Of time, cos(t): x3 by sin(t), to the quadrature."""
+    x0, N, end = np.array([0.5, -0.2, 0.8]), 0.4, 3.0
+    body = AXES.with_forces(co.forces.Torque((0.0, 0.0, N)))
+    exact = [*turned(x0, GAP * (x0[2] * end + N * end**2 / 2)), x0[2] + N * end]
+    # The phase of the splitting is that of the trapezoidal rule of x3, which is linear: exact.
+    assert np.max(np.abs(co.integrate(body, x0, (0, end), 0.125, method).x[-1] - exact)) < 1e-10
+    swung = AXES.with_forces(co.forces.Torque(lambda t: np.array([0.0, 0.0, np.cos(t)])))
+    exact = [*turned(x0, GAP * (x0[2] * end + 1 - np.cos(end))), x0[2] + np.sin(end)]
+
+    def run(h):
+        return co.integrate(swung, x0, (0, end), h, method).x[-1]
+
+    assert abs(run(0.125)[2] - exact[2]) < 1e-14
+    assert abs(fitted_order(run, exact) - 2.0) < 0.05
+
+
+def test_linear_damping_alone_is_the_exponential_of_its_matrix():
+    """On an algebra without brackets nothing else moves. Rates that are large against the step are no matter."""
+    rng = np.random.default_rng(5)
+    n, aim, x0 = 5, np.linspace(-1, 1, 5), np.ones(5)
+    still = co.LiePoissonSystem(co.LieAlgebra.from_brackets(n, {}), co.Quadratic(full(n, 7)), casimirs={})
+    R = np.diag(np.linspace(0.5, 40, n)) + rng.uniform(-0.4, 0.4, (n, n))
+    turning = 3.0 * (np.triu(np.ones((n, n)), 1) - np.tril(np.ones((n, n)), -1)) + 0.1 * np.eye(n)
+    for rate, whole in ((R, R), (turning, turning), (np.diag(R), np.diag(np.diag(R))), (0.7, 0.7 * np.eye(n))):
+        sol = co.integrate(still.with_forces(co.forces.LinearDamping(rate, aim)), x0, (0, 1), 0.25, save_every=4)
+        exact = aim + expm(-whole) @ (x0 - aim)
+        assert np.max(np.abs(sol.x[-1] - exact)) < 512 * UNIT_ROUNDOFF
+        assert sol.balance()["energy"] < 64 * UNIT_ROUNDOFF * np.abs(sol.energy).max()
+
+
+@pytest.mark.parametrize(("alpha", "length", "sense"), [(0.1, 1.0, 1), (0.25, 2.0, -1)])
+def test_one_spin_in_a_field(alpha, length, sense):
+    """S_3 = s tanh(alpha B s t + artanh S_3(0)/s), and S precesses; S_3' = alpha B (s^2 - S_3^2)."""
+    B, end = 1.5, 2.0
+    x0 = length * np.array([0.6, 0.0, -0.8])
+    H = co.Polynomial({(0, 0, 1): -B})
+    spin = co.LiePoissonSystem(co.algebras.so(3), H, sign=sense).with_forces(co.forces.DoubleBracketDamping(alpha))
+    for goal in (end, -0.5):
+        along = length * np.tanh(alpha * B * length * goal + np.arctanh(x0[2] / length))
+        # J(x) u = u x x: x' = -sense B e3 x x.
+        angle = -sense * B * goal
+        across = np.sqrt(length**2 - along**2)
+        exact = [across * np.cos(angle), across * np.sin(angle), along]
+
+        def run(h, goal=goal):
+            return co.integrate(spin, x0, (0, goal), h, co.Splitting()).x[-1]
+
+        assert abs(fitted_order(run, exact, (2**-4, 2**-5, 2**-6)) - 2.0) < 0.05
+        assert np.max(np.abs(run(2**-9) - exact)) < 1e-5
+        sol = co.integrate(spin, x0, (0, goal), 2**-6, co.Splitting())
+        assert sol.balance()["|x|^2"] < 64 * UNIT_ROUNDOFF * length**2
+        assert sol.balance()["energy"] < 64 * UNIT_ROUNDOFF * B * length
+        assert abs(sol.work["DoubleBracketDamping"]["energy"][-1] + B * (sol.x[-1, 2] - x0[2])) < 1e-14
+
+
+@cache
+def breeze(n):
+    """A torque of state and time, one for each dimension, so that it is compiled once."""
+    wind = np.linspace(0.1, -0.2, n)
+    return lambda x, t: wind * np.cos(t) - 0.05 * x * x
+
+
+def forces_for(system):
+    n = system.dim
+    wind = np.linspace(0.1, -0.2, n)
+    damping = 0.1 * full(n, 5) + 0.05 * np.triu(np.ones((n, n)), 1)
+    return (
+        co.forces.LinearDamping(damping, 0.2 * wind),
+        co.forces.Torque(breeze(n)),
+        co.forces.DoubleBracketDamping(0.2, positive(n, 4)),
+    )
+
+
+@pytest.mark.parametrize("name", ["e(3)", "so(4)", "A3,7"])
+def test_the_order_is_two_on_full_systems(name):
+    """Three forces at once, with full matrices; the reference is another solver on the whole field."""
+    forced = SYSTEMS[name].with_forces(*forces_for(SYSTEMS[name]))
+    x0 = state(forced.dim)
+    for end in (0.5, -0.5):
+        found = solve_ivp(lambda t, x: forced.vector_field(x, t), (0, end), x0, "DOP853", rtol=1e-10, atol=1e-11)
+
+        def run(h, end=end):
+            return co.integrate(forced, x0, (0, end), h, co.Splitting(order=4)).x[-1]
+
+        assert abs(fitted_order(run, found.y[:, -1]) - 2.0) < 0.1
+
+
+@pytest.mark.parametrize("method", BASES, ids=str)
+def test_every_scheme_takes_the_step_that_is_read_in_python(method):
+    for name in ("e(3)", "su(3)"):
+        forced = SYSTEMS[name].with_forces(*forces_for(SYSTEMS[name]))
+        x0 = state(forced.dim)
+        for h in (0.05, -0.05):
+            read = Forced(method).step(forced, x0, 0.3, h)
+            assert np.max(np.abs(co.stepper(forced, method, h)(x0, 0.3) - read)) < 256 * UNIT_ROUNDOFF
+            assert np.max(np.abs(read - co.stepper(forced.system, method, h)(x0, 0.3))) > 1e-4
+
+
+def test_a_scheme_of_the_first_order_stays_one():
+    forced = SYSTEMS["e(3)"].with_forces(co.forces.LinearDamping(0.3))
+    assert Forced(co.Splitting(order=1)).order == 1 and Forced(co.Taylor(9)).order == 2
+    assert not Forced(co.Splitting(order=1)).symmetric and Forced(co.GaussLegendre(2)).symmetric
+    there = co.stepper(forced, co.Splitting(), 0.1)(state(6))
+    assert np.max(np.abs(co.stepper(forced, co.Splitting(), -0.1)(there) - state(6))) < 64 * UNIT_ROUNDOFF
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_double_brackets_keep_casimirs_and_lose_energy(name):
+    """With any positive metric, on every algebra, whatever is no polynomial among the Casimirs too."""
+    system = SYSTEMS[name]
+    force = co.forces.DoubleBracketDamping(0.3, positive(system.dim, 8))
+    forced = system.with_forces(force)
+    method = co.Splitting(compensated=True)
+    sol = co.integrate(forced, state(system.dim), (0, 10), 2**-6, method, save_every=64)
+    assert len(sol.casimirs) > 0
+    for casimir, left in sol.balance().items():
+        if casimir != "energy":
+            assert left < 640 * 8 * UNIT_ROUNDOFF * max(1.0, np.abs(sol.x).max() ** 3)
+    done = sol.work["DoubleBracketDamping"]["energy"]
+    assert np.all(np.diff(done) < 0) and list(sol.work["DoubleBracketDamping"]) == ["energy"]
+    # The rate of the loss at the start is that of the formula.
+    f, x0 = system.vector_field(state(system.dim)), state(system.dim)
+    assert abs(forced.power(x0)["DoubleBracketDamping"] + 0.3 * f @ positive(system.dim, 8) @ f) < 1e-14
+
+
+def test_the_balance_is_the_error_of_the_scheme():
+    """Each force has its account; all changes together are the accounts and what the scheme itself adds."""
+    system = SYSTEMS["e(3)"]
+    forced = system.with_forces(*forces_for(system))
+    for method, bound in ((co.GaussLegendre(4), 1e-13), (co.Taylor(12), 1e-13), (co.Splitting(), 1e-2)):
+        sol = co.integrate(forced, state(6), (0, 4), 2**-5, method, save_every=8)
+        changes = {"energy": sol.energy - sol.energy[0]} | {n: c - c[0] for n, c in sol.casimirs.items()}
+        for name, change in changes.items():
+            done = sum(of_force[name] for of_force in sol.work.values() if name in of_force)
+            left = np.abs(change - done)
+            assert np.max(left) <= sol.balance()[name] + 1e-14 <= bound + 1e-14
+            assert sol.balance()[name].tenths.shape == (10,)
+            assert abs(sol.change()[name] - np.max(np.abs(change))) < 0.02
+        # Each account is the integral of the power of its force, by Simpson's rule.
+        powers = [forced.power(x, t) for x, t in zip(sol.x, sol.t, strict=True)]
+        for label, of_force in sol.work.items():
+            rates = np.array([power[label] for power in powers])
+            spent = (rates[0] + rates[-1] + 4 * rates[1:-1:2].sum() + 2 * rates[2:-1:2].sum()) * 0.25 / 3
+            assert abs(of_force["energy"][-1] - spent) < 2e-3 < 5e-3 < abs(spent)
+        assert np.max(np.abs(changes["energy"])) > 0.03
+    assert float(sol.balance()["energy"]) > 1e-6, "the splitting has an error of the second order"
+    halved = co.integrate(forced, state(6), (0, 4), 2**-6, co.Splitting()).balance()["energy"]
+    assert 1.7 < np.log2(sol.balance()["energy"] / halved) < 2.3
+    with pytest.raises(TypeError, match="changed by its forces; take balance"):
+        sol.drift()
+
+
+def turned_by_three(x, t, tau):
+    c, s = np.cos(3 * tau), np.sin(3 * tau)
+    return np.array([c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]])
+
+
+def test_balances_of_multivalued_casimirs():
+    """log C of A3,7 jumps by periods as the angle turns; what a force does to it is unwrapped."""
+    H = co.Quadratic([0.3, 0.2, 0.1], linear=[0.0, 0.0, 4.0])
+    spiral = co.LiePoissonSystem(co.algebras.A3_7(0.7), H).with_forces(co.forces.LinearDamping((0.05, 0.05, 0.3)))
+    sol = co.integrate(spiral, (0.6, 0.1, 0.4), (0, 6), 2**-6, co.Splitting())
+    (name,) = sol.casimirs
+    assert np.max(np.abs(np.diff(sol.casimirs[name]))) < 0.05
+    # x1 and x2 shrink alike, so that the angle is left alone: log C loses 2 * 0.05 t.
+    assert abs(sol.work["LinearDamping"][name][-1] + 0.1 * 6) < 1e-12
+    assert sol.balance()[name] < 1e-12
+    # A force that turns x1 and x2 by 3 t, over the jump of the angle many times: log C loses 2 * 0.7 * 3 t.
+    turning = co.forces.OwnForce(turned_by_three, name="turning")
+    sol = co.integrate(spiral.system.with_forces(turning), (0.6, 0.1, 0.4), (0, 6), 2**-6, co.Splitting())
+    assert abs(abs(sol.work["turning"][name][-1]) - 2 * 0.7 * 3 * 6) < 1e-12 and sol.balance()[name] < 1e-12
+
+
+@pytest.mark.parametrize("attitude", [True, "coadjoint"])
+def test_the_attitude_goes_with_the_hamiltonian_part(attitude):
+    """About its axis a body under a torque turns by the integral of x3/I3; rotations stay orthogonal."""
+    body = co.systems.rigid_body(inertia=(1.0, 1.0, 1.5)).with_forces(co.forces.Torque((0.0, 0.0, 0.4)))
+    sol = co.integrate(body, (0.0, 0.0, 0.5), (0, 5), 2**-5, co.Splitting(), attitude=attitude)
+    angle = (0.5 * 5 + 0.4 * 12.5) / 1.5
+    found = sol.attitude[-1]
+    assert abs(found[0, 0] - np.cos(angle)) < 1e-13 and abs(abs(found[1, 0]) - abs(np.sin(angle))) < 1e-13
+    tumbling = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.LinearDamping(0.1))
+    for method in (co.Splitting(), co.GaussLegendre(2)):
+        sol = co.integrate(tumbling, (0.6, 0.5, -0.3), (0, 20), 2**-5, method, attitude=attitude, save_every=64)
+        errors = np.swapaxes(sol.attitude, 1, 2) @ sol.attitude - np.eye(3)
+        assert np.max(np.abs(errors)) < 640 * 4 * UNIT_ROUNDOFF
+        # The momentum in space only loses its length.
+        space = np.einsum("kij,kj->ki", sol.attitude, sol.x)
+        assert np.max(np.abs(space - np.exp(-0.1 * sol.t)[:, None] * space[0])) < 1e-13
+        alone = co.integrate(tumbling, (0.6, 0.5, -0.3), (0, 20), 2**-5, method, save_every=64)
+        assert np.max(np.abs(alone.x - sol.x)) < 1e-2
+    with pytest.raises(ValueError, match="carries no group element"):
+        co.integrate(tumbling, (0.6, 0.5, -0.3), (0, 1), 2**-5, co.Taylor(4), attitude=attitude)
+
+
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2), co.Taylor(4)], ids=str)
+def test_the_same_bits_alone_in_a_crowd_on_threads_and_cut(method):
+    system = SYSTEMS["e(3)"]
+    bath = co.forces.HeatBath(0.2, positive(6, 3), temperature=0.1, seed=11)
+    forced = system.with_forces(co.forces.LinearDamping(0.05), bath)
+    starts = np.random.default_rng(2).uniform(-0.6, 0.6, (9, 6))
+    whole = co.integrate(forced, starts, (0.25, 2.25), 2**-4, method)
+    threads = co.integrate(forced, starts, (0.25, 2.25), 2**-4, method, threads=2, save_every=5, watch=False)
+    assert np.array_equal(threads.x[-1], whole.x[-1]) and np.array_equal(threads.x[1], whole.x[5])
+    assert all(np.array_equal(threads.work[f]["energy"][-1], whole.work[f]["energy"][-1]) for f in whole.work)
+    one = system.with_forces(
+        co.forces.LinearDamping(0.05), co.forces.HeatBath(0.2, positive(6, 3), temperature=0.1, seed=11, stream=7)
+    )
+    assert np.array_equal(co.integrate(one, starts[7], (0.25, 2.25), 2**-4, method).x, whole.x[:, 7])
+    later = co.integrate(forced, whole.x[16], (1.25, 2.25), 2**-4, method)
+    if not isinstance(method, co.Taylor):  # which remembers the invariants of its start
+        assert np.array_equal(later.x[-1], whole.x[-1])
+    assert not np.array_equal(whole.x[-1], whole.x[-1][::-1])
+    step = co.stepper(forced, method, 2**-4)
+    assert np.array_equal(step(starts, 0.25), whole.x[1])
+
+
+def test_a_batch_has_the_bits_of_its_members():
+    """Other constants, rates and temperatures, one for each; the noise of a member has its number."""
+    parts = [on(co.algebras.e(3), -1, seed) for seed in (1, 2, 3)]
+    rates, metric = (0.1, (0.3,) * 6, full(6, 9)), positive(6, 1)
+    for method in (co.Splitting(), co.GaussLegendre(2)):
+
+        def forced(m, stream):
+            bath = co.forces.HeatBath(0.1, metric, temperature=0.1 * m, seed=4, stream=stream)
+            return parts[m].with_forces(co.forces.LinearDamping(rates[m]), bath)
+
+        batch = co.batch([forced(m, 0) for m in range(3)])
+        sol = co.integrate(batch, state(6), (0, 1), 2**-4, method, attitude="coadjoint", threads=2)
+        for m in range(3):
+            alone = co.integrate(forced(m, m), state(6), (0, 1), 2**-4, method, attitude="coadjoint")
+            assert np.array_equal(sol.x[:, m], alone.x) and np.array_equal(sol.attitude[:, m], alone.attitude)
+            assert sol.balance()["energy"].members[m] == alone.balance()["energy"]
+            done, own = (s.work["LinearDamping"]["energy"] for s in (sol, alone))
+            assert np.array_equal(done[:, m], own)
+
+
+def test_what_is_broken_is_labelled():
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    damped = body.with_forces(
+        co.forces.LinearDamping(0.1), co.forces.LinearDamping(0.2), co.forces.DoubleBracketDamping(1)
+    )
+    assert damped.labels == ("LinearDamping", "LinearDamping 2", "DoubleBracketDamping")
+    found = Forced(co.Splitting()).properties(damped)
+    assert (found.poisson, found.energy, found.casimirs) == (False, False, "none")
+    assert found.broken_by == (
+        "Poisson map: LinearDamping, LinearDamping 2, DoubleBracketDamping",
+        "Casimirs: LinearDamping, LinearDamping 2",
+    )
+    spin = Forced(co.GaussLegendre(2)).properties(body.with_forces(co.forces.DoubleBracketDamping(1)))
+    assert spin.casimirs == "quadratic" and spin.broken_by == ("energy: DoubleBracketDamping",)
+
+
+def test_what_makes_no_sense_is_refused_by_name():
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    damped, x0 = body.with_forces(co.forces.LinearDamping(0.1)), (0.3, 0.4, 0.5)
+    for ask in (
+        lambda: co.choose(damped, x0, (0, 1), 1e-6),
+        lambda: co.integrate(damped, x0, (0, 1), accuracy=1e-6),
+        lambda: co.certify(damped, co.Splitting(), x0, step=0.1),
+        lambda: co.lyapunov(damped, x0, (0, 1), 0.1),
+        lambda: co.Splitting().properties(damped),
+        lambda: co.GaussLegendre(2).properties(damped),
+        lambda: co.modified_field(damped, co.Splitting(), 4),
+    ):
+        with pytest.raises(TypeError, match="rigid_body with LinearDamping has forces"):
+            ask()
+    crowd = co.integrate(damped, [x0, x0], (0, 2), 0.125, attitude="coadjoint")
+    for judge in (round_off, spatial_momentum):
+        with pytest.raises(TypeError, match="has forces, which change what is kept"):
+            judge(crowd)
+    with pytest.raises(TypeError, match="no closed form is known for rigid_body with LinearDamping"):
+        damped.exact(x0, 1.0)
+    with pytest.raises(TypeError, match="is what runs make of Splitting"):
+        co.integrate(damped, x0, (0, 1), 0.125, Forced(co.Splitting()))
+    with pytest.raises(TypeError, match="rigid_body has no forces; take Splitting alone"):
+        Forced(co.Splitting()).properties(body)
+    with pytest.raises(TypeError, match="for one LiePoissonSystem"):
+        co.modified_hamiltonian(damped, co.Splitting())
+    with pytest.raises(ValueError, match="has the forces Torque and member 0 has LinearDamping"):
+        co.batch([damped, body.with_forces(co.forces.Torque((0.0, 0.0, 1.0)))])
+    with pytest.raises(ValueError, match="is a LiePoissonSystem and member 0 a ForcedSystem"):
+        co.batch([damped, body])
+    hot = body.with_forces(co.forces.HeatBath(0.1, temperature=1, seed=0))
+    with pytest.raises(ValueError, match="HeatBath does not run backward"):
+        co.integrate(hot, x0, (1, 0), 0.125)
+    with pytest.raises(TypeError, match="is a noise, which has no field"):
+        hot.vector_field(x0)
+    plane = co.PoissonSystem(lambda x: np.array([[0.0, x[0] * x[1]], [-x[0] * x[1], 0.0]]), co.Quadratic([1.0, 2.0]))
+    with pytest.raises(ValueError, match="structure constants, which"):
+        plane.with_forces(co.forces.DoubleBracketDamping(0.1))
+    sol = co.integrate(plane.with_forces(co.forces.LinearDamping(1.0)), (1.0, 2.0), (0, 1), 2**-4, co.GaussLegendre(2))
+    assert sol.balance()["energy"] < 1e-14
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "said"),
+    [
+        (lambda f: f.LinearDamping((0.1, 0.2)), ValueError, "rate of LinearDamping has the shape"),
+        (lambda f: f.LinearDamping(np.ones((2, 3))), ValueError, r"must be a number or \(n,\) or \(n, n\)"),
+        (lambda f: f.LinearDamping(0.1, [1.0]), ValueError, "toward of LinearDamping has the shape"),
+        (lambda f: f.LinearDamping(np.nan), ValueError, "NaN or infinity|must be finite|is nan"),
+        (lambda f: f.Torque(1.0), ValueError, "the torque has the shape"),
+        (lambda f: f.Torque(lambda x: x[:2]), ValueError, "the torque returns shape"),
+        (lambda f: f.Torque(lambda a, b, c: a), TypeError, "positional arguments"),
+        (lambda f: f.DoubleBracketDamping(-1), ValueError, "alpha of DoubleBracketDamping is -1"),
+        (lambda f: f.DoubleBracketDamping(1, -np.eye(3)), ValueError, "not positive semidefinite"),
+        (lambda f: f.DoubleBracketDamping(1, np.triu(np.ones((3, 3)))), ValueError, "not symmetric"),
+        (lambda f: f.HeatBath(1, temperature=1), TypeError, "needs a seed"),
+        (lambda f: f.HeatBath(1, temperature=-1, seed=1), ValueError, "temperature of HeatBath is -1"),
+        (lambda f: f.HeatBath(1, temperature=1, seed=-1), ValueError, "seed of HeatBath"),
+        (lambda f: f.OwnForce(lambda x: x), TypeError, r"function of \(x, t, tau\)"),
+        (lambda f: f.OwnForce(lambda x, t, tau: x + 1), ValueError, "moves a state in no time"),
+        (lambda f: f.OwnForce(lambda x, t, tau: x[:1]), ValueError, "real numbers of shape"),
+        (lambda f: 0.5, TypeError, "a force is 0.5"),
+    ],
+)
+def test_wrong_forces_are_refused_by_name(make, error, said):
+    with pytest.raises(error, match=said):
+        co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(make(co.forces))
+
+
+def test_failures_say_where():
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    blown = body.with_forces(co.forces.Torque(lambda t: np.array([0.0, 0.0, np.log(1.0 - t)])))
+    with pytest.raises(co.IntegrationError, match="in step 9, at t = 1"):
+        co.integrate(blown, (0.1, 0.2, 0.3), (0, 2), 0.125)
+    stiff = body.with_forces(co.forces.DoubleBracketDamping(1e6))
+    with pytest.raises(co.IntegrationError, match="in step 1"):
+        co.integrate(stiff, (0.1, 0.2, 0.3), (0, 2), 0.125)
+    strong = body.with_forces(co.forces.DoubleBracketDamping(500.0))
+    with pytest.raises(co.IntegrationError, match=r"the iteration of .*, or of a force, did not converge"):
+        co.integrate(strong, (0.1, 0.2, 0.3), (0, 2), 0.125)
+
+
+def test_tangents_are_derivatives_of_the_step():
+    forced = SYSTEMS["so(4)"].with_forces(*forces_for(SYSTEMS["so(4)"]))
+    step, x = co.stepper(forced, co.Splitting(), 0.1), state(6)
+    P = step.tangent(x, 0.3)
+    for k, unit in enumerate(np.eye(6)):
+        column = (step(x + 1e-5 * unit, 0.3) - step(x - 1e-5 * unit, 0.3)) / 2e-5
+        assert np.max(np.abs(P[:, k] - column)) < 1e-8
+    damped = SYSTEMS["so(4)"].with_forces(co.forces.LinearDamping(0.4))
+    P = co.stepper(damped, co.Splitting(), 0.1).tangent(x)
+    assert abs(np.linalg.det(P) - np.exp(-6 * 0.04)) < 1e-12, "so(4) is unimodular: damping alone shrinks volumes"
