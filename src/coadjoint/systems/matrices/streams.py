@@ -53,8 +53,8 @@ class DiagonalSolve:
 
     Notes
     -----
-    Where the equation of the main diagonal is singular, by the matrices that are multiples of the unit, P has trace
-    zero.
+    Where the equation of the main diagonal is singular, by the matrices that are multiples of the unit, that part of W
+    is left out, and P has trace zero.
     """
 
     main: Floats
@@ -83,12 +83,15 @@ class DiagonalSolve:
         P = np.zeros_like(W)
         for m in range(N):
             y = np.diagonal(W, m, -2, -1).copy()
+            singular = m == 0 and inverse[N - 1, 0] == 0.0
+            if singular:
+                y -= y.mean(axis=-1, keepdims=True)
             for i in range(1, N - m):
                 y[..., i] -= below[i, m] * y[..., i - 1]
             y *= inverse[: N - m, m]
             for i in range(N - m - 2, -1, -1):
                 y[..., i] -= below[i + 1, m] * y[..., i + 1]
-            if m == 0 and inverse[N - 1, 0] == 0.0:
+            if singular:
                 y -= y.mean(axis=-1, keepdims=True)
             rows = np.arange(N - m)
             P[..., rows + m, rows] = -np.conj(y)
