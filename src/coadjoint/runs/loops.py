@@ -200,7 +200,9 @@ class SystemLoops(Loops):
         start: NDArray[Any] | None = None
         for k, states in enumerate(saved):
             W = system.from_vector(states)
-            values[k] = np.stack([system.energy(W), *system.casimirs_at(W).values()], axis=-1)
+            with np.errstate(all="ignore"):  # of members that have failed
+                energy = system.energy(W, float(times.at(numbers[k])))
+                values[k] = np.stack([energy, *system.casimirs_at(W).values()], axis=-1)
             start = values[k] if start is None else start
             worst[:, tenth[k]] = np.fmax(worst[:, tenth[k]], np.abs(values[k] - start))
 
