@@ -20,6 +20,7 @@ SUM = "sum"
 LARGEST = 4096
 ROUNDED = 64 * UNIT_ROUNDOFF
 """Of the largest entry: by so much, times N, a matrix may miss the algebra by rounding."""
+SPARED = 8 * UNIT_ROUNDOFF
 
 Matrix = npt.NDArray[Any]
 
@@ -63,7 +64,7 @@ class MatrixAlgebra:
     blocks: tuple[MatrixAlgebra, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.kind == SUM:
+        if isinstance(self.kind, str) and self.kind == SUM:
             self._check_blocks()
             return
         kind, N = read_choice(self.kind, "kind", KINDS), read_whole(self.N, "N", 2, LARGEST)
@@ -72,7 +73,7 @@ class MatrixAlgebra:
             raise ValueError(f"N is {N}; matrices of {kind} have an even number of rows")
         if q and kind not in WITH_SIGNS:
             raise ValueError(f"q is {q}; {kind} has no signs, only {', '.join(WITH_SIGNS)} have")
-        if self.blocks != ():
+        if not isinstance(self.blocks, tuple) or self.blocks:
             raise ValueError(f"blocks is {short(self.blocks)}; a sum of algebras is made by MatrixAlgebra.sum")
         for name, value in (("kind", kind), ("N", N), ("q", q)):
             object.__setattr__(self, name, value)
@@ -83,7 +84,9 @@ class MatrixAlgebra:
             raise TypeError(f"blocks is {short(blocks)}; a sum has two MatrixAlgebras or more")
         size = sum(block.N for block in blocks)
         if size > LARGEST or self.N != size or self.q != 0:
-            raise ValueError(f"blocks have {size} rows together; they must have N of them, {LARGEST} at most, and q = 0")
+            raise ValueError(
+                f"blocks have {size} rows together; they must have N of them, {LARGEST} at most, and q = 0"
+            )
 
     @classmethod
     def sum(cls, *algebras: MatrixAlgebra) -> MatrixAlgebra:
@@ -191,8 +194,21 @@ class MatrixAlgebra:
         """Return the matrix whose numbers, by those of any B of the algebra, make <A, B>."""
         return A if self.skew else np.conj(np.swapaxes(A, -1, -2))
 
-    def projected(self, A: Matrix) -> Matrix:
+    def projected(self, A: Matrix, spared: float = 0.0) -> Matrix:
         """Return the nearest element of the algebra.
+
+        Parameters
+        ----------
+        A : ndarray, shape (..., N, N)
+            Matrices.
+        spared : float
+            Of the largest entry: where the trace must vanish, a mean of the diagonal up to so much is left. To take
+            rounding off again and again would change the last bits of a state that is already there.
+
+        Returns
+        -------
+        ndarray
+            Complex128 or float64.
 
         Examples
         --------
@@ -214,6 +230,7 @@ class MatrixAlgebra:
                 part = (part - Adjoint(kind, block.N, block.q)(part)) / 2
             if kind.traceless:
                 mean = np.trace(part, axis1=-2, axis2=-1) / block.N
+                mean = np.where(np.abs(mean) > spared * np.abs(part).max(axis=(-2, -1), initial=0.0), mean, 0.0)
                 part = part - mean[..., None, None] * np.eye(block.N)
             found[..., place, place] = part
         return found
@@ -253,7 +270,7 @@ class MatrixAlgebra:
             raise no_numbers(given, what) from None
         if not np.isfinite(A).all():
             raise ValueError(f"{what} contains NaN or infinity; every entry must be finite")
-        near = self.projected(A)
+        near = self.projected(A, spared=SPARED)
         away, size = np.abs(A - near).max(initial=0.0), np.abs(A).max(initial=0.0)
         if away > ROUNDED * self.N * size:
             raise ValueError(

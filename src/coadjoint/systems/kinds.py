@@ -8,6 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.wording import short
 
@@ -116,3 +117,23 @@ def check_one_system(system: Any) -> None:
         )
     if isinstance(system, Batch):
         raise TypeError(f"system is {short(system)}; it must be one system, such as a member of the batch, batch[0]")
+
+
+def check_vectors(system: Any) -> None:
+    """Refuse what is no one system, and a system of matrices where coordinates of a vector are needed.
+
+    Parameters
+    ----------
+    system : object
+        What was given.
+
+    Raises
+    ------
+    TypeError
+        As `check_one_system`.
+    ValueError
+        It moves matrices.
+    """
+    check_one_system(system)
+    if isinstance(system, MatrixSystem):
+        raise ValueError(f"{system.name} moves matrices in {system.algebra}; take a scheme for these, IsospectralGauss")

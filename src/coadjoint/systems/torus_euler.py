@@ -13,6 +13,7 @@ from coadjoint.given import read_whole
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants
 from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix, read_modes, representatives
+from coadjoint.systems.ready_made import ready_made
 
 LARGEST = 1001
 Matrix = npt.NDArray[np.complex128]
@@ -58,6 +59,7 @@ def round_off(value: complex, size: float) -> complex:
     return complex(round(real / size, 15) * size, round(imaginary / size, 15) * size)
 
 
+@ready_made
 def torus_euler(N: int = 33) -> TorusEuler:
     """Return the Euler equations of an ideal fluid on the torus with the sine bracket: ``W' = [P, W]``, ``L P = -W``.
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.given import array_given
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.wording import short
 
@@ -63,9 +64,9 @@ class FunctionStream:
         TypeError
             Of another shape, or no numbers of the kind that W has.
         """
-        found = np.asarray(P)
         right = "iufc" if np.iscomplexobj(W) else "iuf"
+        found = array_given(P, "what the stream returns", right)
         if found.shape != W.shape or found.dtype.kind not in right:
             kind = "complex" if right == "iufc" else "real"
             raise TypeError(f"the stream returns {short(P)}; it must return a {kind} matrix of shape {W.shape}")
-        return found.astype(W.dtype)
+        return found.astype(W.dtype, copy=False)

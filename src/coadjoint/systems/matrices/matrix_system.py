@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.matrix_states import MatrixAlgebra
-from coadjoint.given import read_numbers, read_title, read_whole
+from coadjoint.algebra.matrix_states import SPARED, MatrixAlgebra
+from coadjoint.given import array_given, check_finite, no_numbers, read_numbers, read_title, read_whole
 from coadjoint.memory import check_room
 from coadjoint.systems.closed_form import checked_exact, checked_parameters, solution_of
 from coadjoint.systems.matrices.function_stream import FunctionStream
@@ -124,7 +124,9 @@ class MatrixSystem:
         if size not in (None, algebra.N):
             raise ValueError(f"the stream is one of matrices of {size} rows; those of {algebra} have {algebra.N}")
         if stream.kind != "WEIGHTS" and not (isinstance(stream, FunctionStream) or algebra.skew):
-            raise ValueError(f"{type(stream).__name__} acts on skew-Hermitian matrices, which those of {algebra} are not")
+            raise ValueError(
+                f"{type(stream).__name__} acts on skew-Hermitian matrices, which those of {algebra} are not"
+            )
         self.hamiltonian = MatrixEnergy(self)
         check_stream(self)
 
@@ -148,7 +150,10 @@ class MatrixSystem:
 
     @cached_property
     def in_numbers(self) -> MatrixSystem:
-        """The same system whose states are rows of numbers, as `to_vector` has them: for what looks at coordinates."""
+        """The same system whose states are rows of numbers, as `to_vector` has them: for what looks at coordinates.
+
+        Any row of numbers stands for the nearest matrix of the algebra.
+        """
         seen = copy.copy(self)
         seen.shape = (self.dim,)
         seen.__dict__["in_numbers"] = seen
@@ -232,7 +237,7 @@ class MatrixSystem:
 
     def is_in_numbers(self, x: Any) -> bool:
         """Return whether states are rows of numbers, rather than matrices."""
-        shape = np.shape(x)
+        shape = array_given(x, "a state", "iufc").shape
         return len(shape) > 0 and shape[-1] == self.dim
 
     def matrices(self, x: Any) -> Matrix:
@@ -240,15 +245,20 @@ class MatrixSystem:
 
         Raises
         ------
-        ValueError
-            Of another shape.
+        TypeError, ValueError
+            No numbers, or of another shape.
         """
         if self.is_in_numbers(x):
-            return self.algebra.projected(self.from_vector(x))
-        W = np.asarray(x)
+            return self.algebra.projected(self.from_vector(x), spared=SPARED)
+        W = array_given(x, "a state", "iufc")
         if W.shape[-2:] != self.algebra.shape:
             raise ValueError(f"a state has the shape {W.shape}; it must be {self.algebra.shape}, or ({self.dim},)")
-        return W.astype(np.complex128 if self.complex else np.float64, copy=False)
+        if W.dtype.kind == "c" and not self.complex:
+            raise ValueError(f"a state is complex; matrices of {self.algebra} are real")
+        try:
+            return W.astype(np.complex128 if self.complex else np.float64, copy=False)
+        except (TypeError, ValueError, OverflowError):
+            raise no_numbers(x, "a state") from None
 
     def read(self, given: Any, what: str = "x0") -> Floats:
         """Return initial states as rows of numbers, one for a state and more for members; refuse others."""
@@ -257,7 +267,8 @@ class MatrixSystem:
         rows = read_numbers(given, what)
         if rows.ndim not in (1, 2) or rows.shape[-1] != self.dim:
             raise ValueError(f"{what} has the shape {rows.shape}; it must be ({self.dim},) or (members, {self.dim})")
-        return self.to_vector(self.algebra.read(self.from_vector(rows), what))
+        check_finite(rows, what)
+        return self.to_vector(self.algebra.projected(self.from_vector(rows), spared=SPARED))
 
     def states(self, rows: Floats) -> Matrix:
         """Return rows of numbers as the states of this system: matrices."""
