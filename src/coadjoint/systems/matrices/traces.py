@@ -70,7 +70,7 @@ class Trace:
     def of(self, power: Matrix, base: Matrix) -> Any:
         """Return it from the power below and the block; the trace of a product needs no product."""
         products = power * np.swapaxes(base, -1, -2)
-        found = products.reshape(*products.shape[:-2], -1).sum(axis=-1)
+        found = products.reshape(*products.shape[:-2], base.shape[-1] ** 2).sum(axis=-1)
         return found.imag if self.imaginary else found.real
 
 
