@@ -17,13 +17,13 @@ from coadjoint.systems.matrices.function_stream import FunctionStream
 
 
 @cache
-def product_address(complex_entries: bool) -> int:
-    """Return the address of BLAS's product of general matrices, that of SciPy.
+def blas_address(name: str) -> int:
+    """Return the address of a routine of BLAS, that of SciPy.
 
     Parameters
     ----------
-    complex_entries : bool
-        Of complex128 rather than float64.
+    name : str
+        Such as "zgemm".
 
     Returns
     -------
@@ -31,7 +31,8 @@ def product_address(complex_entries: bool) -> int:
     """
     from scipy.linalg import cython_blas
 
-    capsule = cython_blas.__pyx_capi__["zgemm" if complex_entries else "dgemm"]
+    capsules: dict[str, Any] = dict(cython_blas.__pyx_capi__)
+    capsule = capsules[name]
     api = ctypes.pythonapi
     api.PyCapsule_GetName.restype, api.PyCapsule_GetName.argtypes = ctypes.c_char_p, [ctypes.py_object]
     api.PyCapsule_GetPointer.restype = ctypes.c_void_p
@@ -71,6 +72,7 @@ def matrix_tables(
     numbers = [] if linear is None else [system.to_vector(linear)]
     numbers += [map_.table for map_ in (stream, second) if map_ is not None]
     layers = 2 if len(system.shape) == 3 else 1
+    precisions = "zc" if system.complex else "ds"
     whole = [
         system.algebra.N,
         layers,
@@ -78,7 +80,7 @@ def matrix_tables(
         -1 if second is None else kinds[second.kind],
         int(linear is not None),
         function.address if function else 0,
-        product_address(system.complex),
+        *(blas_address(precision + routine) for precision in precisions for routine in ("gemm", "trsm")),
         stages,
         int(system.complex),
         int(not system.algebra.skew),

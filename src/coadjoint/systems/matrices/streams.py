@@ -51,7 +51,7 @@ class DiagonalSolve:
     Notes
     -----
     Where the equation of the main diagonal is singular, by the matrices that are multiples of the unit, P has trace
-    zero.
+    zero, and does not see the trace of W: the stages of a step have one.
     """
 
     main: Floats
@@ -85,6 +85,8 @@ class DiagonalSolve:
         P = np.zeros_like(W)
         for m in range(N):
             y = np.diagonal(W, m, -2, -1).copy()
+            if m == 0 and inverse[N - 1, 0] == 0.0:
+                y -= y.mean(axis=-1, keepdims=True)
             for i in range(1, N - m):
                 y[..., i] -= below[i, m] * y[..., i - 1]
             y *= inverse[: N - m, m]
