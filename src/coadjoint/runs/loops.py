@@ -195,14 +195,15 @@ class SystemLoops(Loops):
         system = self._matrices
         if system is None:
             return
-        numbers = times.saved
-        tenth = np.where(numbers > 0, (numbers - 1) * worst.shape[1] // max(1, times.steps), 0)
-        start: NDArray[Any] | None = None
-        for k, states in enumerate(saved):
-            W = system.from_vector(states)
-            values[k] = np.stack([system.energy(W), *system.casimirs_at(W).values()], axis=-1)
-            start = values[k] if start is None else start
-            worst[:, tenth[k]] = np.fmax(worst[:, tenth[k]], np.abs(values[k] - start))
+        tenth = np.where(times.saved > 0, (times.saved - 1) * worst.shape[1] // max(1, times.steps), 0)
+        # The later states of members that have failed are NaN, and no function is asked about them.
+        sound = np.isfinite(saved[..., : system.dim]).all(axis=-1)
+        values[:] = np.nan
+        for k, (states, t) in enumerate(zip(saved[..., : system.dim], times.at(times.saved).tolist(), strict=True)):
+            W = system.from_vector(states[sound[k]])
+            with np.errstate(all="ignore"):
+                values[k, sound[k]] = np.stack([system.energy(W, t), *system.casimirs_at(W).values()], axis=-1)
+            worst[:, tenth[k]] = np.fmax(worst[:, tenth[k]], np.abs(values[k] - values[0]))
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop."""

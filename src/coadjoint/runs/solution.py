@@ -198,7 +198,7 @@ class Solution:
         # Behind the coordinates there may be accounts of forces.
         found = self._picked(self._series("x"))[..., : self._start.momenta.shape[1]]
         if isinstance(self._system, MatrixSystem):
-            return self._system.from_vector(found)
+            return self._system.states(found)
         return found.reshape(*found.shape[:-1], *self._start.shape)
 
     @cached_property

@@ -12,7 +12,7 @@ namespace coadjoint {
 // What is at `numbers`, by kind:
 //   TRIDIAGONAL: for each diagonal m from the main one upwards the factors L D L^T of a tridiagonal matrix, by rows:
 //                n x n below the diagonal of L, then n x n inverse pivots. A pivot of the main diagonal whose inverse is
-//                zero stands for a matrix that does not see the trace: then the means of W and P are taken off.
+//                zero stands for a matrix that does not see the trace: then the mean is taken off.
 //   MULTIPLIED:  the tridiagonal matrix of each diagonal: n x n on its diagonal, then n x n beside it.
 //   CIRCULANT:   for each cyclic diagonal d up to (n - 1)/2 the n entries of a circulant matrix's first column.
 //   WEIGHTS:     n x n factors of the entries.
@@ -49,15 +49,16 @@ class DiagonalMap {
     // Row by row, all diagonals at once: what one row needs of another stands side by side.
     void solve(const T* W, T* P) const {
         const double *below = numbers, *inverse = numbers + n * n;
-        const bool singular = inverse[(n - 1) * n] == 0.0;
-        const T mean = singular ? mean_of(W) : T(0.0);
+        const bool unseen = inverse[(n - 1) * n] == 0.0;
+        const T trace = unseen ? mean(W) : T(0.0);
         for (int64_t i = 0; i < n; ++i) {
             const T *from = W + i * n + i, *before = P + (i - 1) * n + i - 1;
             T* to = P + i * n + i;
             if (i == 0) std::copy_n(from, n, to);
             else
                 for (int64_t m = 0; m < n - i; ++m) to[m] = from[m] - below[i * n + m] * before[m];
-            to[0] -= mean;
+            // The stages of a step have a trace; only a map that does not see it is symmetric on them.
+            to[0] -= trace;
         }
         for (int64_t i = n - 1; i >= 0; --i) {
             T* to = P + i * n + i;
@@ -65,16 +66,17 @@ class DiagonalMap {
             for (int64_t m = 0; m < n - i; ++m) to[m] *= inverse[i * n + m];
             for (int64_t m = 0; m < n - i - 1; ++m) to[m] -= below[(i + 1) * n + m] * after[m];
         }
-        if (singular) {
-            const T rest = mean_of(P);
+        if (unseen) {
+            const T rest = mean(P);
             for (int64_t i = 0; i < n; ++i) P[i * n + i] -= rest;
         }
         mirror(P);
     }
 
-    T mean_of(const T* A) const {
+    // Of the main diagonal.
+    T mean(const T* W) const {
         T sum(0.0);
-        for (int64_t i = 0; i < n; ++i) sum += A[i * n + i];
+        for (int64_t i = 0; i < n; ++i) sum += W[i * n + i];
         return sum / double(n);
     }
 
