@@ -124,9 +124,8 @@ class TorusEuler(FluidSystem):
         -------
         (..., N, N) array
         """
-        w = torus_grid.modes_of(read_values(values), self.algebra.N)
-        w[..., 0, 0] = 0.0
-        return self.algebra.projected(matrix_of_modes(w))
+        # the mean is a multiple of the unit, which is no part of the algebra
+        return self.algebra.projected(matrix_of_modes(torus_grid.modes_of(read_values(values), self.algebra.N)))
 
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
         x, y = torus_grid.recognized(first, "x"), torus_grid.recognized(second, "y")

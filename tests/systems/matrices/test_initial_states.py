@@ -183,9 +183,9 @@ def test_fields_in_netcdf_in_any_order(points, tmp_path):
     import xarray
 
     W = TURNING.random(9)
-    latitude, longitude = latitudes(points, 30)[::-1], longitudes(60, -np.pi)
+    latitude, longitude = latitudes(points, 30)[::-1], longitudes(60, -np.pi / 3)[::-1]
     field = TURNING.to_grid(TURNING.relative(W), (30, 60), points)[::-1]
-    field = np.roll(field, 30, axis=1)
+    field = np.roll(field, 10, axis=1)[:, ::-1]
     dataset = xarray.Dataset(
         {"vo": (("time", "longitude", "lat"), np.stack([0 * field.T, field.T])), "top": ("lat", latitude)},
         {
