@@ -22,7 +22,6 @@ from coadjoint.systems.matrices.spherical_modes import (
     scale,
 )
 from coadjoint.systems.matrices.streams import DiagonalSolve
-from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
 
 LARGEST = 4096
@@ -250,14 +249,13 @@ class SphereEuler(FluidSystem):
 
     @property
     def integrals(self) -> dict[str, Any]:  # type: ignore[override]
-        """Name -> linear function of the numbers of a state: the parts of the angular momentum that are constant.
+        """Name -> function of states (..., N, N): the parts of the angular momentum that are constant.
 
         These are all three, or in a rotating frame that along z; `integrate` follows them by
         ``observe=system.integrals``.
         """
-        S, kept = generators(self.algebra.N), (2,) if self.rotation else (0, 1, 2)
-        slopes = {f"angular momentum {'xyz'[a]}": -self.to_vector(S[a]) / self.scale**2 for a in kept}
-        return {name: Quadratic(0.0, linear=slope) for name, slope in slopes.items()}
+        kept = "z" if self.rotation else "xyz"
+        return {f"angular momentum {axis}": sphere_states.MomentumAlong(axis) for axis in kept}
 
 
 @ready_made
