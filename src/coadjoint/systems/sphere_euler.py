@@ -67,7 +67,7 @@ class SphereEuler(FluidSystem):
 
     def mode_array(self, W: Any) -> Matrix:
         """Return the coefficients of matrices (..., N, N) as an array, ``[..., l, m]`` with m >= 0."""
-        return harmonics_of_matrix(W)
+        return harmonics_of_matrix(self.matrices(W))
 
     def from_modes(self, modes: Any) -> Matrix:
         """Return W of coefficients of orthonormal spherical harmonics with the phase of Condon and Shortley.
@@ -96,7 +96,7 @@ class SphereEuler(FluidSystem):
         return as_mapping(harmonics_of_matrix(self._one(W)))
 
     def _one(self, W: Any) -> Matrix:
-        given = np.asarray(W, dtype=np.complex128)
+        given = self.matrices(W)
         if given.shape != self.shape:
             raise ValueError(f"W has the shape {given.shape}; give one matrix, {self.shape}, or use mode_array")
         return given
@@ -152,7 +152,7 @@ class SphereEuler(FluidSystem):
         >>> s.to_grid(-2 * generators(4)[2], (3, 1))[:, 0].round(12) + 0.0
         array([ 2.,  0., -2.])
         """
-        return sphere_grid.values_of(harmonics_of_matrix(W), self._shape(shape), points)
+        return sphere_grid.values_of(self.mode_array(W), self._shape(shape), points)
 
     def from_grid(self, values: Any, points: str = "clenshaw-curtis", longitude: float = 0.0) -> Matrix:
         """Return the matrix of a field that is given at the points of a grid, without its mean.
@@ -217,10 +217,10 @@ class SphereEuler(FluidSystem):
         return sphere_grid.read_places(places, what)
 
     def relative(self, W: Any) -> Matrix:
-        return np.asarray(np.asarray(W, dtype=np.complex128) - self.planetary)
+        return np.asarray(self.matrices(W) - self.planetary)
 
     def absolute(self, W: Any) -> Matrix:
-        return np.asarray(np.asarray(W, dtype=np.complex128) + self.planetary)
+        return np.asarray(self.matrices(W) + self.planetary)
 
     def exact(self, x0: Any, t: Any) -> Matrix:
         """Return the exact motion (N, N) or (k, N, N) of a state at a time, or at several (k,).
@@ -245,7 +245,7 @@ class SphereEuler(FluidSystem):
         -------
         (..., 3) array
         """
-        return sphere_states.angular_momentum(W)
+        return sphere_states.angular_momentum(self.matrices(W))
 
     @property
     def integrals(self) -> dict[str, Any]:  # type: ignore[override]

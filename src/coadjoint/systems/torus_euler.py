@@ -35,7 +35,7 @@ class TorusEuler(FluidSystem):
 
     def mode_array(self, W: Any) -> Matrix:
         """Return the modes of matrices (..., N, N) as an array, ``[..., n1 mod N, n2 mod N]``."""
-        return modes_of_matrix(np.asarray(W, dtype=np.complex128))
+        return modes_of_matrix(self.matrices(W))
 
     def from_modes(self, modes: Any) -> Matrix:
         """Return the matrix W of modes.
@@ -61,7 +61,7 @@ class TorusEuler(FluidSystem):
     def modes(self, W: Any) -> dict[tuple[int, int], complex]:
         """Return the modes of a matrix W, those that are not zero to round-off."""
         N = self.algebra.N
-        w = modes_of_matrix(np.asarray(W, dtype=np.complex128))
+        w = modes_of_matrix(self.matrices(W))
         n, size = representatives(N), np.abs(w).max(initial=0.0)
         return {
             (int(n[i]), int(n[j])): complex(round_off(w[i, j], size)) for i, j in np.argwhere(np.abs(w) > 1e-14 * size)
