@@ -29,7 +29,7 @@ Matrix = NDArray[Any]
 MOST_STAGES = 8
 MOST_ITERATIONS = 192
 FIRST_TESTED = 3  # early corrections may rise before they fall
-SMALL = 2.0**17 * UNIT_ROUNDOFF  # of the entries: only below it may a correction be round-off
+SMALL = 64 * UNIT_ROUNDOFF  # times sqrt(N), of the entries: only below it may a correction be round-off
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class IsospectralGauss(SteppedMethod):
             new = [one + h * sum(c * slope for c, slope in zip(row, K, strict=True)) for row in a]
             change = max(float(np.abs(n - v).max()) for n, v in zip(new, V, strict=True))
             V = new
-            if change == 0.0 or (change <= SMALL and k >= FIRST_TESTED and not change < least):
+            if change == 0.0 or (change <= SMALL * np.sqrt(len(W)) and k >= FIRST_TESTED and not change < least):
                 return np.asarray(h * sum(c * (p @ m - m @ p) for c, p, m in zip(b, P, M, strict=True)))
             least = min(least, change)
         raise IntegrationError(

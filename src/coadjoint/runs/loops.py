@@ -200,9 +200,11 @@ class SystemLoops(Loops):
         start: NDArray[Any] | None = None
         for k, states in enumerate(saved):
             W = system.from_vector(states)
-            values[k] = np.stack([system.energy(W), *system.casimirs_at(W).values()], axis=-1)
+            with np.errstate(over="ignore", invalid="ignore"):  # members that have failed
+                values[k] = np.stack([system.energy(W), *system.casimirs_at(W).values()], axis=-1)
             start = values[k] if start is None else start
-            worst[:, tenth[k]] = np.fmax(worst[:, tenth[k]], np.abs(values[k] - start))
+            with np.errstate(invalid="ignore"):
+                worst[:, tenth[k]] = np.fmax(worst[:, tenth[k]], np.abs(values[k] - start))
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop."""

@@ -19,7 +19,7 @@ enum Place { STREAM = 0, GEMM = 6, TRSM, LOWER_GEMM, LOWER_TRSM, STAGES, COMPLEX
 
 constexpr int64_t FIRST_TESTED = 3;     // early corrections may rise before they fall
 constexpr int64_t MOST_ITERATIONS = 192;
-constexpr double SMALL = 0x1p-36;       // of the entries: only below it may a correction be round-off
+constexpr double SMALL = 0x1p-47;       // times sqrt(n), of the entries: only below it may a correction be round-off
 
 // The real numbers of which a matrix is made.
 inline double* numbers_of(double* matrix) { return matrix; }
@@ -67,7 +67,7 @@ struct Isospectral : StepScheme {
         ++iterations;
         if (iterations == 1) first = least = change;
         Hearing::of_this_call().after(work / 16);
-        const bool small = change <= SMALL * size;
+        const bool small = change <= SMALL * std::sqrt(double(n)) * size;
         if (change == 0.0 || (small && iterations >= FIRST_TESTED && !(change < least))) return status = DONE, true;
         if (!(change - change == 0.0)) return status = OVERFLOWED, true;
         if (iterations >= MOST_ITERATIONS || change > std::ldexp(first, int(GROWTH_BITS)))
