@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -48,7 +50,7 @@ def test_the_compiled_step_is_the_formula(name: str, stages: int, direction: int
     W = start(system)
     h = direction * turning(system, W, 0.05)
     run = co.integrate(system, W, t_span=(0, 3 * h), step=abs(h), method=scheme).x
-    for before, after in zip(run, run[1:], strict=False):
+    for before, after in pairwise(run):
         formula = scheme.step(system, before, 0.0, h)
         # The stages end where corrections of 1 stop falling; products of N entries round by some N^(1/2) units.
         assert np.abs(after - formula).max() < 16 * np.sqrt(system.shape[-1]) * np.finfo(float).eps
@@ -153,6 +155,6 @@ def test_the_order_is_twice_the_stages(stages: int) -> None:
         np.abs(
             co.integrate(system, W, t_span=(0, 8 * h), step=h / k, method=co.IsospectralGauss(stages)).x[-1] - exact
         ).max()
-        for k in (1, 2)
+        for k in (2, 4)
     ]
     assert abs(np.log2(errors[0] / errors[1]) - 2 * stages) < 0.3
