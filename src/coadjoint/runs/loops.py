@@ -205,7 +205,8 @@ class SystemLoops(Loops):
             number = int(times.saved[k])
             found = saved["values"][k] = self._values(saved["x"][k], float(times.at(times.saved[k])))
             tenth = max(0, number - 1) * worst.shape[1] // max(1, times.steps)
-            worst[:, tenth] = np.fmax(worst[:, tenth], np.abs(found - first))
+            with np.errstate(invalid="ignore"):  # infinities of members that are about to fail
+                worst[:, tenth] = np.fmax(worst[:, tenth], np.abs(found - first))
 
     def _values(self, states: NDArray[np.float64], t: float) -> NDArray[np.float64]:
         system = self._matrices
