@@ -29,7 +29,7 @@ Complexes = NDArray[np.complex128]
 Matrix = NDArray[Any]
 
 ORDERS = (2, 4, 6, 8, 10)
-FLOWS_OF_A_TRANSFORM = 0.01  # of one number of a transform, in rotations
+TRANSFORM = 0.08  # of a number on its way there and back, in rotations, for each factor of 2 in N
 
 
 class Line(NamedTuple):
@@ -136,8 +136,8 @@ class LineSplitting(SteppedMethod):
         """Return the work of its transforms."""
         from coadjoint.methods.work import Work
 
-        N = torus_of(system).algebra.N
-        cost = substeps * len(self.fractions) * 2.0 * N**3 * np.log2(N) * FLOWS_OF_A_TRANSFORM
+        numbers = system.dim / 2  # N^2, N lines of each
+        cost = substeps * len(self.fractions) * TRANSFORM * numbers**1.5 * np.log2(1.0 + numbers)
         return Work(lambda iterations, evaluations: cost)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
