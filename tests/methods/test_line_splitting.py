@@ -1,5 +1,7 @@
 """The splitting of the fluid on the torus into lines: its order, what it keeps, and what it refuses."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -34,7 +36,7 @@ def test_order_against_forty_digits(N, order):
     counts = {2: (16, 32, 64), 4: (2, 4, 8), 6: (1, 2, 4)}[order]
     errors = [np.abs(last(system, start, (0.0, 1.0), n, co.LineSplitting(order)) - end).max() for n in counts]
     kept = [e for e in errors if e > 2e-15]  # below, there is rounding
-    slopes = [np.log2(a / b) for a, b in zip(kept, kept[1:], strict=False)]
+    slopes = [np.log2(a / b) for a, b in itertools.pairwise(kept)]
     assert all(abs(slope - order) < 0.35 for slope in slopes)
     assert len(slopes) >= (2 if order == 2 else 0 if N == 3 and order == 6 else 1)
     # 64 steps of order 6, and 256 of order 4, leave 1e-12
@@ -58,7 +60,7 @@ def test_the_kernels_do_the_plain_reading(N):
 
 
 def test_another_stream_of_modes():
-    """Any factors by which a stream multiplies modes are split: a fluid whose waves have a finite radius, and others."""
+    """Any factors by which a stream multiplies modes are split, such as those of waves with a finite radius."""
     N, rng = 7, np.random.default_rng(5)
     factors = rng.uniform(-1.0, 1.0, (N, N))
     back = -np.arange(N) % N
