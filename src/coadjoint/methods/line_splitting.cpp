@@ -24,8 +24,7 @@ struct LineSplitting final : StepScheme {
     const double *factor, *constant;  // the stream of a mode: its factor times the mode, and a constant
     Fourier<double> one;
     Fourier<Eight> eight;
-    Room<Pair<double>> theta;
-    Room<Pair<Eight>> row;
+    Pair<Eight>* row;  // of one transform
     // Modes at the start of the step and what has been added to them, n x n, real and imaginary parts apart.
     std::vector<double> re, im, added_re, added_im;
     // exp(i h theta) - 1 at s, and at -s, beyond one period.
@@ -35,8 +34,7 @@ struct LineSplitting final : StepScheme {
     explicit LineSplitting(const StepTables& tables, const Own&)
         : n(tables.whole[0]), half(n / 2), groups((half + L - 1) / L), lines(n + 1),
           line(reinterpret_cast<const Line*>(tables.whole + 2)), factor(tables.coefficients),
-          constant(tables.whole[1] ? factor + n * n : nullptr), one(n), eight(n), theta(n), row(n), re(n * n),
-          im(n * n), added_re(n * n), added_im(n * n), up_re(3 * n + L), up_im(up_re), down_re(up_re), down_im(up_re),
+          constant(tables.whole[1] ? factor + n * n : nullptr), one(n), eight(n), row(eight.place()), re(n * n), im(n * n), added_re(n * n), added_im(n * n), up_re(3 * n + L), up_im(up_re), down_re(up_re), down_im(up_re),
           move_re(n), move_im(n) {
         work = 4 * n * n;
     }
@@ -54,7 +52,7 @@ struct LineSplitting final : StepScheme {
     }
 
   private:
-    double* numbers(int64_t k) { return reinterpret_cast<double*>(row.at + k); }
+    double* numbers(int64_t k) { return numbers_of(row[k]); }
     int64_t wrapped(int64_t k) const { return k < n ? k : k - n; }
     int64_t opposite(int64_t k) const { return k ? n - k : 0; }
 
@@ -70,7 +68,7 @@ struct LineSplitting final : StepScheme {
                     to[0] = W[a * n + wrapped(a + d)].real();
                     to[L] = W[a * n + wrapped(a + d)].imag();
                 }
-            eight.transform(row.at);
+            row = eight.transform(row);
             for (int64_t j = 0; j < n; ++j)
                 for (int64_t lane = 0; lane < lanes; ++lane) {
                     const int64_t d = first + lane, at = j * n + d, mirrored = opposite(j) * n + opposite(d);
@@ -94,7 +92,7 @@ struct LineSplitting final : StepScheme {
                     numbers(j)[lane] = added_re[j * n + first + lane];
                     numbers(j)[L + lane] = added_im[j * n + first + lane];
                 }
-            eight.transform(row.at);
+            row = eight.transform(row);
             for (int64_t lane = 0; lane < lanes; ++lane)
                 for (int64_t a = 0; a < n; ++a) {
                     const int64_t d = first + lane, b = wrapped(a + d), at = 2 * (a * n + b), other = 2 * (b * n + a);
@@ -116,9 +114,9 @@ struct LineSplitting final : StepScheme {
         for (int64_t g = 0; g < groups; ++g) {
             const int64_t first = 1 + g * L, lanes = std::min(L, half + 1 - first);
             gather(k, first, lanes);
-            eight.transform(row.at);
-            for (int64_t s = 0; s < n; ++s) turn(row.at[s], s, first);
-            eight.transform(row.at);
+            row = eight.transform(row);
+            for (int64_t s = 0; s < n; ++s) turn(row[s], s, first);
+            row = eight.transform(row);
             scatter(k, first, lanes);
         }
         Hearing::of_this_call().after(groups * L * (2 * eight.work() + 8 * n));
@@ -126,14 +124,15 @@ struct LineSplitting final : StepScheme {
 
     // exp(i h theta) - 1, theta from the modes of the line.
     void turn_of(const Line& k, double h) {
+        Pair<double>* theta = one.place();
         for (int64_t j = 0, a = 0, b = 0; j < n; ++j, a = wrapped(a + k.k1), b = wrapped(b + k.k2)) {
             const int64_t at = a * n + b;
-            theta.at[j] = {factor[at] * (re[at] + added_re[at]), factor[at] * (im[at] + added_im[at])};
-            if (constant) theta.at[j] = theta.at[j] + Pair<double>{constant[2 * at], constant[2 * at + 1]};
+            theta[j] = {factor[at] * (re[at] + added_re[at]), factor[at] * (im[at] + added_im[at])};
+            if (constant) theta[j] = theta[j] + Pair<double>{constant[2 * at], constant[2 * at + 1]};
         }
-        one.transform(theta.at);
+        theta = one.transform(theta);
         for (int64_t s = 0; s < n; ++s) {
-            const Rotation<double> turn = rotation_by(h * theta.at[s].im);
+            const Rotation<double> turn = rotation_by(h * theta[s].im);
             for (int64_t at = s; at < int64_t(up_re.size()); at += n) {
                 up_re[at] = turn.lowered;
                 up_im[at] = turn.sine;
@@ -157,62 +156,50 @@ struct LineSplitting final : StepScheme {
         y = y.times(real, imaginary);
     }
 
-    // Whether the lanes of a row from column b on stand side by side.
-    bool together(const Line& k, int64_t b, int64_t lanes) const {
-        return k.l1 == 0 && k.l2 == 1 && lanes == L && b + L <= n;
+    // For each row j of eight cosets call `body(j, at, back, lane, count, edge)`: from `lane` on, `count` modes stand at
+    // `at`, ..., and their opposites at `back`, back - 1, ...; where the first one is at the edge, in column 0, its
+    // opposite is at back - n.
+    template <class Body>
+    INLINE void each_row(const Line& k, int64_t first, int64_t lanes, Body body) {
+        const int64_t start1 = first * k.l1 % n, start2 = first * k.l2 % n;
+        for (int64_t j = 0, a = start1, b = start2; j < n; ++j, a = wrapped(a + k.k1), b = wrapped(b + k.k2)) {
+            if (k.l1 == 0 && k.l2 == 1) {
+                if (lanes == L && b + L <= n) {
+                    body(j, a * n + b, opposite(a) * n + n - b, 0, L, b == 0);
+                    continue;
+                }
+                const int64_t fit = std::min(lanes, n - b);
+                body(j, a * n + b, opposite(a) * n + n - b, 0, fit, b == 0);
+                if (fit < lanes) body(j, a * n, opposite(a) * n + n, fit, lanes - fit, true);
+                continue;
+            }
+            for (int64_t lane = 0, c = a, d = b; lane < lanes; ++lane, c = wrapped(c + k.l1), d = wrapped(d + k.l2))
+                body(j, c * n + d, opposite(c) * n + n - d, lane, 1, d == 0);
+        }
     }
 
     void gather(const Line& k, int64_t first, int64_t lanes) {
-        const int64_t start1 = first * k.l1 % n, start2 = first * k.l2 % n;
-        for (int64_t j = 0, a = start1, b = start2; j < n; ++j, a = wrapped(a + k.k1), b = wrapped(b + k.k2)) {
-            double* to = numbers(j);
-            if (together(k, b, lanes)) {
-                const int64_t at = a * n + b;
-                for (int64_t lane = 0; lane < L; ++lane) to[lane] = re[at + lane] + added_re[at + lane];
-                for (int64_t lane = 0; lane < L; ++lane) to[L + lane] = im[at + lane] + added_im[at + lane];
-                continue;
-            }
-            std::fill_n(to, 2 * L, 0.0);
-            for (int64_t lane = 0, c = a, d = b; lane < lanes; ++lane, c = wrapped(c + k.l1), d = wrapped(d + k.l2)) {
-                const int64_t at = c * n + d;
-                to[lane] = re[at] + added_re[at];
-                to[L + lane] = im[at] + added_im[at];
-            }
-        }
-    }
-
-    void scatter(const Line& k, int64_t first, int64_t lanes) {
-        const int64_t start1 = first * k.l1 % n, start2 = first * k.l2 % n;
-        const double scale = 1.0 / double(n);
-        for (int64_t j = 0, a = start1, b = start2; j < n; ++j, a = wrapped(a + k.k1), b = wrapped(b + k.k2)) {
-            const double* from = numbers(opposite(j));  // twice forward is once around
-            if (together(k, b, lanes)) {
-                const int64_t at = a * n + b, mirrored = opposite(a) * n + (n - b);
-                double *to_re = added_re.data() + at, *to_im = added_im.data() + at;
-                for (int64_t lane = 0; lane < L; ++lane) to_re[lane] = fma(from[lane], scale, to_re[lane]);
-                for (int64_t lane = 0; lane < L; ++lane) to_im[lane] = fma(from[L + lane], scale, to_im[lane]);
-                if (b > 0) {
-                    for (int64_t lane = 0; lane < L; ++lane) added_re[mirrored - lane] = -to_re[lane];
-                    for (int64_t lane = 0; lane < L; ++lane) added_im[mirrored - lane] = to_im[lane];
-                    continue;
-                }
-                for (int64_t lane = 0; lane < L; ++lane) mirror(a, lane);
-                continue;
-            }
-            for (int64_t lane = 0, c = a, d = b; lane < lanes; ++lane, c = wrapped(c + k.l1), d = wrapped(d + k.l2)) {
-                const int64_t at = c * n + d;
-                added_re[at] = fma(from[lane], scale, added_re[at]);
-                added_im[at] = fma(from[L + lane], scale, added_im[at]);
-                mirror(c, d);
-            }
-        }
+        if (lanes < L) std::fill_n(numbers(0), 2 * L * n, 0.0);
+        each_row(k, first, lanes, [&](int64_t j, int64_t at, int64_t, int64_t lane, int64_t count, bool) {
+            double *to_re = numbers(j) + lane, *to_im = to_re + L;
+            for (int64_t c = 0; c < count; ++c) to_re[c] = re[at + c] + added_re[at + c];
+            for (int64_t c = 0; c < count; ++c) to_im[c] = im[at + c] + added_im[at + c];
+        });
     }
 
     // The vorticity is real: the mode -n is minus the conjugate of the mode n.
-    void mirror(int64_t a, int64_t b) {
-        const int64_t mirrored = opposite(a) * n + opposite(b);
-        added_re[mirrored] = -added_re[a * n + b];
-        added_im[mirrored] = added_im[a * n + b];
+    void scatter(const Line& k, int64_t first, int64_t lanes) {
+        const double scale = 1.0 / double(n);
+        each_row(k, first, lanes, [&](int64_t j, int64_t at, int64_t back, int64_t lane, int64_t count, bool edge) {
+            const double *from_re = numbers(opposite(j)) + lane, *from_im = from_re + L;  // twice forward is once around
+            double *to_re = added_re.data() + at, *to_im = added_im.data() + at;
+            for (int64_t c = 0; c < count; ++c) to_re[c] = fma(from_re[c], scale, to_re[c]);
+            for (int64_t c = 0; c < count; ++c) to_im[c] = fma(from_im[c], scale, to_im[c]);
+            // column 0 is its own opposite
+            if (edge) added_re[back - n] = -to_re[0], added_im[back - n] = to_im[0];
+            for (int64_t c = edge; c < count; ++c) added_re[back - c] = -to_re[c];
+            for (int64_t c = edge; c < count; ++c) added_im[back - c] = to_im[c];
+        });
     }
 };
 

@@ -10,12 +10,16 @@ namespace coadjoint {
 constexpr int64_t SIDE_BY_SIDE = 8;
 typedef Lanes<SIDE_BY_SIDE> Eight;
 
+// The real parts of eight numbers, and then their imaginary parts.
+inline double* numbers_of(Pair<Eight>& numbers) { return reinterpret_cast<double*>(&numbers); }
+inline const double* numbers_of(const Pair<Eight>& numbers) { return reinterpret_cast<const double*>(&numbers); }
+
 template <class T>
 class Circulants {
   public:
     // `columns`: for each cyclic diagonal up to (n - 1)/2 the first column of its matrix, even.
     Circulants(int64_t n, const double* columns)
-        : n(n), diagonals((n + 1) / 2), groups((diagonals + SIDE_BY_SIDE - 1) / SIDE_BY_SIDE), fourier(n), row(n),
+        : n(n), diagonals((n + 1) / 2), groups((diagonals + SIDE_BY_SIDE - 1) / SIDE_BY_SIDE), fourier(n), row(fourier.place()),
           spectrum(n * groups) {
         for (int64_t g = 0; g < groups; ++g) {
             for (int64_t k = 0; k < n; ++k)
@@ -23,8 +27,8 @@ class Circulants {
                     const int64_t d = g * SIDE_BY_SIDE + lane;
                     put(k, lane, d < diagonals ? columns[d * n + k] : 0.0, 0.0);
                 }
-            fourier.transform(row.at);
-            for (int64_t k = 0; k < n; ++k) spectrum.at[g * n + k] = row.at[k].re / Eight(double(n));
+            const Pair<Eight>* found = fourier.transform(row);
+            for (int64_t k = 0; k < n; ++k) spectrum.at[g * n + k] = found[k].re / Eight(double(n));
         }
     }
 
@@ -38,16 +42,16 @@ class Circulants {
                     const Complex value = W[a * n + beyond(a + first + lane)];
                     put(a, lane, value.real(), value.imag());
                 }
-            fourier.transform(row.at);
+            Pair<Eight>* seen = fourier.transform(row);
             for (int64_t k = 0; k < n; ++k) {
-                row.at[k].re *= spectrum.at[g * n + k];
-                row.at[k].im *= spectrum.at[g * n + k];
+                seen[k].re *= spectrum.at[g * n + k];
+                seen[k].im *= spectrum.at[g * n + k];
             }
-            fourier.transform(row.at);
+            seen = fourier.transform(seen);
             for (int64_t a = 0; a < n; ++a)
                 for (int64_t lane = 0; lane < lanes; ++lane) {
                     const int64_t c = beyond(a + first + lane);
-                    const double* at = numbers(a ? n - a : 0) + lane;  // twice forward is once around
+                    const double* at = numbers_of(seen[a ? n - a : 0]) + lane;  // twice forward is once around
                     // the main diagonal has no real part but rounding
                     store(P[a * n + c], a == c ? 0.0 : at[0], at[SIDE_BY_SIDE]);
                     if (a != c) P[c * n + a] = -conjugate(P[a * n + c]);
@@ -58,14 +62,13 @@ class Circulants {
   private:
     const int64_t n, diagonals, groups;
     Fourier<Eight> fourier;
-    Room<Pair<Eight>> row;
+    Pair<Eight>* const row;
     Room<Eight> spectrum;
 
     int64_t beyond(int64_t column) const { return column < n ? column : column - n; }
-    double* numbers(int64_t k) { return reinterpret_cast<double*>(row.at + k); }
     void put(int64_t k, int64_t lane, double re, double im) {
-        numbers(k)[lane] = re;
-        numbers(k)[SIDE_BY_SIDE + lane] = im;
+        numbers_of(row[k])[lane] = re;
+        numbers_of(row[k])[SIDE_BY_SIDE + lane] = im;
     }
     static void store(double& to, double real, double) { to = real; }
     static void store(Complex& to, double real, double imaginary) { to = Complex(real, imaginary); }

@@ -61,7 +61,7 @@ class Rader;
 template <class A>
 class Fourier {
   public:
-    explicit Fourier(int64_t n) : n(n), factors(factors_of(n)), other(n) {
+    explicit Fourier(int64_t n) : n(n), factors(factors_of(n)), first(n), second(n) {
         int64_t largest = 1;
         for (int64_t k = 0; k < n; ++k) roots.push_back(root_of_unity(k, n));
         for (int64_t p : factors) {
@@ -78,8 +78,12 @@ class Fourier {
         return total;
     }
 
-    void transform(Pair<A>* x) {
-        Pair<A>*from = x, *to = other.at;
+    // A place for numbers to be transformed.
+    Pair<A>* place() { return first.at; }
+
+    // Transform what is at x, and say where that is then: there, or in a place of this object. What was at x is lost.
+    Pair<A>* transform(Pair<A>* x) {
+        Pair<A>*from = x, *to = x == first.at ? second.at : first.at;
         int64_t stride = 1, convolution = 0;
         for (int64_t p : factors) {
             if (p == 4) pass_of_four(from, to, stride);
@@ -91,7 +95,7 @@ class Fourier {
             stride *= p;
             std::swap(from, to);
         }
-        if (from != x) std::copy_n(from, n, x);
+        return from;
     }
 
   private:
@@ -99,7 +103,7 @@ class Fourier {
     const std::vector<int64_t> factors;
     std::vector<Pair<double>> roots;
     std::vector<std::unique_ptr<Rader<A>>> rader;
-    Room<Pair<A>> other, column{0};
+    Room<Pair<A>> first, second, column{0};
 
     // x exp(-2 pi i k / n)
     INLINE Pair<A> turned(const Pair<A>& x, int64_t k) const {
@@ -123,21 +127,28 @@ class Fourier {
 
     // A pass of a prime, in registers where it is a constant.
     template <int fixed>
-    void pass(const Pair<A>* from, Pair<A>* to, int64_t prime, int64_t stride, Rader<A>* convolution) {
+    void pass(Pair<A>* from, Pair<A>* to, int64_t prime, int64_t stride, Rader<A>* convolution) {
         const int64_t p = fixed ? fixed : prime, m = n / stride / p;
+        if (!fixed && p == n) return direct<fixed>(from, to, p, convolution);
         Pair<A> few[fixed ? 2 * fixed : 1];
         Pair<A>*x = fixed ? few : column.at, *X = x + p;
         for (int64_t q = 0; q < m; ++q)
             for (int64_t k = 0; k < stride; ++k) {
                 for (int64_t j = 0; j < p; ++j) x[j] = from[k + stride * (q + m * j)];
-                if (!fixed && convolution) convolution->transform(x, X);
-                else sum<fixed>(x, X, p);
+                direct<fixed>(x, X, p, convolution);
                 Pair<A>* y = to + k + stride * p * q;
                 for (int64_t r = 0; r < p; ++r) y[r * stride] = turned(X[r], q * r * stride);
             }
     }
 
-    // The transform of a prime length as it is written; x is overwritten.
+    // The transform of a prime length; x is overwritten.
+    template <int fixed>
+    INLINE void direct(Pair<A>* x, Pair<A>* X, int64_t p, Rader<A>* convolution) {
+        if (!fixed && convolution) convolution->transform(x, X);
+        else sum<fixed>(x, X, p);
+    }
+
+    // The same as it is written.
     template <int fixed>
     INLINE void sum(Pair<A>* x, Pair<A>* X, int64_t prime) const {
         const int64_t p = fixed ? fixed : prime, half = (p - 1) / 2, step = n / p;
@@ -188,7 +199,7 @@ class Fourier {
 template <class A>
 class Rader {
   public:
-    explicit Rader(int64_t p) : p(p), length(convolved(p)), inner(length), kernel(length), row(length) {
+    explicit Rader(int64_t p) : p(p), length(convolved(p)), inner(length), kernel(length) {
         int64_t generator = 1;
         for (bool found = false; !found;) {
             ++generator;
@@ -201,26 +212,26 @@ class Rader {
             from.push_back(up);
             to.push_back(down);
         }
-        Room<Pair<double>> roots(length);
+        Fourier<double> once(length);
+        Pair<double>* roots = once.place();
         for (int64_t j = 0; j < p - 1; ++j) {
             const Pair<double> root = root_of_unity(p - to[j], p);
-            roots.at[j] = {root.re / double(length), root.im / double(length)};
+            roots[j] = {root.re / double(length), root.im / double(length)};
             // a longer convolution sees the period before its beginning
-            if (j > 0) roots.at[length - (p - 1) + j] = roots.at[j];
+            if (j > 0) roots[length - (p - 1) + j] = roots[j];
         }
-        Fourier<double>(length).transform(roots.at);
-        std::copy_n(roots.at, length, kernel.begin());
+        std::copy_n(once.transform(roots), length, kernel.begin());
     }
 
     void transform(const Pair<A>* x, Pair<A>* X) {
-        Pair<A>* y = row.at;
+        Pair<A>* y = inner.place();
         for (int64_t j = 0; j < p - 1; ++j) y[j] = x[from[j]];
         for (int64_t j = p - 1; j < length; ++j) y[j] = {A(0.0), A(0.0)};
-        inner.transform(y);
+        y = inner.transform(y);
         const Pair<A> first = x[0];
         X[0] = first + y[0];
         for (int64_t k = 0; k < length; ++k) y[k] = y[k].times(kernel[k].re, kernel[k].im);
-        inner.transform(y);
+        y = inner.transform(y);
         // twice forward is once around: place -j
         for (int64_t j = 0; j < p - 1; ++j) X[to[j]] = first + y[j ? length - j : 0];
     }
@@ -230,7 +241,6 @@ class Rader {
     std::vector<int64_t> from, to;
     Fourier<A> inner;
     std::vector<Pair<double>> kernel;
-    Room<Pair<A>> row;
 
     static int64_t convolved(int64_t p) {
         if (factors_of(p - 1).back() <= LARGEST_SUMMED) return p - 1;
