@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.fluids import vorticity_of
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.style import colour, key, plain_axes, symbol
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 MOST_CASIMIRS = 5
 """Casimirs with a line of their own; of more, the worst four, and a band that holds all."""
@@ -23,7 +26,8 @@ def drift(drawn: Drawn) -> Paint:
 
     Where the Hamiltonian depends on time the energy is meant to change, and the picture says so. Of many Casimirs the
     worst four have lines, and a band reaches from the smallest to the largest deviation of all. Where forces change the
-    invariants, dotted lines show what is left of the change less their work: that is the error of the run.
+    invariants, dotted lines show what is left of the change less their work: that is the error of the run. Traces of
+    powers of large matrices are large numbers; of matrices, deviations are shown as parts of their sizes.
 
     Parameters
     ----------
@@ -34,7 +38,11 @@ def drift(drawn: Drawn) -> Paint:
     -------
     Paint
     """
-    deviations = {name: np.abs(values - values[:, :1]) for name, values in drawn.invariants.items()}
+    sizes = _sizes(drawn)
+    deviations = {
+        name: np.abs(values - values[:, :1]) / sizes.get(name, 1.0) for name, values in drawn.invariants.items()
+    }
+    measure = "relative" if sizes else "absolute"
     energy = deviations.pop("energy")
     lines, others = {"energy": energy, **_worst(deviations)}, len(deviations)
 
@@ -47,8 +55,9 @@ def drift(drawn: Drawn) -> Paint:
             label = "$H$, driven" if name == "energy" and drawn.driven else symbol(name)
             draw_members(axes, drawn.t, visible, drawn.close, colour(i), label)
             if drawn.left is not None:
-                _draw_left(axes, drawn, name, colour(i), None if i else "$H$ less their work")
-        axes.set(yscale="log", ylabel="absolute deviation from start")
+                shown = np.abs(drawn.left[name]) / sizes.get(name, 1.0)
+                _draw_left(axes, drawn, shown, colour(i), None if i else "$H$ less their work")
+        axes.set(yscale="log", ylabel=f"{measure} deviation from start")
         plain = "drift of the energy $H$ and the Casimirs"
         title = "change of the driven energy $H$, drift of the Casimirs" if drawn.driven else plain
         if drawn.left is not None:
@@ -63,9 +72,20 @@ def drift(drawn: Drawn) -> Paint:
     return paint
 
 
-def _draw_left(axes: Any, drawn: Drawn, name: str, shade: str, label: str | None) -> None:
-    assert drawn.left is not None
-    for m, values in enumerate(np.abs(drawn.left[name])):
+def _sizes(drawn: Drawn) -> Mapping[str, float]:
+    """Return what deviations of invariants are divided by, at the start of the first member: of matrices alone."""
+    family = drawn.family
+    if not isinstance(family, MatrixSystem):
+        return {}
+    W = vorticity_of(drawn.state(0))
+    energy = 0.5 * float(np.sum(np.abs(np.conj(family.stream_of(W)) * W)))
+    largest = np.abs(family.spectrum(W))
+    found = {"energy": energy, **{f"tr W^{k}": float(np.sum(largest**k)) for k in family.powers}}
+    return {name: size for name, size in found.items() if np.isfinite(size) and size > 0.0}
+
+
+def _draw_left(axes: Any, drawn: Drawn, left: npt.NDArray[np.float64], shade: str, label: str | None) -> None:
+    for m, values in enumerate(left):
         visible = np.where(values > 0.0, values, np.nan)
         axes.plot(drawn.t, visible, ":", color=shade, linewidth=0.8, label=label if m == 0 else None)
 
