@@ -23,6 +23,7 @@ from coadjoint.systems.matrices.spherical_modes import (
 )
 from coadjoint.systems.matrices.streams import DiagonalSolve
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 LARGEST = 4096
 Floats = npt.NDArray[np.float64]
@@ -252,7 +253,30 @@ def _part_of_momentum(W: Any, axis: int) -> Any:
     return float(found) if found.ndim == 0 else found
 
 
-@ready_made
+def _unstable_jet() -> Matrix:
+    return sphere_euler(48).zonal_jet(band=(0.2, 1.2), perturbation=0.1)
+
+
+@ready_made(
+    telling=Telling(
+        x0=_unstable_jet,
+        t_span=(0.0, 10.0),
+        step=0.00625,
+        says="An eastward jet is unstable: a small bump grows to waves, which roll up and break into vortices of both "
+        "signs. In the middle the vorticity at the start and at the end. Energy goes to both sides in scale, and the "
+        "spectrum of the matrix stays.",
+        pictures=(
+            Picture("vorticity", at=0.0),
+            Picture("vorticity", at=1.0),
+            Picture("field spectra"),
+            Picture("eigenvalues"),
+        ),
+        components=Picture("energy by scale"),
+        parameters={"N": 48},
+        save_every=20,
+        quantity="vorticity",
+    )
+)
 def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
     """Return the Euler equations of an ideal fluid on the sphere, quantized: ``W' = [P, W]``, ``L P = -W``.
 
