@@ -13,6 +13,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.errors import in_one_line
 from coadjoint.extras import need
 from coadjoint.files.configuration_parts import ConfigurationError, method_of_file, section, system_of_file
+from coadjoint.files.initial_state import check_initial, initial_of_file
 from coadjoint.files.polynomials import read_polynomial
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import Method
@@ -47,7 +48,7 @@ class Configuration:
         The file, for messages.
     system, x0, t_span, step, method, save_every, attitude, watch, observe, threads
         As for `coadjoint.integrate`.
-    output, figure : str or None
+    output, figure, movie : str or None
         Where the file wants the results; relative to the current directory.
     text : str
         The file itself, kept with the results.
@@ -81,6 +82,7 @@ class Configuration:
     threads: int | None = None
     output: str | None = None
     figure: str | None = None
+    movie: str | None = None
     text: str = field(default="", repr=False)
 
     def integrate(self, progress: bool = False) -> Solution:
@@ -244,16 +246,18 @@ def _deepest(text: str) -> int:
 
 
 def _configuration(name: str, text: str, file: File) -> Configuration:
+    check_initial(name, file)
     system: Any = system_of_file(name, file)
     method = method_of_file(name, file.method)
     with section(name, "method"):
         check_serves(system, method)
     with section(name, "run"):
         times_of(file.run.t_span, file.run.step, file.run.save_every)
+    x0 = initial_of_file(name, file, system)
     with section(name, "initial.x"):
-        start_of(system, serving(system, method), file.initial.x, False)
+        start_of(system, serving(system, method), x0, False)
     with section(name, "initial.attitude"):
-        start_of(system, serving(system, method), file.initial.x, file.initial.attitude)
+        start_of(system, serving(system, method), x0, file.initial.attitude)
     observe = {}
     for key, written in file.observe.items():
         with section(name, f"observe.{key}"):
@@ -261,7 +265,7 @@ def _configuration(name: str, text: str, file: File) -> Configuration:
     return Configuration(
         path=name,
         system=system,
-        x0=file.initial.x,
+        x0=x0,
         t_span=(float(file.run.t_span[0]), float(file.run.t_span[1])),
         step=file.run.step,
         method=method,
@@ -272,5 +276,6 @@ def _configuration(name: str, text: str, file: File) -> Configuration:
         threads=file.run.threads,
         output=file.output.file,
         figure=file.output.figure,
+        movie=file.output.movie,
         text=text,
     )

@@ -19,6 +19,7 @@ from coadjoint.pictures.drawn import Drawn, spread
 from coadjoint.pictures.register import CannotShow, Kind, kinds, read_picture
 from coadjoint.pictures.style import INK
 from coadjoint.runs.solution import Solution, check_solution
+from coadjoint.systems.ready_made import telling_of
 from coadjoint.systems.telling import Picture
 
 MOST_FRAMES = 5000
@@ -125,21 +126,41 @@ def _read_size(size: Any) -> tuple[int, int]:
     return sides[0], sides[1]
 
 
+def declared_picture(name: str) -> Picture:
+    """Return the first picture of one time that a system declares, by its name.
+
+    Raises
+    ------
+    CannotShow
+        It declares none.
+
+    Examples
+    --------
+    >>> declared_picture("spin_lattice").kind
+    'spins'
+    """
+    telling = telling_of(name)
+    moving = _moving_kinds()
+    found = next((p for p in (telling.pictures if telling else ()) if p.kind in moving), None)
+    if found is None:
+        raise CannotShow(f"{name} declares no picture that a movie can show; give one: {', '.join(moving)}")
+    return found
+
+
+def _moving_kinds() -> list[str]:
+    return [name for name, kind in kinds().items() if kind.moves]
+
+
 def _moving(drawn: Drawn, wanted: Any) -> tuple[Kind, Picture]:
     """Return what is shown, at the start."""
-    moving = [name for name, kind in kinds().items() if kind.moves]
-    declared = () if drawn.telling is None else drawn.telling.pictures
     if wanted is None:
-        wanted = next((p for p in declared if p.kind in moving), None)
-        if wanted is None:
-            raise CannotShow(
-                f"{drawn.family.name} declares no picture that a movie can show; give one: {', '.join(moving)}"
-            )
-    elif isinstance(wanted, str):
-        wanted = next((p for p in declared if p.kind == wanted), wanted)
+        wanted = declared_picture(drawn.family.name)
+    elif isinstance(wanted, str) and drawn.telling is not None:
+        wanted = next((p for p in drawn.telling.pictures if p.kind == wanted), wanted)
     kind, read = read_picture(wanted)
     if not kind.moves:
-        raise CannotShow(f"the picture {kind.name!r} shows no single time; a movie shows one of: {', '.join(moving)}")
+        moving = ", ".join(_moving_kinds())
+        raise CannotShow(f"the picture {kind.name!r} shows no single time; a movie shows one of: {moving}")
     return kind, Picture(kind.name, **{**read.options, "at": 0.0})
 
 

@@ -64,6 +64,8 @@ class SphereEuler(FluidSystem):
             exact=partial(sphere_states.exact_motion, N=N, rotation=rotation),
         )
 
+    states_by_name = (*FluidSystem.states_by_name, "rossby_haurwitz", "zonal_jet")
+
     rossby_haurwitz = sphere_states.rossby_haurwitz
     zonal_jet = sphere_states.zonal_jet
 

@@ -32,6 +32,8 @@ class TorusEuler(FluidSystem):
     time in its own units as N grows. W is ``-i N/(4 pi) sum of w_n T_n``.
     """
 
+    states_by_name = (*FluidSystem.states_by_name, "zonal_jet")
+
     zonal_jet = torus_states.zonal_jet
 
     def mode_array(self, W: Any) -> Matrix:
