@@ -291,18 +291,20 @@ def _folder(out: str) -> Path:
 def draw_gallery(names: tuple[str, ...], out: str) -> None:
     """Run every ready-made system, or those with a NAME, for a telling time; draw them, and write a page.
 
-    The page is index.html, beside the pictures.
+    The page is index.html, beside the pictures. The NAME decaying_turbulence is a run of minutes.
     """
     from coadjoint.files.output import write_figure, write_page
     from coadjoint.systems.ready_made import told_systems
 
     need("a gallery", "matplotlib")
-    known = told_systems()
-    wanted = [_known_system(name, known) for name in dict.fromkeys(names)] or known
-    if not names:
-        need("a gallery of all systems", "numba")
-    folder = _folder(out)
     from coadjoint.pictures.gallery import PAGE, gallery
+    from coadjoint.pictures.scenes import SCENES
+
+    known = told_systems()
+    wanted = [_known_system(name, (*known, *SCENES)) for name in dict.fromkeys(names)] or known
+    if not names:
+        need("a gallery of all systems", "numba", "ducc0")
+    folder = _folder(out)
 
     page = gallery(wanted, lambda figure, name: write_figure(figure, folder / name), click.echo)
     write_page(page, folder / PAGE)

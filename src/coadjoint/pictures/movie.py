@@ -182,8 +182,8 @@ def _drawn(
     def frames() -> Iterator[memoryview]:
         for k in places:
             update(k)
-            canvas.draw()
-            yield canvas.buffer_rgba()
+            canvas.draw()  # type: ignore[no-untyped-call]
+            yield canvas.buffer_rgba()  # type: ignore[no-untyped-call]
 
     return frames
 

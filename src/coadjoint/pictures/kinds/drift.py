@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.drawn import Drawn
-from coadjoint.pictures.fluids import vorticity_of
+from coadjoint.pictures.fluids import carried_by, vorticity_of
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.style import colour, key, plain_axes, symbol
@@ -18,6 +19,7 @@ from coadjoint.systems.matrices.matrix_system import MatrixSystem
 MOST_CASIMIRS = 5
 """Casimirs with a line of their own; of more, the worst four, and a band that holds all."""
 BAND = "#9AA7B5"
+TRACE = re.compile(r"tr (W|Theta)( Theta)?(?:\^(\d+))?")
 
 
 @kind("drift", over_time=True)
@@ -73,15 +75,26 @@ def drift(drawn: Drawn) -> Paint:
 
 
 def _sizes(drawn: Drawn) -> Mapping[str, float]:
-    """Return what deviations of invariants are divided by, at the start of the first member: of matrices alone."""
-    family = drawn.family
-    if not isinstance(family, MatrixSystem):
+    """Return what deviations of invariants are divided by, at the start of the first member: of matrices alone.
+
+    Traces of powers have cancelled: their size is that of the sum without signs.
+    """
+    if not isinstance(drawn.family, MatrixSystem):
         return {}
-    W = vorticity_of(drawn.state(0))
-    energy = 0.5 * float(np.sum(np.abs(np.conj(family.stream_of(W)) * W)))
-    largest = np.abs(family.spectrum(W))
-    found = {"energy": energy, **{f"tr W^{k}": float(np.sum(largest**k)) for k in family.powers}}
-    return {name: size for name, size in found.items() if np.isfinite(size) and size > 0.0}
+    state = drawn.state(0)
+    found = {"energy": float(np.nanmax(np.abs(drawn.invariants["energy"])))}
+    singular = {
+        "W": np.linalg.svd(vorticity_of(state), compute_uv=False),
+        "Theta": np.linalg.svd(carried_by(state), compute_uv=False),
+    }
+    for name in drawn.invariants:
+        trace = TRACE.fullmatch(name)
+        if trace is not None:
+            first, second = singular[trace[1]], singular["Theta" if trace[2] else trace[1]]
+            power = int(trace[3] or 1) if trace[2] else int(trace[3] or 1) - 1
+            found[name] = float(np.sum(first * second**power))
+    known = all(np.isfinite(found.get(name, np.nan)) and found[name] > 0.0 for name in drawn.invariants)
+    return found if known else {}
 
 
 def _draw_left(axes: Any, drawn: Drawn, left: npt.NDArray[np.float64], shade: str, label: str | None) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.pictures.drawn import Drawn, spread
-from coadjoint.pictures.fluids import fluid_of, vorticity_of
+from coadjoint.pictures.fluids import fluid_of, surface_of, vorticity_of
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.style import colour, key, plain_axes
 
@@ -29,9 +29,9 @@ def energy_by_scale(drawn: Drawn) -> Paint:
     -------
     Paint
     """
-    surface, family = fluid_of(drawn), drawn.family
+    fluid = fluid_of(drawn)
     times = spread(len(drawn.t), MOST_TIMES)
-    found = [family.energy_spectrum(vorticity_of(drawn.state(int(k)))) for k in times]
+    found = [fluid.energy_spectrum(vorticity_of(drawn.state(int(k)))) for k in times]
     scales = np.asarray(found[0][0])
     energies = np.stack([np.asarray(values, dtype=np.float64) for _, values in found])
     total = energies.sum(axis=1, keepdims=True)
@@ -40,7 +40,7 @@ def energy_by_scale(drawn: Drawn) -> Paint:
 
     def paint(axes: Any) -> None:
         for place, i in enumerate(most):
-            label = f"${LETTER[surface]} = {scales[i]:g}$"
+            label = f"${LETTER[surface_of(fluid)]} = {scales[i]:g}$"
             axes.plot(drawn.t[times], shares[:, i], color=colour(place), linewidth=0.9, label=label)
         axes.set(xlabel="time $t$", ylabel="share of the energy", title="energy by scale")
         axes.set_ylim(0.0, None)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.pictures.drawn import Drawn
-from coadjoint.pictures.fluids import fluid_of, vorticity_of
+from coadjoint.pictures.fluids import fluid_of, surface_of, vorticity_of
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.style import colour, key, plain_axes
 
@@ -33,8 +33,8 @@ def field_spectra(drawn: Drawn, at: float = 1.0) -> Paint:
     -------
     Paint
     """
-    surface, family, k = fluid_of(drawn), drawn.family, drawn.at(at)
-    spectra = {"energy": family.energy_spectrum, "enstrophy": family.enstrophy_spectrum}
+    fluid, k = fluid_of(drawn), drawn.at(at)
+    spectra = {"energy": fluid.energy_spectrum, "enstrophy": fluid.enstrophy_spectrum}
     found = {
         (name, j): [np.asarray(part, dtype=np.float64) for part in spectrum(vorticity_of(drawn.state(j)))]
         for name, spectrum in spectra.items()
@@ -49,7 +49,7 @@ def field_spectra(drawn: Drawn, at: float = 1.0) -> Paint:
                 axes.plot(scales, np.where(values > 0.0, values, np.nan), color=colour(place), label=label, **style)
         top = max(float(values.max()) for _, values in found.values())
         low = min(float(values[values > top * 10.0**-DECADES].min(initial=top)) for _, values in found.values())
-        axes.set(xscale="log", yscale="log", xlabel=ACROSS[surface], ylim=(low / 2, top * 3))
+        axes.set(xscale="log", yscale="log", xlabel=ACROSS[surface_of(fluid)], ylim=(low / 2, top * 3))
         axes.set(ylabel="energy and enstrophy", title="spectra of energy and enstrophy")
         plain_axes(axes)
         key(axes)

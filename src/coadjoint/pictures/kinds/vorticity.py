@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,10 +10,10 @@ import numpy.typing as npt
 
 from coadjoint.given import read_choice, read_number, read_positive
 from coadjoint.pictures.drawn import Drawn
-from coadjoint.pictures.fluids import fluid_of, part_of_state
+from coadjoint.pictures.fluids import fluid_of, part_on_grid, surface_of
 from coadjoint.pictures.kinds.sphere_field import on_grid
 from coadjoint.pictures.projections import PROJECTIONS, Projection
-from coadjoint.pictures.register import Paint, Update, kind
+from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import INK
 
 Floats = npt.NDArray[np.float64]
@@ -24,6 +23,7 @@ PARTS = {
     "large": "vorticity, large scales",
     "small": "vorticity, small scales",
     "stream": "stream function",
+    "carried": "carried field",
 }
 COLUMNS = 720
 """Pixels across a map."""
@@ -50,9 +50,9 @@ def vorticity(
         The run, on the sphere or on the torus; of several members the first.
     at : float
         The time, as a part of the span: 0 is the start, 1 the end.
-    part : {"all", "large", "small", "stream"}
-        All of it; what is constant along streamlines, which are the large scales; what is left beside these; or the
-        stream function.
+    part : {"all", "large", "small", "stream", "carried"}
+        All of it; what is constant along streamlines, which are the large scales; what is left beside these; the stream
+        function; or the second field, which the fluid carries.
     projection : {"mollweide", "hammer", "outside"}
         Of the sphere: equal-area maps, or the view from outside.
     centre : (float, float)
@@ -64,12 +64,17 @@ def vorticity(
     -------
     Paint
     """
-    surface = fluid_of(drawn)
+    fluid = fluid_of(drawn)
     part = read_choice(part, "part of the vorticity", PARTS)
     across = PROJECTIONS[read_choice(projection, "projection", PROJECTIONS)]
     middle = read_number(centre[0], "longitude of centre"), read_number(centre[1], "latitude of centre")
-    shown = partial(part_of_state, part=part, shape=_shape(drawn, surface))
-    k = drawn.at(at)
+    if part == "carried" and len(drawn.family.shape) != 3:
+        raise CannotShow(f"{drawn.family.name} carries no second field; reduced_mhd and passive_scalar do")
+    surface, k = surface_of(fluid), drawn.at(at)
+
+    def shown(system: Any, state: Any) -> Floats:
+        return part_on_grid(fluid, state, part, _shape(fluid.algebra.N, surface))
+
     first, largest = drawn.of_state(shown, k)
     size = largest if limit is None else read_positive(limit, "limit")
 
@@ -96,9 +101,8 @@ def _title(drawn: Drawn, part: str, k: int) -> str:
     return f"{PARTS[part]} at $t$ = {drawn.t[k]:.4g}"
 
 
-def _shape(drawn: Drawn, surface: str) -> tuple[int, int]:
+def _shape(N: int, surface: str) -> tuple[int, int]:
     """Return a grid fine enough for the picture: with both poles, or a square."""
-    N = drawn.family.algebra.N
     side = min(max(FEWEST, 2 * N), MOST)
     return (side + 1, 2 * side) if surface == "sphere" else (side, side)
 
