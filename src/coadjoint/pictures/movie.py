@@ -25,8 +25,10 @@ from coadjoint.systems.telling import Picture
 MOST_FRAMES = 5000
 PIXELS = (64, 4096)
 """Fewest and most along a side."""
-DOTS = 120
-"""To the inch, by which letters have their size."""
+WIDE, HIGH = 8.0, 4.5
+"""Of the figure in inches, at least: letters grow with the pixels."""
+NEARLY_WHITE = 248
+"""In a GIF such shades are the white of the paper."""
 FASTEST_GIF = 50
 """Frames a second: viewers slow down what is faster."""
 
@@ -171,7 +173,8 @@ def _drawn(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width / DOTS, height / DOTS), dpi=DOTS, layout="compressed", facecolor="white")
+    dots = min(width / WIDE, height / HIGH)
+    figure = Figure(figsize=(width / dots, height / dots), dpi=dots, layout="compressed", facecolor="white")
     canvas = FigureCanvasAgg(figure)
     figure.suptitle(drawn.solution.system.name.replace("$", r"\$"), fontsize=9, color=INK)
     update = kind.prepare(drawn, **read.options)(figure.add_subplot(projection=kind.projection))
@@ -198,6 +201,7 @@ def _write_gif(frames: Callable[[], Iterator[memoryview]], place: Path, fps: flo
             image = Image.fromarray(np.ascontiguousarray(np.asarray(frame)[..., :3]))
             if palette is None:
                 shades = np.unique(np.asarray(image).reshape(-1, 3), axis=0)
+                shades = shades[(shades < NEARLY_WHITE).any(axis=1)]
                 found = Image.fromarray(shades[None]).quantize(255).getpalette() or []
                 palette = Image.new("P", (1, 1))
                 palette.putpalette([*found[: 3 * 255], *3 * [255]])
