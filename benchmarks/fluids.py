@@ -100,7 +100,9 @@ def main() -> None:
             share = statistics.median(a / b for a, b in zip(taken["coadjoint"], seconds, strict=True))
             away = np.abs(ends[name] - exact).max() / np.abs(exact).max()
             middle = statistics.median(seconds)
-            print(f"| {n} | {name} | {1e3 * middle:.3g} | {share:.2f} | {middle / whole:.1f} | {away:.1e} |", flush=True)
+            print(
+                f"| {n} | {name} | {1e3 * middle:.3g} | {share:.2f} | {middle / whole:.1f} | {away:.1e} |", flush=True
+            )
         times.append(statistics.median(taken["coadjoint"]))
     if len(times) > 1:
         exponent = np.polyfit(np.log(GIVEN.sizes), np.log(times), 1)[0]

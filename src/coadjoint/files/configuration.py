@@ -7,19 +7,23 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.errors import in_one_line
 from coadjoint.extras import need
 from coadjoint.files.configuration_parts import ConfigurationError, method_of_file, section, system_of_file
-from coadjoint.files.initial_state import check_initial, initial_of_file
+from coadjoint.files.initial_states import initial_state
 from coadjoint.files.polynomials import read_polynomial
+from coadjoint.files.states_by_name import check_named, state_by_name
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import Method
 from coadjoint.methods.forced import check_serves, serving
+from coadjoint.methods.splitting import Splitting
+from coadjoint.methods.suggested import suggested_scheme
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import times_of
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 MOST_BYTES = 2**28
 MOST_NESTED = 64
@@ -245,22 +249,32 @@ def _deepest(text: str) -> int:
     return len(text)
 
 
+def _method(name: str, file: File, system: Any) -> Method:
+    """Return the scheme of a file; where it says none, as `integrate` takes it."""
+    if file.method is not None:
+        return method_of_file(name, file.method)
+    return suggested_scheme(cast(Any, system)) if isinstance(system, MatrixSystem) else Splitting()
+
+
 def _configuration(name: str, text: str, file: File) -> Configuration:
-    check_initial(name, file)
+    check_named(name, file)
     system: Any = system_of_file(name, file)
-    method = method_of_file(name, file.method)
+    method = _method(name, file, system)
     with section(name, "method"):
         check_serves(system, method)
     with section(name, "run"):
         times_of(file.run.t_span, file.run.step, file.run.save_every)
-    x0 = initial_of_file(name, file, system)
+    x0 = state_by_name(name, file.initial, system)
     with section(name, "initial.x"):
+        x0 = initial_state(system, file.initial.x, Path(name).parent) if x0 is None else x0
         start_of(system, serving(system, method), x0, False)
     with section(name, "initial.attitude"):
         start_of(system, serving(system, method), x0, file.initial.attitude)
     observe = {}
     for key, written in file.observe.items():
         with section(name, f"observe.{key}"):
+            if isinstance(system, MatrixSystem):
+                raise ValueError(f"a polynomial is one of coordinates; the states of {system.name} are matrices")
             observe[key] = read_polynomial(written, system.dim)
     return Configuration(
         path=name,
