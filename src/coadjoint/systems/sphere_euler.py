@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property, partial
 from math import pi
 from typing import Any
@@ -244,7 +245,7 @@ class SphereEuler(FluidSystem):
         return sphere_states.angular_momentum(W)
 
     @property
-    def integrals(self) -> dict[str, Any]:
+    def integrals(self) -> Mapping[str, Any]:  # type: ignore[override]
         """Name -> function of states (..., N, N): the parts of the angular momentum that are constant."""
         kept = (2,) if self.rotation else (0, 1, 2)
         return {f"angular momentum {'xyz'[a]}": partial(_part_of_momentum, axis=a) for a in kept}
