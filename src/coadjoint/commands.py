@@ -297,7 +297,6 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
     from coadjoint.systems.ready_made import told_systems
 
     need("a gallery", "matplotlib")
-    from coadjoint.pictures.gallery import PAGE, gallery
     from coadjoint.pictures.scenes import SCENES
 
     known = told_systems()
@@ -305,6 +304,7 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
     if not names:
         need("a gallery of all systems", "numba", "ducc0")
     folder = _folder(out)
+    from coadjoint.pictures.gallery import PAGE, gallery
 
     page = gallery(wanted, lambda figure, name: write_figure(figure, folder / name), click.echo)
     write_page(page, folder / PAGE)

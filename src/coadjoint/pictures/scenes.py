@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from coadjoint.methods.isospectral_gauss import IsospectralGauss
-from coadjoint.runs.integrate import integrate
-from coadjoint.runs.solution import Solution
-from coadjoint.systems.sphere_euler import sphere_euler
 from coadjoint.systems.telling import Picture
+
+if TYPE_CHECKING:
+    from coadjoint.runs.solution import Solution
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,10 @@ def decaying_turbulence(N: int = 128, seed: int = 1, end: float = 100.0, step: f
     >>> decaying_turbulence(N=12, end=2.0, step=0.1).x.shape
     (3, 12, 12)
     """
+    from coadjoint.methods.isospectral_gauss import IsospectralGauss
+    from coadjoint.runs.integrate import integrate
+    from coadjoint.systems.sphere_euler import sphere_euler
+
     s = sphere_euler(N)
     return integrate(
         s,  # type: ignore[arg-type]
