@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.methods.isospectral_stages import slope_along
 from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -57,12 +58,11 @@ class MatrixOrbit:
 
     def gradient(self, W: Any, t: Any) -> Any:
         """Return P."""
-        P, linear = self._system.stream(W), getattr(self._system, "linear", None)
-        return P if linear is None else P + linear
+        return self._system.stream_of(W, t)
 
     def bend(self, W: Any, dW: Any, t: Any) -> Any:
         """Return the changes of P."""
-        return self._system.stream(dW)
+        return slope_along(self._system, W, dW, t)
 
     def generator(self, P: Any, dP: Any) -> Generator:
         """Return D of a combination of streams, and of its changes where there are any."""
