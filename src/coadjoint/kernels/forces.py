@@ -21,6 +21,7 @@ from coadjoint.kernels.tables import watch_tables
 from coadjoint.systems.forces.base import Noise
 
 NOTHING = np.zeros(1, dtype=np.int64)
+NO_NUMBERS = np.zeros(1)
 
 
 class ForceTable(NamedTuple):
@@ -42,6 +43,9 @@ class ForceTable(NamedTuple):
     sets: int = 0
     begin: NDArray[np.int64] = NOTHING
     direction: NDArray[np.int64] = NOTHING
+    extent: int = 0
+    turning: NDArray[np.float64] = NO_NUMBERS
+    basis: NDArray[np.float64] = NO_NUMBERS
 
 
 class Account(NamedTuple):
@@ -97,6 +101,31 @@ class _Reader:
     def flow(self, function: Callable[..., Any]) -> ForceTable:
         self._compile(function, "x, t, tau", self.n + 1, "the flow of a force")
         return self._table("BY_FLOW")
+
+    def mode_rates(self, modes: Any, numbers: Any, rates: Any, still: NDArray[Any] | None) -> ForceTable:
+        flat = np.concatenate(rates).astype(np.complex128)
+        aim = NO_NUMBERS if still is None else still
+        more = {"turning": np.ascontiguousarray(flat.imag), "sets": int(still is not None)}
+        return self._on_modes("MODE_RATES", modes, numbers, np.ascontiguousarray(flat.real), aim, **more)
+
+    def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int) -> ForceTable:
+        flat = np.concatenate(amplitudes)
+        return self._on_modes("MODE_NOISE", modes, numbers, flat, NO_NUMBERS, seed=seed, stream=stream)
+
+    def _on_modes(self, kind: str, modes: Any, numbers: Any, rate: Any, aim: Any, **more: Any) -> ForceTable:
+        return ForceTable(
+            codes("ForceKind")[kind],
+            *self._accounts,
+            codes("ModeKind")[modes.kind],
+            rate,
+            aim,
+            np.zeros(0, dtype=np.int64),
+            begin=np.cumsum([0, *map(len, numbers)], dtype=np.int64),
+            direction=np.concatenate(numbers).astype(np.int64),
+            extent=modes.N,
+            basis=modes.table(numbers),
+            **more,
+        )
 
     def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
         need(f"{what}, a Python function,", "numba")
