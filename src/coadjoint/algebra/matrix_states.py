@@ -67,6 +67,11 @@ class MatrixAlgebra:
         return self.N, self.N
 
     @property
+    def skew(self) -> bool:
+        """Whether every element is skew-Hermitian."""
+        return True
+
+    @property
     def complex(self) -> bool:
         """Whether entries are complex."""
         return self.kind != "so"

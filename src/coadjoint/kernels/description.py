@@ -60,7 +60,7 @@ WRITTEN: Mapping[str, Mapping[str, int]] = {
 USED: Mapping[str, Iterable[str]] = {
     "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED"),
     "Outcome": ("INTERRUPTED", "NO_MEMORY"),
-    "StreamKind": ("TRIDIAGONAL", "CIRCULANT", "WEIGHTS"),
+    "StreamKind": ("TRIDIAGONAL", "CIRCULANT", "WEIGHTS", "MULTIPLIED", "BY_FUNCTION"),
     "Solver": ("EXPLICIT", "ITERATED", "IMPLICIT", "STRUCTURE", "GRADIENT"),
     "ForceKind": ("DAMPING", "CONSTANT", "OF_TIME", "OF_STATE", "ON_ORBIT", "BY_FLOW", "MODE_RATES", "MODE_NOISE"),
     "ModeKind": ("HARMONICS", "WAVES"),

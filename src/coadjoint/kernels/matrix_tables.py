@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from coadjoint.kernels.description import codes
 from coadjoint.kernels.step_tables import step_numbers
 from coadjoint.kernels.tables import Compiled
@@ -43,7 +45,8 @@ def matrix_tables(
     Parameters
     ----------
     system : MatrixSystem
-        The system.
+        The system. `stream` is its linear map, or a function; `second_stream` that of the first of two layers, and
+        `linear` a constant that is added, where it has them.
     step : str
         The name of the step.
     stages : int
@@ -58,7 +61,22 @@ def matrix_tables(
     Compiled
         With a `Stepping`.
     """
-    stream = system.stream
-    kind = codes("StreamKind")[stream.kind]
-    whole = [kind, system.algebra.N, product_address(system.complex), stages, int(system.complex)]
-    return step_numbers(system, step, whole, [1.0, *coefficients, *stream.table.tolist()], fractions)
+    kinds = codes("StreamKind")
+    stream, second = system.stream, getattr(system, "second_stream", None)
+    linear, address = getattr(system, "linear", None), getattr(stream, "address", 0)
+    numbers = [] if linear is None else [system.to_vector(linear)]
+    numbers += [map_.table for map_ in (stream, second) if map_ is not None]
+    layers = 2 if len(system.shape) == 3 else 1
+    whole = [
+        system.algebra.N,
+        layers,
+        kinds[stream.kind],
+        -1 if second is None else kinds[second.kind],
+        int(linear is not None),
+        address,
+        product_address(system.complex),
+        stages,
+        int(system.complex),
+        int(not system.algebra.skew),
+    ]
+    return step_numbers(system, step, whole, [*coefficients, *np.concatenate(numbers).tolist()], fractions)

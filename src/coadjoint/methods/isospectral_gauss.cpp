@@ -1,7 +1,8 @@
-// Isospectral Gauss methods: W' = s [P, W], P = stream(W), in a Lie algebra of skew-Hermitian matrices.
+// Isospectral Gauss methods: W' = [P, W], P = stream(W, t), in a Lie algebra of matrices.
 //
-// One stage: W = M - (h/2)[P, M] - (h^2/4) P M P is solved for the middle M with P = s stream(M), and W += h [P, M].
-// Several: V_i = 1 + h sum_j a_ij P_j V_j, M_i = V_i W V_i*, and W += h sum_i b_i [P_i, M_i].
+// One stage: W = M - (h/2)[P, M] - (h^2/4) P M P is solved for the middle M with P = stream(M), and W += h [P, M].
+// Several: V_i = 1 + h sum_j a_ij P_j V_j, U_i = 1 - h sum_j a_ij U_j P_j, M_i = V_i W U_i, and
+// W += h sum_i b_i [P_i, M_i]. Of skew-Hermitian matrices U_i = V_i*.
 #include <cmath>
 #include <limits>
 
@@ -22,17 +23,17 @@ constexpr int64_t HISTORY = 3;          // middles of earlier steps, through whi
 
 template <class T>
 struct Isospectral : StepScheme {
-    const int64_t n, square, stages;
-    const double sign;
-    const double *a, *b;
+    const int64_t n, square, all, stages;
+    const bool skew;
+    const double *a, *b, *c;
     const Products<T> products;
     Stream<T> stream;
 
     explicit Isospectral(const StepTables& tables)
-        : n(tables.whole[1]), square(n * n), stages(tables.whole[3]), sign(tables.coefficients[0]),
-          a(tables.coefficients + 1), b(a + stages * stages), products(tables.whole[2], n),
-          stream(tables.whole[0], n, b + stages) {
-        work = 16 * stages * (n * n * n * int64_t(sizeof(T) / sizeof(double)) + stream.work());
+        : n(tables.whole[0]), square(n * n), all(tables.whole[1] * square), stages(tables.whole[7]),
+          skew(!tables.whole[9]), a(tables.coefficients), b(a + stages * stages), c(b + stages),
+          products(tables.whole[6], n, tables.whole[1]), stream(tables.whole, c + stages) {
+        work = 16 * stages * (all * n * int64_t(sizeof(T) / sizeof(double)) + stream.work());
     }
 
     static double size_of(const T& value) { return std::abs(value); }
@@ -40,7 +41,7 @@ struct Isospectral : StepScheme {
     // The largest entry; NaN where one of them is.
     double largest(const T* values) const {
         double most = 0.0, spoilt = 0.0;
-        for (int64_t e = 0; e < square; ++e) {
+        for (int64_t e = 0; e < all; ++e) {
             const double size = size_of(values[e]);
             most = size > most ? size : most;
             spoilt += size - size;
@@ -48,21 +49,31 @@ struct Isospectral : StepScheme {
         return most + spoilt;
     }
 
-    // The commutator of P and M from their product A: A - A*, skew-Hermitian to the last bit.
-    void commutator(const T* A, double factor, T* to, bool add) const {
-        for (int64_t i = 0; i < n; ++i)
-            for (int64_t j = 0; j <= i; ++j) {
-                const T value = factor * (A[i * n + j] - conjugate(A[j * n + i]));
-                T &lower = to[i * n + j], &upper = to[j * n + i];
-                lower = add ? lower + value : value;
-                upper = i == j ? lower : -conjugate(lower);
+    // The commutator of P and M: A = P M is given, and what is M P is A* where they are skew-Hermitian.
+    void commutator(const T* P, const T* M, T* A, double factor, T* to, bool add) {
+        if (!skew) {
+            other.resize(all);
+            products.multiply(M, P, other.data());
+            for (int64_t e = 0; e < all; ++e) {
+                const T value = factor * (A[e] - other[e]);
+                to[e] = add ? to[e] + value : value;
             }
+            return;
+        }
+        for (int64_t first = 0; first < all; first += square, A += square, to += square)
+            for (int64_t i = 0; i < n; ++i)
+                for (int64_t j = 0; j <= i; ++j) {
+                    const T value = factor * (A[i * n + j] - conjugate(A[j * n + i]));
+                    T &lower = to[i * n + j], &upper = to[j * n + i];
+                    lower = add ? lower + value : value;
+                    upper = i == j ? lower : -conjugate(lower);
+                }
     }
 
     // Add an increment to W, with what earlier sums owe.
     void advance(double* W, double* owed, const T* increment) const {
         const double* move = reinterpret_cast<const double*>(increment);
-        const int64_t numbers = square * int64_t(sizeof(T) / sizeof(double));
+        const int64_t numbers = all * int64_t(sizeof(T) / sizeof(double));
         for (int64_t k = 0; k < numbers; ++k) add_owing_rest(W[k], move[k] + owed[k], W[k], owed[k]);
     }
 
@@ -85,18 +96,17 @@ struct Isospectral : StepScheme {
 
   private:
     double first = 0.0, least = 0.0;
+    std::vector<T> other;
 };
 
 template <class T>
 struct Midpoint final : Isospectral<T> {
     typedef Isospectral<T> Base;
-    using Base::square, Base::n, Base::products, Base::stream, Base::sign;
+    using Base::all, Base::products, Base::stream, Base::skew;
     std::vector<T> M, P, A, B, move;
-    double* const none = nullptr;
 
-    explicit Midpoint(const StepTables& tables)
-        : Base(tables), M(square), P(square), A(square), B(square), move(square) {
-        this->remembered = 2 + HISTORY * square * int64_t(sizeof(T) / sizeof(double));
+    explicit Midpoint(const StepTables& tables) : Base(tables), M(all), P(all), A(all), B(all), move(all) {
+        this->remembered = 2 + HISTORY * all * int64_t(sizeof(T) / sizeof(double));
     }
 
     // memory: how many middles there are, the step that they are of, and the middles, the last one first.
@@ -105,10 +115,10 @@ struct Midpoint final : Isospectral<T> {
         const bool usable = memory && memory[0] == memory[0] && memory[1] == h;
         const int64_t known = usable ? int64_t(memory[0]) : 0;
         const T* past = memory ? reinterpret_cast<const T*>(memory + 2) : nullptr;
-        for (int64_t e = 0; e < square; ++e) {
+        for (int64_t e = 0; e < all; ++e) {
             const T last = known > 0 ? past[e] : W[e];
-            const T middle = known > 1 ? past[square + e] : last;
-            const T first = known > 2 ? past[2 * square + e] : T(0.0);
+            const T middle = known > 1 ? past[all + e] : last;
+            const T first = known > 2 ? past[2 * all + e] : T(0.0);
             M[e] = known > 2 ? first + 3.0 * (last - middle) : known == 2 ? last + (last - middle) : W[e];
         }
     }
@@ -119,25 +129,25 @@ struct Midpoint final : Isospectral<T> {
         const bool usable = memory[0] == memory[0] && memory[1] == h;
         const int64_t known = usable ? int64_t(memory[0]) : 0;
         T* past = reinterpret_cast<T*>(memory + 2);
-        for (int64_t k = HISTORY - 1; k > 0; --k) std::copy_n(past + (k - 1) * square, square, past + k * square);
-        std::copy_n(M.data(), square, past);
+        for (int64_t k = HISTORY - 1; k > 0; --k) std::copy_n(past + (k - 1) * all, all, past + k * all);
+        std::copy_n(M.data(), all, past);
         memory[0] = double(std::min(known + 1, HISTORY));
         memory[1] = h;
     }
 
-    int64_t step(double* x, double* dx, double*, double*, double, double h) override {
+    int64_t step(double* x, double* dx, double*, double*, double t, double h) override {
         const T *W = reinterpret_cast<const T*>(x), *owed = reinterpret_cast<const T*>(dx);
         const double size = this->largest(W), half = 0.5 * h, quarter = half * half;
         guess(W, h);
         this->iterations = 0;
         for (;;) {
-            stream.apply(M.data(), P.data());
-            for (T& entry : P) entry *= sign;
+            if (!stream.apply(M.data(), t + half, P.data())) return UNDEFINED;
             products.multiply(P.data(), M.data(), A.data());
-            products.multiply_skew(A.data(), P.data(), B.data());
-            this->commutator(A.data(), h, move.data(), false);
+            if (skew) products.multiply_skew(A.data(), P.data(), B.data());
+            else products.multiply(A.data(), P.data(), B.data());
+            this->commutator(P.data(), M.data(), A.data(), h, move.data(), false);
             double change = 0.0, spoilt = 0.0;
-            for (int64_t e = 0; e < square; ++e) {
+            for (int64_t e = 0; e < all; ++e) {
                 const T next = W[e] + (owed[e] + (0.5 * move[e] + quarter * B[e]));
                 const double moved = this->size_of(next - M[e]);
                 change = moved > change ? moved : change;
@@ -160,29 +170,36 @@ struct Midpoint final : Isospectral<T> {
 template <class T>
 struct Stages final : Isospectral<T> {
     typedef Isospectral<T> Base;
-    using Base::square, Base::n, Base::products, Base::stream, Base::sign, Base::stages;
-    std::vector<T> V, P, K, M, A, move;
+    using Base::square, Base::n, Base::all, Base::products, Base::stream, Base::stages, Base::skew;
+    std::vector<T> V, U, P, K, L, M, A, move;
 
     explicit Stages(const StepTables& tables)
-        : Base(tables), V(square * stages), P(square * stages), K(square * stages), M(square * stages), A(square),
-          move(square) {}
+        : Base(tables), V(all * stages), U(skew ? 0 : all * stages), P(all * stages), K(all * stages),
+          L(skew ? 0 : all * stages), M(all * stages), A(all), move(all) {}
 
-    int64_t step(double* x, double* dx, double*, double*, double, double h) override {
+    int64_t step(double* x, double* dx, double*, double*, double t, double h) override {
+        for (int64_t e = 0; e < all; ++e) M[e] = reinterpret_cast<const T*>(x)[e] + reinterpret_cast<const T*>(dx)[e];
         const T* W = reinterpret_cast<const T*>(x);
-        for (int64_t e = 0; e < square; ++e) A[e] = W[e] + reinterpret_cast<const T*>(dx)[e];
-        std::copy_n(A.data(), square, M.data());
-        start(h);
+        if (!stream.apply(M.data(), t, A.data())) return UNDEFINED;
+        for (int64_t i = 0; i < stages; ++i) {
+            std::copy_n(A.data(), all, K.data() + i * all);
+            if (!skew) std::copy_n(A.data(), all, L.data() + i * all);
+        }
+        restage(K, V, h);
+        if (!skew) restage(L, U, -h);
         this->iterations = 0;
         for (;;) {
             for (int64_t i = 0; i < stages; ++i) {
-                const int64_t at = i * square;
-                products.multiply(V.data() + at, W, A.data());
-                products.multiply_skew_by_adjoint(A.data(), V.data() + at, M.data() + at);
-                stream.apply(M.data() + at, P.data() + at);
-                for (int64_t e = at; e < at + square; ++e) P[e] *= sign;
-                products.multiply(P.data() + at, V.data() + at, K.data() + at);
+                T *v = V.data() + i * all, *m = M.data() + i * all, *p = P.data() + i * all;
+                products.multiply(v, W, A.data());
+                if (skew) products.multiply_skew_by_adjoint(A.data(), v, m);
+                else products.multiply(A.data(), U.data() + i * all, m);
+                if (!stream.apply(m, t + this->c[i] * h, p)) return UNDEFINED;
+                products.multiply(p, v, K.data() + i * all);
+                if (!skew) products.multiply(U.data() + i * all, p, L.data() + i * all);
             }
-            const double change = restage(h);
+            double change = restage(K, V, h);
+            if (!skew) change = std::max(change, restage(L, U, -h));
             if (this->ended(change, 1.0)) {
                 this->residual = change;
                 break;
@@ -191,35 +208,27 @@ struct Stages final : Isospectral<T> {
         this->evaluations = this->iterations * stages;
         if (this->status != DONE) return this->status;
         for (int64_t i = 0; i < stages; ++i) {
-            products.multiply(P.data() + i * square, M.data() + i * square, A.data());
-            this->commutator(A.data(), h * this->b[i], move.data(), i > 0);
+            const T *p = P.data() + i * all, *m = M.data() + i * all;
+            products.multiply(p, m, A.data());
+            this->commutator(p, m, A.data(), h * this->b[i], move.data(), i > 0);
         }
         this->advance(x, dx, move.data());
         return DONE;
     }
 
-    // V_i := 1 + c_i h P(W).
-    void start(double h) {
-        stream.apply(M.data(), P.data());
-        for (int64_t i = 0; i < stages; ++i) {
-            double c = 0.0;
-            for (int64_t j = 0; j < stages; ++j) c += this->a[i * stages + j];
-            for (int64_t e = 0; e < square; ++e)
-                V[i * square + e] = T(e % (n + 1) ? 0.0 : 1.0) + (c * h * sign) * P[e];
-        }
-    }
-
-    double restage(double h) {
+    // V_i := 1 + h sum_j a_ij K_j; return the largest change.
+    double restage(const std::vector<T>& slopes, std::vector<T>& to, double h) {
         double change = 0.0, spoilt = 0.0;
         for (int64_t i = 0; i < stages; ++i)
-            for (int64_t e = 0; e < square; ++e) {
+            for (int64_t e = 0; e < all; ++e) {
                 T sum(0.0);
-                for (int64_t j = 0; j < stages; ++j) sum += this->a[i * stages + j] * K[j * square + e];
-                const T next = T(e % (n + 1) ? 0.0 : 1.0) + h * sum;
-                const double moved = this->size_of(next - V[i * square + e]);
+                for (int64_t j = 0; j < stages; ++j) sum += this->a[i * stages + j] * slopes[j * all + e];
+                const T next = T(e < square && e % (n + 1) == 0 ? 1.0 : 0.0) + h * sum;
+                T& old = to[i * all + e];
+                const double moved = this->size_of(next - old);
                 change = moved > change ? moved : change;
                 spoilt += moved - moved;
-                V[i * square + e] = next;
+                old = next;
             }
         return change + spoilt;
     }
@@ -227,15 +236,16 @@ struct Stages final : Isospectral<T> {
 
 template <class T>
 StepScheme* made(const StepTables& tables) {
-    if (tables.whole[3] == 1) return new Midpoint<T>(tables);
+    if (tables.whole[7] == 1) return new Midpoint<T>(tables);
     return new Stages<T>(tables);
 }
 
 }  // namespace
 
-// `whole`: the kind of the stream, n, the address of the product, the stages, whether entries are complex.
+// `whole`: what a stream reads, the address of the product, the stages, whether entries are complex, and whether
+// matrices are not skew-Hermitian.
 EXPORT StepScheme* isospectral_gauss_step(const StepTables& tables, const Own&) {
-    return tables.whole[4] ? made<Complex>(tables) : made<double>(tables);
+    return tables.whole[8] ? made<Complex>(tables) : made<double>(tables);
 }
 
 }  // namespace coadjoint

@@ -106,7 +106,7 @@ class IsospectralGauss(SteppedMethod):
         from coadjoint.kernels.stepping import STEP_LOOP
 
         a, b = _coefficients(self.stages)
-        found = matrix_tables(system, "isospectral_gauss", self.stages, (*a.ravel(), *b), fractions)
+        found = matrix_tables(system, "isospectral_gauss", self.stages, (*a.ravel(), *b, *a.sum(axis=1)), fractions)
         return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=remembered(STEP_LOOP, found.tables))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:

@@ -37,8 +37,8 @@ namespace turns {
 CODES(Turn, TURNS)
 }  // namespace turns
 
-// How a matrix W is mapped to its stream matrix, diagonal by diagonal or entry by entry.
-#define STREAMS(_) _(TRIDIAGONAL, 0) _(CIRCULANT, 1) _(WEIGHTS, 2)
+// How a matrix W is mapped to its stream matrix: diagonal by diagonal, entry by entry, or by a function.
+#define STREAMS(_) _(TRIDIAGONAL, 0) _(CIRCULANT, 1) _(WEIGHTS, 2) _(MULTIPLIED, 3) _(BY_FUNCTION, 4)
 CODES(StreamKind, STREAMS)
 
 // How the stages of a Runge-Kutta method are found.

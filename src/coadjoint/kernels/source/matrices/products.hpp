@@ -1,4 +1,6 @@
 // Products of square matrices, by the BLAS whose routine the tables bring. Matrices stand row by row.
+//
+// An element has one matrix, or two: X = X0 + eps X1 with eps^2 = 0, of a semidirect product.
 #pragma once
 
 #include <algorithm>
@@ -20,46 +22,49 @@ using Gemm = void (*)(const char*, const char*, const int*, const int*, const in
 template <class T>
 class Products {
   public:
-    Products(int64_t gemm, int64_t size) : gemm(reinterpret_cast<Gemm<T>>(gemm)), n(int(size)) {}
+    Products(int64_t gemm, int64_t size, int64_t layers)
+        : gemm(reinterpret_cast<Gemm<T>>(gemm)), n(int(size)), square(size * size), layers(layers) {}
 
     // c = a b. Fortran reads columns: it sees the transposed matrices, and their product in the other order.
-    void multiply(const T* a, const T* b, T* c) const { panel(a, b, c, n, n, false); }
-
-    // c = a b*, the conjugate transpose.
-    void multiply_by_adjoint(const T* a, const T* b, T* c) const { panel(a, b, c, n, n, true); }
+    void multiply(const T* a, const T* b, T* c) const { of_layers(a, b, c, false, false); }
 
     // The same where the product is skew-Hermitian: of the entries above the diagonal some stand in panels that are
     // not computed, and all are taken from below.
-    void multiply_skew(const T* a, const T* b, T* c) const {
-        by_panels(a, b, c, false);
-        mirror(c);
-    }
+    void multiply_skew(const T* a, const T* b, T* c) const { of_layers(a, b, c, false, true); }
 
-    // c = a b*, where that is skew-Hermitian.
-    void multiply_skew_by_adjoint(const T* a, const T* b, T* c) const {
-        by_panels(a, b, c, true);
-        mirror(c);
-    }
+    // c = a b*, b* the conjugate transpose, where that is skew-Hermitian.
+    void multiply_skew_by_adjoint(const T* a, const T* b, T* c) const { of_layers(a, b, c, true, true); }
 
   private:
     static constexpr int PANELS = 4, SMALL = 32;
     const Gemm<T> gemm;
     const int n;
+    const int64_t square, layers;
 
-    // The first `columns` entries of some rows of the product.
-    void panel(const T* a, const T* b, T* c, int rows, int columns, bool adjoint) const {
-        const T one(1.0), zero(0.0);
-        const char plain = 'N', other = adjoint ? 'C' : 'N';
-        gemm(&other, &plain, &columns, &rows, &n, &one, b, &n, a, &n, &zero, c, &n);
+    void of_layers(const T* a, const T* b, T* c, bool adjoint, bool skew) const {
+        by_panels(a, b, c, adjoint, skew, false);
+        if (layers == 2) {
+            by_panels(a, b + square, c + square, adjoint, skew, false);
+            by_panels(a + square, b, c + square, adjoint, skew, true);
+        }
+        if (skew)
+            for (int64_t l = 0; l < layers; ++l) mirror(c + l * square);
     }
 
-    void by_panels(const T* a, const T* b, T* c, bool adjoint) const {
-        const int panels = n < SMALL ? 1 : PANELS;
+    void by_panels(const T* a, const T* b, T* c, bool adjoint, bool skew, bool add) const {
+        const int panels = !skew || n < SMALL ? 1 : PANELS;
         for (int p = 0; p < panels; ++p) {
             const int first = n * p / panels, last = n * (p + 1) / panels;
             const int64_t row = int64_t(first) * n;
-            panel(a + row, b, c + row, last - first, last, adjoint);
+            panel(a + row, b, c + row, last - first, last, adjoint, add);
         }
+    }
+
+    // The first `columns` entries of some rows of the product.
+    void panel(const T* a, const T* b, T* c, int rows, int columns, bool adjoint, bool add) const {
+        const T one(1.0), kept(add ? 1.0 : 0.0);
+        const char plain = 'N', other = adjoint ? 'C' : 'N';
+        gemm(&other, &plain, &columns, &rows, &n, &one, b, &n, a, &n, &kept, c, &n);
     }
 
     void mirror(T* c) const {

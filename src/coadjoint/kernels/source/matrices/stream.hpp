@@ -1,6 +1,7 @@
-// From a matrix W to its stream matrix P: linear maps that act on each diagonal of W by itself.
+// From a state W to its stream P: linear maps that act on each diagonal of a matrix by itself, or a function.
 #pragma once
 
+#include <cmath>
 #include <vector>
 
 #include "boundary/codes.hpp"
@@ -12,19 +13,29 @@ namespace coadjoint {
 //   TRIDIAGONAL: for each diagonal m from the main one upwards the factors L D L^T of a tridiagonal matrix, by rows:
 //                n x n below the diagonal of L, then n x n inverse pivots. A pivot of the main diagonal whose inverse is
 //                zero stands for a matrix that does not see the trace: then the mean is taken off.
+//   MULTIPLIED:  the tridiagonal matrix of each diagonal: n x n on its diagonal, then n x n beside it.
 //   CIRCULANT:   for each cyclic diagonal d up to (n - 1)/2 the n entries of a circulant matrix's first column.
 //   WEIGHTS:     n x n factors of the entries.
+//   BY_FUNCTION:    nothing.
 template <class T>
-class Stream {
+class DiagonalMap {
   public:
-    Stream(int64_t kind, int64_t size, const double* numbers)
+    DiagonalMap(int64_t kind, int64_t size, const double* numbers)
         : kind(kind), n(size), numbers(numbers), row(kind == CIRCULANT ? 5 * size : 0) {}
+
+    // How many numbers a map reads.
+    static int64_t numbers_of(int64_t kind, int64_t n) {
+        if (kind == CIRCULANT) return (n + 1) / 2 * n;
+        if (kind == WEIGHTS) return n * n;
+        return kind == TRIDIAGONAL || kind == MULTIPLIED ? 2 * n * n : 0;
+    }
 
     // About how many multiplications it takes.
     int64_t work() const { return kind == CIRCULANT ? n * n * n : 4 * n * n; }
 
     void apply(const T* W, T* P) {
         if (kind == TRIDIAGONAL) solve(W, P);
+        if (kind == MULTIPLIED) multiply(W, P);
         if (kind == CIRCULANT) convolve(W, P);
         if (kind == WEIGHTS)
             for (int64_t e = 0; e < n * n; ++e) P[e] = numbers[e] * W[e];
@@ -57,12 +68,29 @@ class Stream {
             mean /= double(n);
             for (int64_t i = 0; i < n; ++i) P[i * n + i] -= mean;
         }
+        mirror(P);
+    }
+
+    void multiply(const T* W, T* P) const {
+        const double *main = numbers, *beside = numbers + n * n;
+        for (int64_t i = 0; i < n; ++i)
+            for (int64_t m = 0; m < n - i; ++m) {
+                const T* at = W + i * n + i + m;
+                T value = main[i * n + m] * at[0];
+                if (i > 0) value += beside[i * n + m] * at[-n - 1];
+                if (m < n - i - 1) value += beside[(i + 1) * n + m] * at[n + 1];
+                P[i * n + i + m] = value;
+            }
+        mirror(P);
+    }
+
+    void mirror(T* P) const {
         for (int64_t i = 0; i < n; ++i)
             for (int64_t j = i + 1; j < n; ++j) P[j * n + i] = -conjugate(P[i * n + j]);
     }
 
     void convolve(const T* W, T* P) {
-        double *twice = row.data(), *real = twice + 2 * n, *imaginary = real + n, *column = imaginary + n;
+        double *twice = row.data(), *real = twice + 2 * n, *imaginary = real + n;
         for (int64_t d = 0; d <= (n - 1) / 2; ++d) {
             const double* kernel = numbers + d * n;
             for (int64_t j = 0; j < n; ++j) twice[j] = twice[n + j] = kernel[j];
@@ -75,7 +103,6 @@ class Stream {
                     imaginary[a] += y * shifted[a];
                 }
             }
-            (void)column;
             for (int64_t a = 0; a < n; ++a) {
                 const int64_t c = (a + d) % n;
                 store(P[a * n + c], real[a], imaginary[a]);
@@ -86,6 +113,55 @@ class Stream {
 
     static void store(double& to, double real, double) { to = real; }
     static void store(Complex& to, double real, double imaginary) { to = Complex(real, imaginary); }
+};
+
+// The stream of a state of one or two layers, X = Theta + eps W: Y = P + eps J, where P comes from W and J from Theta.
+template <class T>
+class Stream {
+  public:
+    typedef void (*Function)(const double*, double, double*);
+
+    // `whole`: the size, the layers, the kinds of the two maps, -1 for none, whether a constant is added, and the
+    // address of a function. `numbers`: the constant, and what the maps read.
+    Stream(const int64_t* whole, const double* numbers)
+        : n(whole[0]), layers(whole[1]), second(whole[3] >= 0), constant(whole[4] ? numbers : nullptr),
+          function(whole[2] == BY_FUNCTION ? reinterpret_cast<Function>(whole[5]) : nullptr),
+          first_map(whole[2], n, numbers + offset(whole)),
+          second_map(second ? whole[3] : int64_t(BY_FUNCTION), n,
+                     numbers + offset(whole) + DiagonalMap<T>::numbers_of(whole[2], n)) {}
+
+    int64_t work() const { return first_map.work() + (second ? second_map.work() : 0); }
+
+    // Fill in the stream Y of X; return whether a function gave numbers.
+    bool apply(const T* X, double t, T* Y) {
+        const int64_t square = n * n, all = layers * square;
+        if (function) {
+            function(reinterpret_cast<const double*>(X), t, reinterpret_cast<double*>(Y));
+            double spoilt = 0.0;
+            for (int64_t e = 0; e < all; ++e) spoilt += std::abs(Y[e]) - std::abs(Y[e]);
+            if (spoilt != 0.0) return false;
+        } else {
+            first_map.apply(X + (layers - 1) * square, Y);
+            if (second) second_map.apply(X, Y + square);
+            else std::fill_n(Y + square, all - square, T(0.0));
+        }
+        if (constant) {
+            const T* added = reinterpret_cast<const T*>(constant);
+            for (int64_t e = 0; e < all; ++e) Y[e] += added[e];
+        }
+        return true;
+    }
+
+  private:
+    const int64_t n, layers;
+    const bool second;
+    const double* const constant;
+    const Function function;
+    DiagonalMap<T> first_map, second_map;
+
+    static int64_t offset(const int64_t* whole) {
+        return whole[4] ? whole[1] * whole[0] * whole[0] * int64_t(sizeof(T) / sizeof(double)) : 0;
+    }
 };
 
 }  // namespace coadjoint
