@@ -37,29 +37,21 @@ def product_address(complex_entries: bool) -> int:
     return int(api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule)))
 
 
-def matrix_tables(
-    system: Any, step: str, stages: int, coefficients: Sequence[float], fractions: Sequence[float]
-) -> Compiled:
-    """Return the tables of a step of a matrix system.
+def stream_tables(system: Any) -> tuple[list[int], list[float]]:
+    """Return what the kernels read of the stream of a matrix system.
 
     Parameters
     ----------
     system : MatrixSystem
         The system. `stream` is its linear map, or a function; `second_stream` that of the first of two layers, and
         `linear` a constant that is added, where it has them.
-    step : str
-        The name of the step.
-    stages : int
-        Of the scheme.
-    coefficients : sequence of float
-        Of the scheme.
-    fractions : sequence of float
-        Lengths of the substeps of a step.
 
     Returns
     -------
-    Compiled
-        With a `Stepping`.
+    whole : list of int
+        The size, the layers, the kinds of the two maps, whether there is a constant, and the address of a function.
+    numbers : list of float
+        The constant, and what the maps read.
     """
     kinds = codes("StreamKind")
     stream, second = system.stream, getattr(system, "second_stream", None)
@@ -74,9 +66,33 @@ def matrix_tables(
         -1 if second is None else kinds[second.kind],
         int(linear is not None),
         address,
-        product_address(system.complex),
-        stages,
-        int(system.complex),
-        int(not system.algebra.skew),
     ]
-    return step_numbers(system, step, whole, [*coefficients, *np.concatenate(numbers).tolist()], fractions)
+    return whole, np.concatenate(numbers).tolist()
+
+
+def matrix_tables(
+    system: Any, step: str, stages: int, coefficients: Sequence[float], fractions: Sequence[float]
+) -> Compiled:
+    """Return the tables of a step of a matrix system.
+
+    Parameters
+    ----------
+    system : MatrixSystem
+        The system.
+    step : str
+        The name of the step.
+    stages : int
+        Of the scheme.
+    coefficients : sequence of float
+        Of the scheme.
+    fractions : sequence of float
+        Lengths of the substeps of a step.
+
+    Returns
+    -------
+    Compiled
+        With a `Stepping`.
+    """
+    whole, numbers = stream_tables(system)
+    whole += [product_address(system.complex), stages, int(system.complex), int(not system.algebra.skew)]
+    return step_numbers(system, step, whole, [*coefficients, *numbers], fractions)

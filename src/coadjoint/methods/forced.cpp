@@ -24,18 +24,19 @@ struct Forced final : StepScheme {
     Forced(const StepTables& tables, const Own& constants)
         : tables(tables), constants(constants),
           matrices(matrix_invariants(tables.whole + 6 + tables.whole[5], tables.coefficients)), n(tables.field.size),
-          followed(matrices ? 2 : tables.kept.size),
+          followed(matrices ? matrices->count() : tables.kept.size),
           inner(tables.whole, n, tables.group.size * tables.group.size), values(followed), before(followed),
           arguments(tables.kept.longest + 1), room(2 * tables.kept.longest + 2) {
         for (int64_t k = 0; k < tables.whole[5]; ++k)
             forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field, constants));
         work = 16 * work_of(tables.field) +
-               (2 * tables.whole[5] + 2) * (matrices ? matrices->work() : work_of_terms(tables.kept.terms, 0, tables.kept.terms.size));
+               (2 * tables.whole[5] + 2) *
+                   (matrices ? matrices->work() : work_of_terms(tables.kept.terms, 0, tables.kept.terms.size));
     }
 
     int64_t step(double* x, double* dx, double* group, double*, double t, double h) override {
         const double half = 0.5 * h;
-        evaluate(x, t);
+        if (!evaluate(x, t)) return UNDEFINED;
         for (auto force = forces.begin(); force != forces.end(); ++force)
             if (const int64_t status = move(**force, x, dx, t, half, t)) return status;
         const int64_t status = inner.take(x, group, t, h);
@@ -43,7 +44,7 @@ struct Forced final : StepScheme {
         iterations += inner.iterations;
         residual = inner.residual;
         if (status != DONE) return status;
-        evaluate(x, t + h);
+        if (!evaluate(x, t + h)) return UNDEFINED;
         for (auto force = forces.rbegin(); force != forces.rend(); ++force)
             if (const int64_t status = move(**force, x, dx, t + half, half, t + h)) return status;
         return DONE;
@@ -53,9 +54,10 @@ struct Forced final : StepScheme {
         return value_of(tables.kept, constants, i, x, t, arguments.data(), room.data());
     }
 
-    void evaluate(const double* x, double t) {
-        if (matrices) return matrices->of(x, values.data());
+    bool evaluate(const double* x, double t) {
+        if (matrices) return matrices->of(x, t, values.data());
         for (int64_t i = 0; i < followed; ++i) values[i] = value(i, x, t);
+        return true;
     }
 
     // Let a force flow, and add what that changes to its accounts, which stand behind the coordinates. The invariants
@@ -67,7 +69,7 @@ struct Forced final : StepScheme {
         residual = force.residual;
         if (status != DONE) return status;
         before.swap(values);
-        evaluate(x, frozen);
+        if (!evaluate(x, frozen)) return UNDEFINED;
         for (int64_t i = 0; i < std::min(followed, force.table.accounts); ++i) {
             const double period = matrices ? 0.0 : constants.number_at<double>(tables.kept.period, i);
             const double now = period > 0.0 ? unwrapped(values[i], before[i], period) : values[i];

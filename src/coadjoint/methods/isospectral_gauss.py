@@ -15,9 +15,11 @@ from coadjoint.methods.base import Representation
 from coadjoint.methods.gauss_coefficients import gauss_legendre
 from coadjoint.methods.properties import Properties
 from coadjoint.methods.stepped import SteppedMethod
+from coadjoint.methods.two_layer_step import two_layer_increment
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.kinds import System
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.wording import short
 
 if TYPE_CHECKING:
@@ -128,7 +130,10 @@ class IsospectralGauss(SteppedMethod):
         matrices = matrices_of(system)
         flat = np.ndim(x) == 1
         W = matrices.from_vector(x) if flat else np.asarray(x)
-        found = W + self._increment(matrices, W, h)
+        if isinstance(matrices, TwoLayerSystem):
+            found = W + two_layer_increment(matrices, W, h, *_coefficients(self.stages))
+        else:
+            found = W + self._increment(matrices, W, h)
         return np.asarray(matrices.to_vector(found) if flat else found)
 
     def _increment(self, system: MatrixSystem, W: Matrix, h: Any) -> Matrix:

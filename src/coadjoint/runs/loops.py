@@ -17,7 +17,7 @@ from coadjoint.methods.base import Method
 from coadjoint.runs.shifted_attitude import Unshift, plainly
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
-from coadjoint.systems.kinds import System
+from coadjoint.systems.kinds import System, unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.quadratic import Quadratic
 
@@ -167,9 +167,11 @@ class SystemLoops(Loops):
         followed = system.casimirs if casimirs is None else casimirs
         prepared = prepared or method.loop(system, h, representation)
         self.accounts = prepared.accounts
-        self._matrices = system if isinstance(system, MatrixSystem) else None
+        plain = unforced(system)
+        self._matrices = plain if isinstance(plain, MatrixSystem) else None
         if self._matrices:
-            watch = watch_tables(system, dict.fromkeys(followed, NOTHING))
+            count = (1 + len(followed)) * (2 if self.accounts else 1) - 1
+            watch = watch_tables(system, dict.fromkeys(map(str, range(count)), NOTHING))
         else:
             watch = balance_tables(system, followed, self.accounts) if self.accounts else watch_tables(system, followed)
         self.names = ["energy", *followed]
@@ -199,8 +201,12 @@ class SystemLoops(Loops):
         tenth = np.where(numbers > 0, (numbers - 1) * worst.shape[1] // max(1, times.steps), 0)
         start: NDArray[Any] | None = None
         for k, states in enumerate(saved):
-            W = system.from_vector(states)
-            values[k] = np.stack([system.energy(W), *system.casimirs_at(W).values()], axis=-1)
+            W = system.from_vector(states[..., : system.dim])
+            found = {"energy": system.energy(W), **system.casimirs_at(W)}
+            values[k, :, : len(found)] = np.stack(list(found.values()), axis=-1)
+            for i, name in enumerate(found) if self.accounts else ():
+                done = [system.dim + p for p, (_, which) in enumerate(self.accounts) if which == name]
+                values[k, :, len(found) + i] = found[name] - states[..., done].sum(axis=-1)
             start = values[k] if start is None else start
             worst[:, tenth[k]] = np.fmax(worst[:, tenth[k]], np.abs(values[k] - start))
 

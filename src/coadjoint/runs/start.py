@@ -14,7 +14,7 @@ from coadjoint.methods.attitude import check_attitude
 from coadjoint.methods.base import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.kinds import System, check_system, shape_of
+from coadjoint.systems.kinds import System, check_system, shape_of, unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.wording import short
 
@@ -92,12 +92,12 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
     ValueError
         Of another shape, empty, or not finite.
     """
-    if isinstance(system, MatrixSystem):
-        matrices = system.algebra.read(x0)
-        if not len(matrices):
+    matrix_system = unforced(system)
+    if isinstance(matrix_system, MatrixSystem):
+        momenta = matrix_system.read(x0)
+        if not len(momenta):
             raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs at least one member")
-        single, momenta = matrices.ndim == 2, system.to_vector(matrices)
-        return momenta.reshape(-1, system.dim), single
+        return momenta.reshape(-1, system.dim), momenta.ndim == 1
     momenta = read_numbers(x0, "x0")
     n, shape = system.dim, shape_of(system)
     if len(shape) > 1:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_number
@@ -51,6 +50,8 @@ class BetaPlane(ModeRates):
     """
 
     beta: float
+
+    layer = "vorticity"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "beta", read_number(self.beta, "beta of BetaPlane"))

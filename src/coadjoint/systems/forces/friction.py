@@ -26,6 +26,8 @@ class Friction(ModeRates):
         Rates, in inverse time, or a function of one number: of the degree l on the sphere, of the wave number |n| on
         the torus. A mode of rate zero is left alone to the last bit. A function is called once for each scale, and need
         not be compiled.
+    layer : {"vorticity", "carried"}
+        The field on which it acts; of one matrix the vorticity.
 
     Raises
     ------
@@ -41,10 +43,12 @@ class Friction(ModeRates):
     """
 
     rate: float | Callable[[Any], Any]
+    layer: str = "vorticity"
 
     def __post_init__(self) -> None:
         if not callable(self.rate):
             object.__setattr__(self, "rate", read_number(self.rate, "rate of Friction"))
+        self.read_layer()
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
         return by_scale(self.rate, modes.scales(d, numbers), "rate of Friction")

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_number
+from coadjoint.given import read_choice, read_number
 from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, mode_basis_of
+from coadjoint.systems.matrices.mode_basis import LAYERS, ModeBasis, Numbers, mode_basis_of, place_of_layer
 
 PerMode = list[NDArray[Any]]
 
@@ -47,7 +47,32 @@ def by_scale(given: float | Callable[[Any], Any], scales: NDArray[np.float64], w
     return np.array([found[scale] for scale in scales.tolist()])
 
 
-class ModeRates(Force):
+class OnLayer(Force):
+    """A force on the modes of one field: on the vorticity, unless it says otherwise."""
+
+    layer: str
+
+    def read_layer(self) -> None:
+        """Check which field it is."""
+        object.__setattr__(self, "layer", read_choice(self.layer, f"layer of {self.label}", LAYERS))
+
+    def place(self, system: Any) -> int:
+        """Return where the field stands in a state."""
+        return place_of_layer(system, self.layer)
+
+    def matrix(self, system: Any, x: NDArray[Any]) -> NDArray[Any]:
+        """Return the field of a state."""
+        state = system.from_vector(x)
+        return np.asarray(state if state.ndim == 2 else state[self.place(system)])
+
+    def moved(self, system: Any, W: NDArray[Any]) -> NDArray[Any]:
+        """Return the numbers of a state of which the field is this one, and others are zero."""
+        state = np.zeros(system.shape, dtype=W.dtype)
+        state[self.place(system) if state.ndim == 3 else ...] = W
+        return np.asarray(system.to_vector(state))
+
+
+class ModeRates(OnLayer):
     """A force under which every mode moves by itself, ``c' = -rate c``, exactly; a complex rate turns it.
 
     On a rotating sphere, whose state is the absolute vorticity, c is that of the relative one.
@@ -74,6 +99,7 @@ class ModeRates(Force):
 
     def check(self, system: Any) -> None:
         self._chosen(modes_of(system, self.label))
+        self.place(system)
 
     def _chosen(self, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
         """Return the numbers of the modes that the force moves, and their rates, diagonal after diagonal."""
@@ -88,20 +114,22 @@ class ModeRates(Force):
     def _acted(self, system: Any, x: NDArray[Any], factor: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
         modes = modes_of(system, self.label)
         chosen, rates = self._chosen(modes)
-        W = system.from_vector(x)
+        W = self.matrix(system, x)
         still = self._still(system)
         W = W if still is None else W - still
         moved = [
             factor(rate) * modes.coefficients(W, d, numbers)
             for d, (numbers, rate) in enumerate(zip(chosen, rates, strict=True))
         ]
-        return np.asarray(system.to_vector(modes.matrix(moved, chosen)))
+        return self.moved(system, modes.matrix(moved, chosen))
 
     def _still(self, system: Any) -> NDArray[Any] | None:
         """Return the state that is at rest in the frame, where that is not zero."""
         absolute = getattr(system, "absolute", None)
-        still = None if absolute is None else np.asarray(absolute(np.zeros(system.shape)))
-        return still if still is not None and np.any(still) else None
+        if absolute is None or self.layer != "vorticity":
+            return None
+        still = np.asarray(absolute(np.zeros(system.algebra.shape)))
+        return still if np.any(still) else None
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         return self._acted(system, x, lambda rate: -rate)
@@ -112,4 +140,5 @@ class ModeRates(Force):
     def given_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)
         still = self._still(system)
-        return reader.mode_rates(modes, *self._chosen(modes), None if still is None else system.to_vector(still))
+        aim = None if still is None else np.ascontiguousarray(still).view(np.float64).ravel()
+        return reader.mode_rates(modes, *self._chosen(modes), aim, self.place(system))

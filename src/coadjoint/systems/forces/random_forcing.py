@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_finite, read_number, read_whole
-from coadjoint.systems.forces.base import Force, ForceReader
+from coadjoint.systems.forces.base import ForceReader
 from coadjoint.systems.forces.heat_bath import LARGEST_SEED
 from coadjoint.systems.forces.normal_deviates import normal_deviates
-from coadjoint.systems.forces.on_modes import PerMode, modes_of
+from coadjoint.systems.forces.on_modes import OnLayer, PerMode, modes_of
 from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves, stream_values
 
 
 @dataclass(frozen=True)
-class RandomForcing(Force):
+class RandomForcing(OnLayer):
     """White noise in time on a band of scales of a fluid of matrices, which feeds energy in at a known mean rate.
 
     Every mode of the band, its real and its imaginary part by themselves, has a Wiener process of its own, and all have
@@ -35,6 +35,8 @@ class RandomForcing(Force):
         The same seed gives the same noise, in any company; from 0 to 2^63 - 1.
     stream : int
         That of the first member; member m of an ensemble has the noise of ``stream + m``.
+    layer : {"vorticity", "carried"}
+        The field on which it acts; of one matrix the vorticity.
 
     Raises
     ------
@@ -57,6 +59,7 @@ class RandomForcing(Force):
     band: Any
     seed: int
     stream: int = 0
+    layer: str = "vorticity"
 
     reversible: ClassVar[bool] = False
     random: ClassVar[bool] = True
@@ -72,6 +75,7 @@ class RandomForcing(Force):
         object.__setattr__(self, "band", tuple(band.tolist()))
         for name in ("seed", "stream"):
             object.__setattr__(self, name, read_whole(getattr(self, name), f"{name} of RandomForcing", 0, LARGEST_SEED))
+        self.read_layer()
 
     def check(self, system: Any) -> None:
         self._chosen(system, modes_of(system, self.label))
@@ -86,6 +90,10 @@ class RandomForcing(Force):
         """
         numbers: list[Numbers] = []
         energies: PerMode = []
+        stream = system.stream if self.layer == "vorticity" else getattr(system, "second_stream", None)
+        self.place(system)
+        if stream is None:
+            raise ValueError(f"the carried field of {system.name} has no energy, which RandomForcing is to feed in")
         waves, parts = modes.kind == Waves.kind, 0
         for d in range(modes.diagonals):
             every = modes.numbers(d)
@@ -93,7 +101,7 @@ class RandomForcing(Force):
                 every = every[: modes.N // 2]
             scales = modes.scales(d, every)
             numbers.append(every[(self.band[0] <= scales) & (scales <= self.band[1])])
-            energies.append(system.energy_sign * stream_values(system, modes, d, numbers[d]))
+            energies.append(system.energy_sign * stream_values(stream, modes, d, numbers[d]))
             parts += (2 if d or waves else 1) * len(numbers[d])
         if not parts:
             raise ValueError(f"band of RandomForcing is {self.band}; {system.name} has no {modes.scale} in it")
@@ -118,8 +126,8 @@ class RandomForcing(Force):
                 continue
             both = 2.0 if d == 0 else 1.0
             moved.append(both * np.sqrt(0.5 * tau) * amplitude * (real + 1j * imaginary))
-        return np.asarray(x + system.to_vector(modes.matrix(moved, numbers)))
+        return np.asarray(x + self.moved(system, modes.matrix(moved, numbers)))
 
     def given_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)
-        return reader.mode_noise(modes, *self._chosen(system, modes), self.seed, self.stream)
+        return reader.mode_noise(modes, *self._chosen(system, modes), self.seed, self.stream, self.place(system))

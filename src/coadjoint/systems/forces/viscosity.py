@@ -21,7 +21,8 @@ class Viscosity(ModeRates):
 
     On the torus A is |n|^2 on the mode n. On the sphere it is l(l + 1) - 2 on the degree l, the divergence of the rate
     of strain: a solid rotation has no strain, is spared, and the angular momentum is kept. With ``rotation=True`` it is
-    l(l + 1), and rotations decay. The flow is exact in every mode, however large the rate, and degree by degree.
+    l(l + 1), and rotations decay, as it is of a carried field, where it is diffusion, or resistivity. The flow is exact
+    in every mode, however large the rate.
 
     Parameters
     ----------
@@ -32,6 +33,8 @@ class Viscosity(ModeRates):
         1 of viscosity, more of hyperviscosity, up to 32.
     rotation : bool
         Of the sphere: whether solid rotations decay as well.
+    layer : {"vorticity", "carried"}
+        The field on which it acts; of one matrix the vorticity.
 
     Raises
     ------
@@ -63,6 +66,7 @@ class Viscosity(ModeRates):
     nu: float
     power: int = 1
     rotation: bool = False
+    layer: str = "vorticity"
 
     def __post_init__(self) -> None:
         nu = read_number(self.nu, "nu of Viscosity")
@@ -71,7 +75,8 @@ class Viscosity(ModeRates):
         object.__setattr__(self, "nu", nu)
         object.__setattr__(self, "power", read_whole(self.power, "power of Viscosity", 1, HIGHEST))
         object.__setattr__(self, "rotation", read_flag(self.rotation, "rotation of Viscosity"))
+        self.read_layer()
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
-        spared = 2.0 if modes.kind == "HARMONICS" and not self.rotation else 0.0
+        spared = 2.0 if modes.kind == "HARMONICS" and not self.rotation and self.layer == "vorticity" else 0.0
         return np.asarray(self.nu * (modes.eigenvalues(d, numbers) - spared) ** self.power)

@@ -11,6 +11,8 @@ import numpy.typing as npt
 from coadjoint.algebra.matrix_states import MatrixAlgebra
 from coadjoint.given import read_title, read_whole
 from coadjoint.systems.closed_form import checked_exact, checked_parameters, solution_of
+from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.forces.base import Force
 from coadjoint.systems.matrices.streams import Stream
 from coadjoint.systems.points import checked_sign
 from coadjoint.wording import short
@@ -42,7 +44,7 @@ class MatrixEnergy:
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
         """Return its derivatives by the numbers of a state, sign P."""
         system = self._system
-        return system.energy_sign * system.to_vector(system.stream(system.from_vector(x)))
+        return system.gradient(system.from_vector(x))
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
         """Return the second derivatives, the columns of the gradient of a linear stream."""
@@ -117,7 +119,8 @@ class MatrixSystem:
         even = 1 if algebra.complex else 2
         count = read_whole(powers, "powers", 0, MOST_POWERS)
         self.powers = tuple(2 + even * k for k in range(count))
-        self.shape, self.complex = algebra.shape, algebra.complex
+        self.shape: tuple[int, ...] = algebra.shape
+        self.complex = algebra.complex
         self.dim = (1 + self.complex) * algebra.N**2
         self.hamiltonian = MatrixEnergy(self)
         self._check_stream()
@@ -148,6 +151,15 @@ class MatrixSystem:
         """Name -> function of W, shape (..., N, N): the traces of its powers."""
         return {f"tr W^{k}": _Trace(k) for k in self.powers}
 
+    @property
+    def quadratic_casimirs(self) -> tuple[str, ...]:
+        """Names of those of degree two, the first of all, which runs with forces keep account of."""
+        return ("tr W^2",) if self.powers else ()
+
+    def with_forces(self, *forces: Force) -> ForcedSystem:
+        """Return the system with forces; see `LiePoissonSystem.with_forces`."""
+        return ForcedSystem(self, forces)
+
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
         """Return W' of a matrix, or of the numbers of one, in the same form."""
         flat = np.ndim(x) == 1
@@ -160,6 +172,10 @@ class MatrixSystem:
         W = np.asarray(x)
         found = 0.5 * self.energy_sign * np.sum(np.conj(self.stream(W)) * W, axis=(-2, -1)).real
         return float(found) if found.ndim == 0 else found
+
+    def gradient(self, x: Any) -> Floats:
+        """Return the derivatives of H by the numbers of a matrix."""
+        return self.energy_sign * self.to_vector(self.stream(np.asarray(x)))
 
     def casimirs_at(self, x: Any) -> dict[str, Any]:
         """Return the traces of powers at matrices (..., N, N): of W for real ones, else of -i W, which are real."""
@@ -180,6 +196,10 @@ class MatrixSystem:
     def exact(self, x0: Any, t: Any) -> Matrix:
         """Return the solution in closed form; refuse where none is known."""
         return np.asarray(solution_of(self._exact, self.name)(x0, t))
+
+    def read(self, given: Any, what: str = "x0") -> Floats:
+        """Return initial states as rows of numbers, one for a state and more for members; refuse others."""
+        return self.to_vector(self.algebra.read(given, what))
 
     def to_vector(self, W: Any) -> Floats:
         """Return matrices (..., N, N) as rows of numbers: entry by entry, real and imaginary parts."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from coadjoint.memory import check_room
 from coadjoint.systems.matrices.hoppe_yau import laplacian
-from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve
+from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse
 from coadjoint.systems.matrices.torus_modes import representatives
 
 Floats = npt.NDArray[np.float64]
@@ -112,8 +112,14 @@ class Harmonics(ModeBasis):
 
     def table(self, chosen: Sequence[Numbers]) -> Floats:
         count = sum(len(numbers) * ((self.N - d + 1) // 2) for d, numbers in enumerate(chosen))
-        check_room(16.0 * count, f"the harmonics of a force on matrices of N = {self.N}", "let it act on fewer degrees")
-        return np.concatenate([self._half(d, numbers).ravel() for d, numbers in enumerate(chosen) if len(numbers)])
+        check_room(8.0 * count, f"the harmonics of a force on matrices of N = {self.N}", "let it act on fewer degrees")
+        found, filled = np.empty(count), 0
+        for d, numbers in enumerate(chosen):
+            if len(numbers):
+                half = self._half(d, numbers).ravel()
+                found[filled : filled + half.size] = half
+                filled += half.size
+        return found
 
     def places(self, d: int) -> tuple[Numbers, Numbers]:
         i = np.arange(self.N - d)
@@ -162,6 +168,19 @@ class Waves(ModeBasis):
         return np.asarray(np.exp(2j * np.pi * representatives(self.N) / self.N))
 
 
+LAYERS = ("vorticity", "carried")
+"""Of a system of two fields: the one that moves the flow, and the one that is carried by it."""
+
+
+def place_of_layer(system: Any, layer: str) -> int:
+    """Return where a layer stands in a state; refuse one that the system does not have."""
+    if len(system.shape) == 3:
+        return 1 - LAYERS.index(layer)
+    if layer != "vorticity":
+        raise ValueError(f"layer is {layer!r}; {system.name} has one field, the vorticity")
+    return 0
+
+
 def mode_basis_of(system: Any) -> ModeBasis | None:
     """Return the modes of a system of matrices: those of its stream, or None where it has no others than entries.
 
@@ -179,17 +198,18 @@ def mode_basis_of(system: Any) -> ModeBasis | None:
     return None
 
 
-def stream_values(system: Any, modes: ModeBasis, d: int, numbers: Numbers) -> Floats:
-    """Return by what the stream of a system multiplies modes.
+def stream_values(stream: Any, modes: ModeBasis, d: int, numbers: Numbers) -> Floats:
+    """Return by what a stream multiplies modes.
 
     Examples
     --------
     >>> from coadjoint.systems.torus_euler import torus_euler
     >>> s = torus_euler(N=5)
-    >>> stream_values(s, mode_basis_of(s), 1, np.array([1, 2]))
+    >>> stream_values(s.stream, mode_basis_of(s), 1, np.array([1, 2]))
     array([-0.5, -0.2])
     """
-    stream = system.stream
+    if isinstance(stream, Inverse):
+        return 1.0 / stream_values(stream.of, modes, d, numbers)
     if isinstance(stream, Circulants):
         return np.asarray(stream.spectrum[d, 2 * numbers % modes.N])
     return np.asarray(stream.factor / (modes.eigenvalues(d, numbers) + _shift(stream)))

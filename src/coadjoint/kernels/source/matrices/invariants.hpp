@@ -1,4 +1,5 @@
-// The energy of a matrix and the trace of its square, in as many operations as its stream takes.
+// The quadratic invariants of a state of matrices, in as many operations as its stream takes: the energy, and tr W^2 of
+// one matrix, tr Theta^2 and tr W Theta of two layers.
 #pragma once
 
 #include <memory>
@@ -10,55 +11,84 @@ namespace coadjoint {
 
 struct MatrixInvariants {
     virtual ~MatrixInvariants() = default;
-    // Set two values: the energy, and tr W^2 of a real W, -tr W^2 of a complex one.
-    virtual void of(const double* x, double* values) = 0;
+    // How many values there are.
+    virtual int64_t count() const = 0;
     virtual int64_t work() const = 0;
+    // Set them; return whether the stream is defined there.
+    virtual bool of(const double* x, double t, double* values) = 0;
 };
 
-// `numbers`: the sign of the energy, the matrix beside the stream where there is one, and the table of the stream.
 template <class T>
 struct InvariantsOf final : MatrixInvariants {
-    const int64_t n, square;
+    const int64_t n, square, layers;
     const double sign;
-    const T* const linear;
+    const T* const constant;
     Stream<T> stream;
-    std::vector<T> P;
+    std::vector<T> Y;
 
-    InvariantsOf(int64_t kind, int64_t n, bool beside, const double* numbers)
-        : n(n), square(n * n), sign(numbers[0]), linear(beside ? reinterpret_cast<const T*>(numbers + 1) : nullptr),
-          stream(kind, n, numbers + 1 + (beside ? square * int64_t(sizeof(T) / sizeof(double)) : 0)), P(square) {}
+    InvariantsOf(const int64_t* whole, double sign, const double* numbers)
+        : n(whole[0]), square(n * n), layers(whole[1]), sign(sign),
+          constant(whole[4] ? reinterpret_cast<const T*>(numbers) : nullptr), stream(whole, numbers), Y(layers * square) {}
 
-    int64_t work() const override { return stream.work() + 8 * square; }
+    int64_t count() const override { return 1 + layers; }
+    int64_t work() const override { return stream.work() + 8 * layers * square; }
 
-    static double real(const T& value) { return reinterpret_cast<const double&>(value); }
-
-    // Sums of rows are added up, so that rounding grows with the rows alone.
-    void of(const double* x, double* values) override {
-        const T* const W = reinterpret_cast<const T*>(x);
-        stream.apply(W, P.data());
-        double energy = 0.0, trace = 0.0;
-        for (int64_t i = 0; i < n; ++i) {
-            double half = 0.0, beside = 0.0, product = 0.0;
-            for (int64_t j = 0; j < n; ++j) {
-                const T entry = W[i * n + j];
-                half += real(conjugate(P[i * n + j]) * entry);
-                product += real(W[j * n + i] * entry);
-                if (linear) beside += real(conjugate(linear[i * n + j]) * entry);
-            }
-            energy += 0.5 * half + beside;
-            trace += product;
+    bool of(const double* x, double t, double* values) override {
+        const T* const X = reinterpret_cast<const T*>(x);
+        if (!stream.apply(X, t, Y.data())) return false;
+        double energy = 0.0;
+        for (int64_t l = 0; l < layers; ++l) {
+            // the stream is H's derivative by the other layer, and half of it is H but for what is constant
+            const T *const of = X + (layers - 1 - l) * square, *const y = Y.data() + l * square;
+            energy += 0.5 * pairing(y, of);
+            if (constant) energy += 0.5 * pairing(constant + l * square, of);
         }
         values[0] = sign * energy;
-        values[1] = sizeof(T) == sizeof(double) ? trace : -trace;
+        for (int64_t l = 0; l < layers; ++l) values[1 + l] = trace(X, X + l * square);
+        return true;
+    }
+
+  private:
+    static double real(const double& value) { return value; }
+    static double real(const Complex& value) { return value.real(); }
+    static double imaginary(const double&) { return 0.0; }
+    static double imaginary(const Complex& value) { return value.imag(); }
+
+    // The real part of tr(a* b). Sums of rows are added up, so that rounding grows with the rows alone.
+    double pairing(const T* a, const T* b) const {
+        double total = 0.0;
+        for (int64_t i = 0; i < n; ++i) {
+            double row = 0.0;
+            for (int64_t e = i * n; e < (i + 1) * n; ++e)
+                row += real(a[e]) * real(b[e]) + imaginary(a[e]) * imaginary(b[e]);
+            total += row;
+        }
+        return total;
+    }
+
+    // The real part of tr(a b) of real matrices, of -tr(a b) of complex ones, as of -i a and -i b.
+    double trace(const T* a, const T* b) const {
+        double total = 0.0;
+        for (int64_t i = 0; i < n; ++i) {
+            double row = 0.0;
+            for (int64_t j = 0; j < n; ++j) {
+                const T &left = a[i * n + j], &right = b[j * n + i];
+                row += real(left) * real(right) - imaginary(left) * imaginary(right);
+            }
+            total += row;
+        }
+        return sizeof(T) == sizeof(double) ? total : -total;
     }
 };
 
-// Of the whole numbers n, zero where the state is no matrix, the kind of the stream, whether entries are complex, and
-// whether there is a matrix beside the stream.
+// Of the whole numbers what a stream reads, the size being zero where the state is no matrix, then whether entries are
+// complex, and the sign of the energy.
 inline std::unique_ptr<MatrixInvariants> matrix_invariants(const int64_t* whole, const double* numbers) {
-    if (!whole[0]) return nullptr;
-    if (whole[2]) return std::unique_ptr<MatrixInvariants>(new InvariantsOf<Complex>(whole[1], whole[0], whole[3], numbers));
-    return std::unique_ptr<MatrixInvariants>(new InvariantsOf<double>(whole[1], whole[0], whole[3], numbers));
+    std::unique_ptr<MatrixInvariants> found;
+    if (!whole[0]) return found;
+    if (whole[6]) found.reset(new InvariantsOf<Complex>(whole, double(whole[7]), numbers));
+    else found.reset(new InvariantsOf<double>(whole, double(whole[7]), numbers));
+    return found;
 }
 
 }  // namespace coadjoint

@@ -26,7 +26,7 @@ class Modes {
     // where that is asked for. On the main diagonal waves of opposite numbers go together where `paired`.
     template <class Move>
     void change(double* x, bool read, bool paired, Move move) {
-        Complex* const W = reinterpret_cast<Complex*>(x);
+        Complex* const W = reinterpret_cast<Complex*>(x + table.place);
         const double* harmonic = table.basis;
         for (int64_t d = 0; d < diagonals; ++d) {
             const int64_t from = table.begin[d], to = table.begin[d + 1], length = waves ? n : n - d;
