@@ -139,12 +139,12 @@ class IsospectralGauss(SteppedMethod):
     def _increment(self, system: MatrixSystem, W: Matrix, h: Any) -> Matrix:
         a, b = _coefficients(self.stages)
         one = np.eye(len(W))
-        P0 = system.stream(W)
+        P0 = system.stream_of(W)
         V = [one + h * row.sum() * P0 for row in a]
         least = np.inf
         for k in range(1, MOST_ITERATIONS + 1):
             M = [v @ W @ np.conj(v.T) for v in V]
-            P = [system.stream(m) for m in M]
+            P = [system.stream_of(m) for m in M]
             K = [p @ v for p, v in zip(P, V, strict=True)]
             new = [one + h * sum(c * slope for c, slope in zip(row, K, strict=True)) for row in a]
             change = max(float(np.abs(n - v).max()) for n, v in zip(new, V, strict=True))

@@ -63,7 +63,7 @@ def two_layer_increment(
     W, one = as_blocks(X), np.eye(2 * len(X[0]))
 
     def stream(M: Matrix) -> Matrix:
-        return as_blocks(system.streams_of(of_blocks(M)))
+        return as_blocks(system.stream_of(of_blocks(M)))
 
     Y = [stream(W) for _ in b]
     M, last, change = [W for _ in b], np.inf, np.inf

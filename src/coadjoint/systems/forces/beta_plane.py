@@ -17,8 +17,8 @@ from coadjoint.systems.matrices.torus_modes import representatives
 class BetaPlane(ModeRates):
     """The beta term of a fluid on the torus, ``omega' = ... - beta d psi/dx``: Rossby waves, exactly dispersed.
 
-    The mode n turns by ``w_n' = i beta n1/|n|^2 w_n``, so that a wave exp(i(n.x - sigma t)) has the frequency
-    ``sigma = -beta n1/|n|^2``. Energy and enstrophy are kept. The term is that of the continuous fluid: it belongs to
+    The mode n turns by ``w_n' = i beta n1/|n|^2 w_n``, so that a wave, exp(i (n1 x - n2 y - sigma t)), has the frequency
+    ``sigma = -beta n1/|n|^2`` and goes to the west for a positive beta, x being eastward and y northward. Energy and enstrophy are kept. The term is that of the continuous fluid: it belongs to
     no Hamiltonian of the matrix model, whose bracket and whose other Casimirs, tr W^3 and so on, it changes. On the
     sphere a rotation of the frame does the same within the model; take that.
 

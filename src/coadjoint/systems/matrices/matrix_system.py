@@ -1,4 +1,4 @@
-"""Isospectral motions of matrices, W' = [P, W], P linear in W."""
+"""Isospectral motions of matrices, W' = [P, W], P linear in W, or linear and a constant."""
 
 from __future__ import annotations
 
@@ -44,11 +44,12 @@ class MatrixEnergy:
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
         """Return its derivatives by the numbers of a state, sign P."""
         system = self._system
-        return system.gradient(system.from_vector(x))
+        return system.energy_sign * system.to_vector(system.stream_of(system.from_vector(x)))
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
         """Return the second derivatives, the columns of the gradient of a linear stream."""
-        return np.stack([self.gradient(unit) for unit in np.eye(self.dim)], axis=1)
+        rest = self.gradient(np.zeros(self.dim))
+        return np.stack([self.gradient(unit) - rest for unit in np.eye(self.dim)], axis=1)
 
     def terms(self) -> tuple[Any, ...]:
         """Return none: the kernels read the stream."""
@@ -56,7 +57,7 @@ class MatrixEnergy:
 
 
 class MatrixSystem:
-    """A matrix W in a Lie algebra of skew-Hermitian matrices that moves by ``W' = [P, W]``, P = stream(W).
+    """A matrix W in a Lie algebra of skew-Hermitian matrices that moves by ``W' = [P, W]``, P = stream(W) + linear.
 
     Choose it for algebras too large for structure constants: the quantized sphere and torus, bodies of many dimensions.
     The spectrum of W is constant; its invariants are followed as traces of powers.
@@ -68,7 +69,9 @@ class MatrixSystem:
     stream : Stream
         A symmetric linear map from W to P.
     energy_sign : {1, -1}
-        Of the energy ``energy_sign <P, W>/2``, <A, B> = tr(A* B).
+        Of the energy ``energy_sign (<stream(W), W>/2 + <linear, W>)``, <A, B> = tr(A* B).
+    linear : (N, N) array, optional
+        A matrix of the algebra that is added to the stream, such as that of a rotation of the frame.
     name : str
         For messages.
     parameters : mapping, optional
@@ -103,6 +106,7 @@ class MatrixSystem:
         stream: Stream,
         *,
         energy_sign: int = 1,
+        linear: Any = None,
         name: str = "matrix system",
         parameters: Mapping[str, Any] | None = None,
         exact: Callable[..., Any] | None = None,
@@ -114,6 +118,11 @@ class MatrixSystem:
             raise TypeError(f"stream is {short(stream)}; give a Stream, such as Weights(w)")
         self.algebra, self.stream = algebra, stream
         self.energy_sign = checked_sign(energy_sign)
+        self.linear: Matrix | None = None if linear is None else algebra.read(linear, "linear")
+        if self.linear is not None:
+            if self.linear.ndim != 2:
+                raise ValueError(f"linear has the shape {self.linear.shape}; give one matrix, {algebra.shape}")
+            self.linear.flags.writeable = False
         self.name = read_title(name, "name")
         self.parameters, self._exact = checked_parameters(parameters), checked_exact(exact)
         even = 1 if algebra.complex else 2
@@ -160,22 +169,24 @@ class MatrixSystem:
         """Return the system with forces; see `LiePoissonSystem.with_forces`."""
         return ForcedSystem(self, forces)
 
+    def stream_of(self, W: Any) -> Matrix:
+        """Return P = stream(W) + linear of matrices (..., N, N)."""
+        P = self.stream(np.asarray(W))
+        return P if self.linear is None else P + self.linear
+
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
         """Return W' of a matrix, or of the numbers of one, in the same form."""
         flat = np.ndim(x) == 1
         W = self.from_vector(x) if flat else np.asarray(x)
-        found = self.algebra.bracket(self.stream(W), W)
+        found = self.algebra.bracket(self.stream_of(W), W)
         return self.to_vector(found) if flat else found
 
     def energy(self, x: Any, t: float = 0.0) -> Any:
         """Return H of matrices (..., N, N)."""
         W = np.asarray(x)
-        found = 0.5 * self.energy_sign * np.sum(np.conj(self.stream(W)) * W, axis=(-2, -1)).real
+        P = 0.5 * self.stream(W) if self.linear is None else 0.5 * self.stream(W) + self.linear
+        found = self.energy_sign * np.sum(np.conj(P) * W, axis=(-2, -1)).real
         return float(found) if found.ndim == 0 else found
-
-    def gradient(self, x: Any) -> Floats:
-        """Return the derivatives of H by the numbers of a matrix."""
-        return self.energy_sign * self.to_vector(self.stream(np.asarray(x)))
 
     def casimirs_at(self, x: Any) -> dict[str, Any]:
         """Return the traces of powers at matrices (..., N, N): of W for real ones, else of -i W, which are real."""

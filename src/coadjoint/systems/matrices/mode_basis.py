@@ -126,9 +126,9 @@ class Harmonics(ModeBasis):
         return i, i + d
 
     def _half(self, d: int, numbers: Numbers) -> Floats:
-        from coadjoint.systems.matrices.spherical_modes import upper_half
+        from coadjoint.systems.matrices.spherical_modes import harmonics
 
-        return np.asarray(upper_half(self.N, d)[numbers - d])
+        return np.asarray(harmonics(self.N, d)[numbers - d])
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,20 @@ Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
 
+class TwoLayerEnergy(MatrixEnergy):
+    """The energy of two layers, whose slope has J by the carried field and P by the vorticity."""
+
+    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
+        """Return its derivatives by the numbers of a state."""
+        system = self._system
+        slope = system.stream_of(system.from_vector(x))[..., ::-1, :, :]
+        return system.energy_sign * system.to_vector(slope)
+
+    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
+        """Return the second derivatives, those of a quadratic form."""
+        return np.stack([self.gradient(unit) for unit in np.eye(self.dim)], axis=1)
+
+
 class TwoLayerSystem(MatrixSystem):
     """Two matrices, a carried field Theta and a vorticity W: ``Theta' = [P, Theta]``, ``W' = [P, W] + [J, Theta]``.
 
@@ -78,7 +92,7 @@ class TwoLayerSystem(MatrixSystem):
         self.second_stream = second_stream
         self.shape = (2, *algebra.shape)
         self.dim = 2 * self.dim
-        self.hamiltonian = MatrixEnergy(self)
+        self.hamiltonian = TwoLayerEnergy(self)
 
     @property
     def casimirs(self) -> dict[str, Any]:
@@ -116,9 +130,9 @@ class TwoLayerSystem(MatrixSystem):
             found.append((k, power))
         return found
 
-    def streams_of(self, x: Any) -> Matrix:
+    def stream_of(self, W: Any) -> Matrix:
         """Return P and J of states (..., 2, N, N), in this order."""
-        X = self.states(x)
+        X = self.states(W)
         P = self.stream(X[..., 1, :, :])
         J = np.zeros_like(P) if self.second_stream is None else self.second_stream(X[..., 0, :, :])
         return np.stack([P, J], axis=-3)
@@ -126,7 +140,7 @@ class TwoLayerSystem(MatrixSystem):
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
         """Return x' of a state (2, N, N), or of its numbers, in the same form."""
         X = self.states(x)
-        Y, bracket = self.streams_of(X), self.algebra.bracket
+        Y, bracket = self.stream_of(X), self.algebra.bracket
         P, J, theta, W = Y[..., 0, :, :], Y[..., 1, :, :], X[..., 0, :, :], X[..., 1, :, :]
         found = np.stack([bracket(P, theta), bracket(P, W) + bracket(J, theta)], axis=-3)
         return self.to_vector(found) if np.shape(x)[-1] == self.dim else found
@@ -134,13 +148,9 @@ class TwoLayerSystem(MatrixSystem):
     def energy(self, x: Any, t: float = 0.0) -> Any:
         """Return H of states (..., 2, N, N)."""
         X = self.states(x)
-        slope = self.streams_of(X)[..., ::-1, :, :]
+        slope = self.stream_of(X)[..., ::-1, :, :]
         found = 0.5 * self.energy_sign * np.sum(np.conj(slope) * X, axis=(-3, -2, -1)).real
         return float(found) if found.ndim == 0 else found
-
-    def gradient(self, x: Any) -> Floats:
-        """Return the derivatives of H by the numbers of a state."""
-        return self.energy_sign * self.to_vector(self.streams_of(x)[..., ::-1, :, :])
 
     def spectrum(self, x: Any) -> Floats:
         """Return the eigenvalues of -i Theta, real and rising, of states (..., 2, N, N)."""
