@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from coadjoint.given import read_choice
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Stream
@@ -10,7 +12,7 @@ from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.sphere_euler import sphere_euler
 from coadjoint.systems.torus_euler import torus_euler
 
-SURFACES = {"sphere": sphere_euler, "torus": torus_euler}
+SURFACES: dict[str, Callable[..., MatrixSystem]] = {"sphere": sphere_euler, "torus": torus_euler}
 
 
 @ready_made

@@ -85,7 +85,7 @@ class TorusEuler(FluidSystem):
         >>> x / np.pi, y / np.pi
         (array([0. , 0.5, 1. , 1.5]), array([0., 1.]))
         """
-        nx, ny = read_shape(shape, (1, 1), self.shape)
+        nx, ny = read_shape(shape, (1, 1), self.algebra.shape)
         return torus_grid.coordinates(nx), torus_grid.coordinates(ny)
 
     def to_grid(self, W: Any, shape: Any = None) -> Floats:
@@ -109,7 +109,7 @@ class TorusEuler(FluidSystem):
         >>> s.to_grid(W, (1, 4)).round(12) + 0.0
         array([[ 0.,  1.,  0., -1.]])
         """
-        return torus_grid.values_of(self.mode_array(W), read_shape(shape, (1, 1), self.shape))
+        return torus_grid.values_of(self.mode_array(W), read_shape(shape, (1, 1), self.algebra.shape))
 
     def from_grid(self, values: Any) -> Matrix:
         """Return the matrix of a field that is given at the points of a grid, without its mean.

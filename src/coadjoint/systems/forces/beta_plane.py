@@ -17,10 +17,11 @@ from coadjoint.systems.matrices.torus_modes import representatives
 class BetaPlane(ModeRates):
     """The beta term of a fluid on the torus, ``omega' = ... - beta d psi/dx``: Rossby waves, exactly dispersed.
 
-    The mode n turns by ``w_n' = i beta n1/|n|^2 w_n``, so that a wave, exp(i (n1 x - n2 y - sigma t)), has the frequency
-    ``sigma = -beta n1/|n|^2`` and goes to the west for a positive beta, x being eastward and y northward. Energy and enstrophy are kept. The term is that of the continuous fluid: it belongs to
-    no Hamiltonian of the matrix model, whose bracket and whose other Casimirs, tr W^3 and so on, it changes. On the
-    sphere a rotation of the frame does the same within the model; take that.
+    The mode n turns by ``w_n' = i beta n1/|n|^2 w_n``: a wave, exp(i (n1 x - n2 y - sigma t)), has the frequency
+    ``sigma = -beta n1/|n|^2``, and goes to the west for a positive beta, x being eastward and y northward. Energy and
+    enstrophy are kept. The term is that of the continuous fluid: it belongs to no Hamiltonian of the matrix model, whose
+    bracket it breaks, and it changes the other Casimirs, tr W^3 and so on. On the sphere the rotation of the frame does
+    the same within the model: ``sphere_euler(rotation=...)``.
 
     Parameters
     ----------
@@ -59,8 +60,8 @@ class BetaPlane(ModeRates):
     def check(self, system: Any) -> None:
         if modes_of(system, self.label).kind != Waves.kind:
             raise ValueError(
-                f"BetaPlane acts on a fluid on the torus, and {system.name} is one on the sphere; a rotation of the "
-                "sphere is Hamiltonian, and belongs into the system"
+                f"BetaPlane acts on a fluid on the torus, and {system.name} is one on the sphere; take "
+                "sphere_euler(rotation=...)"
             )
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:

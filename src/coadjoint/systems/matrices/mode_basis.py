@@ -212,7 +212,9 @@ def stream_values(stream: Any, modes: ModeBasis, d: int, numbers: Numbers) -> Fl
         return 1.0 / stream_values(stream.of, modes, d, numbers)
     if isinstance(stream, Circulants):
         return np.asarray(stream.spectrum[d, 2 * numbers % modes.N])
-    return np.asarray(stream.factor / (modes.eigenvalues(d, numbers) + _shift(stream)))
+    shift = _shift(stream)
+    assert shift is not None
+    return np.asarray(stream.factor / (modes.eigenvalues(d, numbers) + shift))
 
 
 def _shift(stream: DiagonalSolve) -> float | None:
