@@ -15,13 +15,13 @@ from coadjoint.kernels.tables import Compiled
 
 
 @cache
-def product_address(complex_entries: bool) -> int:
-    """Return the address of BLAS's product of general matrices, that of SciPy.
+def blas_address(name: str) -> int:
+    """Return the address of a routine of BLAS, that of SciPy.
 
     Parameters
     ----------
-    complex_entries : bool
-        Of complex128 rather than float64.
+    name : str
+        Such as "zgemm".
 
     Returns
     -------
@@ -29,7 +29,8 @@ def product_address(complex_entries: bool) -> int:
     """
     from scipy.linalg import cython_blas
 
-    capsule = cython_blas.__pyx_capi__["zgemm" if complex_entries else "dgemm"]
+    capsules: dict[str, Any] = dict(cython_blas.__pyx_capi__)
+    capsule = capsules[name]
     api = ctypes.pythonapi
     api.PyCapsule_GetName.restype, api.PyCapsule_GetName.argtypes = ctypes.c_char_p, [ctypes.py_object]
     api.PyCapsule_GetPointer.restype = ctypes.c_void_p
@@ -59,6 +60,7 @@ def stream_tables(system: Any) -> tuple[list[int], list[float]]:
     numbers = [] if linear is None else [system.to_vector(linear)]
     numbers += [map_.table for map_ in (stream, second) if map_ is not None]
     layers = 2 if len(system.shape) == 3 else 1
+    precisions = "zc" if system.complex else "ds"
     whole = [
         system.algebra.N,
         layers,
@@ -94,5 +96,7 @@ def matrix_tables(
         With a `Stepping`.
     """
     whole, numbers = stream_tables(system)
-    whole += [product_address(system.complex), stages, int(system.complex), int(not system.algebra.skew)]
+    precisions = "zc" if system.complex else "ds"
+    whole += [blas_address(precision + routine) for precision in precisions for routine in ("gemm", "trsm")]
+    whole += [stages, int(system.complex), int(not system.algebra.skew)]
     return step_numbers(system, step, whole, [*coefficients, *numbers], fractions)

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from tests.long import long_beyond
 
 import coadjoint as co
 from coadjoint.methods.forced import Forced
 from coadjoint.rounding import UNIT_ROUNDOFF
+from long import long_beyond
 
 GAUSS = co.IsospectralGauss()
 FINE = co.IsospectralGauss(6)  # below which a steady state moves by rounding alone

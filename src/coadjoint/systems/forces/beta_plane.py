@@ -19,9 +19,9 @@ class BetaPlane(ModeRates):
 
     The mode n turns by ``w_n' = i beta n1/|n|^2 w_n``: a wave, exp(i (n1 x - n2 y - sigma t)), has the frequency
     ``sigma = -beta n1/|n|^2``, and goes to the west for a positive beta, x being eastward and y northward. Energy and
-    enstrophy are kept. The term is that of the continuous fluid: it belongs to no Hamiltonian of the matrix model, whose
-    bracket it breaks, and it changes the other Casimirs, tr W^3 and so on. On the sphere the rotation of the frame does
-    the same within the model: ``sphere_euler(rotation=...)``.
+    enstrophy are kept. The term is that of the continuous fluid: it belongs to no Hamiltonian of the matrix model,
+    whose bracket it breaks, and it changes the other Casimirs, tr W^3 and so on. On the sphere the rotation of the
+    frame does the same within the model: ``sphere_euler(rotation=...)``.
 
     Parameters
     ----------

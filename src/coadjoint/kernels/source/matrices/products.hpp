@@ -12,7 +12,32 @@ namespace coadjoint {
 typedef std::complex<double> Complex;
 
 inline double conjugate(double value) { return value; }
-inline Complex conjugate(const Complex& value) { return std::conj(value); }
+inline float conjugate(float value) { return value; }
+template <class R>
+std::complex<R> conjugate(const std::complex<R>& value) { return std::conj(value); }
+
+// A product without the tests for infinities that the library's own has.
+inline double times(double a, double b) { return a * b; }
+inline float times(float a, float b) { return a * b; }
+template <class R>
+std::complex<R> times(const std::complex<R>& a, const std::complex<R>& b) {
+    return {a.real() * b.real() - a.imag() * b.imag(), a.real() * b.imag() + a.imag() * b.real()};
+}
+
+// to = factor (A - A*), or to += that; by blocks, which stay in the cache.
+template <class T, class R>
+void skew_part(int64_t n, const T* A, R factor, T* to, bool add) {
+    constexpr int64_t BLOCK = 16;
+    for (int64_t first = 0; first < n; first += BLOCK)
+        for (int64_t second = 0; second <= first; second += BLOCK)
+            for (int64_t i = first; i < std::min(first + BLOCK, n); ++i)
+                for (int64_t j = second; j < std::min(second + BLOCK, i + 1); ++j) {
+                    const T value = factor * (A[i * n + j] - conjugate(A[j * n + i]));
+                    T &lower = to[i * n + j], &upper = to[j * n + i];
+                    lower = add ? lower + value : value;
+                    upper = i == j ? lower : -conjugate(lower);
+                }
+}
 
 // General matrices times general matrices, in Fortran's convention.
 template <class T>

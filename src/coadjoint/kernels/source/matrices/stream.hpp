@@ -134,22 +134,30 @@ class Stream {
 
     // Fill in the stream Y of X; return whether a function gave numbers.
     bool apply(const T* X, double t, T* Y) {
-        const int64_t square = n * n, all = layers * square;
+        const int64_t all = layers * n * n;
         if (function) {
             function(reinterpret_cast<const double*>(X), t, reinterpret_cast<double*>(Y));
             double spoilt = 0.0;
             for (int64_t e = 0; e < all; ++e) spoilt += std::abs(Y[e]) - std::abs(Y[e]);
             if (spoilt != 0.0) return false;
         } else {
-            first_map.apply(X + (layers - 1) * square, Y);
-            if (second) second_map.apply(X, Y + square);
-            else std::fill_n(Y + square, all - square, T(0.0));
+            apply_linear(X, Y);
         }
         if (constant) {
             const T* added = reinterpret_cast<const T*>(constant);
             for (int64_t e = 0; e < all; ++e) Y[e] += added[e];
         }
         return true;
+    }
+
+    bool linear() const { return !function; }
+
+    // The same without what is constant, of a stream that is no function.
+    void apply_linear(const T* X, T* Y) {
+        const int64_t square = n * n;
+        first_map.apply(X + (layers - 1) * square, Y);
+        if (second) second_map.apply(X, Y + square);
+        else std::fill_n(Y + square, (layers - 1) * square, T(0.0));
     }
 
   private:

@@ -1,0 +1,86 @@
+// What the isospectral schemes share: their tables, commutators, and when an iteration has come to its end.
+#pragma once
+
+#include <cmath>
+#include <limits>
+
+#include "boundary/hearing.hpp"
+#include "matrices/largest.hpp"
+#include "matrices/products.hpp"
+#include "matrices/stream.hpp"
+#include "numbers/lanes.hpp"
+#include "steps/step_scheme.hpp"
+
+namespace coadjoint {
+
+// Where in `whole` of the tables the addresses of BLAS's routines are: products and triangular equations, in the
+// precision of the states and in the lower one.
+enum Place { STREAM = 0, GEMM = 6, TRSM, LOWER_GEMM, LOWER_TRSM, STAGES, COMPLEX, GENERAL };
+
+constexpr int64_t FIRST_TESTED = 3;     // early corrections may rise before they fall
+constexpr int64_t MOST_ITERATIONS = 192;
+constexpr double SMALL = 0x1p-36;       // of the entries: only below it may a correction be round-off
+
+// The real numbers of which a matrix is made.
+inline double* numbers_of(double* matrix) { return matrix; }
+inline double* numbers_of(Complex* matrix) { return reinterpret_cast<double*>(matrix); }
+
+template <class T>
+struct Isospectral : StepScheme {
+    const int64_t n, square, all, numbers, stages;
+    const bool skew;
+    const double *a, *b, *c;
+    const Products<T> products;
+    Stream<T> stream;
+
+    explicit Isospectral(const StepTables& tables)
+        : n(tables.whole[0]), square(n * n), all(tables.whole[1] * square),
+          numbers(all * int64_t(sizeof(T) / sizeof(double))), stages(tables.whole[STAGES]),
+          skew(!tables.whole[GENERAL]), a(tables.coefficients), b(a + stages * stages), c(b + stages),
+          products(tables.whole[GEMM], n, tables.whole[1]), stream(tables.whole, c + stages) {
+        work = 16 * stages * (all * n * int64_t(sizeof(T) / sizeof(double)) + stream.work());
+    }
+
+    // The commutator of P and M: A = P M is given, and what is M P is A* where they are skew-Hermitian.
+    void commutator(const T* P, const T* M, T* A, double factor, T* to, bool add) {
+        if (!skew) {
+            other.resize(all);
+            products.multiply(M, P, other.data());
+            for (int64_t e = 0; e < all; ++e) {
+                const T value = factor * (A[e] - other[e]);
+                to[e] = add ? to[e] + value : value;
+            }
+            return;
+        }
+        for (int64_t first = 0; first < all; first += square) skew_part(n, A + first, factor, to + first, add);
+    }
+
+    // Add an increment to W, with what earlier sums owe.
+    void advance(double* W, double* owed, const T* increment) const {
+        const double* move = reinterpret_cast<const double*>(increment);
+        for (int64_t k = 0; k < numbers; ++k) add_owing_rest(W[k], move[k] + owed[k], W[k], owed[k]);
+    }
+
+    // Whether an iteration has come to its end, after a correction `change` of entries as large as `size`; the outcome
+    // is in `status` then.
+    bool ended(double change, double size) {
+        ++iterations;
+        if (iterations == 1) first = least = change;
+        Hearing::of_this_call().after(work / 16);
+        const bool small = change <= SMALL * size;
+        if (change == 0.0 || (small && iterations >= FIRST_TESTED && !(change < least))) return status = DONE, true;
+        if (!(change - change == 0.0)) return status = OVERFLOWED, true;
+        if (iterations >= MOST_ITERATIONS || change > std::ldexp(first, int(GROWTH_BITS)))
+            return status = NOT_CONVERGED, true;
+        least = std::min(least, change);
+        return false;
+    }
+
+    int64_t status = DONE;
+
+  private:
+    double first = 0.0, least = 0.0;
+    std::vector<T> other;
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,30 @@
+// The largest of many numbers, in eight rows side by side.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+
+namespace coadjoint {
+
+// The largest |value(k)|, k < count, which is called once for each k; NaN where one of them is not finite.
+template <class Value>
+double largest_of(int64_t count, const Value& value) {
+    constexpr int64_t ROWS = 8;
+    double most[ROWS] = {}, spoilt[ROWS] = {};
+    const auto take = [&](int64_t k, int64_t row) {
+        const double size = std::fabs(value(k));
+        most[row] = size > most[row] ? size : most[row];
+        spoilt[row] += size - size;
+    };
+    int64_t k = 0;
+    for (; k + ROWS <= count; k += ROWS)
+        for (int64_t row = 0; row < ROWS; ++row) take(k + row, row);
+    for (; k < count; ++k) take(k, 0);
+    for (int64_t row = 1; row < ROWS; ++row) {
+        most[0] = most[row] > most[0] ? most[row] : most[0];
+        spoilt[0] += spoilt[row];
+    }
+    return most[0] + spoilt[0];
+}
+
+}  // namespace coadjoint

@@ -1,0 +1,219 @@
+// The isospectral midpoint rule of skew-Hermitian matrices, by Newton's method for the stream matrix P of the middle.
+//
+// With A = 1 - (h/2) P the middle of P is M = A^-1 W A^-*, and P = stream(M) is solved. Any P at all keeps the spectrum
+// of W, and a change D of P moves M by (h/2)(C M - (C M)*), C = A^-1 D: the linear equation for D needs few digits, and
+// is solved by iteration in the lower precision. P begins where its differences of the last steps lead.
+#pragma once
+
+#include <limits>
+
+#include "matrices/isospectral.hpp"
+#include "matrices/triangles.hpp"
+
+namespace coadjoint {
+
+template <class T>
+struct Lower;
+template <>
+struct Lower<double> {
+    typedef float type;
+};
+template <>
+struct Lower<Complex> {
+    typedef std::complex<float> type;
+};
+
+template <class T>
+struct SkewMidpoint final : Isospectral<T> {
+    typedef Isospectral<T> Base;
+    typedef typename Lower<T>::type Few;
+    using Base::n, Base::all, Base::numbers, Base::products, Base::stream;
+
+    static constexpr int64_t DIFFERENCES = 8;     // of P over the last steps
+    static constexpr int64_t MOST_CORRECTIONS = 24;
+    static constexpr double FEW_DIGITS = 0x1p-21;  // what the lower precision tells of a correction
+    static constexpr double ROUND_OFF = 0x1p-52;
+    static constexpr double NEAR = 0x1p-28;        // of P: a correction from there reaches round-off
+
+    Triangles<T> triangles;
+    Triangles<Few> few;
+    std::vector<T> W, P, G, M, A, F, D, C;
+    std::vector<Few> few_A, few_M, few_C, few_D;
+
+    static constexpr int64_t DIRECTIONS = 4;
+    struct Direction {
+        std::vector<Few> p, q, moves;
+        double square = 0.0;
+    };
+    Direction directions[DIRECTIONS];
+
+    explicit SkewMidpoint(const StepTables& tables)
+        : Base(tables), triangles(tables.whole[GEMM], tables.whole[TRSM], n),
+          few(tables.whole[LOWER_GEMM], tables.whole[LOWER_TRSM], n), W(all), P(all), G(all), M(all), A(all),
+          F(all), D(all), C(all), few_A(all), few_M(all), few_C(all), few_D(all) {
+        for (Direction& each : directions) each.p.resize(all), each.q.resize(all), each.moves.resize(all);
+        this->remembered = 3 + DIFFERENCES * numbers;
+    }
+
+    int64_t step(double* x, double* dx, double*, double*, double t, double h) override {
+        double *w = numbers_of(W.data()), *p = numbers_of(P.data()), *m = numbers_of(M.data());
+        double *g = numbers_of(G.data()), *f = numbers_of(F.data()), *d = numbers_of(D.data());
+        for (int64_t k = 0; k < numbers; ++k) w[k] = x[k] + dx[k];
+        guess(t, h);
+        this->iterations = this->evaluations = 0;
+        this->status = DONE;
+        for (;;) {
+            solve(h);
+            if (!stream.apply(M.data(), t + 0.5 * h, G.data())) return UNDEFINED;
+            ++this->evaluations;
+            this->residual = largest_of(numbers, [=](int64_t k) { return f[k] = g[k] - p[k]; });
+            const double size = largest_of(numbers, [=](int64_t k) { return g[k]; });
+            if (this->ended(this->residual, size) || this->residual <= ROUND_OFF * size) break;
+            const bool last = this->residual <= NEAR * size;
+            const bool near = correct(h, std::max(FEW_DIGITS * this->residual, (last ? ROUND_OFF : NEAR) * size / 4)) && last;
+            for (int64_t k = 0; k < numbers; ++k) p[k] += d[k];
+            if (near) {
+                for (int64_t k = 0; k < numbers; ++k) m[k] += g[k];
+                break;
+            }
+        }
+        if (this->status != DONE) return this->status;
+        remember(h);
+        products.multiply(P.data(), M.data(), A.data());
+        this->commutator(P.data(), M.data(), A.data(), h, G.data(), false);
+        this->advance(x, dx, G.data());
+        return DONE;
+    }
+
+  private:
+    // M = A^-1 W A^-*. Fortran sees transposed matrices: of A it has the conjugate, 1 + (h/2) P as it sees P.
+    void solve(double h) {
+        double *a = numbers_of(A.data()), *p = numbers_of(P.data());
+        for (int64_t k = 0; k < numbers; ++k) a[k] = 0.5 * h * p[k];
+        for (int64_t e = 0; e < all; e += n + 1) A[e] += 1.0;
+        triangles.factor(A.data());
+        std::copy_n(W.data(), all, M.data());
+        triangles.both_sides(A.data(), M.data());
+    }
+
+    // Solve D - K D = F, where K D is the stream of G, by which D moves the middle, until no more than `enough` is left;
+    // return whether that was reached. Residuals are made small one direction after the other: of the
+    // directions the images under 1 - K are orthogonal to the last ones before (GCR, cut off).
+    bool correct(double h, double enough) {
+        std::copy_n(F.data(), all, D.data());
+        if (!stream.linear()) return false;
+        invert();
+        double *d = numbers_of(D.data()), *g = numbers_of(G.data()), *kp = numbers_of(A.data());
+        std::fill_n(d, numbers, 0.0);
+        std::fill_n(g, numbers, 0.0);
+        double* r = numbers_of(F.data());
+        for (int64_t k = 0; k < MOST_CORRECTIONS; ++k) {
+            Direction& now = directions[k % DIRECTIONS];
+            float *p = row(now.p), *q = row(now.q), *moves = row(now.moves);
+            for (int64_t e = 0; e < numbers; ++e) p[e] = float(r[e]);
+            few.multiply(few_A.data(), now.p.data(), few_C.data());
+            few.multiply(few_C.data(), few_M.data(), few_D.data());
+            // as Fortran sees it
+            skew_part(n, few_D.data(), float(-0.5 * h), now.moves.data(), false);
+            for (int64_t e = 0; e < numbers; ++e) kp[e] = moves[e];
+            stream.apply_linear(A.data(), C.data());
+            ++this->evaluations;
+            const double* image = numbers_of(C.data());
+            for (int64_t e = 0; e < numbers; ++e) q[e] = float(r[e] - image[e]);
+            for (int64_t j = std::max(int64_t(0), k - DIRECTIONS + 1); j < k; ++j) {
+                Direction& old = directions[j % DIRECTIONS];
+                const float share = float(dot(q, row(old.q)) / old.square);
+                const float *op = row(old.p), *oq = row(old.q), *omoves = row(old.moves);
+                for (int64_t e = 0; e < numbers; ++e) {
+                    q[e] -= share * oq[e];
+                    p[e] -= share * op[e];
+                    moves[e] -= share * omoves[e];
+                }
+            }
+            now.square = dot(q, q);
+            const double share = dot(r, q) / now.square;
+            if (!(now.square > 0.0) || !(share - share == 0.0)) return false;
+            const double left = largest_of(numbers, [=](int64_t e) {
+                d[e] += share * p[e];
+                g[e] += share * moves[e];
+                return r[e] -= share * q[e];
+            });
+            if (left <= enough) return true;
+        }
+        return false;
+    }
+
+    template <class A, class B>
+    double dot(const A* a, const B* b) const {
+        constexpr int64_t ROWS = 8;
+        double sums[ROWS] = {};
+        int64_t e = 0;
+        for (; e + ROWS <= numbers; e += ROWS)
+            for (int64_t k = 0; k < ROWS; ++k) sums[k] += double(a[e + k]) * double(b[e + k]);
+        for (; e < numbers; ++e) sums[0] += double(a[e]) * double(b[e]);
+        for (int64_t k = 1; k < ROWS; ++k) sums[0] += sums[k];
+        return sums[0];
+    }
+
+    static float* row(std::vector<Few>& of) { return reinterpret_cast<float*>(of.data()); }
+
+    // The inverse of A, and M, in the lower precision.
+    void invert() {
+        convert(A, few_C);
+        convert(M, few_M);
+        std::fill(few_A.begin(), few_A.end(), Few(0));
+        for (int64_t e = 0; e < all; e += n + 1) few_A[e] = Few(1);
+        few.solve(few_C.data(), few_A.data());
+    }
+
+    void convert(std::vector<T>& from, std::vector<Few>& to) const {
+        const double* exact = numbers_of(from.data());
+        float* rounded = row(to);
+        for (int64_t k = 0; k < numbers; ++k) rounded[k] = float(exact[k]);
+    }
+
+    // memory: how many differences of P there are, the step that they are of, how many of them lead nearest to the
+    // next P, and P with its backward differences.
+    void guess(double t, double h) {
+        const double* memory = this->memory;
+        const bool usable = memory && memory[0] == memory[0] && memory[1] == h;
+        if (!usable) {
+            stream.apply(W.data(), t, P.data());
+            return;
+        }
+        const double* past = memory + 3;
+        const int64_t taken = int64_t(memory[2]);
+        double* p = numbers_of(P.data());
+        std::copy_n(past, numbers, p);
+        for (int64_t d = 1; d < taken; ++d)
+            for (int64_t k = 0; k < numbers; ++k) p[k] += past[d * numbers + k];
+    }
+
+    void remember(double h) {
+        double* memory = this->memory;
+        if (!memory) return;
+        const bool usable = memory[0] == memory[0] && memory[1] == h;
+        const int64_t known = usable ? int64_t(memory[0]) : 0, kept = std::min(known + 1, DIFFERENCES);
+        double *past = memory + 3, *next = numbers_of(G.data());
+        std::copy_n(numbers_of(P.data()), numbers, next);
+        int64_t taken = 1;
+        double least = std::numeric_limits<double>::infinity();
+        for (int64_t d = 0; d < kept; ++d) {
+            double* row = past + d * numbers;
+            const bool filled = d < known;
+            // The d-th difference is by how much the first d of them missed P.
+            const double missed = largest_of(numbers, [=](int64_t k) {
+                const double now = next[k], old = filled ? row[k] : 0.0;
+                row[k] = now;
+                next[k] = now - old;
+                return now;
+            });
+            if (d > 0 && missed < least) least = missed, taken = d;
+        }
+        memory[0] = double(kept);
+        memory[1] = h;
+        memory[2] = double(taken);
+    }
+};
+
+}  // namespace coadjoint
