@@ -60,7 +60,6 @@ def stream_tables(system: Any) -> tuple[list[int], list[float]]:
     numbers = [] if linear is None else [system.to_vector(linear)]
     numbers += [map_.table for map_ in (stream, second) if map_ is not None]
     layers = 2 if len(system.shape) == 3 else 1
-    precisions = "zc" if system.complex else "ds"
     whole = [
         system.algebra.N,
         layers,
