@@ -192,12 +192,14 @@ def _taking(function: Callable[..., Any], arguments: str, shape: tuple[int, ...]
     return of_time if arguments == "t" else of_flow
 
 
-def _matrices(system: Any) -> tuple[list[int], list[float]]:
+def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
     """Return what the energy and the quadratic Casimirs of a system of matrices are found by; zero for another one."""
     if not isinstance(system, MatrixSystem):
-        return [0], []
-    whole, numbers = stream_tables(system)
-    return [*whole, int(system.complex), system.energy_sign], numbers
+        return [0], [], ()
+    whole, numbers, made = stream_tables(system)
+    kind = next(iter(system.algebra.parts))[2]
+    signs = [system.energy_sign, -1 if kind.conjugate else 1]
+    return [*whole, int(system.complex), int(not system.algebra.skew), *signs], numbers, made
 
 
 def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> CompiledLoop:
@@ -231,8 +233,8 @@ def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> Compil
     followed = watch_tables(plain, {} if every else system.casimirs)
     places, kept = places_of(inner, plain, representation)
     read = [pointed(table) for table in tables]
-    matrices, numbers = _matrices(plain)
+    matrices, numbers, made = _matrices(plain)
     whole = [*places, len(tables), *map(ctypes.addressof, read), *matrices]
-    found = step_tables_of(plain, "forced", followed, whole, representation, (*keep, *read, *kept), numbers)
+    found = step_tables_of(plain, "forced", followed, whole, representation, (*keep, *made, *read, *kept), numbers)
     held: dict[int, Any] = {PLACE_OF_INNER: inner, **dict(enumerate(tables, len(places) + 1))}
     return CompiledLoop(STEP_LOOP, found.tables, found.keep, accounts=accounts, held=held)

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from coadjoint.kernels.description import codes
+from coadjoint.kernels.matrix_functions import MatrixFunction
 from coadjoint.kernels.step_tables import step_numbers
 from coadjoint.kernels.tables import Compiled
+from coadjoint.systems.matrices.function_stream import FunctionStream
 
 
 @cache
@@ -38,7 +40,7 @@ def blas_address(name: str) -> int:
     return int(api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule)))
 
 
-def stream_tables(system: Any) -> tuple[list[int], list[float]]:
+def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
     """Return what the kernels read of the stream of a matrix system.
 
     Parameters
@@ -53,10 +55,14 @@ def stream_tables(system: Any) -> tuple[list[int], list[float]]:
         The size, the layers, the kinds of the two maps, whether there is a constant, and the address of a function.
     numbers : list of float
         The constant, and what the maps read.
+    keep : tuple
+        What must live as long.
     """
     kinds = codes("StreamKind")
     stream, second = system.stream, getattr(system, "second_stream", None)
-    linear, address = getattr(system, "linear", None), getattr(stream, "address", 0)
+    linear, function = getattr(system, "linear", None), None
+    if isinstance(stream, FunctionStream):
+        function = MatrixFunction(stream, system.algebra.shape, system.complex)
     numbers = [] if linear is None else [system.to_vector(linear)]
     numbers += [map_.table for map_ in (stream, second) if map_ is not None]
     layers = 2 if len(system.shape) == 3 else 1
@@ -66,9 +72,9 @@ def stream_tables(system: Any) -> tuple[list[int], list[float]]:
         kinds[stream.kind],
         -1 if second is None else kinds[second.kind],
         int(linear is not None),
-        address,
+        function.address if function else 0,
     ]
-    return whole, np.concatenate(numbers).tolist()
+    return whole, np.concatenate(numbers).tolist(), (function,) if function else ()
 
 
 def matrix_tables(
@@ -94,8 +100,9 @@ def matrix_tables(
     Compiled
         With a `Stepping`.
     """
-    whole, numbers = stream_tables(system)
+    whole, numbers, keep = stream_tables(system)
     precisions = "zc" if system.complex else "ds"
     whole += [blas_address(precision + routine) for precision in precisions for routine in ("gemm", "trsm")]
     whole += [stages, int(system.complex), int(not system.algebra.skew)]
-    return step_numbers(system, step, whole, [*coefficients, *numbers], fractions)
+    made = step_numbers(system, step, whole, [*coefficients, *numbers], fractions)
+    return Compiled(made.tables, (*made.keep, *keep))

@@ -16,7 +16,7 @@ from coadjoint.methods.base import Representation
 from coadjoint.methods.compiled_step import CompiledStepMethod
 from coadjoint.methods.properties import Properties
 from coadjoint.program.numbers import Number, array_of, roundoff
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_vectors
 
 if TYPE_CHECKING:
     from coadjoint.methods.formal_numbers import FormalNumber
@@ -115,7 +115,7 @@ class CommutatorFree(CompiledStepMethod):
         ValueError
             There is no Lie algebra, and so no orbit.
         """
-        check_one_system(system)
+        check_vectors(system)
         if system.algebra is None:
             raise ValueError(
                 f"CommutatorFree moves along coadjoint orbits, but {system.name} has no Lie algebra; take GaussLegendre"

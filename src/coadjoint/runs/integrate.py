@@ -48,7 +48,8 @@ def integrate(
     step : float, optional
         Size of a step, positive; used as given. Either this or `accuracy`.
     method : Method, optional
-        The scheme; None is `Splitting()` of order 2, or with `accuracy` the one that `choose` chooses.
+        The scheme; None is `Splitting()` of order 2 (of matrices what `suggested_scheme` says), or with `accuracy` the
+        one that `choose` chooses.
     accuracy : float, optional
         Wanted error of the momentum at the end, relative to its largest size on the way; the step (and the scheme) are
         then chosen by `choose`, the same for the same inputs.

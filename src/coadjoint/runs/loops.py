@@ -197,18 +197,22 @@ class SystemLoops(Loops):
         system = self._matrices
         if system is None:
             return
-        numbers = times.saved
-        tenth = np.where(numbers > 0, (numbers - 1) * worst.shape[1] // max(1, times.steps), 0)
-        start: NDArray[Any] | None = None
-        for k, states in enumerate(saved):
-            W = system.from_vector(states[..., : system.dim])
-            found = {"energy": system.energy(W), **system.casimirs_at(W)}
-            values[k, :, : len(found)] = np.stack(list(found.values()), axis=-1)
-            for i, name in enumerate(found) if self.accounts else ():
-                done = [system.dim + p for p, (_, which) in enumerate(self.accounts) if which == name]
-                values[k, :, len(found) + i] = found[name] - states[..., done].sum(axis=-1)
-            start = values[k] if start is None else start
-            worst[:, tenth[k]] = np.fmax(worst[:, tenth[k]], np.abs(values[k] - start))
+        tenth = np.where(times.saved > 0, (times.saved - 1) * worst.shape[1] // max(1, times.steps), 0)
+        # The later states of members that have failed are NaN, and no function is asked about them.
+        sound = np.isfinite(saved[..., : system.dim]).all(axis=-1)
+        values[:] = np.nan
+        for k, (states, t) in enumerate(zip(saved, times.at(times.saved).tolist(), strict=True)):
+            rows = states[sound[k]]
+            W = system.from_vector(rows[..., : system.dim])
+            with np.errstate(all="ignore"):
+                found = {"energy": system.energy(W, t), **system.casimirs_at(W)}
+            if self.accounts:
+                # what is left of each beside the work of forces
+                for name in tuple(found):
+                    done = [system.dim + place for place, (_, which) in enumerate(self.accounts) if which == name]
+                    found[f"{name}, balance"] = found[name] - rows[..., done].sum(axis=-1)
+            values[k, sound[k]] = np.stack(list(found.values()), axis=-1)
+            worst[:, tenth[k]] = np.fmax(worst[:, tenth[k]], np.abs(values[k] - values[0]))
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop."""

@@ -129,7 +129,11 @@ class Run:
             return crew.advance(self.plan.layout, self._schedule, self.saved, state, done, target, stop)
 
         try:
-            return sum(map(take, crews) if pool is None else pool.map(take, crews))
+            wrong = sum(map(take, crews) if pool is None else pool.map(take, crews))
+            raised = self.loops.raised() if wrong else None
+            if raised is not None:
+                raise raised
+            return wrong
         except BaseException as ended:
             stop.say()
             raised = self.loops.raised()

@@ -199,7 +199,7 @@ class Solution:
         found = self._picked(self._series("x"))[..., : self._start.momenta.shape[1]]
         plain = unforced(self._system)
         if isinstance(plain, MatrixSystem):
-            return plain.from_vector(found)
+            return plain.states(found)
         return found.reshape(*found.shape[:-1], *self._start.shape)
 
     @cached_property

@@ -92,12 +92,12 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
     ValueError
         Of another shape, empty, or not finite.
     """
-    matrix_system = unforced(system)
-    if isinstance(matrix_system, MatrixSystem):
-        momenta = matrix_system.read(x0)
-        if not len(momenta):
+    plain = unforced(system)
+    if isinstance(plain, MatrixSystem):
+        rows = plain.read(x0)
+        if not len(rows):
             raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs at least one member")
-        return momenta.reshape(-1, system.dim), momenta.ndim == 1
+        return rows.reshape(-1, system.dim), rows.ndim == 1
     momenta = read_numbers(x0, "x0")
     n, shape = system.dim, shape_of(system)
     if len(shape) > 1:

@@ -50,6 +50,9 @@ def test_the_equation(s):
     assert np.array_equal(s.from_vector(s.vector_field(s.to_vector(X))), field)
     slope = s.hamiltonian.gradient(s.to_vector(X))
     assert abs(slope @ s.to_vector(field)) < 1e-13 * np.linalg.norm(slope) * np.linalg.norm(field)
+    J = s.structure_matrix(X)
+    assert np.abs(J @ slope - s.to_vector(field)).max() < 1e-13
+    assert np.abs(J + J.T).max() < 1e-14
     e = np.random.default_rng(3).standard_normal(s.dim)
     e = s.to_vector(s.algebra.projected(s.from_vector(e)))
     x = s.to_vector(X)
@@ -73,7 +76,7 @@ def test_invariants(s):
     assert np.abs(s.spectrum(sol.x[-1]) - s.spectrum(X)).max() < 1e-13
     base = -1j * X if s.complex else X
     assert sol.casimirs["tr W Theta"][0] == pytest.approx(np.trace(base[1] @ base[0]).real, rel=1e-13)
-    third = [name for name in s.casimirs if name.startswith("tr W Theta^")][0]
+    third = next(name for name in s.casimirs if name.startswith("tr W Theta^"))
     power = np.linalg.matrix_power(base[0], int(third[-1]))
     assert sol.casimirs[third][0] == pytest.approx(np.trace(base[1] @ power).real, rel=1e-12)
 
@@ -244,3 +247,14 @@ def test_members_and_what_is_refused():
         co.systems.reduced_mhd(N=5, surface="plane")
     with pytest.raises((TypeError, ValueError), match="stream"):
         TwoLayerSystem(co.MatrixAlgebra("su", 4), Weights(np.ones((4, 4))), "none")
+
+
+def test_a_step_is_a_poisson_map():
+    """Its derivative carries the structure matrix of the start to that of the end, on the algebra."""
+    s, method = co.systems.reduced_mhd(N=3), co.IsospectralGauss(2)
+    X = random_state(s)
+    x = s.to_vector(X)
+    end, derivative = method.tangent(s, x, 0.0, 0.25)
+    on = s.to_vector(s.algebra.projected(s.from_vector(np.eye(s.dim))))
+    carried = on @ derivative @ s.structure_matrix(x) @ derivative.T @ on
+    assert np.abs(carried - s.structure_matrix(end)).max() < 1e-7  # the derivative is by differences

@@ -37,7 +37,7 @@ def matrix_of_modes(w: Complexes) -> Complexes:
     --------
     >>> w = np.zeros((3, 3), dtype=complex)
     >>> w[1, 0], w[2, 0] = 1.0, 1.0
-    >>> np.abs(matrix_of_modes(w) / (-3j / (4 * np.pi)) - np.diag([2.0, -1.0, -1.0])).max() < 1e-14
+    >>> bool(np.abs(matrix_of_modes(w) / (-3j / (4 * np.pi)) - np.diag([2.0, -1.0, -1.0])).max() < 1e-14)
     True
     """
     N = w.shape[-1]
@@ -69,7 +69,7 @@ def read_modes(given: Any, N: int) -> Complexes:
 
     Examples
     --------
-    >>> read_modes({(1, 0): 0.5 + 1j}, 3)[2, 0]
+    >>> complex(read_modes({(1, 0): 0.5 + 1j}, 3)[2, 0])
     (0.5-1j)
     """
     if not isinstance(given, Mapping):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,11 @@ import numpy.typing as npt
 
 from coadjoint.algebra.matrix_states import MatrixAlgebra
 from coadjoint.given import array_given
-from coadjoint.systems.matrices.matrix_system import POWERS, MatrixEnergy, MatrixSystem
+from coadjoint.memory import check_room
+from coadjoint.systems.matrices.matrix_energy import MatrixEnergy
+from coadjoint.systems.matrices.matrix_system import POWERS, MatrixSystem
 from coadjoint.systems.matrices.streams import Stream
+from coadjoint.systems.matrices.traces import traces_of
 from coadjoint.wording import short
 
 Matrix = npt.NDArray[Any]
@@ -84,9 +88,15 @@ class TwoLayerSystem(MatrixSystem):
         powers: int = POWERS,
     ) -> None:
         super().__init__(algebra, stream, energy_sign=energy_sign, name=name, parameters=parameters, powers=powers)
-        if not algebra.skew:
-            raise ValueError(f"algebra is {algebra}; two layers need skew-Hermitian matrices")
+        if not algebra.skew or algebra.blocks:
+            raise ValueError(f"algebra is {algebra}; two layers need skew-Hermitian matrices of one block")
+        if not self.linear_stream or stream.kind == "BY_FUNCTION":
+            raise TypeError(f"stream is {short(stream)}; two layers need a Stream, such as Weights(w)")
+        traces = traces_of(algebra, self.powers, self.matrices, self.to_vector)
+        self._followed = tuple(trace.power for trace in traces.values() if trace.power > 1)
         if second_stream is not None:
+            if not isinstance(second_stream, Stream):
+                raise TypeError(f"second_stream is {short(second_stream)}; give a Stream, such as Weights(w)")
             # the same checks as of the first one
             MatrixSystem(algebra, second_stream, name=f"the second stream of {name}")
         self.second_stream = second_stream
@@ -94,7 +104,7 @@ class TwoLayerSystem(MatrixSystem):
         self.dim = 2 * self.dim
         self.hamiltonian = TwoLayerEnergy(self)
 
-    @property
+    @cached_property
     def casimirs(self) -> dict[str, Any]:
         """Name -> function of states (..., 2, N, N)."""
         return {name: _Invariant(self, name) for name in self._names}
@@ -106,12 +116,12 @@ class TwoLayerSystem(MatrixSystem):
 
     @property
     def _names(self) -> tuple[str, ...]:
-        own = [] if self.second_stream is not None else [f"tr W^{k}" for k in self.powers]
-        return (*(name for k in self.powers for name in (f"tr Theta^{k}", mixed(k))), *own)
+        own = [] if self.second_stream is not None else [f"tr W^{k}" for k in self._followed]
+        return (*(name for k in self._followed for name in (f"tr Theta^{k}", mixed(k))), *own)
 
     def casimirs_at(self, x: Any) -> dict[str, Any]:
         """Return the invariants at states (..., 2, N, N), of -i Theta and -i W where these are complex."""
-        X = self.states(x)
+        X = self.matrices(x)
         base = -1j * X if self.complex else X
         theta, W = base[..., 0, :, :], base[..., 1, :, :]
         found = {}
@@ -124,41 +134,60 @@ class TwoLayerSystem(MatrixSystem):
     def _powers(self, A: Matrix) -> list[tuple[int, Matrix]]:
         """Return k, and the power k - 1 of matrices."""
         found, power, below = [], A, 1
-        for k in self.powers:
+        for k in self._followed:
             while below < k - 1:
                 power, below = power @ A, below + 1
             found.append((k, power))
         return found
 
-    def stream_of(self, W: Any) -> Matrix:
+    def stream_of(self, W: Any, t: float = 0.0) -> Matrix:
         """Return P and J of states (..., 2, N, N), in this order."""
-        X = self.states(W)
+        X = self.matrices(W)
         P = self.stream(X[..., 1, :, :])
         J = np.zeros_like(P) if self.second_stream is None else self.second_stream(X[..., 0, :, :])
         return np.stack([P, J], axis=-3)
 
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
         """Return x' of a state (2, N, N), or of its numbers, in the same form."""
-        X = self.states(x)
-        Y, bracket = self.stream_of(X), self.algebra.bracket
-        P, J, theta, W = Y[..., 0, :, :], Y[..., 1, :, :], X[..., 0, :, :], X[..., 1, :, :]
-        found = np.stack([bracket(P, theta), bracket(P, W) + bracket(J, theta)], axis=-3)
+        X = self.matrices(x)
+        found = self._bracket(self.stream_of(X), X)
         return self.to_vector(found) if np.shape(x)[-1] == self.dim else found
 
     def energy(self, x: Any, t: float = 0.0) -> Any:
         """Return H of states (..., 2, N, N)."""
-        X = self.states(x)
+        X = self.matrices(x)
         slope = self.stream_of(X)[..., ::-1, :, :]
         found = 0.5 * self.energy_sign * np.sum(np.conj(slope) * X, axis=(-3, -2, -1)).real
         return float(found) if found.ndim == 0 else found
 
     def spectrum(self, x: Any) -> Floats:
         """Return the eigenvalues of -i Theta, real and rising, of states (..., 2, N, N)."""
-        return super().spectrum(self.states(x)[..., 0, :, :])
+        return np.asarray(np.linalg.eigvalsh(-1j * self.matrices(x)[..., 0, :, :]), dtype=np.float64)
 
-    def states(self, x: Any) -> Matrix:
-        """Return rows of numbers as states, and states as they are."""
-        return self.from_vector(x) if np.shape(x)[-1:] == (self.dim,) else np.asarray(x)
+    def structure_matrix(self, x: Any) -> Floats:
+        """Return J of a state, (n, n) for its n numbers: x' = J(x) grad H(x)."""
+        check_room(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
+        slopes = self.algebra.projected(self.from_vector(np.eye(self.dim)))[..., ::-1, :, :]
+        return self.energy_sign * self.to_vector(self._bracket(slopes, self.matrices(x))).T
+
+    def _bracket(self, Y: Matrix, X: Matrix) -> Matrix:
+        """Return the commutator of dual numbers."""
+        bracket = self.algebra.bracket
+        P, J, theta, W = Y[..., 0, :, :], Y[..., 1, :, :], X[..., 0, :, :], X[..., 1, :, :]
+        return np.stack([bracket(P, theta), bracket(P, W) + bracket(J, theta)], axis=-3)
+
+    def matrices(self, x: Any) -> Matrix:
+        """Return states (..., 2, N, N) as they are, and rows of numbers as states."""
+        if np.shape(x)[-1:] == (self.dim,):
+            return self.from_vector(x)
+        X = np.asarray(x, dtype=np.complex128 if self.complex else np.float64)
+        if X.shape[-3:] != self.shape:
+            raise ValueError(f"a state has the shape {X.shape}; it must be {self.shape}, or ({self.dim},)")
+        return X
+
+    def states(self, rows: Floats) -> Matrix:
+        """Return rows of numbers as states (..., 2, N, N)."""
+        return self.from_vector(rows)
 
     def read(self, given: Any, what: str = "x0") -> Floats:
         """Return initial states as rows of numbers, one for a state and more for members; refuse others."""

@@ -1,5 +1,5 @@
 // The quadratic invariants of a state of matrices, in as many operations as its stream takes: the energy, and tr W^2 of
-// one matrix, tr Theta^2 and tr W Theta of two layers.
+// one matrix, tr Theta^2 and tr W Theta of two layers; complex skew-Hermitian matrices count as -i W.
 #pragma once
 
 #include <memory>
@@ -21,13 +21,15 @@ struct MatrixInvariants {
 template <class T>
 struct InvariantsOf final : MatrixInvariants {
     const int64_t n, square, layers;
-    const double sign;
+    const bool general;
+    const double sign, sign_of_trace;
     const T* const constant;
     Stream<T> stream;
     std::vector<T> Y;
 
-    InvariantsOf(const int64_t* whole, double sign, const double* numbers)
-        : n(whole[0]), square(n * n), layers(whole[1]), sign(sign),
+    InvariantsOf(const int64_t* whole, const double* numbers)
+        : n(whole[0]), square(n * n), layers(whole[1]), general(whole[7]), sign(double(whole[8])),
+          sign_of_trace(double(whole[9])),
           constant(whole[4] ? reinterpret_cast<const T*>(numbers) : nullptr), stream(whole, numbers), Y(layers * square) {}
 
     int64_t count() const override { return 1 + layers; }
@@ -44,7 +46,7 @@ struct InvariantsOf final : MatrixInvariants {
             if (constant) energy += 0.5 * pairing(constant + l * square, of);
         }
         values[0] = sign * energy;
-        for (int64_t l = 0; l < layers; ++l) values[1 + l] = trace(X, X + l * square);
+        for (int64_t l = 0; l < layers; ++l) values[1 + l] = sign_of_trace * trace(X, X + l * square);
         return true;
     }
 
@@ -54,8 +56,9 @@ struct InvariantsOf final : MatrixInvariants {
     static double imaginary(const double&) { return 0.0; }
     static double imaginary(const Complex& value) { return value.imag(); }
 
-    // The real part of tr(a* b). Sums of rows are added up, so that rounding grows with the rows alone.
+    // The real part of tr(a* b), of matrices that are not skew-Hermitian that of tr(a b). Sums of rows are added up, so that rounding grows with the rows alone.
     double pairing(const T* a, const T* b) const {
+        if (general) return trace(a, b);
         double total = 0.0;
         for (int64_t i = 0; i < n; ++i) {
             double row = 0.0;
@@ -66,7 +69,7 @@ struct InvariantsOf final : MatrixInvariants {
         return total;
     }
 
-    // The real part of tr(a b) of real matrices, of -tr(a b) of complex ones, as of -i a and -i b.
+    // The real part of tr(a b).
     double trace(const T* a, const T* b) const {
         double total = 0.0;
         for (int64_t i = 0; i < n; ++i) {
@@ -77,17 +80,17 @@ struct InvariantsOf final : MatrixInvariants {
             }
             total += row;
         }
-        return sizeof(T) == sizeof(double) ? total : -total;
+        return total;
     }
 };
 
 // Of the whole numbers what a stream reads, the size being zero where the state is no matrix, then whether entries are
-// complex, and the sign of the energy.
+// complex, whether matrices are not skew-Hermitian, the sign of the energy, and that of the trace: -1 for -i W.
 inline std::unique_ptr<MatrixInvariants> matrix_invariants(const int64_t* whole, const double* numbers) {
     std::unique_ptr<MatrixInvariants> found;
     if (!whole[0]) return found;
-    if (whole[6]) found.reset(new InvariantsOf<Complex>(whole, double(whole[7]), numbers));
-    else found.reset(new InvariantsOf<double>(whole, double(whole[7]), numbers));
+    if (whole[6]) found.reset(new InvariantsOf<Complex>(whole, numbers));
+    else found.reset(new InvariantsOf<double>(whole, numbers));
     return found;
 }
 
