@@ -142,6 +142,7 @@ class Circulants:
         return self._scaled(W, self.spectrum)
 
     def inverse(self, P: Matrix) -> Matrix:
+        """Return W of P, without the modes of which nothing is left."""
         return self.inverted()(P)
 
     def inverted(self) -> Circulants:

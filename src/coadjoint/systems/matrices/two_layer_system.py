@@ -26,13 +26,11 @@ class TwoLayerEnergy(MatrixEnergy):
     """The energy of two layers, whose slope has J by the carried field and P by the vorticity."""
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
-        """Return its derivatives by the numbers of a state."""
         system = self._system
         slope = system.stream_of(system.from_vector(x))[..., ::-1, :, :]
         return system.energy_sign * system.to_vector(slope)
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
-        """Return the second derivatives, those of a quadratic form."""
         return np.stack([self.gradient(unit) for unit in np.eye(self.dim)], axis=1)
 
 
