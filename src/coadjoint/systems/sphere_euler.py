@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property, partial
+from functools import cached_property
 from math import pi
 from typing import Any
 
@@ -22,6 +22,7 @@ from coadjoint.systems.matrices.spherical_modes import (
     scale,
 )
 from coadjoint.systems.matrices.streams import DiagonalSolve
+from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
 
 LARGEST = 4096
@@ -60,7 +61,6 @@ class SphereEuler(FluidSystem):
             linear=0.5 * self.planetary if rotation else None,
             name="sphere_euler",
             parameters={"N": N, "rotation": rotation},
-            exact=partial(sphere_states.exact_motion, N=N, rotation=rotation),
         )
 
     rossby_haurwitz = sphere_states.rossby_haurwitz
@@ -223,6 +223,14 @@ class SphereEuler(FluidSystem):
     def absolute(self, W: Any) -> Matrix:
         return np.asarray(np.asarray(W, dtype=np.complex128) + self.planetary)
 
+    def exact(self, x0: Any, t: Any) -> Matrix:
+        """Return the exact motion (N, N) or (k, N, N) of a state at a time, or at several (k,).
+
+        It is known of zonal flows, and of states of the degree 1, about any axis, and one further degree, such as
+        `rossby_haurwitz` makes; ValueError for others.
+        """
+        return sphere_states.exact_motion(self.matrices(x0), t, self.rotation)
+
     def angular_momentum(self, W: Any) -> Floats:
         """Return the angular momentum of the absolute motion, the integral of (x, y, z) omega over the sphere.
 
@@ -241,15 +249,15 @@ class SphereEuler(FluidSystem):
         return sphere_states.angular_momentum(W)
 
     @property
-    def integrals(self) -> dict[str, Any]:
-        """Name -> function of states (..., N, N): the parts of the angular momentum that are constant."""
-        kept = (2,) if self.rotation else (0, 1, 2)
-        return {f"angular momentum {'xyz'[a]}": partial(_part_of_momentum, axis=a) for a in kept}
+    def integrals(self) -> dict[str, Any]:  # type: ignore[override]
+        """Name -> linear function of the numbers of a state: the parts of the angular momentum that are constant.
 
-
-def _part_of_momentum(W: Any, axis: int) -> Any:
-    found = sphere_states.angular_momentum(W)[..., axis]
-    return float(found) if found.ndim == 0 else found
+        These are all three, or in a rotating frame that along z; `integrate` follows them by
+        ``observe=system.integrals``.
+        """
+        S, kept = generators(self.algebra.N), (2,) if self.rotation else (0, 1, 2)
+        slopes = {f"angular momentum {'xyz'[a]}": -self.to_vector(S[a]) / self.scale**2 for a in kept}
+        return {name: Quadratic(0.0, linear=slope) for name, slope in slopes.items()}
 
 
 @ready_made

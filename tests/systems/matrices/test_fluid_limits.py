@@ -8,7 +8,7 @@ import coadjoint as co
 from long import long_beyond
 
 T = 0.5
-METHOD = co.IsospectralGauss(2)
+METHOD = co.IsospectralGauss(3)  # its error is a power of the step times the stream, which grows with N
 
 
 def check_powers(errors, sizes):
@@ -17,7 +17,7 @@ def check_powers(errors, sizes):
     assert np.all(rates < -1.7) and abs(rates[-1] + 2) < 0.2, (errors, rates)
 
 
-@pytest.mark.parametrize(("rotation", "sizes"), long_beyond(1, [(0.8, (8, 12, 18)), (0.0, (8, 16, 32, 48))]))
+@pytest.mark.parametrize(("rotation", "sizes"), long_beyond(1, [(0.8, (8, 12, 18)), (0.0, (8, 16, 32))]))
 def test_the_sphere(rotation, sizes):
     errors, wanted = [], None
     for N in sizes:
@@ -32,15 +32,15 @@ def test_the_sphere(rotation, sizes):
     check_powers(errors, sizes)
 
 
-@pytest.mark.parametrize("sizes", long_beyond(1, [(21, 31, 45), (31, 61, 121)]))
+@pytest.mark.parametrize("sizes", long_beyond(1, [[13, 19, 27], [17, 33, 65]]))
 def test_the_torus(sizes):
     errors = []
     for N in sizes:
         s = co.systems.torus_euler(N=N)
-        W = s.random(2, degrees=(1, 2))
+        W = s.from_modes({(1, 0): 0.6, (0, 1): -0.5j, (1, 1): 0.4 + 0.3j, (1, -1): 0.2})
         field = s.to_grid(W, (32, 32))
-        wanted = spectral_euler.torus(field, T, 25)
+        wanted = spectral_euler.torus(field, 1.0, 25)
         assert np.abs(wanted - field).max() > 0.3
-        found = s.to_grid(co.integrate(s, W, (0, T), 1 / 32, METHOD, save_every=10**6).x[-1], (32, 32))
-        errors.append(np.abs(np.fft.fft2(found - wanted)[:4, :4]).max() / 32**2)
+        found = s.to_grid(co.integrate(s, W, (0, 1), 1 / 32, METHOD, save_every=10**6).x[-1], (32, 32))
+        errors.append(np.abs(np.fft.fft2(found - wanted)[:3, :3]).max() / 32**2)
     check_powers(errors, sizes)

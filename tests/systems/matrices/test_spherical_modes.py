@@ -169,3 +169,15 @@ def test_tables_are_kept_within_bounds(monkeypatch):
     monkeypatch.setattr("coadjoint.memory.available", lambda: 1000)
     with pytest.raises(ValueError, match="the matrix harmonics of order 0 for N = 4000 needs about"):
         shelf.get(4000, 0)
+
+
+def test_large_sizes_neither_overflow_nor_lose_digits():
+    """From the pole to the equator the harmonics of high degrees grow by a factor beyond float64."""
+    N = 1400
+    V = spherical_modes._upper_half(N, 0)
+    rows = [0, 1, 2, 3, 700, 701, 1398, 1399]
+    products = 2 * V[rows] @ V[rows].T  # of the upper half; rows of both parities are orthogonal by their signs
+    same = (np.array(rows)[:, None] - rows) % 2 == 0
+    assert np.abs(np.where(same, products, 0.0) - np.eye(8)).max() < rounded(N)
+    assert V[1, 0] == pytest.approx((N - 1) / 2 / (scale(N) * np.sqrt(4 * np.pi / 3)), rel=rounded(N))
+    assert np.isfinite(V).all() and np.all(V[0] > 0)

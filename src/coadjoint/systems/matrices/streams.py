@@ -189,6 +189,7 @@ class Inverse:
         return self.of.inverse(W)
 
     def inverse(self, P: Matrix) -> Matrix:
+        """Return P of W."""
         return self.of(P)
 
 
