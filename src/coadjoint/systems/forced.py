@@ -63,6 +63,9 @@ class ForcedSystem:
         drawn = [(force.seed, force.stream) for force in forces if force.random]  # type: ignore[attr-defined]
         if len(set(drawn)) < len(drawn):
             raise ValueError("two forces draw the same noise; give each a seed of its own")
+        if not getattr(system, "linear_stream", True):
+            # the kernels find the energy of matrices by their stream
+            raise ValueError(f"the energy of {system.name} is a function; forces need one that its stream gives")
         self.system, self.forces = system, forces
 
     def with_forces(self, *forces: Force) -> ForcedSystem:

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.files.record_reading import system_of
+from coadjoint.files.records import record_of
 from coadjoint.methods.forced import Forced
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.matrices.streams import Weights
@@ -322,3 +324,21 @@ def test_a_noise_does_not_run_backward():
         s.power(random_state(s.system))
     with pytest.raises(TypeError, match="balance"):
         co.integrate(s, random_state(s.system), (0, 1), 0.125, GAUSS).drift()
+
+
+def test_records_and_datasets():
+    """A record makes the run again to the same bits; a dataset has no balance where no account is kept."""
+    s = SPHERES[0]
+    W = 0.3 * random_state(s)
+    driven = s.with_forces(
+        co.forces.Viscosity(0.02, power=2), co.forces.Torque(0.1 * W), co.forces.RandomForcing(0.1, (2, 3), seed=1)
+    )
+    sol = co.integrate(driven, W, (0, 1), 0.125, GAUSS)
+    again = system_of(record_of(driven))
+    assert np.array_equal(co.integrate(again, W, (0, 1), 0.125, GAUSS).x, sol.x)
+    found = sol.to_xarray()
+    assert list(found.account.values)[:2] == ["Viscosity: energy", "Viscosity: tr W^2"]
+    known = [str(name) for name in found.invariant.values if np.isfinite(found.balance.sel(invariant=name)).all()]
+    assert known == ["energy", "tr W^2"]
+    with pytest.raises(TypeError, match="member 0"):
+        co.batch([driven, driven])

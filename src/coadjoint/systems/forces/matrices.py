@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,8 @@ def read_state(given: Any, what: str, number: bool = False) -> Any:
     >>> read_state([[0, 1j], [1j, 0]], "torque")
     ((0j, 1j), (1j, 0j))
     """
+    if isinstance(given, Mapping) and given.keys() == {"real", "imaginary"}:  # as records have it
+        given = read_finite(given["real"], what) + 1j * read_finite(given["imaginary"], what)
     if np.ndim(given) not in (2, 3):
         return read_matrix(given, what, (0, 1) if number else (1,))
     matrix = array_given(given, what, "iufc")

@@ -180,15 +180,7 @@ class MatrixSystem:
         return tuple(name for name in ("tr W^2", "Re tr W^2") if name in self.casimirs)
 
     def with_forces(self, *forces: Force) -> ForcedSystem:
-        """Return the system with forces; see `LiePoissonSystem.with_forces`.
-
-        Raises
-        ------
-        ValueError
-            The energy is a function, of which the kernels can keep no account.
-        """
-        if not self.linear_stream:
-            raise ValueError(f"the energy of {self.name} is a function; forces need one that is given by the stream")
+        """Return the system with forces; see `LiePoissonSystem.with_forces`."""
         return ForcedSystem(self, forces)
 
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
