@@ -143,17 +143,14 @@ class LineSplitting(SteppedMethod):
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step of a matrix (N, N) or of its numbers (dim,), read in NumPy."""
         torus = torus_of(system)
-        flat = np.ndim(x) == 1
-        W = torus.from_vector(x) if flat else np.asarray(x)
-        found = self._moved(torus, modes_of(W), h, None)[0]
-        return np.asarray(torus.to_vector(matrix_of(found)) if flat else matrix_of(found))
+        found = self._moved(torus, modes_of(torus.matrices(x)), h, None)[0]
+        return np.asarray(torus.to_vector(matrix_of(found)) if torus.is_in_numbers(x) else matrix_of(found))
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its exact derivative by the numbers of the state."""
+        """Return one step and its exact derivative by the numbers of the state, of its projection on the algebra."""
         torus = torus_of(system)
-        moved, changes = self._moved(
-            torus, modes_of(torus.from_vector(x)), h, modes_of(torus.from_vector(np.eye(torus.dim)))
-        )
+        units = torus.algebra.projected(torus.from_vector(np.eye(torus.dim)))
+        moved, changes = self._moved(torus, modes_of(torus.matrices(x)), h, modes_of(units))
         return torus.to_vector(matrix_of(moved)), torus.to_vector(matrix_of(changes)).T
 
     def _moved(
@@ -252,7 +249,7 @@ def torus_of(system: Any) -> MatrixSystem:
     """
     name = getattr(system, "name", short(system))
     served = isinstance(system, MatrixSystem) and isinstance(system.stream, Circulants)
-    if not served or system.algebra.kind not in ("u", "su") or len(system.shape) != 2:
+    if not served or system.algebra.kind not in ("u", "su") or len(system.shape) == 3:
         raise ValueError(
             f"LineSplitting moves fluids on the torus, but {name} is none: its stream is no factor for each mode of "
             "su(N); take IsospectralGauss for matrices, Splitting for vectors"
