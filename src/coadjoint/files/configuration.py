@@ -15,6 +15,7 @@ from coadjoint.extras import need
 from coadjoint.files.configuration_parts import ConfigurationError, method_of_file, section, system_of_file
 from coadjoint.files.initial_states import initial_state
 from coadjoint.files.polynomials import read_polynomial
+from coadjoint.files.states_by_name import check_named, state_by_name
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import Method
 from coadjoint.methods.forced import check_serves, serving
@@ -51,7 +52,7 @@ class Configuration:
         The file, for messages.
     system, x0, t_span, step, method, save_every, attitude, watch, observe, threads
         As for `coadjoint.integrate`.
-    output, figure : str or None
+    output, figure, movie : str or None
         Where the file wants the results; relative to the current directory.
     text : str
         The file itself, kept with the results.
@@ -85,6 +86,7 @@ class Configuration:
     threads: int | None = None
     output: str | None = None
     figure: str | None = None
+    movie: str | None = None
     text: str = field(default="", repr=False)
 
     def integrate(self, progress: bool = False) -> Solution:
@@ -255,14 +257,16 @@ def _method(name: str, file: File, system: Any) -> Method:
 
 
 def _configuration(name: str, text: str, file: File) -> Configuration:
+    check_named(name, file)
     system: Any = system_of_file(name, file)
     method = _method(name, file, system)
     with section(name, "method"):
         check_serves(system, method)
     with section(name, "run"):
         times_of(file.run.t_span, file.run.step, file.run.save_every)
+    x0 = state_by_name(name, file.initial, system)
     with section(name, "initial.x"):
-        x0 = initial_state(system, file.initial.x, Path(name).parent)
+        x0 = initial_state(system, file.initial.x, Path(name).parent) if x0 is None else x0
         start_of(system, serving(system, method), x0, False)
     with section(name, "initial.attitude"):
         start_of(system, serving(system, method), x0, file.initial.attitude)
@@ -286,5 +290,6 @@ def _configuration(name: str, text: str, file: File) -> Configuration:
         threads=file.run.threads,
         output=file.output.file,
         figure=file.output.figure,
+        movie=file.output.movie,
         text=text,
     )

@@ -7,7 +7,7 @@ import typing
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from coadjoint.algebra.exact import fits
 from coadjoint.errors import in_one_line, nearest
@@ -58,9 +58,11 @@ def _attitude(value: Any) -> Any:
 
 
 def _states(value: Any) -> Any:
-    if not (isinstance(value, str) or _depth(value) in (1, 2, 3, 4)):
+    named = isinstance(value, str) and value.endswith(".npy")
+    if not (named or _depth(value) in (1, 2, 3, 4)):
         raise ValueError(
-            f"must be {SHAPES[1]} or {SHAPES[2]}, matrices of such lists, or a file .npy, not {short(value, SHOWN)}"
+            f"must be {SHAPES[1]} or {SHAPES[2]}, not {short(value, SHOWN)}; matrices may be lists of these, or in a "
+            "file .npy"
         )
     return value
 
@@ -129,10 +131,28 @@ class HamiltonianTable(Table):
 
 
 class InitialTable(Table):
-    """The initial state, or states."""
+    """The initial state, or states; or the kind of one, whose parameters are the further keys."""
 
-    x: States
+    x: States | None = None
+    kind: str | None = None
+    parameters: dict[str, Any] = {}
     attitude: Annotated[Any, AfterValidator(_attitude)] = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _further_keys(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or "kind" not in given:
+            return given
+        own = {key: given[key] for key in ("kind", "attitude") if key in given}
+        return {**own, "parameters": {key: value for key, value in given.items() if key not in own}}
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> InitialTable:
+        if self.kind is None and self.x is None:
+            raise ValueError("x is missing; give it, or the kind of an initial state")
+        if self.kind is None and self.parameters:
+            raise ValueError("parameters belong to a kind of initial state; give kind, and them beside it")
+        return self
 
 
 class RunTable(Table):
@@ -150,6 +170,7 @@ class OutputTable(Table):
 
     file: str | None = None
     figure: str | None = None
+    movie: str | None = None
 
 
 class File(Table):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import FrozenInstanceError, dataclass
 from functools import cached_property, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -444,6 +445,51 @@ class Solution:
         from coadjoint.pictures.solution import draw_solution
 
         return draw_solution(self, panels, components, axes)
+
+    def movie(
+        self,
+        path: str | Path,
+        picture: Any = None,
+        frames: int = 240,
+        fps: float = 24.0,
+        size: tuple[int, int] = (960, 540),
+    ) -> Path:
+        """Write the run as a movie: a picture of one time, such as the vorticity of a fluid, at the saved times.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``.mp4``, which needs the program ffmpeg, or ``.gif``.
+        picture : str or Picture, optional
+            Another picture than the first of one time that the system declares, such as ``Picture("vorticity",
+            part="large")``; `coadjoint.pictures.movie.write_movie` says more.
+        frames : int
+            How many at most, from 2 to 5000: of the saved times, evenly spread.
+        fps : float
+            Frames a second.
+        size : (int, int)
+            Width and height in pixels, even numbers.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        TypeError, ValueError
+            The system has nothing that a movie shows, ffmpeg is missing, or a value is wrong.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> sol = co.integrate(co.systems.rigid_body((1, 2, 3)), (1, 0.2, 0.1), (0, 1), 0.1)
+        >>> sol.movie("body.gif")
+        Traceback (most recent call last):
+        coadjoint.pictures.register.CannotShow: rigid_body declares no picture that a movie can show; give one: ...
+        """
+        from coadjoint.pictures.movie import write_movie
+
+        return write_movie(self, path, picture, frames, fps, size)
 
 
 def check_solution(solution: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from math import pi
 from typing import Any
@@ -23,6 +24,7 @@ from coadjoint.systems.matrices.spherical_modes import (
 )
 from coadjoint.systems.matrices.streams import DiagonalSolve
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 LARGEST = 4096
 Floats = npt.NDArray[np.float64]
@@ -61,6 +63,8 @@ class SphereEuler(FluidSystem):
             name="sphere_euler",
             parameters={"N": N, "rotation": rotation},
         )
+
+    states_by_name = (*FluidSystem.states_by_name, "rossby_haurwitz", "zonal_jet")
 
     rossby_haurwitz = sphere_states.rossby_haurwitz
     zonal_jet = sphere_states.zonal_jet
@@ -248,7 +252,7 @@ class SphereEuler(FluidSystem):
         return sphere_states.angular_momentum(self.matrices(W))
 
     @property
-    def integrals(self) -> dict[str, Any]:  # type: ignore[override]
+    def integrals(self) -> Mapping[str, Any]:  # type: ignore[override]
         """Name -> function of states (..., N, N): the parts of the angular momentum that are constant.
 
         These are all three, or in a rotating frame that along z; `integrate` follows them by
@@ -258,7 +262,30 @@ class SphereEuler(FluidSystem):
         return {f"angular momentum {axis}": sphere_states.MomentumAlong(axis) for axis in kept}
 
 
-@ready_made
+def _unstable_jet() -> Matrix:
+    return sphere_euler(48).zonal_jet(band=(0.2, 1.2), perturbation=0.1)
+
+
+@ready_made(
+    telling=Telling(
+        x0=_unstable_jet,
+        t_span=(0.0, 10.0),
+        step=0.00625,
+        says="An eastward jet is unstable: a small bump grows to waves, which roll up and break into vortices of both "
+        "signs. In the middle the vorticity at the start and at the end. Energy goes to both sides in scale, and the "
+        "spectrum of the matrix stays.",
+        pictures=(
+            Picture("vorticity", at=0.0),
+            Picture("vorticity", at=1.0),
+            Picture("field spectra"),
+            Picture("eigenvalues"),
+        ),
+        components=Picture("energy by scale"),
+        parameters={"N": 48},
+        save_every=20,
+        quantity="vorticity",
+    )
+)
 def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
     """Return the Euler equations of an ideal fluid on the sphere, quantized: ``W' = [P, W]``, ``L P = -W``.
 

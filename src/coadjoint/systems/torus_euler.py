@@ -17,6 +17,7 @@ from coadjoint.systems.matrices.sphere_grid import read_shape, read_values
 from coadjoint.systems.matrices.streams import Circulants
 from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix, read_modes, representatives
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 LARGEST = 1001
 Floats = npt.NDArray[np.float64]
@@ -30,6 +31,8 @@ class TorusEuler(FluidSystem):
     is the Euler equation ``d omega/dt + u . grad omega = 0`` with x to the right, y up, vorticity counterclockwise, and
     time in its own units as N grows. W is ``-i N/(4 pi) sum of w_n T_n``.
     """
+
+    states_by_name = (*FluidSystem.states_by_name, "zonal_jet")
 
     zonal_jet = torus_states.zonal_jet
 
@@ -183,7 +186,29 @@ def round_off(value: complex, size: float) -> complex:
     return complex(round(real / size, 15) * size, round(imaginary / size, 15) * size)
 
 
-@ready_made
+def _two_jets() -> Matrix:
+    return torus_euler(49).zonal_jet(width=0.5, perturbation=0.1)
+
+
+@ready_made(
+    telling=Telling(
+        x0=_two_jets,
+        t_span=(0.0, 10.0),
+        step=0.00625,
+        says="Two jets, one against the other, meander and roll up into rows of vortices. In the middle the vorticity "
+        "at the start and at the end. The spectrum of the matrix stays.",
+        pictures=(
+            Picture("vorticity", at=0.0),
+            Picture("vorticity", at=1.0),
+            Picture("field spectra"),
+            Picture("eigenvalues"),
+        ),
+        components=Picture("energy by scale"),
+        parameters={"N": 49},
+        save_every=20,
+        quantity="vorticity",
+    )
+)
 def torus_euler(N: int = 33) -> TorusEuler:
     """Return the Euler equations of an ideal fluid on the torus with the sine bracket: ``W' = [P, W]``, ``L P = -W``.
 

@@ -27,6 +27,9 @@ class FluidSystem(MatrixSystem):
     they return ``absolute(W)``.
     """
 
+    states_by_name: tuple[str, ...] = ("random", "blobs", "patches", "from_file")
+    """Methods that make a state; configuration files name them."""
+
     random = initial_states.random
     blobs = initial_states.blobs
     patches = initial_states.patches
