@@ -49,6 +49,7 @@ _HOME = {
     "MatrixSystem": "coadjoint.systems.matrices.matrix_system",
     "SphericalMidpoint": "coadjoint.methods.spherical_midpoint",
     "Splitting": "coadjoint.methods.splitting",
+    "TwoLayerSystem": "coadjoint.systems.matrices.two_layer_system",
     "Taylor": "coadjoint.methods.taylor",
     "PreparedRun": "coadjoint.runs.prepared_run",
     "Solution": "coadjoint.runs.solution",
@@ -137,6 +138,7 @@ if TYPE_CHECKING:
     from coadjoint.systems.hamiltonian import Hamiltonian as Hamiltonian
     from coadjoint.systems.lie_poisson import LiePoissonSystem as LiePoissonSystem
     from coadjoint.systems.matrices.matrix_system import MatrixSystem as MatrixSystem
+    from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem as TwoLayerSystem
     from coadjoint.systems.poisson import PoissonSystem as PoissonSystem
     from coadjoint.systems.quadratic import Quadratic as Quadratic
     from coadjoint.systems.separable import Separable as Separable

@@ -57,7 +57,7 @@ class _Shelf:
         with self._lock:
             found = self._made.get(m) if self._N == N else None
         if found is None:
-            found = _upper_half(N, m)
+            found = harmonics(N, m)
             with self._lock:
                 if self._N != N:
                     self._N, self._bytes, self._made = N, 0, {}
@@ -70,7 +70,7 @@ class _Shelf:
 _SHELF = _Shelf()
 
 
-def _upper_half(N: int, m: int) -> Floats:
+def harmonics(N: int, m: int) -> Floats:
     """Return the entries (i, i + m) of T_lm as [l - m, i], for i up to the middle: it is even or odd with l - m.
 
     The place times T_lm is a sum of its neighbours in l, with positive factors that rise and fall with l. Such a
