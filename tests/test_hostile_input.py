@@ -15,6 +15,7 @@ import coadjoint as co
 from coadjoint.analysis import order, phase, poisson_defect, rotations, round_off
 from coadjoint.methods import registry
 from coadjoint.pictures.level_surface import level_surface
+from coadjoint.systems.matrices.streams import Weights
 from coadjoint.systems.ready_made import ready_made_systems
 from hostile_values import HOSTILE
 from long import long_where
@@ -48,6 +49,12 @@ def euler(x, h):
     return x + h * BODY.vector_field(x)
 
 
+def doubled(W):
+    return 2.0 * W
+
+
+SO3_MATRICES = co.MatrixAlgebra("so", 3)
+TURNING = co.MatrixSystem(SO3_MATRICES, doubled)
 H = co.Hamiltonian(square, twice)
 KEPT = co.modified_hamiltonian(BODY, co.Splitting())
 WITH_SYMBOLS = co.modified_hamiltonian(BODY, co.Splitting(parts="coordinates"), symbols=True)
@@ -130,6 +137,24 @@ CALLS = {
                          "integrals": None}),
     "PoissonSystem": (co.PoissonSystem, {"structure_matrix": J, "hamiltonian": co.Quadratic(1.0), "sign": 1, "dim": 3,
                       "derivative": None, "casimirs": None, "name": None}),
+    "MatrixAlgebra": (co.MatrixAlgebra, {"kind": "so", "N": 4, "q": 0, "blocks": ()}),
+    "MatrixAlgebra.sum": (lambda algebras: co.MatrixAlgebra.sum(SO3_MATRICES, algebras), {"algebras": SO3_MATRICES}),
+    "projected": (SO3_MATRICES.read, {"given": np.zeros((3, 3)), "what": "x0"}),
+    "MatrixSystem": (co.MatrixSystem, {"algebra": SO3_MATRICES, "stream": doubled, "linear": None, "energy": None,
+                     "energy_sign": 1, "name": "matrix system", "parameters": None, "exact": None, "powers": 5}),
+    "what a stream returns": (lambda value: co.MatrixSystem(SO3_MATRICES, lambda W: value),
+                              {"value": np.zeros((3, 3))}),
+    "what an energy returns": (lambda value: co.MatrixSystem(SO3_MATRICES, doubled, energy=lambda W: value),
+                               {"value": 0.0}),
+    "Weights": (Weights, {"weights": np.eye(3)}),
+    "matrices": (TURNING.matrices, {"x": np.zeros((3, 3))}),
+    "energy of matrices": (TURNING.energy, {"x": np.zeros((3, 3)), "t": 0.0}),
+    "vector_field of matrices": (TURNING.vector_field, {"x": np.zeros((3, 3)), "t": 0.0}),
+    "stream_of": (TURNING.stream_of, {"W": np.zeros((3, 3)), "t": 0.0}),
+    "spectrum": (TURNING.spectrum, {"x": np.zeros((3, 3))}),
+    "casimirs_at": (TURNING.casimirs_at, {"x": np.zeros((3, 3))}),
+    "a run of matrices": (lambda x0, observe: co.integrate(TURNING, x0, (0, 1), 0.5, observe=observe),
+                          {"x0": np.zeros((3, 3)), "observe": None}),
     "what J returns": (lambda value: co.PoissonSystem(lambda x: value, co.Quadratic(X)), {"value": J(X)}),
     "vector_field": (BODY.vector_field, {"x": X, "t": 0.0}),
     "energy": (BODY.energy, {"x": X, "t": 0.0}),

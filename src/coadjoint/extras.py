@@ -16,6 +16,7 @@ EXTRAS = {
     "tqdm": "cli",
     "mpmath": "precision",
     "sympy": "algebra",
+    "ducc0": "fluids",
 }
 """Package -> the extra that brings it, as pyproject.toml declares it; all others that are imported are requirements."""
 

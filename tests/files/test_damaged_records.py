@@ -12,6 +12,7 @@ import pytest
 import coadjoint as co
 from coadjoint.files.export import dataset_of, rebuild
 from coadjoint.methods import registry
+from served import served
 
 X = (0.3, 0.1, 0.5)
 SEEDS = range(30)
@@ -51,7 +52,7 @@ RUNS = {
 }
 # And every scheme that is not among them.
 RUNS |= {
-    name: (BODY, X, registry.scheme(name).examples()[0], False)
+    name: (*served(method := registry.scheme(name).examples()[0]), method, False)
     for name in sorted(
         set(registry.names()) - {type(method or co.Splitting()).__name__ for _, _, method, _ in RUNS.values()}
     )

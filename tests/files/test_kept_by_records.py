@@ -24,9 +24,11 @@ import coadjoint as co
 from coadjoint.files.export import rebuild
 from coadjoint.files.records import record_of, system_of
 from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.suggested import suggested_scheme
 from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made_systems
+from served import state_of
 
 HAMILTONIANS = {"Quadratic": Quadratic, "Polynomial": co.Polynomial, "SplitHamiltonian": co.SplitHamiltonian}
 
@@ -180,6 +182,8 @@ OTHERS = {
     ("kirchhoff_body", "coupling"): ({}, [[[0.2, 0.5, -0.1], [0.0, -0.3, 0.4], [0.3, 0.1, 0.25]]]),
     ("satellite", "inertia"): ({}, [(2.0, 1.5, 1.0)]),
     ("separable_cosh", "algebra"): ({}, ["sl(2)"]),
+    ("sphere_euler", "N"): ({}, [5]),
+    ("torus_euler", "N"): ({}, [5]),
     ("spin_lattice", "dm"): ({}, [(0.1, 0.2, 0.3)]),
     ("spin_lattice", "field"): ({}, [(0.1, 0.2, 0.3)]),
     ("spin_lattice", "lattice"): ({"shape": 3}, ["ring"]),
@@ -215,9 +219,12 @@ def test_parameters_of_ready_made_systems(name, parameter):
         method = GaussLegendre(2) if system.algebra is None else co.Splitting(order=2)
         if name == "double_spherical_pendulum":  # has no exact flows of parts
             method, attitude = GaussLegendre(2), "coadjoint"
+        x0 = np.cos(np.arange(system.dim))
+        if isinstance(system, co.MatrixSystem):
+            method, attitude, x0 = suggested_scheme(system), False, state_of(system)
         functions = any(term.called for term in system.hamiltonian.terms())
         if parameter == parameters(make)[0] or not functions:  # compiled once
-            assert_same_motion(system, attitude=attitude, method=method, x0=np.cos(np.arange(system.dim)))
+            assert_same_motion(system, attitude=attitude, method=method, x0=x0)
 
 
 def looks_of(system):

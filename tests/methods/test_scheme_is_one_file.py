@@ -8,6 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.methods import registry
+from served import served
 
 SOURCE = Path(co.__file__).parent
 # What choices, references and the experiments of the paper are made with.
@@ -53,4 +54,4 @@ def test_a_scheme_says_what_a_new_one_must(name):
     for method in registry.scheme(name).examples():
         assert type(method).__name__ == name and isinstance(method.order, int) and method.order >= 1
         assert registry.from_description(registry.description_of(method)) == method
-        assert method.work(co.systems.rigid_body((1, 2, 3))).cost(1.0, 1.0) > 0
+        assert method.work(served(method)[0]).cost(1.0, 1.0) > 0

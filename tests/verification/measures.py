@@ -21,10 +21,16 @@ def states_around(x0: np.ndarray, members: int = 4) -> np.ndarray:
     return np.array([x0 * (1.0 - 0.08 * k) + 0.05 * k * np.roll(x0, k) for k in range(members)])
 
 
+def crowd_of(case: Case) -> np.ndarray:
+    """Return states near that of a case; of matrices those in their algebra."""
+    crowd = states_around(case.x0)
+    return case.system.read(crowd) if isinstance(case.system, co.MatrixSystem) else crowd
+
+
 def final_states(method: Any, case: Case, steps: int) -> np.ndarray:
     """Return the final states of several motions of a case, shape (members, n)."""
     span = (0.0, case.time)
-    crowd = states_around(case.x0)
+    crowd = crowd_of(case)
     return co.integrate(
         case.system, crowd, span, case.time / steps, method, save_every=steps, watch=False, threads=1
     ).x[-1]
@@ -34,8 +40,9 @@ def final_states(method: Any, case: Case, steps: int) -> np.ndarray:
 def reference_states(name: str) -> np.ndarray:
     """Return the exact final states of a case to about 1e-15, confirmed by an independent code on the vector field."""
     case = all_cases()[name]
-    found = final_states(co.GaussLegendre(8), case, 48)
-    for state, start in zip(found, states_around(case.x0), strict=True):
+    best = co.IsospectralGauss(8) if isinstance(case.system, co.MatrixSystem) else co.GaussLegendre(8)
+    found = final_states(best, case, 48)
+    for state, start in zip(found, crowd_of(case), strict=True):
         other = solve_ivp(
             lambda t, x: case.system.vector_field(x, t),
             (0.0, case.time),

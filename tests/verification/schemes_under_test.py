@@ -6,7 +6,7 @@ import inspect
 
 import coadjoint as co
 
-from .systems_under_test import Case, cases
+from .systems_under_test import Case, all_cases, cases
 
 C1 = 1 / (2 - 2 ** (1 / 3))
 TRIPLE_JUMP = (C1, 1 - 2 * C1, C1)
@@ -67,7 +67,7 @@ def serves(method: co.methods.base.Method, system: object) -> bool:
 def witnesses(method: co.methods.base.Method, *names: str) -> list[Case]:
     """Return those of the named systems that a scheme serves; of a scheme that serves few of them, one that it does."""
     named = [cases()[name] for name in names]
-    others = [case for case in cases().values() if serves(method, case.system)]
+    others = [case for case in all_cases().values() if serves(method, case.system)]
     return [case for case in named if serves(method, case.system)] or others[:1]
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 import coadjoint as co
+from coadjoint.systems.matrices.streams import Weights
 
 AXES = (2, 0, 1)
 
@@ -240,5 +241,23 @@ def three_spins() -> Case:
     return Case(co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 3), co.Quadratic(M, linear=field)), x0)
 
 
+@cache
+def matrices() -> dict[str, Case]:
+    """Return systems of matrices, whose states are taken as rows of their numbers."""
+    g, rng = co.MatrixAlgebra, np.random.default_rng(7)
+
+    def case(system: co.MatrixSystem, time: float = 1.0, size: float = 1.0) -> Case:
+        W = system.algebra.projected(rng.normal(size=system.algebra.shape) + 1j * rng.normal(size=system.algebra.shape))
+        return Case(system.in_numbers, system.to_vector(size * W / np.abs(W).max()), time)
+
+    masses = np.linspace(1.0, 2.0, 5)
+    return {
+        "so(5), body": case(co.MatrixSystem(g("so", 5), Weights(3.0 / np.add.outer(masses, masses)))),
+        "sphere": case(co.systems.sphere_euler(N=3), size=3.0),
+        "torus": case(co.systems.torus_euler(N=3), 2.0),
+        "gl(3), transposed": case(co.MatrixSystem(g("gl", 3), np.transpose, np.diag([0.3, 0.1, -0.2]), energy_sign=-1)),
+    }
+
+
 def all_cases() -> dict[str, Case]:
-    return {**cases(), "skew J, no Jacobi identity": without_jacobi()}
+    return {**cases(), "skew J, no Jacobi identity": without_jacobi(), **matrices()}

@@ -6,15 +6,13 @@ import pytest
 import coadjoint as co
 
 from .measures import U, group_bound, order_of
-from .schemes_under_test import schemes
+from .schemes_under_test import schemes, serves
 from .systems_under_test import AXES, cases, full_matrix
 
-SPLITTINGS = [
-    n
-    for n, m in schemes().items()
-    if m.properties(cases()["so(3), diagonal"].system).attitude == "every representation" and "free body" not in n
-]
-GAUSS = [n for n, m in schemes().items() if m.properties(cases()["so(3), diagonal"].system).attitude == "coadjoint"]
+BODY = cases()["so(3), diagonal"].system
+KEPT = {n: m.properties(BODY).attitude for n, m in schemes().items() if serves(m, BODY)}
+SPLITTINGS = [n for n, kept in KEPT.items() if kept == "every representation" and "free body" not in n]
+GAUSS = [n for n, kept in KEPT.items() if kept == "coadjoint"]
 REPRESENTED = [c for c, case in cases().items() if case.system.representation is not None]
 ORTHOGONAL = ["so(3), diagonal", "so(3), full, axes turned", "so(4), diagonal", "so(4), separable"]
 

@@ -9,7 +9,7 @@ import coadjoint as co
 
 from .measures import poisson_defect
 from .schemes_under_test import large_step, pairs, schemes, witnesses
-from .systems_under_test import all_cases, cases
+from .systems_under_test import all_cases, cases, matrices
 
 STEP = 0.1
 
@@ -18,19 +18,20 @@ def step_on(scheme, case):
     return co.stepper(all_cases()[case].system, schemes()[scheme], STEP)
 
 
-POISSON = [p for p in pairs(cases()) if schemes()[p[0]].properties(cases()[p[1]].system).poisson]
+WHERE = {**cases(), **matrices()}
+POISSON = [p for p in pairs(WHERE) if schemes()[p[0]].properties(WHERE[p[1]].system).poisson]
 NOT_POISSON = [s for s in schemes() if s not in {scheme for scheme, _ in POISSON}]
 
 
 def test_splitting_declares_it_on_every_algebra_and_kind_of_hamiltonian():
-    assert {case for _, case in POISSON} == set(cases())
+    assert {case for _, case in POISSON} == set(WHERE)
     everywhere = [s for s in schemes() if all((s, case) in POISSON for case in cases())]
     assert {type(schemes()[s]).__name__ for s in everywhere} == {"Splitting", "Composition"}
 
 
 @pytest.mark.parametrize(("scheme", "case"), POISSON)
 def test_poisson_where_declared(scheme, case):
-    x0 = cases()[case].x0
+    x0 = WHERE[case].x0
     for x in (x0, -0.7 * x0[::-1]):
         found = poisson_defect(step_on(scheme, case), x)
         assert found.value <= found.bound, found

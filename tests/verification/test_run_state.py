@@ -15,6 +15,7 @@ from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times
 
 from .schemes_under_test import schemes, serves
+from .systems_under_test import matrices
 
 STEPS, EVERY, CUTS = 13, 4, (0, 1, 4, 6, 11)
 TOP = co.LiePoissonSystem(
@@ -23,6 +24,7 @@ TOP = co.LiePoissonSystem(
 BODY = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]))
 # On so(3) where the heavy top, with its linear terms, is refused.
 SYSTEMS = {"top": (TOP, [1.0, -0.5, 1.5, 0.625, 0.25, 0.75]), "body": (BODY, [0.3, -1.0, 0.7])}
+SYSTEMS |= {name: case[:2] for name, case in matrices().items()}
 
 
 def begun(system, method, x0, attitude, workers=1, state=None, steps=STEPS):
@@ -34,7 +36,7 @@ def begun(system, method, x0, attitude, workers=1, state=None, steps=STEPS):
 
 def cases():
     for name, method in schemes().items():
-        system = "top" if serves(method, TOP) else "body"
+        system = next(name for name, (system, _) in SYSTEMS.items() if serves(method, system))
         kept = method.properties(SYSTEMS[system][0]).attitude
         for attitude in (False, "coadjoint") if kept != "none" else (False,):
             for members in (1, 5):

@@ -1,42 +1,52 @@
-"""Lie algebras whose elements are kept as matrices: u(N), su(N) and so(N), without structure constants."""
+"""Lie algebras whose elements are kept as matrices, without structure constants: the classical ones, and their sums."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_choice, read_whole
+from coadjoint.algebra.matrix_kinds import KINDS, WITH_SIGNS, Adjoint, Kind
+from coadjoint.given import SMALL, array_given, no_numbers, read_choice, read_whole
+from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.wording import short
 
-KINDS = ("u", "su", "so")
+SUM = "sum"
 LARGEST = 4096
 ROUNDED = 64 * UNIT_ROUNDOFF
 """Of the largest entry: by so much, times N, a matrix may miss the algebra by rounding."""
+SPARED = 8 * UNIT_ROUNDOFF
 
 Matrix = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
 class MatrixAlgebra:
-    """Skew-Hermitian matrices, complex or real, with the commutator ``[A, B] = A B - B A``.
+    """Matrices with the commutator ``[A, B] = A B - B A``: a classical Lie algebra, or a sum of some, block by block.
 
-    Choose it where structure constants would not fit: u(512) has some 2 N^3 of them. The pairing of matrices is
-    ``<A, B> = tr(A* B)``, by which the algebra is its own dual.
+    Choose it where structure constants would not fit: u(512) has some 2 N^3 of them. An invariant pairing makes the
+    algebra its own dual: ``<A, B> = Re tr(A* B)`` where the algebra is skew, else ``Re tr(A B)``.
 
     Parameters
     ----------
-    kind : {"u", "su", "so"}
-        Complex skew-Hermitian, the same with trace zero, or real and skew.
+    kind : {"u", "su", "so", "gl", "sl", "sp", "gl(C)", "sl(C)", "so(C)", "sp(C)"}
+        Skew-Hermitian, the same with trace zero; real and skew; all real matrices, those of trace zero; Hamiltonian
+        ones, W^T J + J W = 0 with ``J = [[0, 1], [-1, 0]]``; the last four complex.
     N : int
-        Rows and columns, from 2 to 4096.
+        Rows and columns, from 2 to 4096; for "sp" and "sp(C)" an even number.
+    q : int
+        For "u", "su" and "so": how many signs of the form are negative, the last ones: u(p, q) with p = N - q.
+    blocks : tuple of MatrixAlgebra
+        Of a sum, which `sum` makes.
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         Of another kind, or size.
 
     Examples
@@ -44,17 +54,70 @@ class MatrixAlgebra:
     >>> g = MatrixAlgebra("su", 3)
     >>> g.shape, g.complex, g.dim
     ((3, 3), True, 8)
+    >>> print(MatrixAlgebra("so", 4, q=1), MatrixAlgebra.sum(g, MatrixAlgebra("sp", 4)))
+    so(3, 1) su(3) + sp(4, R)
     """
 
     kind: str
     N: int
+    q: int = 0
+    blocks: tuple[MatrixAlgebra, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", read_choice(self.kind, "kind", KINDS))
-        object.__setattr__(self, "N", read_whole(self.N, "N", 2, LARGEST))
+        if isinstance(self.kind, str) and self.kind == SUM:
+            self._check_blocks()
+            return
+        kind, N = read_choice(self.kind, "kind", KINDS), read_whole(self.N, "N", 2, LARGEST)
+        q = read_whole(self.q, "q", 0, N)
+        if N % 2 and KINDS[kind].form == "symplectic":
+            raise ValueError(f"N is {N}; matrices of {kind} have an even number of rows")
+        if q and kind not in WITH_SIGNS:
+            raise ValueError(f"q is {q}; {kind} has no signs, only {', '.join(WITH_SIGNS)} have")
+        if not isinstance(self.blocks, tuple) or self.blocks:
+            raise ValueError(f"blocks is {short(self.blocks)}; a sum of algebras is made by MatrixAlgebra.sum")
+        for name, value in (("kind", kind), ("N", N), ("q", q)):
+            object.__setattr__(self, name, value)
+
+    def _check_blocks(self) -> None:
+        blocks = self.blocks
+        if not isinstance(blocks, tuple) or len(blocks) < 2 or not all(isinstance(b, MatrixAlgebra) for b in blocks):
+            raise TypeError(f"blocks is {short(blocks)}; a sum has two MatrixAlgebras or more")
+        size = sum(block.N for block in blocks)
+        if size > LARGEST or self.N != size or self.q != 0:
+            raise ValueError(
+                f"blocks have {size} rows together; they must have N of them, {LARGEST} at most, and q = 0"
+            )
+
+    @classmethod
+    def sum(cls, *algebras: MatrixAlgebra) -> MatrixAlgebra:
+        """Return the algebra of block-diagonal matrices with blocks of some algebras.
+
+        Parameters
+        ----------
+        *algebras : MatrixAlgebra
+            Two or more; those of sums are taken one by one.
+
+        Returns
+        -------
+        MatrixAlgebra
+
+        Examples
+        --------
+        >>> g = MatrixAlgebra.sum(MatrixAlgebra("so", 3), MatrixAlgebra("so", 3), MatrixAlgebra("gl", 2))
+        >>> g.N, g.dim, g.skew
+        (8, 10, False)
+        """
+        if not all(isinstance(algebra, MatrixAlgebra) for algebra in algebras):
+            raise TypeError(f"algebras are {short(algebras)}; give MatrixAlgebras")
+        blocks = tuple(block for algebra in algebras for block in algebra.blocks or (algebra,))
+        return cls(SUM, sum(block.N for block in blocks), 0, blocks)
 
     def __str__(self) -> str:
-        return f"{self.kind}({self.N})"
+        if self.kind == SUM:
+            return " + ".join(map(str, self.blocks))
+        name, _, field = self.kind.partition("(")
+        size = f"{self.N - self.q}, {self.q}" if self.q else str(self.N)
+        return f"{name}({size}{', C' if field else '' if name in WITH_SIGNS else ', R'})"
 
     @property
     def name(self) -> str:
@@ -67,19 +130,36 @@ class MatrixAlgebra:
         return self.N, self.N
 
     @property
-    def skew(self) -> bool:
-        """Whether every element is skew-Hermitian."""
-        return True
+    def parts(self) -> Iterator[tuple[slice, MatrixAlgebra, Kind]]:
+        """The blocks with their places and kinds; of what is no sum the one that it is."""
+        first = 0
+        for block in self.blocks or (self,):
+            yield slice(first, first + block.N), block, KINDS[block.kind]
+            first += block.N
 
-    @property
+    @cached_property
     def complex(self) -> bool:
         """Whether entries are complex."""
-        return self.kind != "so"
+        return any(kind.complex for _, _, kind in self.parts)
 
-    @property
+    @cached_property
+    def skew(self) -> bool:
+        """Whether all matrices are skew-Hermitian: u(N), su(N), so(N), and sums of these."""
+        return all(block.kind in WITH_SIGNS and not block.q for _, block, _ in self.parts)
+
+    @cached_property
     def dim(self) -> int:
         """The dimension, real: how many numbers tell an element."""
-        return {"u": self.N**2, "su": self.N**2 - 1, "so": self.N * (self.N - 1) // 2}[self.kind]
+        return sum(kind.dim(block.N) for _, block, kind in self.parts)
+
+    @cached_property
+    def rank(self) -> int:
+        """How many independent Casimirs there are."""
+        return sum(kind.rank(block.N) for _, block, kind in self.parts)
+
+    def generic_rank(self) -> int:
+        """Return the dimension of a generic orbit."""
+        return self.dim - self.rank
 
     @property
     def basis(self) -> tuple[str, ...]:
@@ -93,26 +173,67 @@ class MatrixAlgebra:
         Examples
         --------
         >>> E = np.array([[0.0, 1.0], [-1.0, 0.0]])
-        >>> MatrixAlgebra("so", 2).bracket(E, 2 * E)
-        array([[0., 0.],
-               [0., 0.]])
+        >>> bool((MatrixAlgebra("so", 2).bracket(E, 2 * E) == 0.0).all())
+        True
         """
         return A @ B - B @ A
 
-    def projected(self, A: Matrix) -> Matrix:
+    def pairing(self, A: Matrix, B: Matrix) -> Any:
+        """Return <A, B> of matrices (..., N, N), invariant: <[A, B], C> = <A, [B, C]>.
+
+        Examples
+        --------
+        >>> E = np.array([[0.0, 1.0], [-1.0, 0.0]])
+        >>> float(MatrixAlgebra("so", 2).pairing(E, E)), float(MatrixAlgebra("gl", 2).pairing(E, E))
+        (2.0, -2.0)
+        """
+        products = np.real(np.conj(self.dual(A)) * B) if self.complex else self.dual(A) * B
+        return products.reshape(*products.shape[:-2], self.N**2).sum(axis=-1)
+
+    def dual(self, A: Matrix) -> Matrix:
+        """Return the matrix whose numbers, by those of any B of the algebra, make <A, B>."""
+        return A if self.skew else np.conj(np.swapaxes(A, -1, -2))
+
+    def projected(self, A: Matrix, spared: float = 0.0) -> Matrix:
         """Return the nearest element of the algebra.
+
+        Parameters
+        ----------
+        A : ndarray, shape (..., N, N)
+            Matrices.
+        spared : float
+            Of the largest entry: where the trace must vanish, a mean of the diagonal up to so much is left. To take
+            rounding off again and again would change the last bits of a state that is already there.
+
+        Returns
+        -------
+        ndarray
+            Complex128 or float64.
 
         Examples
         --------
         >>> MatrixAlgebra("su", 2).projected(np.array([[1j, 2.0], [0.0, 3j]]))
-        array([[0.-1.j, 1.+0.j],
-               [-1.+0.j, 0.+1.j]])
+        array([[ 0.-1.j,  1.+0.j],
+               [-1.+0.j,  0.+1.j]])
+        >>> MatrixAlgebra("sp", 2).projected(np.array([[1.0, 2.0], [3.0, 4.0]]))
+        array([[-1.5,  2. ],
+               [ 3. ,  1.5]])
         """
-        skew = (A - np.conj(np.swapaxes(A, -1, -2))) / 2
-        if self.kind == "su":
-            mean = np.trace(skew, axis1=-2, axis2=-1) / self.N
-            skew = skew - mean[..., None, None] * np.eye(self.N)
-        return skew
+        A = np.asarray(A, dtype=np.complex128 if self.complex else None)
+        if not self.complex and np.iscomplexobj(A):
+            A = np.ascontiguousarray(A.real)
+        found = np.zeros(A.shape, dtype=np.complex128 if self.complex else np.float64)
+        for place, block, kind in self.parts:
+            part = A[..., place, place]
+            part = part if kind.complex else part.real
+            if kind.form:
+                part = (part - Adjoint(kind, block.N, block.q)(part)) / 2
+            if kind.traceless:
+                mean = np.trace(part, axis1=-2, axis2=-1) / block.N
+                mean = np.where(np.abs(mean) > spared * np.abs(part).max(axis=(-2, -1), initial=0.0), mean, 0.0)
+                part = part - mean[..., None, None] * np.eye(block.N)
+            found[..., place, place] = part
+        return found
 
     def read(self, given: Any, what: str = "x0") -> Matrix:
         """Return matrices of the algebra, to the last bit; refuse others.
@@ -134,24 +255,34 @@ class MatrixAlgebra:
         TypeError, ValueError
             No finite matrix of this size, or of another algebra.
         """
-        try:
-            A = np.array(given, dtype=np.complex128)
-        except (TypeError, ValueError):
-            raise TypeError(f"{what} is {short(given)}; give a matrix of {self}") from None
-        if A.shape[-2:] != self.shape or A.ndim > 3:
+        array = array_given(given, what, "iufc")
+        if array.shape[-2:] != self.shape or array.ndim > 3:
             raise ValueError(
-                f"{what} has the shape {A.shape}; it must be {self.shape} or (members, {self.N}, {self.N})"
+                f"{what} has the shape {array.shape}; it must be {self.shape} or (members, {self.N}, {self.N})"
             )
+        if array.size > SMALL:
+            check_room(48 * array.size, f"a copy of {what}, of shape {array.shape},")
+        try:
+            A = array.astype(np.complex128)
+        except OverflowError:
+            raise ValueError(f"{what} holds a number that is too large for float64") from None
+        except (TypeError, ValueError):
+            raise no_numbers(given, what) from None
         if not np.isfinite(A).all():
             raise ValueError(f"{what} contains NaN or infinity; every entry must be finite")
-        near = self.projected(A)
-        if not self.complex:
-            near = np.ascontiguousarray(near.real)
+        near = self.projected(A, spared=SPARED)
         away, size = np.abs(A - near).max(initial=0.0), np.abs(A).max(initial=0.0)
         if away > ROUNDED * self.N * size:
-            what_is = {"u": "skew-Hermitian", "su": "skew-Hermitian, of trace zero", "so": "real and skew"}[self.kind]
             raise ValueError(
-                f"{what} is no matrix of {self}: it must be {what_is}, and misses that by {away:.2g} where its largest "
-                f"entry is {size:.2g}"
+                f"{what} is no matrix of {self}: it must be {self.says}, and misses that by {away:.2g} where its "
+                f"largest entry is {size:.2g}"
             )
         return near
+
+    @property
+    def says(self) -> str:
+        """What its matrices are, for messages."""
+        if self.blocks:
+            return "block by block " + ", ".join(f"of {block}" for block in self.blocks) + ", and zero beside"
+        signs = f", times the signs of {self.N - self.q} and {self.q}" if self.q else ""
+        return KINDS[self.kind].says + signs

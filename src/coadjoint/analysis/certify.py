@@ -22,7 +22,7 @@ from coadjoint.methods.base import Method
 from coadjoint.methods.properties import Properties
 from coadjoint.methods.registry import description_of
 from coadjoint.runs.start import momenta_of
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_one_system, in_coordinates
 
 STEPS = 2000
 MOST_STEPS = 10**7
@@ -104,6 +104,7 @@ def certify(
     count = read_whole(steps, "steps", 1, MOST_STEPS, floats=True)
     scheme, claims = scheme_and_claims(system, method, order, properties, symmetric)
     states, _ = momenta_of(system, x0)
+    system = in_coordinates(system)
     size = float(np.max(np.abs(states), initial=0.0))
     if size != 0.0 and not SIZES[0] <= size <= SIZES[1]:
         raise ValueError(

@@ -18,7 +18,8 @@ from coadjoint.runs.start import start_of
 from coadjoint.runs.stretching import make_orthonormal, stretching
 from coadjoint.runs.times import Times, times_between, times_of
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.kinds import System, check_system
+from coadjoint.systems.kinds import System, check_system, check_vectors
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.wording import short
 
 POINTS = 200  # saved times, where no number is given
@@ -180,6 +181,8 @@ def lyapunov(
     if not isinstance(scheme, Method):
         raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
     check_system(system)
+    if isinstance(system, MatrixSystem):
+        check_vectors(system, "Lyapunov exponents are found for vectors: directions beside the algebra do not move")
     count = system.dim if exponents is None else read_whole(exponents, "exponents (None is all)", 1, system.dim)
     every = min(read_whole(renormalize_every, "renormalize_every", floats=True), MOST_STEPS)
     workers = None if threads is None else read_whole(threads, "threads (None is all cores)", floats=True)

@@ -17,7 +17,7 @@ from coadjoint.extras import need
 from coadjoint.given import read_choice, read_whole
 from coadjoint.methods.base import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_vectors
 from coadjoint.systems.user_functions import check_arguments
 from coadjoint.wording import short
 
@@ -73,7 +73,7 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     (None, None, 2)
     """
     need("a modified field", "mpmath")
-    check_one_system(system)
+    check_vectors(system, "a modified field is known for vectors")
     order = read_whole(order, "order of a modified field", 1, MOST)
     read_choice(way, "way to a modified field", WAYS)
     if system.hamiltonian.timed:

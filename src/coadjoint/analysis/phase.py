@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from coadjoint.analysis.reference_motion import Motion, field_along, motion_of
 from coadjoint.given import read_finite
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_vectors
 from coadjoint.systems.points import QUIET
 
 MOST_ITERATIONS = 30
@@ -62,7 +62,7 @@ def phase_error(
     >>> phase_error(body, (1.0, 2.0, 0.5), t, early).round(12)
     array([0.01, 0.01])
     """
-    check_one_system(system)
+    check_vectors(system, "phase errors are measured of vectors")
     times, states = read_finite(t, "t"), read_finite(x, "x")
     if times.ndim != 1 or states.shape != (len(times), system.dim):
         raise ValueError(

@@ -9,7 +9,9 @@ import numpy.typing as npt
 
 from coadjoint.given import read_finite, read_whole
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.start import momenta_of
 from coadjoint.runs.stepper import Stepper
+from coadjoint.systems.kinds import in_coordinates, shape_of
 from coadjoint.wording import short
 
 
@@ -102,7 +104,12 @@ def poisson_defect(step: Stepper, x: npt.ArrayLike, operations: int | None = Non
 
     if not isinstance(step, Stepper):
         raise TypeError(f"step is {short(step)}; it must be a Stepper, from co.stepper(system, method, h)")
-    y = read_finite(x, "x")
+    momenta, single = momenta_of(step.system, x)
+    if not single:
+        raise ValueError(f"x has the shape {np.shape(x)}; a defect is that at one state")
+    y = momenta[0]
+    if shape_of(step.system) != y.shape:
+        step = Stepper(in_coordinates(step.system), step.method, step.h)
     if operations is None:
         ends = (0.0, step.h)
         run = integrate(step.system, y, ends, abs(step.h), step.method, watch=False)

@@ -21,7 +21,7 @@ from coadjoint.methods.splitting import Splitting
 from coadjoint.methods.taylor import Taylor
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import span_of
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_vectors
 from coadjoint.wording import short
 
 # The error is aimed this much below the accuracy, and rounding alone may leave no more than half of it.
@@ -153,7 +153,7 @@ def choose(
     >>> co.choose(body, (1.0, 0.2, 0.5), (0, 100), 1e-9, methods=poisson).method.properties(body).poisson
     True
     """
-    check_one_system(system)
+    check_vectors(system, "give step= and method=: what a step of matrices costs is not known here")
     wanted, processed = _checked(accuracy), read_flag(processed, "processed")
     # Near a blow-up numbers overflow. What comes of it is checked below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

@@ -30,13 +30,14 @@ def _number(value: Any) -> bool:
 
 
 def _depth(value: Any) -> int | None:
-    """Return 0 for a number, 1 for a list of them, 2 for a matrix, None for anything else."""
+    """Return how many lists lie in one another, of equal lengths and with numbers inside, at most 4; else None."""
     if not isinstance(value, list):
         return 0 if _number(value) else None
     inner = {_depth(entry) for entry in value}
     if inner == {0}:
         return 1
-    return 2 if inner == {1} and len({len(row) for row in value}) == 1 else None
+    depth = inner.pop() if len(inner) == 1 else None
+    return depth + 1 if depth in (1, 2, 3) and len({len(row) for row in value}) == 1 else None
 
 
 def _numbers(*depths: int) -> AfterValidator:
@@ -52,6 +53,14 @@ def _attitude(value: Any) -> Any:
     if not (isinstance(value, bool) or value == "coadjoint" or _depth(value) == 2):
         raise ValueError(
             f"must be true, false, 'coadjoint' or a matrix, the initial group element, not {short(value, SHOWN)}"
+        )
+    return value
+
+
+def _states(value: Any) -> Any:
+    if not (isinstance(value, str) or _depth(value) in (1, 2, 3, 4)):
+        raise ValueError(
+            f"must be {SHAPES[1]} or {SHAPES[2]}, matrices of such lists, or a file .npy, not {short(value, SHOWN)}"
         )
     return value
 
@@ -82,7 +91,7 @@ Number = Annotated[Any, _numbers(0)]
 Matrix = Annotated[Any, _numbers(0, 1, 2)]
 Sign = Annotated[Any, AfterValidator(_sign)]
 Vector = Annotated[Any, _numbers(1)]
-States = Annotated[Any, _numbers(1, 2)]
+States = Annotated[Any, AfterValidator(_states)]
 Written = Annotated[Any, AfterValidator(_polynomial)]
 Whole = Annotated[int, Field(ge=1)]
 
@@ -154,7 +163,7 @@ class File(Table):
     casimirs: dict[Name, Written] | None = None
     forces: list[dict[str, Any]] = []
     initial: InitialTable
-    method: dict[str, Any] = {"name": "Splitting"}
+    method: dict[str, Any] | None = None
     run: RunTable
     observe: dict[Name, Written] = {}
     output: OutputTable = OutputTable()

@@ -14,9 +14,11 @@ from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
 from coadjoint.files.record_entries import Entry, made_of, parsed
 from coadjoint.files.records import record_of, safe_name, system_of
+from coadjoint.files.state_arrays import DIMENSIONS, PARTS, in_parts, state_dimensions, state_of
 from coadjoint.methods import registry
 from coadjoint.runs.times import times_of
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 if TYPE_CHECKING:
     import xarray
@@ -29,7 +31,8 @@ NEEDED = ("system", "method", "step", "save_every", "watch", "attitude_carried",
 def dataset_of(solution: Solution) -> xarray.Dataset:
     """Return a solution as a dataset whose attributes make it repeatable.
 
-    Variables over ``time`` (and ``member`` for an ensemble): ``x`` over ``component``, ``energy``, ``casimir_<name>``,
+    Variables over ``time`` (and ``member`` for an ensemble): ``x`` over ``component`` (of matrices over ``row`` and
+    ``column``, and where they are complex over ``part``, real and imaginary), ``energy``, ``casimir_<name>``,
     ``observed_<name>``, ``attitude`` over ``row`` and ``column``; ``drift`` over ``invariant`` and ``tenth`` of the
     run, and in its place with forces ``change``, ``balance``, and ``work`` over ``account``; ``x0`` and ``attitude0``,
     the initial state; ``failed`` for an ensemble. Original names are in the attribute
@@ -59,10 +62,11 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     import xarray
 
     system = solution.system
-    member = ("member",) if solution.x.ndim == 3 else ()
+    member = () if solution.failed is None else ("member",)
     over_time = ("time", *member)
+    of_state = state_dimensions(solution.x, len(over_time))
     variables: dict[str, Any] = {
-        "x": ((*over_time, "component"), solution.x, {"long_name": "momentum"}),
+        "x": ((*over_time, *of_state), in_parts(solution.x), {"long_name": "momentum"}),
         "energy": (over_time, solution.energy, {"long_name": "energy"}),
     }
     named = [("casimir", solution.casimirs), ("observed", solution.observed)]
@@ -79,7 +83,7 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
         done = [values for of_force in solution.work.values() for values in of_force.values()]
         about = "what a force has changed of an invariant since the start"
         variables["work"] = ((*over_time, "account"), np.stack(done, axis=-1), {"long_name": about})
-    variables["x0"] = ((*member, "component"), solution.x[0], {"long_name": "initial momentum"})
+    variables["x0"] = ((*member, *of_state), in_parts(solution.x[0]), {"long_name": "initial momentum"})
     if solution.attitude is not None:
         square = ("row", "column")
         variables["attitude"] = ((*over_time, *square), solution.attitude, {"long_name": "group element"})
@@ -90,11 +94,13 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
             solution.failed,
             {"long_name": "whether the member failed; its later states are NaN"},
         )
-    algebra = system[0].algebra if isinstance(system, Batch) else system.algebra
-    basis = algebra.basis if algebra is not None else [f"x{i + 1}" for i in range(system.dim)]
-    coordinates = {
-        "time": solution.t,
-        "component": list(basis),
+    coordinates: dict[str, Any] = {"time": solution.t}
+    if of_state == ("component",):
+        algebra = system[0].algebra if isinstance(system, Batch) else system.algebra
+        coordinates["component"] = list(algebra.basis) if algebra else [f"x{i + 1}" for i in range(system.dim)]
+    elif of_state[-1] == "part":
+        coordinates["part"] = list(PARTS)
+    coordinates |= {
         "invariant": list(changes),
         "tenth": np.arange(1, next(iter(changes.values())).tenths.shape[-1] + 1),
     }
@@ -206,7 +212,7 @@ def solution_inputs(dataset: xarray.Dataset) -> dict[str, Any]:
     if absent:
         raise ValueError(f"the dataset has no attribute {absent[0]!r}; it was not written by coadjoint")
     given = {key: Entry(attributes[key], key) for key in NEEDED}
-    x0 = _state(dataset, "x0", ("component",))
+    x0 = state_of(dataset, "x0", DIMENSIONS)
     described = parsed(attributes["method"], "method")
     description = {key: entry.plain() for key, entry in described.table().items()}
     with made_of(described):
@@ -222,27 +228,26 @@ def solution_inputs(dataset: xarray.Dataset) -> dict[str, Any]:
     if carried not in (*initial, "representation"):
         raise given["attitude_carried"].wrong("'none', 'coadjoint' or 'representation'")
     return {
-        "system": system_of(parsed(attributes["system"], "system"), x0.shape[-1]),
+        "system": _system(dataset, system_of(parsed(attributes["system"], "system"), _numbers(dataset["x0"]))),
         "x0": x0,
         "t_span": (start, end),
         "step": step,
         "method": method,
         "save_every": save_every,
         "watch": given["watch"].flag(),
-        "attitude": initial[carried] if carried in initial else _state(dataset, "attitude0", ("row", "column")),
+        "attitude": initial[carried] if carried in initial else state_of(dataset, "attitude0", DIMENSIONS[1:2]),
     }
 
 
-def _state(dataset: xarray.Dataset, name: str, dimensions: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return a variable of the start: finite numbers over `dimensions`, or over members before them."""
-    if name not in dataset:
-        raise ValueError(f"the dataset has no variable {name!r}; it is damaged, or was not written by coadjoint")
-    variable = dataset[name]
-    if variable.dims not in (dimensions, ("member", *dimensions)) or not variable.size:
-        raise ValueError(f"{name} is over {variable.dims}; it must be over {dimensions}, or members and these")
-    if variable.dtype.kind not in "if" or not np.isfinite(variable.values).all():
-        raise ValueError(f"{name} holds something else than finite numbers")
-    return np.asarray(variable.values, dtype=np.float64)
+def _numbers(states: xarray.DataArray) -> int:
+    """Return how many numbers a state has."""
+    return int(np.prod([size for name, size in states.sizes.items() if name != "member"]))
+
+
+def _system(dataset: xarray.Dataset, system: Any) -> Any:
+    """Return a system whose states are as the dataset has them: those of matrices may be rows of numbers."""
+    in_numbers = isinstance(system, MatrixSystem) and "component" in dataset["x0"].dims
+    return system.in_numbers if in_numbers else system
 
 
 def rebuild(dataset: xarray.Dataset) -> Solution:

@@ -18,6 +18,7 @@ from coadjoint.wording import short
 
 # What may be missing in a record, since nothing moves by it.
 CASIMIR, EXACT, INTEGRAL = "casimir: ", "exact solution: ", "integral: "
+STREAM, ENERGY = "stream: ", "energy: "
 DEEPEST = 32
 MOST_LETTERS = 2000
 LARGEST_WHOLE = 2**62

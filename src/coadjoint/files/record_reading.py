@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import MOST_DEGREE, Polynomial
+from coadjoint.files.matrix_records import matrix_system_of
 from coadjoint.files.record_entries import CASIMIR, EXACT, INTEGRAL, Entry, made_of
 from coadjoint.memory import check_room
 from coadjoint.systems.batch import Batch
@@ -79,7 +80,7 @@ def _one_of(record: Entry, dim: int | None) -> System | ForcedSystem:
         return ForcedSystem(system, forces)
 
 
-def _member_of(record: Entry, dim: int | None) -> System:
+def _member_of(record: Entry, dim: int | None) -> Any:
     name = record["name"].text()
     if "parameters" in record:
         record.only("name", "parameters")
@@ -89,6 +90,10 @@ def _member_of(record: Entry, dim: int | None) -> System:
         _check_dimension(record, system.dim, dim)
         return system
     _check_stored(record, name)
+    if "matrices" in record:
+        matrices = matrix_system_of(record)
+        _check_dimension(record, matrices.dim, dim)
+        return matrices
     record.only("name", "sign", "algebra", "hamiltonian", "casimirs", "integrals", "representation", "not_stored")
     algebra = _algebra_of(record["algebra"], dim)
     hamiltonian = _hamiltonian_of(record["hamiltonian"], algebra.dim)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.files.matrix_records import matrix_record
 from coadjoint.files.record_entries import CASIMIR, EXACT, INTEGRAL
 from coadjoint.files.record_reading import system_of
 from coadjoint.systems.batch import Batch
@@ -20,6 +21,7 @@ from coadjoint.systems.forces import described
 from coadjoint.systems.hamiltonian import HamiltonianLike, PolynomialHamiltonian
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
@@ -35,8 +37,9 @@ def record_of(system: System | Batch) -> dict[str, Any]:
 
     A ready-made system is its name and parameters. Any other is its structure constants (i, j, k, c), its Hamiltonian,
     sign, Casimirs and integrals that are polynomials and representation, and the name, basis, Casimirs and
-    representation of its algebra; functions cannot be stored, and are named under ``"not_stored"``. A batch is the list
-    of its members, and a system with forces its Hamiltonian part and the forces by name.
+    representation of its algebra; one of matrices is its algebra and its stream. Functions cannot be stored, and are
+    named under ``"not_stored"``. A batch is the list of its members, and a system with forces its Hamiltonian part and
+    the forces by name.
 
     Parameters
     ----------
@@ -64,6 +67,8 @@ def record_of(system: System | Batch) -> dict[str, Any]:
         if functions:
             return {"name": system.name, "not_stored": functions}
         return {"name": system.name, "parameters": {key: _plain(value) for key, value in system.parameters.items()}}
+    if isinstance(system, MatrixSystem):
+        return matrix_record(system)
     if not isinstance(system, LiePoissonSystem):
         return {"name": system.name, "not_stored": [f"structure matrix: {_function_name(system.structure_function)}"]}
     hamiltonian, missing = _hamiltonian_record(system.hamiltonian)

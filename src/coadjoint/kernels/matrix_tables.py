@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from coadjoint.kernels.description import codes
+from coadjoint.kernels.matrix_functions import MatrixFunction
 from coadjoint.kernels.step_tables import step_numbers
 from coadjoint.kernels.tables import Compiled
+from coadjoint.systems.matrices.function_stream import FunctionStream
 
 
 @cache
@@ -29,7 +31,8 @@ def blas_address(name: str) -> int:
     """
     from scipy.linalg import cython_blas
 
-    capsule = cython_blas.__pyx_capi__[name]
+    capsules: dict[str, Any] = dict(cython_blas.__pyx_capi__)
+    capsule = capsules[name]
     api = ctypes.pythonapi
     api.PyCapsule_GetName.restype, api.PyCapsule_GetName.argtypes = ctypes.c_char_p, [ctypes.py_object]
     api.PyCapsule_GetPointer.restype = ctypes.c_void_p
@@ -63,7 +66,9 @@ def matrix_tables(
     """
     kinds = codes("StreamKind")
     stream, second = system.stream, getattr(system, "second_stream", None)
-    linear, address = getattr(system, "linear", None), getattr(stream, "address", 0)
+    linear, function = getattr(system, "linear", None), None
+    if isinstance(stream, FunctionStream):
+        function = MatrixFunction(stream, system.algebra.shape, system.complex)
     numbers = [] if linear is None else [system.to_vector(linear)]
     numbers += [map_.table for map_ in (stream, second) if map_ is not None]
     layers = 2 if len(system.shape) == 3 else 1
@@ -74,10 +79,11 @@ def matrix_tables(
         kinds[stream.kind],
         -1 if second is None else kinds[second.kind],
         int(linear is not None),
-        address,
+        function.address if function else 0,
         *(blas_address(precision + routine) for precision in precisions for routine in ("gemm", "trsm")),
         stages,
         int(system.complex),
         int(not system.algebra.skew),
     ]
-    return step_numbers(system, step, whole, [*coefficients, *np.concatenate(numbers).tolist()], fractions)
+    made = step_numbers(system, step, whole, [*coefficients, *np.concatenate(numbers).tolist()], fractions)
+    return Compiled(made.tables, (*made.keep, *([function] if function else [])))

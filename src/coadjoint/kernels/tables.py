@@ -31,7 +31,7 @@ class Compiled(NamedTuple):
     """Tables for a compiled loop, and the compiled user functions that must live as long as they do."""
 
     tables: Any
-    keep: Kept
+    keep: tuple[Any, ...]
 
 
 def addresses_of(

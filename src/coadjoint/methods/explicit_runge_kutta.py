@@ -14,7 +14,7 @@ from coadjoint.methods.properties import Properties
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number, convert
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_vectors
 
 HALF = Fraction(1, 2)
 TABLEAUX: dict[str, tuple[int, tuple[Any, ...], tuple[tuple[Any, ...], ...], tuple[Any, ...]]] = {
@@ -78,7 +78,7 @@ class ExplicitRungeKutta(RungeKuttaMethod):
 
     def properties(self, system: System) -> Properties:
         """Return what is kept: nothing but linear invariants; any system is served."""
-        check_one_system(system)
+        check_vectors(system)
         attitude = "none" if system.algebra is None else "integrated"
         return Properties(poisson=False, energy=False, casimirs="none", attitude=attitude)
 

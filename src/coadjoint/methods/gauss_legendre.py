@@ -16,7 +16,7 @@ from coadjoint.methods.properties import Properties
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_vectors
 
 
 def gauss_tableau(stages: int, number: Number = float) -> Coefficients:
@@ -108,7 +108,7 @@ class GaussLegendre(RungeKuttaMethod):
 
     def properties(self, system: System) -> Properties:
         """Return what is kept: quadratic invariants, and the bracket where it is constant; any system is served."""
-        check_one_system(system)
+        check_vectors(system)
         attitude = "none" if system.algebra is None else "coadjoint"
         poisson, energy = _has_constant_bracket(system), has_quadratic_energy(system)
         return Properties(poisson=poisson, energy=energy, casimirs="quadratic", attitude=attitude)

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import IntegrationError
 from coadjoint.given import read_whole
 from coadjoint.methods.base import Representation
 from coadjoint.methods.gauss_coefficients import gauss_legendre
+from coadjoint.methods.isospectral_stages import derivative_of, increment_of, stages_of
 from coadjoint.methods.properties import Properties
 from coadjoint.methods.stepped import SteppedMethod
-from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.kinds import System
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.wording import short
@@ -24,12 +23,7 @@ if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.work import Work
 
-Matrix = NDArray[Any]
-
 MOST_STAGES = 8
-MOST_ITERATIONS = 192
-FIRST_TESTED = 3  # early corrections may rise before they fall
-SMALL = 2.0**17 * UNIT_ROUNDOFF  # of the entries: only below it may a correction be round-off
 
 
 @dataclass(frozen=True)
@@ -126,43 +120,30 @@ class IsospectralGauss(SteppedMethod):
             The iteration does not converge.
         """
         matrices = matrices_of(system)
-        flat = np.ndim(x) == 1
-        W = matrices.from_vector(x) if flat else np.asarray(x)
-        found = W + self._increment(matrices, W, h)
-        return np.asarray(matrices.to_vector(found) if flat else found)
-
-    def _increment(self, system: MatrixSystem, W: Matrix, h: Any) -> Matrix:
-        a, b = _coefficients(self.stages)
-        one = np.eye(len(W))
-        P0 = system.stream(W)
-        V = [one + h * row.sum() * P0 for row in a]
-        least = np.inf
-        for k in range(1, MOST_ITERATIONS + 1):
-            M = [v @ W @ np.conj(v.T) for v in V]
-            P = [system.stream(m) for m in M]
-            K = [p @ v for p, v in zip(P, V, strict=True)]
-            new = [one + h * sum(c * slope for c, slope in zip(row, K, strict=True)) for row in a]
-            change = max(float(np.abs(n - v).max()) for n, v in zip(new, V, strict=True))
-            V = new
-            if change == 0.0 or (change <= SMALL and k >= FIRST_TESTED and not change < least):
-                return np.asarray(h * sum(c * (p @ m - m @ p) for c, p, m in zip(b, P, M, strict=True)))
-            least = min(least, change)
-        raise IntegrationError(
-            f"the stages of {self} do not converge with a step of {float(h):g}; take a smaller one",
-            step=1,
-            time=0.0,
-            residual=change,
-        )
+        (a, b), W = _coefficients(self.stages), matrices.matrices(x)
+        found = W + increment_of(stages_of(matrices, W, t, h, a, str(self)), h, b)
+        return np.asarray(matrices.to_vector(found) if matrices.is_in_numbers(x) else found)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its derivative by the numbers of the state, by differences.
+        """Return one step and its derivative by the numbers of the state, of its projection on the algebra.
+
+        The stream of a function that is not linear is differentiated by differences.
 
         Raises
         ------
         ValueError
             The system is no `MatrixSystem`.
+        IntegrationError
+            The iteration does not converge.
         """
-        return super().tangent(matrices_of(system), x, t, h)  # type: ignore[arg-type]
+        matrices, (a, b) = matrices_of(system), _coefficients(self.stages)
+        W = matrices.matrices(x)
+        stages = stages_of(matrices, W, t, h, a, str(self))
+        found = W + increment_of(stages, h, b)
+        return matrices.to_vector(found), derivative_of(matrices, W, stages, h, a, b)
+
+    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
+        return "formula" if matrices_of(system).linear_stream else "differences"
 
 
 def matrices_of(system: Any) -> MatrixSystem:

@@ -11,7 +11,7 @@ from coadjoint.methods.properties import Properties
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_vectors
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class IteratedGaussLegendre(RungeKuttaMethod):
 
     def properties(self, system: System) -> Properties:
         """Return what is kept: nothing but linear invariants; any system is served."""
-        check_one_system(system)
+        check_vectors(system)
         return Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 
     @property

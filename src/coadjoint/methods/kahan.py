@@ -14,7 +14,7 @@ from coadjoint.methods.compiled_step import CompiledStepMethod
 from coadjoint.methods.properties import Properties
 from coadjoint.methods.stages import linear_solve
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_vectors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -64,7 +64,7 @@ class Kahan(CompiledStepMethod):
         ValueError
             The field is not quadratic: H is not, or it depends on time, or J is not linear.
         """
-        check_one_system(system)
+        check_vectors(system)
         if not has_quadratic_energy(system):
             raise ValueError(
                 f"Kahan serves quadratic fields, but the Hamiltonian of {system.name} is not quadratic or depends on "

@@ -13,7 +13,7 @@ from coadjoint.methods.properties import Properties
 from coadjoint.methods.runge_kutta import RungeKuttaMethod
 from coadjoint.methods.stages import Coefficients
 from coadjoint.program.numbers import Number
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_vectors
 
 FREEZES = ("structure", "gradient")
 
@@ -104,7 +104,7 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
             The Hamiltonian is not quadratic (``freeze="structure"``), or there is no Lie algebra
             (``freeze="gradient"``).
         """
-        check_one_system(system)
+        check_vectors(system)
         if self.freeze == "structure":
             if not has_quadratic_energy(system):
                 raise ValueError(

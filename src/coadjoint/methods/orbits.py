@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.methods.isospectral_stages import slope_along
 from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -25,7 +26,7 @@ class VectorOrbit:
     """The orbit of a momentum: ``D y = sign J(y) k``. Changes are columns."""
 
     def __init__(self, system: LiePoissonSystem) -> None:
-        self._system = system
+        self._system, self.bent_by = system, "formula"
 
     def gradient(self, y: Any, t: Any) -> Any:
         """Return the gradient of H."""
@@ -53,16 +54,15 @@ class MatrixOrbit:
     """The orbit of a matrix: ``D W = [P, W]``, P the stream in place of the gradient. Changes are stacked."""
 
     def __init__(self, system: MatrixSystem) -> None:
-        self._system = system
+        self._system, self.bent_by = system, "formula" if system.linear_stream else "differences"
 
     def gradient(self, W: Any, t: Any) -> Any:
         """Return P."""
-        P, linear = self._system.stream(W), getattr(self._system, "linear", None)
-        return P if linear is None else P + linear
+        return self._system.stream_of(W, t)
 
     def bend(self, W: Any, dW: Any, t: Any) -> Any:
         """Return the changes of P."""
-        return self._system.stream(dW)
+        return slope_along(self._system, W, dW, t)
 
     def generator(self, P: Any, dP: Any) -> Generator:
         """Return D of a combination of streams, and of its changes where there are any."""

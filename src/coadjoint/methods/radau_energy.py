@@ -17,7 +17,7 @@ from coadjoint.methods.properties import Properties
 from coadjoint.methods.solvers import settle
 from coadjoint.methods.stages import Coefficients, Step, begin, linear_solve
 from coadjoint.program.numbers import Number
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_vectors
 
 NO_MULTIPLIER = (
     "x . grad H(x) vanishes or changes its sign, and there the multiplier of the energy constraint is undefined; "
@@ -78,7 +78,7 @@ class RadauEnergy(CompiledStepMethod):
         ValueError
             The Hamiltonian depends on time.
         """
-        check_one_system(system)
+        check_vectors(system)
         if system.hamiltonian.timed:
             raise ValueError(
                 f"RadauEnergy keeps the energy, but that of {system.name} depends on time; "

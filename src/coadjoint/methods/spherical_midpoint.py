@@ -16,7 +16,7 @@ from coadjoint.methods.solvers import settle
 from coadjoint.methods.stages import Coefficients, Step, begin
 from coadjoint.program.numbers import Number
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_vectors
 
 if TYPE_CHECKING:
     from coadjoint.methods.formal_numbers import FormalNumber
@@ -72,7 +72,7 @@ class SphericalMidpoint(CompiledStepMethod):
         ValueError
             The algebra is not so(3), nor made of copies of it.
         """
-        check_one_system(system)
+        check_vectors(system)
         spins = spins_of(system)
         return Properties(poisson=True, energy=_keeps_energy(system, spins), casimirs="all", attitude="none")
 

@@ -17,7 +17,7 @@ from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES, Splitt
 from coadjoint.program.chosen_parts import ChosenParts
 from coadjoint.program.decompose import CALLED, check_called
 from coadjoint.program.sweeps import Sweep
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_vectors
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.points import QUIET
 from coadjoint.systems.poisson import PoissonSystem
@@ -260,7 +260,7 @@ class Splitting(FlowMethod):
             For a system without a Lie algebra, whose split flows are not linear; with ``parts="free_body"`` or
             ``"bonds"`` for one without any.
         """
-        check_one_system(system)
+        check_vectors(system)
         if isinstance(system, PoissonSystem):
             raise ValueError(
                 f"Splitting needs a Lie algebra, which {system.name} does not have (its split flows are not linear); "

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.registry import names, scheme
 from coadjoint.methods.splitting import Splitting
 from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 RULE: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
 """The first that serves the system."""
@@ -16,7 +18,8 @@ def suggested_scheme(system: System) -> Method:
 
     The splitting of order 4 where it serves the system: it keeps the Poisson bracket, every Casimir, and the attitude
     in every representation, and its energy does not drift. Elsewhere, where H has no exact flows or J(x) is not linear
-    in x, Gauss-Legendre with three stages. For a wanted accuracy `choose` finds scheme and step.
+    in x, Gauss-Legendre with three stages. For a system of matrices the first of the register that serves it. For a
+    wanted accuracy `choose` finds scheme and step.
 
     Parameters
     ----------
@@ -40,6 +43,8 @@ def suggested_scheme(system: System) -> Method:
     """
     check_one_system(system)
     *first, last = RULE
+    if isinstance(system, MatrixSystem):
+        first = [method for name in names() for method in scheme(name).examples()]
     for method in first:
         try:
             method.properties(system)

@@ -25,7 +25,7 @@ from coadjoint.methods.properties import Properties
 from coadjoint.methods.work import Operations
 from coadjoint.program.numbers import Number
 from coadjoint.systems.hamiltonian import HamiltonianLike
-from coadjoint.systems.kinds import System, check_one_system
+from coadjoint.systems.kinds import System, check_vectors
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 
 MOST = 64
@@ -96,7 +96,7 @@ class Taylor(CompiledStepMethod):
         ValueError
             The field is not a polynomial: J is a function, or the Hamiltonian has functions in it.
         """
-        check_one_system(system)
+        check_vectors(system)
         if system.algebra is None:
             raise ValueError(
                 f"Taylor multiplies series, but the structure matrix of {system.name} is a function; take GaussLegendre"

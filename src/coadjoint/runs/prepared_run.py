@@ -15,6 +15,7 @@ from coadjoint.given import read_flag, read_whole
 from coadjoint.methods.base import Method
 from coadjoint.methods.forced import serving
 from coadjoint.methods.splitting import Splitting
+from coadjoint.methods.suggested import suggested_scheme
 from coadjoint.runs.batch_loops import BatchLoops
 from coadjoint.runs.input_loops import InputLoops
 from coadjoint.runs.inputs import Inputs
@@ -27,6 +28,7 @@ from coadjoint.runs.times import Times, checked_step, span_of, times_between
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_system
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.wording import short
 
 
@@ -53,7 +55,9 @@ class PreparedRun:
         threads: int | None = None,
         inputs: Any = None,
     ) -> None:
-        scheme = Splitting() if method is None else method
+        scheme = method
+        if method is None:
+            scheme = suggested_scheme(system) if isinstance(system, MatrixSystem) else Splitting()
         if not isinstance(scheme, Method):
             raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
         watching = read_flag(watch, "watch")
@@ -65,7 +69,8 @@ class PreparedRun:
         self.system: Any = system
         self.method, self.step = scheme, checked_step(step)
         self._scheme = serving(system, scheme)
-        self._attitude, self._watching = attitude, watching
+        # The loops do not follow what is kept of matrices.
+        self._attitude, self._watching = attitude, watching and not isinstance(system, MatrixSystem)
         self._representations = representations_of(cast(Any, system), self._scheme, attitude)
         self._observe = check_observe({} if observe is None else observe)
         self._threads = workers or os.cpu_count() or 1
@@ -217,7 +222,7 @@ def prepare(
     system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
         What moves.
     method : Method or None
-        The scheme; `Splitting()` of order 2 if None.
+        The scheme; `Splitting()` of order 2 if None, or of matrices what `suggested_scheme` says.
     step : float
         Size of a step, positive. Runs backward are made ready when the first one comes.
     attitude : bool, "coadjoint", or array_like

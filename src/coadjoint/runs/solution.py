@@ -198,7 +198,7 @@ class Solution:
         # Behind the coordinates there may be accounts of forces.
         found = self._picked(self._series("x"))[..., : self._start.momenta.shape[1]]
         if isinstance(self._system, MatrixSystem):
-            return self._system.from_vector(found)
+            return self._system.states(found)
         return found.reshape(*found.shape[:-1], *self._start.shape)
 
     @cached_property
@@ -325,6 +325,37 @@ class Solution:
         # Balances begin where their invariants do.
         series = {"energy": self.energy, **self.casimirs}
         return {name: Drift(self._worst[..., first + i], values[0]) for i, (name, values) in enumerate(series.items())}
+
+    def spectrum(self) -> NDArray[Any]:
+        """Return the eigenvalues of the saved matrices of a `MatrixSystem`, which an isospectral scheme keeps.
+
+        Returns
+        -------
+        ndarray, shape (k, N) or (k, members, N)
+            As `MatrixSystem.spectrum` says; NaN where a member has failed.
+
+        Raises
+        ------
+        TypeError
+            The states are no matrices.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> import numpy as np
+        >>> s = co.MatrixSystem(co.MatrixAlgebra("gl", 3), lambda W: W.T)
+        >>> sol = co.integrate(s, np.diag([1.0, 2.0, 3.0]) + 0.1, t_span=(0, 1), step=0.1)
+        >>> bool(abs(sol.spectrum() - sol.spectrum()[0]).max() < 1e-13)
+        True
+        """
+        if not isinstance(self.system, MatrixSystem):
+            raise TypeError(f"the states of {self.system.name} are no matrices, and have no spectrum")
+        x = self.x.reshape(-1, *self.x.shape[1 if self._start.single else 2 :])
+        sound = np.isfinite(x).reshape(len(x), -1).all(axis=1)
+        values = self.system.spectrum(x[sound])
+        found = np.full((len(x), values.shape[-1]), np.nan, dtype=values.dtype)
+        found[sound] = values
+        return found.reshape(*self.x.shape[: 1 if self._start.single else 2], -1)
 
     def modified_energy(self, order: int = 4) -> NDArray[np.float64]:
         """Return the modified Hamiltonian of the scheme and the step of the run, at the saved points.

@@ -93,11 +93,10 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
         Of another shape, empty, or not finite.
     """
     if isinstance(system, MatrixSystem):
-        matrices = system.algebra.read(x0)
-        if not len(matrices):
+        rows = system.read(x0)
+        if not len(rows):
             raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs at least one member")
-        single, momenta = matrices.ndim == 2, system.to_vector(matrices)
-        return momenta.reshape(-1, system.dim), single
+        return rows.reshape(-1, system.dim), rows.ndim == 1
     momenta = read_numbers(x0, "x0")
     n, shape = system.dim, shape_of(system)
     if len(shape) > 1:

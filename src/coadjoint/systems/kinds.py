@@ -8,6 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.wording import short
 
@@ -116,3 +117,37 @@ def check_one_system(system: Any) -> None:
         )
     if isinstance(system, Batch):
         raise TypeError(f"system is {short(system)}; it must be one system, such as a member of the batch, batch[0]")
+
+
+def in_coordinates(system: Any) -> Any:
+    """Return a system whose states are vectors: of matrices the same with rows of numbers, of others itself.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.sphere_euler import sphere_euler
+    >>> shape_of(in_coordinates(sphere_euler(N=3)))
+    (18,)
+    """
+    return system.in_numbers if isinstance(system, MatrixSystem) else system
+
+
+def check_vectors(system: Any, instead: str = "take a scheme for these, IsospectralGauss") -> None:
+    """Refuse what is no one system, and a system of matrices where coordinates of a vector are needed.
+
+    Parameters
+    ----------
+    system : object
+        What was given.
+    instead : str
+        What would be right for matrices.
+
+    Raises
+    ------
+    TypeError
+        As `check_one_system`.
+    ValueError
+        It moves matrices.
+    """
+    check_one_system(system)
+    if isinstance(system, MatrixSystem):
+        raise ValueError(f"{system.name} moves matrices in {system.algebra}; {instead}")

@@ -2,32 +2,285 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+from math import pi
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
 from coadjoint.algebra.matrix_states import MatrixAlgebra
-from coadjoint.given import read_whole
-from coadjoint.systems.matrices.hoppe_yau import laplacian
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.given import read_number, read_whole
+from coadjoint.systems.matrices import sphere_grid, sphere_states
+from coadjoint.systems.matrices.fluid_system import FluidSystem
+from coadjoint.systems.matrices.hoppe_yau import generators, laplacian
+from coadjoint.systems.matrices.spherical_modes import (
+    as_mapping,
+    harmonics_of_matrix,
+    matrix_of_harmonics,
+    read_harmonics,
+    scale,
+)
 from coadjoint.systems.matrices.streams import DiagonalSolve
+from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
 
 LARGEST = 4096
+Floats = npt.NDArray[np.float64]
+Matrix = npt.NDArray[np.complex128]
+
+
+class SphereEuler(FluidSystem):
+    """A fluid on the unit sphere, with the ways between matrices, spherical harmonics and grids.
+
+    `coadjoint.systems.matrices.spherical_modes` has the conventions of modes and matrices. Latitudes and longitudes are
+    in radians, rows of a grid go from north to south, and columns from the longitude 0 eastward.
+
+    Attributes
+    ----------
+    rotation : float
+        Angular velocity of the frame about the axis z. A state is the *absolute* vorticity, 2 rotation sin(latitude)
+        more than the relative one, which is seen in the frame.
+    planetary : (N, N) array
+        The matrix of 2 rotation sin(latitude), -2 rotation S_3.
+    scale : float
+        Integrals over the sphere are traces over its square: the kinetic energy of the relative motion is
+        ``<stream(V), V>`` of ``V = relative(W)``, times -1/2, over ``scale^2``.
+    """
+
+    def __init__(self, N: int, rotation: float) -> None:
+        stream = DiagonalSolve(*laplacian(N), factor=-1.0)
+        self.rotation, self.scale = rotation, scale(N)
+        self.planetary = -2.0 * rotation * generators(N)[2]
+        self.planetary.flags.writeable = False
+        super().__init__(
+            MatrixAlgebra("su", N),
+            stream,
+            energy_sign=-1,
+            # of the degree 1, on which the stream is -1/2
+            linear=0.5 * self.planetary if rotation else None,
+            name="sphere_euler",
+            parameters={"N": N, "rotation": rotation},
+        )
+
+    rossby_haurwitz = sphere_states.rossby_haurwitz
+    zonal_jet = sphere_states.zonal_jet
+
+    def mode_array(self, W: Any) -> Matrix:
+        """Return the coefficients of matrices (..., N, N) as an array, ``[..., l, m]`` with m >= 0."""
+        return harmonics_of_matrix(W)
+
+    def from_modes(self, modes: Any) -> Matrix:
+        """Return W of coefficients of orthonormal spherical harmonics with the phase of Condon and Shortley.
+
+        Parameters
+        ----------
+        modes : mapping or (..., N, N) array
+            ``(l, m) -> c``, 0 < l < N; those of -m are ``(-1)^m conj(c)`` where they are missing. Or an array as
+            `mode_array` returns it.
+
+        Returns
+        -------
+        (..., N, N) array
+
+        Examples
+        --------
+        >>> s = sphere_euler(N=5)
+        >>> found = s.modes(s.from_modes({(3, 2): 0.5 - 1j}))
+        >>> list(found), bool(abs(found[3, -2] - (0.5 + 1j)) < 1e-14)
+        ([(3, -2), (3, 2)], True)
+        """
+        return matrix_of_harmonics(read_harmonics(modes, self.algebra.N))
+
+    def modes(self, W: Any) -> dict[tuple[int, int], complex]:
+        """Return the coefficients of one matrix by (l, m), those that are not zero to round-off."""
+        return as_mapping(harmonics_of_matrix(self._one(W)))
+
+    def _one(self, W: Any) -> Matrix:
+        given = np.asarray(W, dtype=np.complex128)
+        if given.shape != self.shape:
+            raise ValueError(f"W has the shape {given.shape}; give one matrix, {self.shape}, or use mode_array")
+        return given
+
+    def grid(self, shape: Any = None, points: str = "clenshaw-curtis") -> tuple[Floats, Floats]:
+        """Return the latitudes of the rows and the longitudes of the columns of a grid, in radians.
+
+        Parameters
+        ----------
+        shape : (int, int), optional
+            Rows and columns; without it (N + 1, 2 N), the smallest grid that holds all modes.
+        points : {"clenshaw-curtis", "fejer", "gauss-legendre"}
+            Rows equally spaced with the poles, or without, half a row from them; or those of Gauss.
+
+        Returns
+        -------
+        latitudes, longitudes : 1-d arrays
+
+        Examples
+        --------
+        >>> latitudes, longitudes = sphere_euler(N=4).grid()
+        >>> len(latitudes), len(longitudes), round(float(latitudes[0]), 4)
+        (5, 8, 1.5708)
+        """
+        rows, columns = self._shape(shape)
+        return sphere_grid.latitudes(points, rows), sphere_grid.longitudes(columns)
+
+    def _shape(self, shape: Any) -> tuple[int, int]:
+        return sphere_grid.read_shape(shape, (2, 1), sphere_grid.usual_shape(self.algebra.N))
+
+    def to_grid(self, W: Any, shape: Any = None, points: str = "clenshaw-curtis") -> Floats:
+        """Return the values of the field of matrices at the points of a grid, exactly, of any shape.
+
+        Parameters
+        ----------
+        W : (..., N, N) array
+            Matrices, such as states: of these it is the absolute vorticity; ``relative(W)`` is the other one.
+        shape, points
+            As for `grid`.
+
+        Returns
+        -------
+        (..., rows, columns) array
+
+        Raises
+        ------
+        MissingPackageError
+            Without ducc0.
+
+        Examples
+        --------
+        >>> s = sphere_euler(N=4)
+        >>> s.to_grid(-2 * generators(4)[2], (3, 1))[:, 0].round(12) + 0.0
+        array([ 2.,  0., -2.])
+        """
+        return sphere_grid.values_of(harmonics_of_matrix(W), self._shape(shape), points)
+
+    def from_grid(self, values: Any, points: str = "clenshaw-curtis", longitude: float = 0.0) -> Matrix:
+        """Return the matrix of a field that is given at the points of a grid, without its mean.
+
+        Parameters
+        ----------
+        values : (..., rows, columns) array
+            Of a finer or a coarser grid: degrees that the grid does not resolve stay zero, those from N on are left
+            out. Exact where the field has no degree above ``rows - 2``, without the poles ``rows - 1``, and no order
+            above ``(columns - 1)/2``.
+        points : str
+            As for `grid`.
+        longitude : float
+            That of the first column, in radians.
+
+        Returns
+        -------
+        (..., N, N) array
+        """
+        first = read_number(longitude, "longitude")
+        return matrix_of_harmonics(sphere_grid.coefficients_of(values, self.algebra.N, points, first))
+
+    def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
+        north, points, east = sphere_grid.recognized(first, second)
+        field = np.asarray(values)[..., ::north, ::east]
+        return self.from_grid(field, points, float(second[::east][0]))
+
+    @property
+    def area(self) -> float:
+        return 4 * pi
+
+    @property
+    def complete_degree(self) -> int:
+        return self.algebra.N - 1
+
+    @cached_property
+    def degrees(self) -> npt.NDArray[np.int64]:
+        return np.tril(np.broadcast_to(np.arange(self.algebra.N)[:, None], self.shape))
+
+    @property
+    def eigenvalues(self) -> Floats:
+        return self.degrees * (self.degrees + 1.0)
+
+    @property
+    def squares(self) -> Floats:
+        return np.where(self.degrees > 0, np.where(np.arange(self.algebra.N) > 0, 2.0, 1.0), 0.0)
+
+    def random_modes(self, rng: np.random.Generator, last: int) -> Matrix:
+        c = np.zeros(self.shape, dtype=np.complex128)
+        for l in range(1, last + 1):
+            drawn = rng.standard_normal(2 * l + 1)
+            c[l, 0], c[l, 1 : l + 1] = drawn[0], (drawn[1::2] + 1j * drawn[2::2]) / np.sqrt(2)
+        return c
+
+    def point_modes(self, places: Floats, strengths: Floats) -> Matrix:
+        return sphere_grid.of_points(places, strengths, self.algebra.N)
+
+    def disc_profile(self, radius: float) -> Floats:
+        return sphere_grid.cap_profile(radius, self.algebra.N)[:, None]
+
+    def read_places(self, places: Any, what: str) -> Floats:
+        return sphere_grid.read_places(places, what)
+
+    def relative(self, W: Any) -> Matrix:
+        return np.asarray(np.asarray(W, dtype=np.complex128) - self.planetary)
+
+    def absolute(self, W: Any) -> Matrix:
+        return np.asarray(np.asarray(W, dtype=np.complex128) + self.planetary)
+
+    def exact(self, x0: Any, t: Any) -> Matrix:
+        """Return the exact motion (N, N) or (k, N, N) of a state at a time, or at several (k,).
+
+        It is known of zonal flows, and of states of the degree 1, about any axis, and one further degree, such as
+        `rossby_haurwitz` makes; ValueError for others.
+        """
+        return sphere_states.exact_motion(self.matrices(x0), t, self.rotation)
+
+    def angular_momentum(self, W: Any) -> Floats:
+        """Return the angular momentum of the absolute motion, the integral of (x, y, z) omega over the sphere.
+
+        It is constant where the frame does not rotate. Else its part along the axis z is, and the others turn westward
+        in the frame with the angular velocity `rotation`.
+
+        Parameters
+        ----------
+        W : (..., N, N) array
+            States.
+
+        Returns
+        -------
+        (..., 3) array
+        """
+        return sphere_states.angular_momentum(W)
+
+    @property
+    def integrals(self) -> dict[str, Any]:  # type: ignore[override]
+        """Name -> linear function of the numbers of a state: the parts of the angular momentum that are constant.
+
+        These are all three, or in a rotating frame that along z; `integrate` follows them by
+        ``observe=system.integrals``.
+        """
+        S, kept = generators(self.algebra.N), (2,) if self.rotation else (0, 1, 2)
+        slopes = {f"angular momentum {'xyz'[a]}": -self.to_vector(S[a]) / self.scale**2 for a in kept}
+        return {name: Quadratic(0.0, linear=slope) for name, slope in slopes.items()}
 
 
 @ready_made
-def sphere_euler(N: int = 32) -> MatrixSystem:
+def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
     """Return the Euler equations of an ideal fluid on the sphere, quantized: ``W' = [P, W]``, ``L P = -W``.
 
     W is the vorticity, a matrix in su(N), and P the stream matrix, L the Laplacian of Hoppe and Yau. All traces of
-    powers of W are kept, which stand for the integrals of powers of the vorticity.
+    powers of W are kept, which stand for the integrals of powers of the vorticity. The time is that of the Euler
+    equations on the unit sphere, to which the model converges like 1/N^2.
 
     Parameters
     ----------
     N : int
         Size of the matrices, from 2 to 4096: spherical harmonics of the degrees l < N are resolved.
+    rotation : float
+        Angular velocity of the frame about the axis through the poles. Then W is the absolute vorticity, and
+        ``L P = -(W - F)`` with F the matrix of 2 rotation sin(latitude).
 
     Returns
     -------
-    MatrixSystem
-        Energy tr(W* L^-1 W)/2. Casimirs tr W^k.
+    SphereEuler
+        With `to_grid`, `modes`, initial states. Energy tr(W* L^-1 W)/2 - tr(F* W)/2: but for a constant
+        the kinetic energy of the relative motion times ``scale^2``. Casimirs tr W^k.
 
     Notes
     -----
@@ -41,11 +294,4 @@ def sphere_euler(N: int = 32) -> MatrixSystem:
     >>> s.shape, list(s.casimirs)[:2]
     ((16, 16), ['tr W^2', 'tr W^3'])
     """
-    N = read_whole(N, "N", 2, LARGEST)
-    return MatrixSystem(
-        MatrixAlgebra("su", N),
-        DiagonalSolve(*laplacian(N), factor=-1.0),
-        energy_sign=-1,
-        name="sphere_euler",
-        parameters={"N": N},
-    )
+    return SphereEuler(read_whole(N, "N", 2, LARGEST), read_number(rotation, "rotation"))

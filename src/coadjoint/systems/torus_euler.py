@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from functools import cached_property
+from math import pi
 from typing import Any
 
 import numpy as np
@@ -10,37 +11,52 @@ import numpy.typing as npt
 
 from coadjoint.algebra.matrix_states import MatrixAlgebra
 from coadjoint.given import read_whole
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.matrices import torus_grid, torus_states
+from coadjoint.systems.matrices.fluid_system import FluidSystem
+from coadjoint.systems.matrices.sphere_grid import read_shape, read_values
 from coadjoint.systems.matrices.streams import Circulants
 from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix, read_modes, representatives
+from coadjoint.systems.ready_made import ready_made
 
 LARGEST = 1001
+Floats = npt.NDArray[np.float64]
 Matrix = npt.NDArray[np.complex128]
 
 
-class TorusEuler(MatrixSystem):
-    """A fluid on the torus, with the way from Fourier modes of the vorticity to matrices and back."""
+class TorusEuler(FluidSystem):
+    """A fluid on the torus of side 2 pi, with the ways between matrices, Fourier modes and grids.
 
-    def from_modes(self, modes: Mapping[tuple[int, int], complex]) -> Matrix:
+    The vorticity is ``omega(x, y) = sum of w_n exp(i (n1 x - n2 y))``: with this sign of n2 the equation of the modes
+    is the Euler equation ``d omega/dt + u . grad omega = 0`` with x to the right, y up, vorticity counterclockwise, and
+    time in its own units as N grows. W is ``-i N/(4 pi) sum of w_n T_n``.
+    """
+
+    zonal_jet = torus_states.zonal_jet
+
+    def mode_array(self, W: Any) -> Matrix:
+        """Return the modes of matrices (..., N, N) as an array, ``[..., n1 mod N, n2 mod N]``."""
+        return modes_of_matrix(np.asarray(W, dtype=np.complex128))
+
+    def from_modes(self, modes: Any) -> Matrix:
         """Return the matrix W of modes.
 
         Parameters
         ----------
-        modes : mapping
-            ``(n1, n2) -> w``, from -(N - 1)/2 to (N - 1)/2; those that are missing are conjugates, or zero.
+        modes : mapping or (..., N, N) array
+            ``(n1, n2) -> w``, from -(N - 1)/2 to (N - 1)/2; those that are missing are conjugates, or zero. Or an array
+            as `mode_array` returns it.
 
         Returns
         -------
-        (N, N) array
+        (..., N, N) array
 
         Examples
         --------
         >>> s = torus_euler(N=5)
-        >>> s.modes(s.from_modes({(1, 2): 0.5 - 1j}))[-1, -2]
-        (0.5+1j)
+        >>> bool(abs(s.modes(s.from_modes({(1, 2): 0.5 - 1j}))[-1, -2] - (0.5 + 1j)) < 1e-15)
+        True
         """
-        N = self.algebra.N
-        return self.algebra.projected(matrix_of_modes(read_modes(modes, N)))
+        return self.algebra.projected(matrix_of_modes(read_modes(modes, self.algebra.N)))
 
     def modes(self, W: Any) -> dict[tuple[int, int], complex]:
         """Return the modes of a matrix W, those that are not zero to round-off."""
@@ -51,6 +67,115 @@ class TorusEuler(MatrixSystem):
             (int(n[i]), int(n[j])): complex(round_off(w[i, j], size)) for i, j in np.argwhere(np.abs(w) > 1e-14 * size)
         }
 
+    def grid(self, shape: Any = None) -> tuple[Floats, Floats]:
+        """Return x and y of a grid, from 0 to 2 pi without the last point.
+
+        Parameters
+        ----------
+        shape : (int, int), optional
+            Numbers of points along x and y; without it (N, N), the smallest grid that holds all modes.
+
+        Returns
+        -------
+        x, y : 1-d arrays
+
+        Examples
+        --------
+        >>> x, y = torus_euler(N=9).grid((4, 2))
+        >>> x / np.pi, y / np.pi
+        (array([0. , 0.5, 1. , 1.5]), array([0., 1.]))
+        """
+        nx, ny = read_shape(shape, (1, 1), self.algebra.shape)
+        return torus_grid.coordinates(nx), torus_grid.coordinates(ny)
+
+    def to_grid(self, W: Any, shape: Any = None) -> Floats:
+        """Return the values of the field of matrices at the points of a grid, exactly, of any shape.
+
+        Parameters
+        ----------
+        W : (..., N, N) array
+            Matrices, such as states.
+        shape : (int, int), optional
+            As for `grid`.
+
+        Returns
+        -------
+        (..., nx, ny) array
+
+        Examples
+        --------
+        >>> s = torus_euler(N=9)
+        >>> W = s.from_modes({(0, 1): 0.5j})
+        >>> s.to_grid(W, (1, 4)).round(12) + 0.0
+        array([[ 0.,  1.,  0., -1.]])
+        """
+        return torus_grid.values_of(self.mode_array(W), read_shape(shape, (1, 1), self.algebra.shape))
+
+    def from_grid(self, values: Any) -> Matrix:
+        """Return the matrix of a field that is given at the points of a grid, without its mean.
+
+        Parameters
+        ----------
+        values : (..., nx, ny) array
+            Of a finer or a coarser grid: modes that the grid does not resolve stay zero, those that N does not are left
+            out. Exact where the field has no |n1| from nx/2 on, and no |n2| from ny/2 on.
+
+        Returns
+        -------
+        (..., N, N) array
+        """
+        # the mean is a multiple of the unit, which is no part of the algebra
+        return self.algebra.projected(matrix_of_modes(torus_grid.modes_of(read_values(values), self.algebra.N)))
+
+    def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
+        x, y = torus_grid.recognized(first, "x"), torus_grid.recognized(second, "y")
+        w = self.mode_array(self.from_grid(np.asarray(values)[..., ::x, ::y]))
+        n = representatives(self.algebra.N)
+        # the first point is not at 0
+        w *= np.exp(-1j * n * first[::x][0])[:, None] * np.exp(1j * n * second[::y][0])
+        return self.algebra.projected(matrix_of_modes(w))
+
+    @property
+    def area(self) -> float:
+        return (2 * pi) ** 2
+
+    @property
+    def complete_degree(self) -> int:
+        return self.algebra.N // 2
+
+    @cached_property
+    def eigenvalues(self) -> Floats:
+        n = representatives(self.algebra.N)
+        return (n[:, None] ** 2 + n[None, :] ** 2).astype(float)
+
+    @cached_property
+    def degrees(self) -> npt.NDArray[np.int64]:
+        return np.rint(np.sqrt(self.eigenvalues)).astype(np.int64)
+
+    @property
+    def squares(self) -> Floats:
+        return np.where(self.degrees > 0, self.area, 0.0)
+
+    def random_modes(self, rng: np.random.Generator, last: int) -> Matrix:
+        n, w = representatives(self.algebra.N), np.zeros(self.shape, dtype=np.complex128)
+        n1, n2 = (found.ravel() for found in np.meshgrid(n, n, indexing="ij"))
+        degree = self.degrees.ravel()
+        chosen = np.flatnonzero(((n1 > 0) | ((n1 == 0) & (n2 > 0))) & (degree <= last))
+        chosen = chosen[np.lexsort((n2[chosen], n1[chosen], degree[chosen]))]
+        drawn = rng.standard_normal((len(chosen), 2)) / np.sqrt(2)
+        w[n1[chosen], n2[chosen]] = drawn[:, 0] + 1j * drawn[:, 1]
+        w[-n1[chosen], -n2[chosen]] = drawn[:, 0] - 1j * drawn[:, 1]
+        return w
+
+    def point_modes(self, places: Floats, strengths: Floats) -> Matrix:
+        return torus_grid.of_points(places, strengths, self.algebra.N)
+
+    def disc_profile(self, radius: float) -> Floats:
+        return torus_grid.disc_profile(radius, np.sqrt(self.eigenvalues))
+
+    def read_places(self, places: Any, what: str) -> Floats:
+        return torus_grid.read_places(places, what)
+
 
 def round_off(value: complex, size: float) -> complex:
     """Return a number without parts that are rounding of numbers of a size."""
@@ -58,11 +183,13 @@ def round_off(value: complex, size: float) -> complex:
     return complex(round(real / size, 15) * size, round(imaginary / size, 15) * size)
 
 
+@ready_made
 def torus_euler(N: int = 33) -> TorusEuler:
     """Return the Euler equations of an ideal fluid on the torus with the sine bracket: ``W' = [P, W]``, ``L P = -W``.
 
     ``w_n' = sum over m of N/(2 pi) sin(2 pi (m x n)/N) w_m w_(n-m) / |m|^2`` for the Fourier modes w_n of the
     vorticity, m x n = m1 n2 - m2 n1, modes counted mod N.
+    As N grows that is the Euler equation of a torus of side 2 pi, in its own time; `TorusEuler` has the conventions.
 
     Parameters
     ----------
@@ -72,7 +199,7 @@ def torus_euler(N: int = 33) -> TorusEuler:
     Returns
     -------
     TorusEuler
-        With ``from_modes`` and ``modes``. Energy ``sum |w_n|^2 / |n|^2 / 2`` times N^3/(4 pi)^2.
+        With grids, modes and initial states. Energy ``sum |w_n|^2 / |n|^2 / 2`` times N^3/(4 pi)^2.
 
     Notes
     -----

@@ -29,8 +29,8 @@ def laplacian(N: int) -> tuple[Floats, Floats]:
     Examples
     --------
     >>> main, beside = laplacian(2)
-    >>> main[:, 0], beside[1, 0], main[0, 1]
-    (array([1., 1.]), -1.0, 2.0)
+    >>> main[:, 0].tolist(), float(beside[1, 0]), float(main[0, 1])
+    ([1.0, 1.0], -1.0, 2.0)
 
     Notes
     -----

@@ -1,17 +1,23 @@
-"""Isospectral motions of matrices, W' = [P, W], P linear in W."""
+"""Isospectral motions of matrices, W' = [P, W], P a function of W, linear or not."""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.matrix_states import MatrixAlgebra
-from coadjoint.given import read_title, read_whole
+from coadjoint.algebra.matrix_states import SPARED, MatrixAlgebra
+from coadjoint.given import array_given, check_finite, no_numbers, read_numbers, read_title, read_whole
+from coadjoint.memory import check_room
 from coadjoint.systems.closed_form import checked_exact, checked_parameters, solution_of
+from coadjoint.systems.matrices.function_stream import FunctionStream
+from coadjoint.systems.matrices.matrix_energy import MatrixEnergy, check_stream, checked_energy
 from coadjoint.systems.matrices.streams import Stream
+from coadjoint.systems.matrices.traces import traces_of, values_of
 from coadjoint.systems.points import checked_sign
 from coadjoint.wording import short
 
@@ -19,54 +25,32 @@ Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
 POWERS = 5
-"""So many powers of W have their traces followed: from 2 on, of real matrices the even ones."""
+"""So many powers of W have their traces followed: the first that do not vanish."""
 MOST_POWERS = 64
-
-
-class MatrixEnergy:
-    """The energy ``sign <P, W> / 2`` as runs ask for it: of a state as a row of numbers."""
-
-    timed = False
-
-    def __init__(self, system: MatrixSystem) -> None:
-        self._system, self.dim = system, system.dim
-
-    def bind(self, n: int) -> MatrixEnergy:
-        """Return this energy."""
-        return self
-
-    def value(self, x: npt.ArrayLike, t: float = 0.0) -> float:
-        """Return it."""
-        return float(self._system.energy(self._system.from_vector(x)))
-
-    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
-        """Return its derivatives by the numbers of a state, sign P."""
-        system = self._system
-        return system.energy_sign * system.to_vector(system.stream(system.from_vector(x)))
-
-    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
-        """Return the second derivatives, the columns of the gradient of a linear stream."""
-        return np.stack([self.gradient(unit) for unit in np.eye(self.dim)], axis=1)
-
-    def terms(self) -> tuple[Any, ...]:
-        """Return none: the kernels read the stream."""
-        return ()
+DIGITS = 1e-9
+"""Of the largest eigenvalue: real parts that differ by less stand side by side in the spectrum."""
 
 
 class MatrixSystem:
-    """A matrix W in a Lie algebra of skew-Hermitian matrices that moves by ``W' = [P, W]``, P = stream(W).
+    """A matrix W in a Lie algebra of matrices that moves by ``W' = [P, W]``, P = stream(W) + linear.
 
     Choose it for algebras too large for structure constants: the quantized sphere and torus, bodies of many dimensions.
-    The spectrum of W is constant; its invariants are followed as traces of powers.
+    The spectrum of W is constant; its invariants are followed as traces of powers, at the saved points.
 
     Parameters
     ----------
     algebra : MatrixAlgebra
         Where W lives.
-    stream : Stream
-        A symmetric linear map from W to P.
+    stream : Stream or callable
+        P of W: a symmetric linear map, such as `Weights`; or a function of a matrix (N, N), or of a matrix and the
+        time. A function must be linear and symmetric, or the slope of `energy`.
+    linear : array_like, shape (N, N), optional
+        A constant matrix of the algebra that is added to P.
+    energy : callable, optional
+        H without the term of `linear`, a function of a matrix (and the time, if the stream is): ``energy_sign P`` is
+        its slope in the pairing of the algebra. Without it ``H = energy_sign (<P, W>/2 + <linear, W>)``.
     energy_sign : {1, -1}
-        Of the energy ``energy_sign <P, W>/2``, <A, B> = tr(A* B).
+        Of the energy.
     name : str
         For messages.
     parameters : mapping, optional
@@ -74,12 +58,12 @@ class MatrixSystem:
     exact : callable, optional
         ``exact(W0, t)``.
     powers : int
-        How many traces of powers of W are followed.
+        How many traces of powers of W are followed, of each block of a sum, and no more than are independent.
 
     Raises
     ------
     TypeError, ValueError
-        Something else was given, or the stream leaves the algebra or is not symmetric at sample points.
+        Something else was given, or at sample points the stream leaves the algebra, or is not what the energy says.
 
     Examples
     --------
@@ -88,18 +72,28 @@ class MatrixSystem:
     >>> a = np.array([1.0, 2.0, 3.0, 4.0])
     >>> body = MatrixSystem(MatrixAlgebra("so", 4), Weights(1 / np.add.outer(a, a)), name="body")
     >>> W = body.algebra.projected(np.arange(16.0).reshape(4, 4))
-    >>> list(body.casimirs_at(W)), bool(np.trace(body.vector_field(W) @ W) < 1e-12)
-    (['tr W^2', 'tr W^4', 'tr W^6', 'tr W^8', 'tr W^10'], True)
+    >>> list(body.casimirs_at(W)), bool(abs(np.trace(body.vector_field(W) @ W)) < 1e-12)
+    (['tr W^2', 'tr W^4'], True)
+
+    An energy that is not quadratic, on gl(3):
+
+    >>> s = MatrixSystem(MatrixAlgebra("gl", 3), lambda W: W.T @ W @ W.T, energy=lambda W: np.sum((W @ W.T) ** 2) / 4)
+    >>> bool(abs(s.vector_field(np.eye(3))).max() == 0.0)
+    True
     """
 
     sign = 1
     representation = None
+    second_stream: Stream | None = None
+    integrals: Mapping[str, Any] = {}
 
     def __init__(
         self,
         algebra: MatrixAlgebra,
-        stream: Stream,
+        stream: Stream | Callable[..., Any],
+        linear: npt.ArrayLike | None = None,
         *,
+        energy: Callable[..., Any] | None = None,
         energy_sign: int = 1,
         name: str = "matrix system",
         parameters: Mapping[str, Any] | None = None,
@@ -109,73 +103,122 @@ class MatrixSystem:
         if not isinstance(algebra, MatrixAlgebra):
             raise TypeError(f"algebra is {short(algebra)}; give a MatrixAlgebra, such as MatrixAlgebra('su', 16)")
         if not isinstance(stream, Stream):
-            raise TypeError(f"stream is {short(stream)}; give a Stream, such as Weights(w)")
-        self.algebra, self.stream = algebra, stream
+            if isinstance(stream, type) or not callable(stream):
+                raise TypeError(f"stream is {short(stream)}; give a Stream, such as Weights(w), or a function of W")
+            stream = FunctionStream(stream)
+        self.algebra, self.stream, self.complex = algebra, stream, algebra.complex
+        self.timed: bool = getattr(stream, "timed", False)
+        self.energy_function = checked_energy(energy, self.timed)
         self.energy_sign = checked_sign(energy_sign)
         self.name = read_title(name, "name")
         self.parameters, self._exact = checked_parameters(parameters), checked_exact(exact)
-        even = 1 if algebra.complex else 2
-        count = read_whole(powers, "powers", 0, MOST_POWERS)
-        self.powers = tuple(2 + even * k for k in range(count))
-        self.shape, self.complex = algebra.shape, algebra.complex
+        self.powers = read_whole(powers, "powers", 0, MOST_POWERS)
+        self.shape: tuple[int, ...] = algebra.shape
         self.dim = (1 + self.complex) * algebra.N**2
-        self.hamiltonian = MatrixEnergy(self)
-        self._check_stream()
-
-    def _check_stream(self) -> None:
-        rng = np.random.default_rng(1)
-        A, B = (
-            self.algebra.projected(
-                rng.standard_normal(self.shape) + 1j * self.complex * rng.standard_normal(self.shape)
+        self.linear = None if linear is None else algebra.read(linear, "linear")
+        if self.linear is not None and self.linear.ndim != 2:
+            raise ValueError(f"linear has the shape {self.linear.shape}; it must be {algebra.shape}")
+        if self.linear is not None:
+            self.linear.flags.writeable = False
+        size = getattr(stream, "size", None)
+        if size not in (None, algebra.N):
+            raise ValueError(f"the stream is one of matrices of {size} rows; those of {algebra} have {algebra.N}")
+        if stream.kind != "WEIGHTS" and not (isinstance(stream, FunctionStream) or algebra.skew):
+            raise ValueError(
+                f"{type(stream).__name__} acts on skew-Hermitian matrices, which those of {algebra} are not"
             )
-            for _ in range(2)
-        )
-        if not self.complex:
-            A, B = A.real, B.real
-        P, Q = self.stream(A), self.stream(B)
-        size = float(np.sum(np.abs(np.conj(P) * B))) + float(np.sum(np.abs(np.conj(Q) * A)))
-        rounded = 1e-12 * self.algebra.N
-        if not abs(np.vdot(P, B) - np.conj(np.vdot(Q, A))) <= rounded * size:
-            raise ValueError("the stream is not symmetric: <stream(A), B> and <A, stream(B)> differ at sample matrices")
-        if not np.abs(P + np.conj(P.T)).max() <= rounded * np.abs(P).max():
-            raise ValueError("the stream leaves the algebra: its values at sample matrices are not skew-Hermitian")
+        self.hamiltonian = MatrixEnergy(self)
+        check_stream(self)
 
     def __repr__(self) -> str:
         return f"<{self.name} on {self.algebra}>"
 
     @property
+    def linear_stream(self) -> bool:
+        """Whether the stream is known to be linear: there is no function for the energy."""
+        return self.energy_function is None
+
+    @property
+    def closed_form(self) -> Callable[..., Any] | None:
+        """The solution in closed form, or None."""
+        return self._exact
+
+    @cached_property
     def casimirs(self) -> dict[str, Any]:
-        """Name -> function of W, shape (..., N, N): the traces of its powers."""
-        return {f"tr W^{k}": _Trace(k) for k in self.powers}
+        """Name -> function of W, shape (..., N, N), or of its numbers: the traces of its powers."""
+        return dict(traces_of(self.algebra, self.powers, self.matrices, self.to_vector))
+
+    @cached_property
+    def in_numbers(self) -> MatrixSystem:
+        """The same system whose states are rows of numbers, as `to_vector` has them: for what looks at coordinates.
+
+        Any row of numbers stands for the nearest matrix of the algebra.
+        """
+        seen = copy.copy(self)
+        seen.shape = (self.dim,)
+        seen.__dict__["in_numbers"] = seen
+        return seen
+
+    def slope_of(self, W: Matrix, t: float = 0.0) -> Matrix:
+        """Return stream(W), of matrices (..., N, N)."""
+        return np.asarray(self.stream(W, t) if self.timed else self.stream(W))  # type: ignore[call-arg]
+
+    def stream_of(self, W: Any, t: float = 0.0) -> Matrix:
+        """Return P = stream(W) + linear, of matrices (..., N, N)."""
+        P = self.slope_of(self.matrices(W), t)
+        return P if self.linear is None else P + self.linear
 
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
-        """Return W' of a matrix, or of the numbers of one, in the same form."""
-        flat = np.ndim(x) == 1
-        W = self.from_vector(x) if flat else np.asarray(x)
-        found = self.algebra.bracket(self.stream(W), W)
-        return self.to_vector(found) if flat else found
+        """Return W' of matrices (..., N, N), or of rows of their numbers, in the same form."""
+        W = self.matrices(x)
+        found = self.algebra.bracket(self.stream_of(W, t), W)
+        return self.to_vector(found) if self.is_in_numbers(x) else found
 
     def energy(self, x: Any, t: float = 0.0) -> Any:
-        """Return H of matrices (..., N, N)."""
-        W = np.asarray(x)
-        found = 0.5 * self.energy_sign * np.sum(np.conj(self.stream(W)) * W, axis=(-2, -1)).real
-        return float(found) if found.ndim == 0 else found
+        """Return H of matrices (..., N, N), or of rows of their numbers."""
+        W, pairing = self.matrices(x), self.algebra.pairing
+        if self.energy_function is None:
+            found = 0.5 * self.energy_sign * pairing(self.slope_of(W, t), W)
+        else:
+            time = (t,) if self.timed else ()
+            flat = [self.energy_function(part, *time) for part in W.reshape(-1, *self.algebra.shape)]
+            found = np.array(flat, dtype=np.float64).reshape(W.shape[:-2])
+        if self.linear is not None:
+            found = found + self.energy_sign * pairing(self.linear, W)
+        return float(found) if np.ndim(found) == 0 else found
+
+    def structure_matrix(self, x: Any) -> Floats:
+        """Return J of a state, (n, n) for its n numbers: x' = J(x) grad H(x), on the algebra and zero beside it."""
+        check_room(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
+        units = self.algebra.projected(self.from_vector(np.eye(self.dim)))
+        moved = self.algebra.bracket(self.algebra.dual(units), self.matrices(x))
+        return self.energy_sign * self.to_vector(moved).T
 
     def casimirs_at(self, x: Any) -> dict[str, Any]:
-        """Return the traces of powers at matrices (..., N, N): of W for real ones, else of -i W, which are real."""
-        W = np.asarray(x)
-        base = -1j * W if self.complex else W
-        found, power, k = {}, base, 1
-        for wanted in self.powers:
-            while k < wanted - 1:
-                power, k = power @ base, k + 1
-            # the trace of a product needs no product
-            found[f"tr W^{wanted}"] = np.einsum("...ij,...ji->...", power, base).real
-        return found
+        """Return the traces of powers at matrices (..., N, N), or at rows of their numbers.
 
-    def spectrum(self, x: Any) -> Floats:
-        """Return the eigenvalues of -i W, real and rising, of matrices (..., N, N)."""
-        return np.asarray(np.linalg.eigvalsh(-1j * np.asarray(x)), dtype=np.float64)
+        Where the form of W makes it skew-Hermitian these are traces of -i W, which are real.
+        """
+        return values_of(self.casimirs, self.matrices(x))
+
+    def spectrum(self, x: Any) -> npt.NDArray[Any]:
+        """Return the eigenvalues of matrices (..., N, N), shape (..., N): of -i W, real and rising, if W is
+        skew-Hermitian; else of W, complex, by rising real parts and then imaginary ones.
+
+        Examples
+        --------
+        >>> from coadjoint.systems.matrices.streams import Weights
+        >>> s = MatrixSystem(MatrixAlgebra("gl", 2), Weights([[1.0, 0.0], [0.0, 1.0]]))
+        >>> s.spectrum([[1.0, 0.0], [2.0, -4.0]]).tolist()
+        [(-4+0j), (1+0j)]
+        """
+        W = self.matrices(x)
+        if self.algebra.skew:
+            return np.asarray(np.linalg.eigvalsh(-1j * W), dtype=np.float64)
+        found = np.linalg.eigvals(W).astype(np.complex128)
+        size = DIGITS * (np.abs(found).max(axis=-1, keepdims=True, initial=0.0) + np.finfo(float).tiny)
+        order = np.lexsort((found.imag, np.round(found.real / size)), axis=-1)
+        return np.take_along_axis(found, order, axis=-1)
 
     def exact(self, x0: Any, t: Any) -> Matrix:
         """Return the solution in closed form; refuse where none is known."""
@@ -190,17 +233,43 @@ class MatrixSystem:
         """Return rows of numbers as matrices."""
         found = np.ascontiguousarray(x, dtype=np.float64)
         lead = found.shape[:-1]
-        return (found.view(np.complex128) if self.complex else found).reshape(*lead, *self.shape)
+        return (found.view(np.complex128) if self.complex else found).reshape(*lead, *self.algebra.shape)
 
+    def is_in_numbers(self, x: Any) -> bool:
+        """Return whether states are rows of numbers, rather than matrices."""
+        shape = array_given(x, "a state", "iufc").shape
+        return len(shape) > 0 and shape[-1] == self.dim
 
-class _Trace:
-    def __init__(self, power: int) -> None:
-        self.power = power
+    def matrices(self, x: Any) -> Matrix:
+        """Return matrices as they are, and rows of numbers as the nearest matrices of the algebra.
 
-    def __repr__(self) -> str:
-        return f"tr W^{self.power}"
+        Raises
+        ------
+        TypeError, ValueError
+            No numbers, or of another shape.
+        """
+        if self.is_in_numbers(x):
+            return self.algebra.projected(self.from_vector(x), spared=SPARED)
+        W = array_given(x, "a state", "iufc")
+        if W.shape[-2:] != self.algebra.shape:
+            raise ValueError(f"a state has the shape {W.shape}; it must be {self.algebra.shape}, or ({self.dim},)")
+        if W.dtype.kind == "c" and not self.complex:
+            raise ValueError(f"a state is complex; matrices of {self.algebra} are real")
+        try:
+            return W.astype(np.complex128 if self.complex else np.float64, copy=False)
+        except (TypeError, ValueError, OverflowError):
+            raise no_numbers(x, "a state") from None
 
-    def __call__(self, W: Any) -> Any:
-        W = np.asarray(W)
-        base = -1j * W if np.iscomplexobj(W) else W
-        return np.trace(np.linalg.matrix_power(base, self.power), axis1=-2, axis2=-1).real
+    def read(self, given: Any, what: str = "x0") -> Floats:
+        """Return initial states as rows of numbers, one for a state and more for members; refuse others."""
+        if self.shape == self.algebra.shape:
+            return self.to_vector(self.algebra.read(given, what))
+        rows = read_numbers(given, what)
+        if rows.ndim not in (1, 2) or rows.shape[-1] != self.dim:
+            raise ValueError(f"{what} has the shape {rows.shape}; it must be ({self.dim},) or (members, {self.dim})")
+        check_finite(rows, what)
+        return self.to_vector(self.algebra.projected(self.from_vector(rows), spared=SPARED))
+
+    def states(self, rows: Floats) -> Matrix:
+        """Return rows of numbers as the states of this system: matrices."""
+        return self.from_vector(rows) if self.shape == self.algebra.shape else rows

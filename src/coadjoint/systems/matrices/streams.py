@@ -20,11 +20,11 @@ class Stream(Protocol):
     """A symmetric linear map of matrices.
 
     ``kind`` and ``table`` are for the kernels: one of the codes `StreamKind`, and its numbers as
-    ``matrices/stream.hpp`` describes them; kind None where the map is a Python function.
+    ``matrices/stream.hpp`` describes them.
     """
 
     @property
-    def kind(self) -> str | None:
+    def kind(self) -> str:
         """The code of the kernels."""
 
     @property
@@ -33,9 +33,6 @@ class Stream(Protocol):
 
     def __call__(self, W: Matrix) -> Matrix:
         """Return P."""
-
-    def inverse(self, P: Matrix) -> Matrix:
-        """Return W."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +51,7 @@ class DiagonalSolve:
     Notes
     -----
     Where the equation of the main diagonal is singular, by the matrices that are multiples of the unit, P has trace
-    zero.
+    zero, and does not see the trace of W: the stages of a step have one.
     """
 
     main: Floats
@@ -63,6 +60,11 @@ class DiagonalSolve:
     table: Floats = field(init=False, repr=False)
 
     kind = "TRIDIAGONAL"
+
+    @property
+    def size(self) -> int:
+        """How many rows the matrices have."""
+        return len(self.main)
 
     def __post_init__(self) -> None:
         N = len(self.main)
@@ -83,6 +85,8 @@ class DiagonalSolve:
         P = np.zeros_like(W)
         for m in range(N):
             y = np.diagonal(W, m, -2, -1).copy()
+            if m == 0 and inverse[N - 1, 0] == 0.0:
+                y -= y.mean(axis=-1, keepdims=True)
             for i in range(1, N - m):
                 y[..., i] -= below[i, m] * y[..., i - 1]
             y *= inverse[: N - m, m]
@@ -96,6 +100,7 @@ class DiagonalSolve:
         return P
 
     def inverse(self, P: Matrix) -> Matrix:
+        """Return W of P."""
         N, W = len(self.main), np.zeros_like(P)
         for m in range(N):
             y, rows = np.diagonal(P, m, -2, -1), np.arange(N - m)
@@ -123,6 +128,11 @@ class Circulants:
 
     kind = "CIRCULANT"
 
+    @property
+    def size(self) -> int:
+        """How many rows the matrices have."""
+        return len(self.spectrum)
+
     def __post_init__(self) -> None:
         N = len(self.spectrum)
         columns = np.fft.ifft(self.spectrum, axis=1).real
@@ -132,6 +142,7 @@ class Circulants:
         return self._scaled(W, self.spectrum)
 
     def inverse(self, P: Matrix) -> Matrix:
+        """Return W of P, without the modes of which nothing is left."""
         with np.errstate(divide="ignore"):
             return self._scaled(P, np.where(self.spectrum == 0.0, 0.0, 1.0 / self.spectrum))
 
@@ -161,15 +172,19 @@ class Weights:
 
     Examples
     --------
-    >>> Weights([[0.0, 2.0], [2.0, 0.0]])(np.array([[0.0, 1.0], [-1.0, 0.0]]))
-    array([[ 0.,  2.],
-           [-2., -0.]])
+    >>> Weights([[0.0, 2.0], [2.0, 0.0]])(np.array([[0.0, 1.0], [-1.0, 0.0]])).tolist()
+    [[0.0, 2.0], [-2.0, 0.0]]
     """
 
     weights: Floats
     table: Floats = field(init=False, repr=False)
 
     kind = "WEIGHTS"
+
+    @property
+    def size(self) -> int:
+        """How many rows the matrices have."""
+        return len(self.weights)
 
     def __post_init__(self) -> None:
         w = read_finite(self.weights, "weights")
@@ -182,5 +197,6 @@ class Weights:
         return self.weights * W
 
     def inverse(self, P: Matrix) -> Matrix:
+        """Return W of P, without the entries of which nothing is left."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.weights == 0.0, 0.0, P / self.weights)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.given import array_given
 from coadjoint.wording import short
 
 Complexes = npt.NDArray[np.complex128]
@@ -36,7 +37,7 @@ def matrix_of_modes(w: Complexes) -> Complexes:
     --------
     >>> w = np.zeros((3, 3), dtype=complex)
     >>> w[1, 0], w[2, 0] = 1.0, 1.0
-    >>> np.abs(matrix_of_modes(w) / (-3j / (4 * np.pi)) - np.diag([2.0, -1.0, -1.0])).max() < 1e-14
+    >>> bool(np.abs(matrix_of_modes(w) / (-3j / (4 * np.pi)) - np.diag([2.0, -1.0, -1.0])).max() < 1e-14)
     True
     """
     N = w.shape[-1]
@@ -59,20 +60,20 @@ def modes_of_matrix(W: Complexes) -> Complexes:
 
 
 def read_modes(given: Any, N: int) -> Complexes:
-    """Return modes (N, N) from a mapping of (n1, n2) to w; those of -n are added where they are missing.
+    """Return modes from a mapping of (n1, n2) to w, or from an array (..., N, N); missing ones of -n are added.
 
     Raises
     ------
     TypeError, ValueError
-        No mapping, a mode beyond (N - 1)/2, (0, 0), or w of n and -n that are not conjugate.
+        Neither of them, a mode beyond (N - 1)/2, (0, 0), or w of n and -n that are not conjugate.
 
     Examples
     --------
-    >>> read_modes({(1, 0): 0.5 + 1j}, 3)[2, 0]
+    >>> complex(read_modes({(1, 0): 0.5 + 1j}, 3)[2, 0])
     (0.5-1j)
     """
     if not isinstance(given, Mapping):
-        raise TypeError(f"modes is {short(given)}; give a mapping of (n1, n2) to w")
+        return _read_array(given, N)
     w, half = np.zeros((N, N), dtype=np.complex128), N // 2
     seen: dict[tuple[int, int], complex] = {}
     for mode, value in given.items():
@@ -91,3 +92,16 @@ def read_modes(given: Any, N: int) -> Complexes:
             )
         w[n1, n2], w[-n1, -n2] = number, number.conjugate()
     return w
+
+
+def _read_array(given: Any, N: int) -> Complexes:
+    w = array_given(given, "modes", "iufc")
+    if w.ndim < 2 or w.shape[-2:] != (N, N):
+        raise ValueError(f"modes has the shape {w.shape}; give a mapping of (n1, n2) to w, or (..., {N}, {N})")
+    if not np.isfinite(w).all():
+        raise ValueError("modes contains NaN or infinity; every w must be finite")
+    mirrored = np.conj(np.roll(w[..., ::-1, ::-1], 1, (-2, -1)))
+    wrong = max(np.abs(w - mirrored).max(initial=0.0), np.abs(w[..., 0, 0]).max(initial=0.0))
+    if wrong > 1e-12 * np.abs(w).max(initial=0.0):
+        raise ValueError("modes of n and -n are not conjugate, or that of (0, 0) is not zero: no real vorticity")
+    return np.asarray(w, dtype=np.complex128)

@@ -29,12 +29,13 @@ struct SkewMidpoint final : Isospectral<T> {
     typedef typename Lower<T>::type Few;
     using Base::n, Base::all, Base::numbers, Base::products, Base::stream;
 
-    static constexpr int64_t DIFFERENCES = 8;     // of P over the last steps
+    static constexpr int64_t DIFFERENCES = 12;     // of P over the last steps
     static constexpr int64_t MOST_CORRECTIONS = 24;
     static constexpr double FEW_DIGITS = 0x1p-21;  // what the lower precision tells of a correction
-    static constexpr double ROUND_OFF = 0x1p-52;
+    static constexpr double LAST_DIGIT = 0x1p-52;
     static constexpr double NEAR = 0x1p-28;        // of P: a correction from there reaches round-off
 
+    const int64_t half;  // numbers on and above the diagonal
     Triangles<T> triangles;
     Triangles<Few> few;
     std::vector<T> W, P, G, M, A, F, D, C;
@@ -48,11 +49,11 @@ struct SkewMidpoint final : Isospectral<T> {
     Direction directions[DIRECTIONS];
 
     explicit SkewMidpoint(const StepTables& tables)
-        : Base(tables), triangles(tables.whole[GEMM], tables.whole[TRSM], n),
+        : Base(tables), half(numbers / n * (n + 1) / 2), triangles(tables.whole[GEMM], tables.whole[TRSM], n),
           few(tables.whole[LOWER_GEMM], tables.whole[LOWER_TRSM], n), W(all), P(all), G(all), M(all), A(all),
           F(all), D(all), C(all), few_A(all), few_M(all), few_C(all), few_D(all) {
         for (Direction& each : directions) each.p.resize(all), each.q.resize(all), each.moves.resize(all);
-        this->remembered = 3 + DIFFERENCES * numbers;
+        this->remembered = 3 + DIFFERENCES * half;
     }
 
     int64_t step(double* x, double* dx, double*, double*, double t, double h) override {
@@ -68,9 +69,9 @@ struct SkewMidpoint final : Isospectral<T> {
             ++this->evaluations;
             this->residual = largest_of(numbers, [=](int64_t k) { return f[k] = g[k] - p[k]; });
             const double size = largest_of(numbers, [=](int64_t k) { return g[k]; });
-            if (this->ended(this->residual, size) || this->residual <= ROUND_OFF * size) break;
+            if (this->ended(this->residual, size) || this->residual <= LAST_DIGIT * size) break;
             const bool last = this->residual <= NEAR * size;
-            const bool near = correct(h, std::max(FEW_DIGITS * this->residual, (last ? ROUND_OFF : NEAR) * size / 4)) && last;
+            const bool near = correct(h, std::max(FEW_DIGITS * this->residual, last ? LAST_DIGIT * size : NEAR * size / 4)) && last;
             for (int64_t k = 0; k < numbers; ++k) p[k] += d[k];
             if (near) {
                 for (int64_t k = 0; k < numbers; ++k) m[k] += g[k];
@@ -173,7 +174,7 @@ struct SkewMidpoint final : Isospectral<T> {
     }
 
     // memory: how many differences of P there are, the step that they are of, how many of them lead nearest to the
-    // next P, and P with its backward differences.
+    // next P, and P with its backward differences, each as its entries on and above the diagonal.
     void guess(double t, double h) {
         const double* memory = this->memory;
         const bool usable = memory && memory[0] == memory[0] && memory[1] == h;
@@ -181,28 +182,36 @@ struct SkewMidpoint final : Isospectral<T> {
             stream.apply(W.data(), t, P.data());
             return;
         }
-        const double* past = memory + 3;
         const int64_t taken = int64_t(memory[2]);
-        double* p = numbers_of(P.data());
-        std::copy_n(past, numbers, p);
+        double *sum = numbers_of(G.data());
+        const double* past = memory + 3;
+        std::copy_n(past, half, sum);
         for (int64_t d = 1; d < taken; ++d)
-            for (int64_t k = 0; k < numbers; ++k) p[k] += past[d * numbers + k];
+            for (int64_t k = 0; k < half; ++k) sum[k] += past[d * half + k];
+        const T* entry = G.data();
+        for (int64_t i = 0; i < n; ++i)
+            for (int64_t j = i; j < n; ++j, ++entry) {
+                P[j * n + i] = -conjugate(*entry);
+                P[i * n + j] = *entry;
+            }
     }
 
     void remember(double h) {
         double* memory = this->memory;
         if (!memory) return;
         const bool usable = memory[0] == memory[0] && memory[1] == h;
-        const int64_t known = usable ? int64_t(memory[0]) : 0, kept = std::min(known + 1, DIFFERENCES);
+        const int64_t known = usable ? int64_t(memory[0]) : 0;
+        // Two more than were of use are kept, to see whether they are.
+        const int64_t kept = std::min({known + 1, DIFFERENCES, (known ? int64_t(memory[2]) : 1) + 2});
         double *past = memory + 3, *next = numbers_of(G.data());
-        std::copy_n(numbers_of(P.data()), numbers, next);
+        for (int64_t i = 0, at = 0; i < n; at += n - i, ++i) std::copy_n(P.data() + i * n + i, n - i, G.data() + at);
         int64_t taken = 1;
         double least = std::numeric_limits<double>::infinity();
         for (int64_t d = 0; d < kept; ++d) {
-            double* row = past + d * numbers;
+            double* row = past + d * half;
             const bool filled = d < known;
             // The d-th difference is by how much the first d of them missed P.
-            const double missed = largest_of(numbers, [=](int64_t k) {
+            const double missed = largest_of(half, [=](int64_t k) {
                 const double now = next[k], old = filled ? row[k] : 0.0;
                 row[k] = now;
                 next[k] = now - old;

@@ -51,12 +51,16 @@ class DiagonalMap {
     // Row by row, all diagonals at once: what one row needs of another stands side by side.
     void solve(const T* W, T* P) const {
         const double *below = numbers, *inverse = numbers + n * n;
+        const bool unseen = inverse[(n - 1) * n] == 0.0;
+        const T trace = unseen ? mean(W) : T(0.0);
         for (int64_t i = 0; i < n; ++i) {
             const T *from = W + i * n + i, *before = P + (i - 1) * n + i - 1;
             T* to = P + i * n + i;
             if (i == 0) std::copy_n(from, n, to);
             else
                 for (int64_t m = 0; m < n - i; ++m) to[m] = from[m] - below[i * n + m] * before[m];
+            // The stages of a step have a trace; only a map that does not see it is symmetric on them.
+            to[0] -= trace;
         }
         for (int64_t i = n - 1; i >= 0; --i) {
             T* to = P + i * n + i;
@@ -64,13 +68,18 @@ class DiagonalMap {
             for (int64_t m = 0; m < n - i; ++m) to[m] *= inverse[i * n + m];
             for (int64_t m = 0; m < n - i - 1; ++m) to[m] -= below[(i + 1) * n + m] * after[m];
         }
-        if (inverse[(n - 1) * n] == 0.0) {
-            T mean(0.0);
-            for (int64_t i = 0; i < n; ++i) mean += P[i * n + i];
-            mean /= double(n);
-            for (int64_t i = 0; i < n; ++i) P[i * n + i] -= mean;
+        if (unseen) {
+            const T rest = mean(P);
+            for (int64_t i = 0; i < n; ++i) P[i * n + i] -= rest;
         }
         mirror(P);
+    }
+
+    // Of the main diagonal.
+    T mean(const T* W) const {
+        T sum(0.0);
+        for (int64_t i = 0; i < n; ++i) sum += W[i * n + i];
+        return sum / double(n);
     }
 
     void multiply(const T* W, T* P) const {

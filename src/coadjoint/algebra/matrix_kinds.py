@@ -1,0 +1,108 @@
+"""Which matrices make a Lie algebra? The classical ones, as those that a form turns into their negatives."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Matrix = npt.NDArray[Any]
+
+
+class Kind(NamedTuple):
+    """A family of Lie algebras of matrices: those A with ``adjoint(A) = -A``, of trace zero if that is asked for.
+
+    Attributes
+    ----------
+    complex : bool
+        Whether entries are complex.
+    form : str
+        "diagonal" (signs on the diagonal), "symplectic", or "" where all matrices belong.
+    conjugate : bool
+        Whether entries of an adjoint are conjugate.
+    traceless : bool
+        Whether the trace vanishes beside that.
+    says : str
+        What the matrices are, for messages.
+    """
+
+    complex: bool
+    form: str
+    conjugate: bool
+    traceless: bool
+    says: str
+
+    @property
+    def even(self) -> bool:
+        """Whether traces of odd powers vanish."""
+        return self.form != "" and not self.conjugate
+
+    @property
+    def twofold(self) -> bool:
+        """Whether traces are complex, so that each makes two invariants: the algebra is the complex form itself."""
+        return self.complex and not self.conjugate
+
+    def dim(self, N: int) -> int:
+        """Return the real dimension."""
+        whole = N * N - self.traceless
+        if self.even:
+            whole = N * (N - 1) // 2 if self.form == "diagonal" else N * (N + 1) // 2
+        return whole * (1 + self.twofold)
+
+    def rank(self, N: int) -> int:
+        """Return how many independent Casimirs there are."""
+        return (N // 2 if self.even else N - self.traceless) * (1 + self.twofold)
+
+
+KINDS = {
+    "u": Kind(True, "diagonal", True, False, "skew-Hermitian"),
+    "su": Kind(True, "diagonal", True, True, "skew-Hermitian, of trace zero"),
+    "so": Kind(False, "diagonal", False, False, "real and skew"),
+    "gl": Kind(False, "", False, False, "real"),
+    "sl": Kind(False, "", False, True, "real, of trace zero"),
+    "sp": Kind(False, "symplectic", False, False, "real, with W^T J + J W = 0, J = [[0, 1], [-1, 0]]"),
+    "gl(C)": Kind(True, "", False, False, "complex"),
+    "sl(C)": Kind(True, "", False, True, "complex, of trace zero"),
+    "so(C)": Kind(True, "diagonal", False, False, "complex, with W^T = -W"),
+    "sp(C)": Kind(True, "symplectic", False, False, "complex, with W^T J + J W = 0, J = [[0, 1], [-1, 0]]"),
+}
+WITH_SIGNS = ("u", "su", "so")
+"""The kinds that there are for forms of any signature."""
+
+
+class Adjoint:
+    """The adjoint of matrices by a form: ``J^-1 A^T J``, the transpose conjugate where the kind says so.
+
+    Parameters
+    ----------
+    kind : Kind
+        Of the algebra.
+    N : int
+        Size of the matrices.
+    q : int
+        How many signs are negative, the last ones.
+
+    Examples
+    --------
+    >>> Adjoint(KINDS["so"], 2, 1)(np.array([[1.0, 2.0], [3.0, 4.0]]))
+    array([[ 1., -3.],
+           [-2.,  4.]])
+    """
+
+    def __init__(self, kind: Kind, N: int, q: int) -> None:
+        self.conjugate, places, signs = kind.conjugate, np.arange(N), np.ones(N)
+        if kind.form == "symplectic":
+            places, signs[N // 2 :] = np.roll(places, N // 2), -1.0
+        else:
+            signs[N - q :] = -1.0
+        self._moved = bool((places != np.arange(N)).any())
+        self._places, self._signs = places, None if (signs > 0).all() else np.outer(signs, signs)
+
+    def __call__(self, A: Matrix) -> Matrix:
+        found = np.swapaxes(A, -1, -2)
+        if self._moved:
+            found = found[..., self._places[:, None], self._places]
+        if self.conjugate:
+            found = np.conj(found)
+        return found if self._signs is None else self._signs * found

@@ -1,0 +1,125 @@
+"""A stream that is a function of the user, behind a C address: compiled by Numba where that is possible."""
+
+from __future__ import annotations
+
+import ctypes
+import inspect
+import warnings
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from coadjoint.extras import MissingPackageError, need
+from coadjoint.systems.matrices.function_stream import FunctionStream
+
+# W, time, P; all matrices row by row.
+CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)
+
+
+class MatrixFunction:
+    """A stream that is a function, as the loops call it.
+
+    Parameters
+    ----------
+    stream : FunctionStream
+        The stream.
+    shape : tuple of int
+        Of a matrix.
+    complex_entries : bool
+        Of complex128 rather than float64.
+
+    Attributes
+    ----------
+    address : int
+        Of ``void(const double* W, double t, double* P)``.
+    compiled : bool
+        Whether Numba compiled it; else each call is one of Python, which only one thread at a time can make.
+    """
+
+    def __init__(self, stream: FunctionStream, shape: tuple[int, int], complex_entries: bool) -> None:
+        self._raised: BaseException | None = None
+        try:
+            need("a compiled stream", "numba")
+            self._callback: Any = _compiled(stream.function, shape[0], complex_entries, stream.timed)
+            self.address, self.compiled = int(self._callback.address), True
+        except MissingPackageError as reason:
+            self._call_python(stream, shape, complex_entries, str(reason))
+        except Exception as error:  # Numba raises errors of many kinds
+            from coadjoint.kernels.callbacks import reason_of
+
+            self._call_python(stream, shape, complex_entries, reason_of(error))
+
+    def raised(self) -> BaseException | None:
+        """Return what the function raised, once, if it did."""
+        found, self._raised = self._raised, None
+        return found
+
+    def _call_python(self, stream: FunctionStream, shape: tuple[int, int], complex_entries: bool, reason: str) -> None:
+        kind, numbers = np.dtype("c16" if complex_entries else "f8"), 1 + complex_entries
+        block = ctypes.c_double * (numbers * shape[0] * shape[1])
+
+        def call(W: int, t: float, P: int) -> None:
+            out = np.frombuffer(memoryview(block.from_address(P)), dtype=kind).reshape(shape)
+            try:
+                if self._raised is not None:
+                    raise self._raised
+                given = np.frombuffer(memoryview(block.from_address(W)), dtype=kind)
+                out[:] = stream(given.reshape(shape).copy(), t)
+            except BaseException as error:
+                # NaN ends the steps of the member, and what was raised is raised again where the run is.
+                self._raised = error
+                out[:] = np.nan
+
+        self._callback, self.compiled = CALLBACK(call), False
+        self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
+        _say_once(stream.function, reason)
+
+
+@lru_cache(maxsize=256)
+def _say_once(function: Callable[..., Any], reason: str) -> None:
+    name = getattr(function, "__name__", type(function).__name__)
+    warnings.warn(
+        f"the stream {name} is called in Python, some ten microseconds at a time, and by one thread: Numba cannot "
+        f"compile it ({reason})",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+
+
+@lru_cache(maxsize=256)
+def _compiled(function: Callable[..., Any], N: int, complex_entries: bool, timed: bool) -> Any:
+    import numba
+    from numba import carray
+
+    from coadjoint.kernels.callbacks import SIGNATURE
+
+    inner: Any = (
+        numba.njit(error_model="numpy", boundscheck=True)(function) if inspect.isfunction(function) else function
+    )
+
+    def of_complex(W: Any, t: float, P: Any) -> None:
+        out = carray(P, (2 * N * N,))
+        out[:] = np.nan
+        given = carray(W, (2 * N * N,)).copy().view(np.complex128).reshape((N, N))
+        found = inner(given, t) if timed else inner(given)
+        for i in range(N):
+            for j in range(N):
+                value = complex(found[i, j])
+                out[2 * (i * N + j)] = value.real
+                out[2 * (i * N + j) + 1] = value.imag
+
+    def of_real(W: Any, t: float, P: Any) -> None:
+        out = carray(P, (N * N,))
+        out[:] = np.nan
+        given = carray(W, (N * N,)).copy().reshape((N, N))
+        found = inner(given, t) if timed else inner(given)
+        for i in range(N):
+            for j in range(N):
+                out[i * N + j] = found[i, j]
+
+    with warnings.catch_warnings():
+        # That transposed matrices are multiplied more slowly is no news to who writes them.
+        warnings.simplefilter("ignore", numba.NumbaPerformanceWarning)
+        return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(of_complex if complex_entries else of_real)

@@ -1,0 +1,72 @@
+"""A stream that is a function of the user: P = f(W) or f(W, t), linear or not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.given import array_given
+from coadjoint.systems.user_functions import takes_time
+from coadjoint.wording import short
+
+Floats = npt.NDArray[np.float64]
+Matrix = npt.NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionStream:
+    """P = f(W), or f(W, t), by a Python function of one matrix.
+
+    Compiled loops call machine code where Numba compiles the function, else Python.
+
+    Parameters
+    ----------
+    function : callable
+        Of a matrix (N, N), real or complex as the algebra is, or of a matrix and the time; pure.
+
+    Raises
+    ------
+    TypeError
+        No such function.
+
+    Examples
+    --------
+    >>> FunctionStream(lambda W: 2.0 * W)(np.eye(2))
+    array([[2., 0.],
+           [0., 2.]])
+    """
+
+    function: Callable[..., Any]
+    timed: bool = field(init=False)
+    table: Floats = field(init=False, repr=False)
+
+    kind = "BY_FUNCTION"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "timed", takes_time(self.function, "stream"))
+        object.__setattr__(self, "table", np.zeros(0))
+
+    def __call__(self, W: Matrix, t: float = 0.0) -> Matrix:
+        W = np.asarray(W)
+        if W.ndim == 2:
+            return self.checked(self.function(W, t) if self.timed else self.function(W), W)
+        return np.stack([self(part, t) for part in W]) if len(W) else np.zeros_like(W)
+
+    def checked(self, P: Any, W: Matrix) -> Matrix:
+        """Return what the function returned, as a matrix like W; refuse something else.
+
+        Raises
+        ------
+        TypeError
+            Of another shape, or no numbers of the kind that W has.
+        """
+        right = "iufc" if np.iscomplexobj(W) else "iuf"
+        found = array_given(P, "what the stream returns", right)
+        if found.shape != W.shape or found.dtype.kind not in right:
+            kind = "complex" if right == "iufc" else "real"
+            raise TypeError(f"the stream returns {short(P)}; it must return a {kind} matrix of shape {W.shape}")
+        return found.astype(W.dtype, copy=False)

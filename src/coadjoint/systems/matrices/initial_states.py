@@ -1,0 +1,278 @@
+"""Initial states of fluids, each by one line: random fields, blobs, patches, files. Methods of every `FluidSystem`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.given import read_finite, read_positive, read_whole
+from coadjoint.systems.matrices.vorticity_files import read_field
+from coadjoint.wording import short
+
+if TYPE_CHECKING:
+    from coadjoint.systems.matrices.fluid_system import FluidSystem
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+USUAL = (2, 10)
+"""First and last degree of a random field of which nothing else is said."""
+
+
+def random(
+    system: FluidSystem,
+    seed: int,
+    *,
+    degrees: tuple[int, int] | None = None,
+    spectrum: Callable[[Floats], Any] | npt.ArrayLike | None = None,
+    energy: float | None = None,
+    enstrophy: float | None = None,
+) -> Complexes:
+    """Return the state of a random smooth vorticity with a given spectrum.
+
+    The modes of a degree point in a random direction, evenly distributed; how much a degree has is not random. Numbers
+    are drawn degree by degree, so that one seed is one field for every N that resolves it.
+
+    Parameters
+    ----------
+    seed : int
+        Of NumPy's default generator.
+    degrees : (int, int), optional
+        First and last degree, on the torus wave number, that is not zero. Without it 2 to 10, or as far as N reaches;
+        with a spectrum all that has.
+    spectrum : callable or array_like, optional
+        The energy of each degree: ``spectrum(l)`` of an array of degrees, or ``spectrum[l]``. Without it every mode has
+        the same share of the enstrophy.
+    energy, enstrophy : float, optional
+        The field is multiplied so that the integral of |u|^2/2, or of omega^2/2, over the surface has this value.
+        Without both, and without a spectrum, the vorticity has a root mean square of 1.
+
+    Returns
+    -------
+    (N, N) array
+
+    Raises
+    ------
+    TypeError, ValueError
+        Degrees that N does not resolve, a spectrum that is negative or zero, energy and enstrophy together.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> s = co.systems.sphere_euler(N=12)
+    >>> W = s.random(1, spectrum=lambda l: l**-3.0, degrees=(3, 6), energy=2.0)
+    >>> l, E = s.energy_spectrum(W)
+    >>> (E[2:6] * l[2:6] ** 3.0 / E[2] / 27).round(12), round(float(E.sum()), 12)
+    (array([1., 1., 1., 1.]), 2.0)
+    """
+    generator = np.random.default_rng(read_whole(seed, "seed", 0))
+    first, last = _read_degrees(degrees, spectrum, system)
+    modes = system.random_modes(generator, last)
+    if spectrum is None:
+        weights = 0.5 * system.squares
+        wanted = np.asarray(np.bincount(system.degrees.ravel(), system.squares.ravel())[first : last + 1], dtype=float)
+        if energy is None and enstrophy is None:
+            enstrophy = system.area / 2
+    else:
+        weights = system.energy_weights
+        wanted = _read_spectrum(spectrum, first, last)
+    factors = np.zeros(int(system.degrees.max()) + 1)
+    factors[first : last + 1] = np.sqrt(wanted / system.spectrum_of_modes(modes, weights)[1][first - 1 : last])
+    return system.absolute(system.from_modes(_scaled(system, modes * factors[system.degrees], energy, enstrophy)))
+
+
+def blobs(system: FluidSystem, places: Any, strengths: Any, widths: Any) -> Complexes:
+    """Return the state of round blobs of vorticity: what is left of point vortices when they have diffused for a while.
+
+    On the torus, and near enough on the sphere, each is a Gaussian. The vorticity of a flow on a closed surface has no
+    mean: strength over area is taken off everywhere, so that the total is zero.
+
+    Parameters
+    ----------
+    places : (k, 2) array_like
+        Latitudes and longitudes in radians; x and y on the torus.
+    strengths : float or (k,) array_like
+        Circulations: the integral of the vorticity of each blob.
+    widths : float or (k,) array_like
+        Standard deviations in radians. A narrow one shows as ripples: take pi over the largest degree
+        that N resolves, or more.
+
+    Returns
+    -------
+    (N, N) array
+
+    Raises
+    ------
+    TypeError, ValueError
+        Places off the surface, or numbers that do not fit.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> s = co.systems.torus_euler(N=33)
+    >>> W = s.blobs([(3.0, 3.5), (3.0, 2.5)], strengths=[1.0, -1.0], widths=0.3)
+    >>> s.to_grid(W).shape
+    (33, 33)
+    """
+    found = _sum_about_points(system, places, strengths, widths, "blobs", "strengths", "widths", lambda width: 1.0)
+    return system.absolute(system.from_modes(found))
+
+
+def patches(system: FluidSystem, places: Any, radii: Any, vorticities: Any, *, edge: float | None = None) -> Complexes:
+    """Return the state of round patches of constant vorticity.
+
+    The mean of the vorticity is taken off everywhere, so that the total is zero.
+
+    Parameters
+    ----------
+    places : (k, 2) array_like
+        Centres: latitudes and longitudes in radians; x and y on the torus.
+    radii : float or (k,) array_like
+        Distances from centre to edge along the surface, in radians, below pi.
+    vorticities : float or (k,) array_like
+        What they have inside.
+    edge : float, optional
+        Standard deviation of the Gaussian by which edges are smoothed, in radians; without it pi over the largest
+        degree that N resolves. Zero gives the ripples of a cut series.
+
+    Returns
+    -------
+    (N, N) array
+
+    Raises
+    ------
+    TypeError, ValueError
+        Places off the surface, or numbers that do not fit.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> s = co.systems.torus_euler(N=65)
+    >>> W = s.patches([(3.0, 3.0)], radii=1.0, vorticities=2.0)
+    >>> x, y = s.grid()
+    >>> bool(np.ptp(s.to_grid(W)) < 2.01 and np.ptp(s.to_grid(W)) > 1.99)
+    True
+    """
+    sigma = np.pi / system.complete_degree if edge is None else float(read_finite(edge, "edge"))
+    if sigma < 0.0:
+        raise ValueError(f"edge is {sigma:g}; give a width from 0 up")
+    found = _sum_about_points(
+        system, places, vorticities, radii, "patches", "vorticities", "radii", system.disc_profile, sigma
+    )
+    return system.absolute(system.from_modes(found))
+
+
+def from_file(
+    system: FluidSystem, path: str | Path, *, variable: str | None = None, select: Mapping[str, int] | None = None
+) -> Complexes:
+    """Return the state that is read from a file.
+
+    Parameters
+    ----------
+    path : str or Path
+        ``.npy``: a complex (N, N) array is a state W as it is; a real array holds values of the vorticity at the points
+        of a grid, as `from_grid` takes them. ``.nc``: NetCDF with two coordinates, latitude and longitude in degrees or
+        radians in any order and direction, on the torus x and y.
+    variable : str, optional
+        Of NetCDF, where it has several.
+    select : mapping of str to int, optional
+        Of NetCDF the place along each further axis, such as ``{"time": -1}``.
+
+    Returns
+    -------
+    (..., N, N) array
+
+    Raises
+    ------
+    OSError, TypeError, ValueError
+        The file is not there, or holds nothing of that kind.
+    MissingPackageError
+        NetCDF without xarray and h5netcdf.
+    """
+    values, coordinates = read_field(path, variable, select)
+    if np.iscomplexobj(values):
+        return system.algebra.read(values, short(str(path)))
+    if coordinates is None:
+        return system.absolute(system.from_grid(values))
+    return system.absolute(system.from_coordinates(values, *coordinates))
+
+
+def _sum_about_points(
+    system: FluidSystem,
+    places: Any,
+    strengths: Any,
+    sizes: Any,
+    what: str,
+    what_strengths: str,
+    what_sizes: str,
+    profile: Callable[[float], Any],
+    edge: float | None = None,
+) -> Complexes:
+    """Return modes of fields about points; of blobs the size is the width, of patches the radius."""
+    points = system.read_places(places, f"places of {what}")
+    factors, extents = (
+        np.array(_one_each(given, len(points), name))
+        for given, name in ((strengths, what_strengths), (sizes, what_sizes))
+    )
+    if not (extents > 0.0).all():
+        raise ValueError(f"{what_sizes} is {short(sizes)}; give positive numbers")
+    total = np.zeros(system.shape, dtype=np.complex128)
+    for extent in np.unique(extents):
+        chosen = extents == extent
+        smoothing = np.exp(-system.eigenvalues * (extent if edge is None else edge) ** 2 / 2)
+        total += system.point_modes(points[chosen], factors[chosen]) * profile(float(extent)) * smoothing
+    total[system.degrees < 1] = 0.0
+    return total
+
+
+def _one_each(given: Any, count: int, what: str) -> Floats:
+    numbers = read_finite(given, what)
+    if numbers.shape not in ((), (count,)):
+        raise ValueError(f"{what} has the shape {numbers.shape}; give one number, or one for each of {count} places")
+    return np.broadcast_to(numbers, (count,))
+
+
+def _read_degrees(degrees: Any, spectrum: Any, system: FluidSystem) -> tuple[int, int]:
+    complete = system.complete_degree
+    if degrees is None:
+        if spectrum is None:
+            return min(USUAL[0], complete), min(USUAL[1], complete)
+        listed = complete if callable(spectrum) else np.size(read_finite(spectrum, "spectrum")) - 1
+        if listed > complete:
+            raise ValueError(f"spectrum goes to the degree {listed}; N resolves those up to {complete}")
+        return 1, max(1, listed)
+    try:
+        first, last = degrees
+    except (TypeError, ValueError):
+        raise TypeError(f"degrees is {short(degrees)}; give the first and the last one, such as (2, 10)") from None
+    first = read_whole(first, "degrees[0]", 1, complete)
+    return first, read_whole(last, "degrees[1]", first, complete)
+
+
+def _read_spectrum(spectrum: Any, first: int, last: int) -> Floats:
+    if callable(spectrum):
+        found = read_finite(spectrum(np.arange(first, last + 1.0)), "spectrum of degrees")
+        if found.shape != (last + 1 - first,):
+            raise ValueError(f"spectrum returns the shape {found.shape}; it must return one number for each degree")
+    else:
+        given = read_finite(spectrum, "spectrum")
+        if given.ndim != 1 or len(given) <= last:
+            raise ValueError(f"spectrum has the shape {given.shape}; give the energy of the degrees 0, ..., {last}")
+        found = given[first : last + 1]
+    if (found < 0.0).any() or not found.any():
+        raise ValueError("spectrum must be positive or zero, and not zero at all degrees")
+    return found
+
+
+def _scaled(system: FluidSystem, modes: Complexes, energy: Any, enstrophy: Any) -> Complexes:
+    if energy is not None and enstrophy is not None:
+        raise ValueError("energy and enstrophy are both given; one of them says how strong the field is")
+    if energy is None and enstrophy is None:
+        return modes
+    wanted = read_positive(energy, "energy") if enstrophy is None else read_positive(enstrophy, "enstrophy")
+    weights = system.energy_weights if enstrophy is None else 0.5 * system.squares
+    return modes * np.sqrt(wanted / system.spectrum_of_modes(modes, weights)[1].sum())

@@ -1,0 +1,147 @@
+"""The energy of a matrix system: of its stream, or by a function of the user that the stream must be the slope of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.given import is_real
+from coadjoint.systems.points import QUIET
+from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
+from coadjoint.wording import short
+
+if TYPE_CHECKING:
+    from coadjoint.systems.matrices.matrix_system import MatrixSystem
+
+Matrix = npt.NDArray[Any]
+Floats = npt.NDArray[np.float64]
+
+ROUNDED = 1e-12
+"""Times N: by so much, of the sizes in the problem, two sides of an identity may differ by rounding."""
+DIFFERENCE = 2.0**-17
+AGREEMENT = 2.0**-24
+"""Of the sizes: what a central difference may miss, by the third derivative and by rounding."""
+
+
+class MatrixEnergy:
+    """The energy of a matrix system as runs ask for it: of a state as a row of numbers.
+
+    Attributes
+    ----------
+    timed : bool
+        Whether it depends on the time.
+    dim : int
+        How many numbers a state has.
+    """
+
+    def __init__(self, system: MatrixSystem) -> None:
+        self._system, self.dim, self.timed = system, system.dim, system.timed
+
+    def __repr__(self) -> str:
+        return f"energy of {self._system!r}"
+
+    def bind(self, n: int) -> MatrixEnergy:
+        """Return this energy."""
+        return self
+
+    def value(self, x: npt.ArrayLike, t: float = 0.0) -> float:
+        """Return it."""
+        return float(self._system.energy(x, t))
+
+    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
+        """Return its derivatives by the numbers of a state, of its projection on the algebra."""
+        system = self._system
+        P = system.stream_of(system.matrices(x), t)
+        return system.energy_sign * system.to_vector(system.algebra.dual(P))
+
+    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
+        """Return the second derivatives; refuse where the stream is a function that is not linear."""
+        system = self._system
+        if not system.linear_stream:
+            raise TypeError(
+                f"the stream of {system.name} is a function that is not linear; its derivative is not known"
+            )
+        rows = system.algebra.projected(system.from_vector(np.eye(self.dim)))
+        return system.energy_sign * system.to_vector(system.algebra.dual(system.slope_of(rows, t))).T
+
+    def terms(self) -> tuple[Any, ...]:
+        """Return none: the kernels read the stream."""
+        return ()
+
+
+def checked_energy(energy: Any, timed: bool) -> Callable[..., Any] | None:
+    """Return a function for the energy, of the same arguments as the stream; refuse something else."""
+    if energy is None:
+        return None
+    if takes_time(energy, "energy") != timed:
+        raise TypeError(
+            f"stream takes {'(W, t)' if timed else '(W)'} and energy {'(W)' if timed else '(W, t)'}; give both the same"
+        )
+    function: Callable[..., Any] = energy
+    return function
+
+
+def samples(system: MatrixSystem) -> list[Matrix]:
+    """Return matrices of the algebra, seeded, of size one."""
+    rng, shape = np.random.default_rng(1), system.algebra.shape
+    drawn = [rng.standard_normal(shape) + 1j * system.complex * rng.standard_normal(shape) for _ in range(2)]
+    found = [system.algebra.projected(one) for one in drawn]
+    return [one / (np.abs(one).max(initial=0.0) or 1.0) for one in found]
+
+
+@QUIET
+def check_stream(system: MatrixSystem) -> None:
+    """Refuse a stream that leaves the algebra, and one that is not what the energy says, at sample matrices.
+
+    Raises
+    ------
+    ValueError
+        Of a linear stream: not symmetric, or not linear. With a function for the energy: not its slope.
+    """
+    A, B = samples(system)
+    P, rounded, algebra = system.slope_of(A, SAMPLE_TIME), ROUNDED * system.algebra.N, system.algebra
+    size = float(np.abs(P).max(initial=0.0))
+    if not float(np.abs(P - algebra.projected(P)).max(initial=0.0)) <= rounded * size:
+        raise ValueError(f"the stream leaves {algebra}: its values at sample matrices are not {algebra.says}")
+    if system.energy_function is not None:
+        _check_slope(system, A, B)
+        return
+    Q, R = system.slope_of(B, SAMPLE_TIME), system.slope_of(A + 2.0 * B, SAMPLE_TIME)
+    off, size = float(np.abs(R - P - 2.0 * Q).max(initial=0.0)), float((np.abs(P) + 2.0 * np.abs(Q)).max(initial=0.0))
+    if not off <= rounded * size:
+        raise ValueError(
+            "the stream is not linear: stream(A + 2 B) and stream(A) + 2 stream(B) differ at sample matrices; give "
+            "energy=, the function whose slope it is"
+        )
+    sizes = float(np.sum(np.abs(P.T * B.T)) + np.sum(np.abs(Q * A)))
+    if not abs(algebra.pairing(P, B) - algebra.pairing(A, Q)) <= rounded * sizes:
+        raise ValueError("the stream is not symmetric: <stream(A), B> and <A, stream(B)> differ at sample matrices")
+
+
+def _check_slope(system: MatrixSystem, A: Matrix, B: Matrix) -> None:
+    energy = system.energy_function
+    assert energy is not None
+    time = (SAMPLE_TIME,) if system.timed else ()
+    ahead, behind = (_number(energy(A + side * DIFFERENCE * B, *time)) for side in (1.0, -1.0))
+    seen = (ahead - behind) / (2.0 * DIFFERENCE)
+    P = system.slope_of(A, SAMPLE_TIME)
+    told = system.energy_sign * float(system.algebra.pairing(P, B))
+    size = float(np.sum(np.abs(P) * np.abs(B.T))) + abs(ahead)
+    if np.isfinite(seen) and not abs(seen - told) <= AGREEMENT * system.algebra.N * size:
+        raise ValueError(
+            f"the stream is not the slope of the energy: along a sample matrix the energy rises by {seen:.6g}, and "
+            f"energy_sign <stream, .> is {told:.6g}"
+        )
+
+
+def _number(value: Any) -> float:
+    """Return what a function for the energy returned; NaN where that is outside of its domain."""
+    if not is_real(value):
+        raise TypeError(f"energy returns {short(value)} at a sample matrix; it must return one real number")
+    try:
+        return float(value)
+    except OverflowError:
+        return float("nan")

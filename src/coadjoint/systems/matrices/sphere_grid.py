@@ -1,0 +1,241 @@
+"""Latitude-longitude grids on the sphere: values from coefficients of spherical harmonics, and back."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.extras import need
+from coadjoint.given import array_given, check_finite, read_choice, read_finite, read_numbers, read_whole
+from coadjoint.memory import check_room
+from coadjoint.wording import short
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+GRIDS = {"clenshaw-curtis": "CC", "fejer": "F1", "gauss-legendre": "GL"}
+"""Rows of latitude that are equally spaced with the poles, without the poles, or the nodes of Gauss."""
+LARGEST = 2**16
+
+
+def read_shape(shape: Any, least: tuple[int, int], usual: tuple[int, int]) -> tuple[int, int]:
+    """Return the numbers of rows and columns of a grid.
+
+    Examples
+    --------
+    >>> read_shape(None, (2, 1), (9, 16)), read_shape((5, 8), (2, 1), (9, 16))
+    ((9, 16), (5, 8))
+    """
+    if shape is None:
+        return usual
+    try:
+        rows, columns = shape
+    except (TypeError, ValueError):
+        raise TypeError(f"shape is {short(shape)}; give two whole numbers, such as {usual}") from None
+    return read_whole(rows, "shape[0]", least[0], LARGEST), read_whole(columns, "shape[1]", least[1], LARGEST)
+
+
+def usual_shape(N: int) -> tuple[int, int]:
+    """Return the smallest grid, with the poles, that holds all degrees below N, with an even number of columns.
+
+    Examples
+    --------
+    >>> usual_shape(16)
+    (17, 32)
+    """
+    return N + 1, 2 * N
+
+
+def resolved(points: str, rows: int) -> int:
+    """Return the largest degree that a grid with so many rows tells from all lower ones.
+
+    Examples
+    --------
+    >>> resolved("clenshaw-curtis", 17), resolved("fejer", 17)
+    (15, 16)
+    """
+    return rows - 2 if points == "clenshaw-curtis" else rows - 1
+
+
+def latitudes(points: str, rows: int) -> Floats:
+    """Return the latitudes of the rows in radians, from north to south.
+
+    Examples
+    --------
+    >>> (latitudes("clenshaw-curtis", 3) * 2 / np.pi).round(12) + 0.0
+    array([ 1.,  0., -1.])
+    """
+    points = read_choice(points, "points", GRIDS)
+    if points == "gauss-legendre":
+        return np.arcsin(np.polynomial.legendre.leggauss(rows)[0])[::-1].copy()
+    row = np.arange(rows)
+    return pi / 2 - (pi * row / (rows - 1) if points == "clenshaw-curtis" else pi * (row + 0.5) / rows)
+
+
+def longitudes(columns: int, first: float = 0.0) -> Floats:
+    """Return the longitudes of the columns in radians, eastward.
+
+    Examples
+    --------
+    >>> longitudes(4) / np.pi
+    array([0. , 0.5, 1. , 1.5])
+    """
+    return first + 2 * pi * np.arange(columns) / columns
+
+
+def values_of(c: Complexes, shape: tuple[int, int], points: str) -> Floats:
+    """Return values (..., rows, columns) of the field with coefficients c (..., N, N), ``c[l, m]``, at grid points."""
+    code = GRIDS[read_choice(points, "points", GRIDS)]
+    need("a grid on the sphere", "ducc0")
+    from ducc0.sht import synthesis_2d
+
+    N, lead = c.shape[-1], c.shape[:-2]
+    check_room(8 * (2 + int(np.prod(lead))) * shape[0] * shape[1], f"values on {shape[0]} x {shape[1]} points")
+    rows, columns = _triangle(N - 1, N - 1)
+    found = np.empty((*lead, *shape))
+    for index in np.ndindex(lead):
+        alm = np.ascontiguousarray(c[index][rows, columns])[None]
+        found[index] = synthesis_2d(
+            alm=alm, spin=0, lmax=N - 1, mmax=N - 1, geometry=code, ntheta=shape[0], nphi=shape[1]
+        )[0]
+    return found
+
+
+def coefficients_of(values: Any, N: int, points: str, first: float = 0.0) -> Complexes:
+    """Return c (..., N, N) of a field that is given at grid points, for all degrees that both N and the grid resolve.
+
+    Parameters
+    ----------
+    values : (..., rows, columns) array
+        Real; rows from north to south, columns eastward.
+    N : int
+        Degrees below N are kept.
+    points : str
+        One of `GRIDS`.
+    first : float
+        Longitude of the first column, in radians.
+
+    Returns
+    -------
+    (..., N, N) array
+        ``c[l, m]``; the mean, c[0, 0], among them. Exact where the field has no degree above `resolved`, and no order
+        above (columns - 1)/2.
+    """
+    code = GRIDS[read_choice(points, "points", GRIDS)]
+    need("a grid on the sphere", "ducc0")
+    from ducc0.sht import analysis_2d
+
+    field = read_values(values)
+    rows, columns = field.shape[-2:]
+    least = resolved(points, rows)
+    if least < 1:
+        raise ValueError(f"values has {rows} rows of latitude; a grid of this kind needs at least {rows - least + 1}")
+    l_most, m_most = least, min(least, (columns - 1) // 2)
+    lead = field.shape[:-2]
+    check_room(16 * (int(np.prod(lead)) * N * N + l_most * m_most), f"coefficients up to the degree {l_most}")
+    l, m = _triangle(l_most, m_most)
+    kept = l < N
+    c = np.zeros((*lead, N, N), dtype=np.complex128)
+    for index in np.ndindex(lead):
+        map_ = np.ascontiguousarray(field[index])[None]
+        alm = analysis_2d(map=map_, spin=0, lmax=l_most, mmax=m_most, geometry=code, phi0=first)[0]
+        c[(*index, l[kept], m[kept])] = alm[kept]
+    return c
+
+
+def read_values(values: Any, what: str = "values") -> Floats:
+    """Return real, finite values on a grid, (..., rows, columns)."""
+    field = read_numbers(array_given(values, what), what)
+    if field.ndim < 2:
+        raise ValueError(f"{what} has the shape {field.shape}; give (..., rows, columns)")
+    check_finite(field, what)
+    return field
+
+
+def of_points(places: Floats, strengths: Floats, N: int) -> Complexes:
+    """Return c (N, N) of a sum of delta functions at places (k, 2), latitudes and longitudes, with strengths (k,)."""
+    need("fields about points on the sphere", "ducc0")
+    from ducc0.sht import adjoint_synthesis_general
+
+    where = np.ascontiguousarray(np.stack([pi / 2 - places[:, 0], np.mod(places[:, 1], 2 * pi)], axis=-1))
+    alm = adjoint_synthesis_general(
+        map=np.ascontiguousarray(strengths)[None], spin=0, lmax=N - 1, mmax=N - 1, loc=where, epsilon=3e-13
+    )[0]
+    c = np.zeros((N, N), dtype=np.complex128)
+    c[_triangle(N - 1, N - 1)] = alm
+    return c
+
+
+def cap_profile(radius: float, N: int) -> Floats:
+    """Return the integrals of P_l(cos distance) over a cap, for l from 0 to N - 1.
+
+    Examples
+    --------
+    >>> bool(np.abs(cap_profile(np.pi / 2, 2) - [2 * np.pi, np.pi]).max() < 1e-14)
+    True
+    """
+    if not 0.0 < radius < pi:
+        raise ValueError(f"a radius is {radius:g}; give radians below pi")
+    x = np.cos(radius)
+    P = np.empty(N + 2)
+    P[0], P[1] = 1.0, x
+    for l in range(1, N + 1):
+        P[l + 1] = ((2 * l + 1) * x * P[l] - l * P[l - 1]) / (l + 1)
+    found = np.empty(N)
+    found[0] = 2 * pi * (1 - x)
+    found[1:] = 2 * pi * (P[: N - 1] - P[2 : N + 1]) / (2 * np.arange(1, N) + 1)
+    return found
+
+
+def read_places(places: Any, what: str) -> Floats:
+    """Return latitudes and longitudes (k, 2) in radians.
+
+    Examples
+    --------
+    >>> read_places([(0.5, 7)], "places")
+    array([[0.5, 7. ]])
+    """
+    found = read_finite(places, what)
+    if found.ndim != 2 or found.shape[1] != 2:
+        raise ValueError(f"{what} has the shape {found.shape}; give (k, 2), a latitude and a longitude in each row")
+    if (np.abs(found[:, 0]) > pi / 2).any():
+        wrong = found[np.abs(found[:, 0]) > pi / 2][0, 0]
+        raise ValueError(f"{what} has the latitude {wrong:g}; give radians, from -pi/2 to pi/2")
+    return found
+
+
+def recognized(rows: Floats, columns: Floats) -> tuple[int, str, int]:
+    """Return 1 or -1 for rows from north to south or back, the kind of points, and the same for columns.
+
+    Raises
+    ------
+    ValueError
+        The rows are those of none of the `GRIDS`, or the columns not equally spaced all around.
+
+    Examples
+    --------
+    >>> recognized(-latitudes("fejer", 4), longitudes(6, -np.pi))
+    (-1, 'fejer', 1)
+    """
+    if rows.ndim != 1 or columns.ndim != 1 or min(len(rows), len(columns)) < 3:
+        raise ValueError("a grid on the sphere needs three rows and columns at least, and a coordinate of each")
+    north, east = (-1 if rows[0] < rows[-1] else 1), (-1 if columns[0] > columns[-1] else 1)
+    # what a file keeps of a coordinate may be float32, in degrees
+    near = 1e-5
+    wanted = longitudes(len(columns), float(columns[::east][0]))
+    if np.abs(columns[::east] - wanted).max() > near:
+        raise ValueError("the longitudes are not equally spaced, all around in one turn without the first one again")
+    for points in GRIDS:
+        if np.abs(rows[::north] - latitudes(points, len(rows))).max() <= near:
+            return north, points, east
+    raise ValueError(f"the latitudes are those of no known grid ({', '.join(GRIDS)}); interpolate to one of them")
+
+
+def _triangle(l_most: int, m_most: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the degrees and orders of the coefficients in the order of ducc0: by orders."""
+    m, l = np.divmod(np.arange((m_most + 1) * (l_most + 1)), l_most + 1)
+    inside = l >= m
+    return l[inside], m[inside]

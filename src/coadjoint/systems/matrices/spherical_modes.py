@@ -1,0 +1,262 @@
+"""Spherical harmonics as matrices: the coefficients of a vorticity on the sphere, and its matrix W.
+
+The vorticity is ``omega = sum over l, m of c_lm Y_lm`` with orthonormal spherical harmonics that have the phase of
+Condon and Shortley, so that c_l(-m) = (-1)^m conj(c_lm) where it is real. Its matrix is
+``W = i S sum of c_lm T_lm`` with ``S^2 = N (N^2 - 1)/(16 pi)``, where tr(T_lm* T_l'm') = 1 or 0:
+
+- T_lm, m >= 0, is real and stands on the diagonal of the entries (i, i + m); i = 0 is the north pole;
+- on each diagonal it is an eigenvector of the Laplacian of Hoppe and Yau, with the eigenvalue l(l + 1);
+- ``T_l(-m) = (-1)^m`` times the transpose of T_lm;
+- the coordinates x, y, z of the sphere have the matrices -S_1, -S_2, -S_3 of `hoppe_yau.generators`.
+
+W is ``(i/hbar)`` times the Hermitian matrix that stands for omega, ``hbar = 2/sqrt(N^2 - 1)``, and [P, W] is then the
+matrix of ``{psi, omega}`` but for O(1/N^2): ``W' = [P, W]`` is the Euler equation of the unit sphere in its own time,
+``d omega/dt + u . grad omega = 0`` with ``u = r x grad psi``, ``laplacian psi = omega``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import pi, sqrt
+from threading import Lock
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.given import array_given
+from coadjoint.memory import available, check_room
+from coadjoint.wording import short
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+KEPT = 2**32
+"""So many bytes of matrix harmonics are kept, some N^3/6 numbers for N; more are made again each time."""
+
+
+def scale(N: int) -> float:
+    """Return S in ``W = i S sum c_lm T_lm``: integrals over the sphere are traces over S^2.
+
+    Examples
+    --------
+    >>> round(scale(3) ** 2 * np.pi, 12)
+    1.5
+    """
+    return sqrt(N * (N * N - 1) / (16 * pi))
+
+
+class _Shelf:
+    """The harmonics of one N that were made last, by order."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._N, self._bytes, self._made = 0, 0, dict[int, Floats]()
+
+    def get(self, N: int, m: int) -> Floats:
+        with self._lock:
+            found = self._made.get(m) if self._N == N else None
+        if found is None:
+            found = _upper_half(N, m)
+            with self._lock:
+                if self._N != N:
+                    self._N, self._bytes, self._made = N, 0, {}
+                if self._bytes + found.nbytes <= KEPT and found.nbytes < available() // 4:
+                    self._bytes += found.nbytes
+                    self._made[m] = found
+        return found
+
+
+_SHELF = _Shelf()
+
+
+def _upper_half(N: int, m: int) -> Floats:
+    """Return the entries (i, i + m) of T_lm as [l - m, i], for i up to the middle: it is even or odd with l - m.
+
+    The place times T_lm is a sum of its neighbours in l, with positive factors that rise and fall with l. Such a
+    recurrence is stable from either end to where they are largest.
+    """
+    n, m2 = N - m, m * m
+    check_room(24 * n * n, f"the matrix harmonics of order {m} for N = {N}")
+    half = n - n // 2
+    places: Floats = np.asarray((n - 1) / 2 - np.arange(half), dtype=np.float64)
+    l = np.arange(m + 1, N, dtype=float)
+    beside: Floats = np.sqrt((l * l - m2) * (N * N - l * l) / (4 * l * l - 1)) / 2
+    met = int(np.argmax(beside)) if n > 1 else 0
+    V = np.empty((n, half))
+    V[: met + 2] = _recurrence(places, beside[: met + 1])
+    if met + 2 < n:
+        rest = _recurrence(places, beside[met:][::-1])[::-1]
+        known, same = V[met : met + 2], rest[:2]
+        V[met:] = rest * (np.sum(known * same, axis=0) / np.sum(same * same, axis=0))
+    # near the north pole T_lm has the sign of (-1)^m
+    V *= (-1.0) ** m / np.sqrt(np.sum(V * V, axis=0))
+    return V
+
+
+def _recurrence(places: Floats, beside: Floats) -> Floats:
+    """Return v, one row more than `beside`, of ``place v_k = beside_(k-1) v_(k-1) + beside_k v_(k+1)``.
+
+    Columns begin with a positive number, and end with entries of the size of 1 where they have grown.
+    """
+    v = np.ones((len(beside) + 1, len(places)))
+    for k in range(len(beside)):
+        np.multiply(places, v[k], out=v[k + 1])
+        if k:
+            v[k + 1] -= beside[k - 1] * v[k - 1]
+        v[k + 1] /= beside[k]
+        if k % 32 == 31 or k == len(beside) - 1:
+            size = np.maximum(np.abs(v[k]), np.abs(v[k + 1]))
+            large = size > (2.0**300 if k < len(beside) - 1 else 1.0)
+            if large.any():
+                v[: k + 2, large] /= size[large]
+    return v
+
+
+def diagonal_of(c: Complexes, N: int, m: int) -> Complexes:
+    """Return the entries (i, i + m) of sum over l of c_l T_lm from c, shape (..., N - m)."""
+    V, n = _SHELF.get(N, m), N - m
+    even, odd = _times(c[..., ::2], V[::2]), _times(c[..., 1::2], V[1::2])
+    return np.concatenate([even + odd, (even - odd)[..., : n // 2][..., ::-1]], axis=-1)
+
+
+def along_diagonal(d: Complexes, N: int, m: int) -> Complexes:
+    """Return c of entries (i, i + m): the inverse of `diagonal_of`."""
+    V, n = _SHELF.get(N, m), N - m
+    half = n - n // 2
+    upper, lower = d[..., :half], d[..., ::-1][..., :half]
+    total = upper + lower
+    if n % 2:
+        total[..., -1] /= 2
+    c = np.empty(d.shape, dtype=np.complex128)
+    c[..., ::2] = _times(total, V[::2].T)
+    c[..., 1::2] = _times(upper - lower, V[1::2].T)
+    return c
+
+
+def _times(x: Complexes, T: Floats) -> Complexes:
+    both = np.stack([x.real, x.imag]) @ T
+    return np.asarray(both[0] + 1j * both[1])
+
+
+def matrix_of_harmonics(c: Complexes) -> Complexes:
+    """Return W of coefficients of a real vorticity.
+
+    Parameters
+    ----------
+    c : (..., N, N) array
+        ``c[l, m]``, m >= 0; entries with m > l or l = 0 are not read.
+
+    Returns
+    -------
+    (..., N, N) array
+        Skew-Hermitian, of trace zero.
+
+    Examples
+    --------
+    The field z is sqrt(4 pi/3) Y_10:
+
+    >>> c = np.zeros((3, 3), dtype=complex)
+    >>> c[1, 0] = np.sqrt(4 * np.pi / 3)
+    >>> bool(np.abs(matrix_of_harmonics(c) - 1j * np.diag([1, 0, -1])).max() < 1e-15)
+    True
+    """
+    N = c.shape[-1]
+    factor = 1j * scale(N)
+    W = np.zeros(c.shape, dtype=np.complex128)
+    for m in range(N):
+        column = np.array(c[..., m:, m], dtype=np.complex128)
+        if m == 0:
+            column.imag, column[..., 0] = 0.0, 0.0
+        if not column.any():
+            continue
+        d, i = factor * diagonal_of(column, N, m), np.arange(N - m)
+        W[..., i + m, i] = -np.conj(d)
+        W[..., i, i + m] = d
+    return W
+
+
+def harmonics_of_matrix(W: Any) -> Complexes:
+    """Return c of W, shape (..., N, N): the inverse of `matrix_of_harmonics`, zero where m > l."""
+    W = np.asarray(W, dtype=np.complex128)
+    N = W.shape[-1]
+    factor = -1j / scale(N)
+    c = np.zeros(W.shape, dtype=np.complex128)
+    for m in range(N):
+        c[..., m:, m] = along_diagonal(factor * np.diagonal(W, m, -2, -1), N, m)
+    c[..., :, 0].imag = 0.0
+    c[..., 0, 0] = 0.0
+    return c
+
+
+def read_harmonics(given: Any, N: int) -> Complexes:
+    """Return c (..., N, N) from a mapping of (l, m) to a coefficient, or from such an array.
+
+    Parameters
+    ----------
+    given : mapping or (..., N, N) array
+        In a mapping that of -m is ``(-1)^m`` times the conjugate where it is missing.
+    N : int
+        Size of the matrices.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Neither of them, a degree that is not resolved, (0, 0), an order above the degree, or coefficients of no real
+        field.
+
+    Examples
+    --------
+    >>> complex(read_harmonics({(1, -1): 1 + 2j}, 3)[1, 1])
+    (-1+2j)
+    """
+    if not isinstance(given, Mapping):
+        return _read_array(given, N)
+    c = np.zeros((N, N), dtype=np.complex128)
+    for mode, value in given.items():
+        try:
+            l, m = (int(k) for k in mode)
+            number = complex(value)
+            if (l, m) != tuple(mode):
+                raise ValueError
+        except (TypeError, ValueError):
+            raise TypeError(f"modes has {short(mode)}: {short(value)}; give (l, m): coefficient") from None
+        if not (0 < l < N and abs(m) <= l and np.isfinite(number)):
+            raise ValueError(
+                f"mode ({l}, {m}): {short(value)}; give a degree l from 1 to {N - 1}, an order m from -l to l, and a "
+                "finite coefficient"
+            )
+        mirrored = (-1) ** m * number.conjugate()
+        other = complex(given.get((l, -m), mirrored))
+        if abs(other - mirrored) > 1e-12 * abs(number):
+            raise ValueError(
+                f"modes ({l}, {m}) and ({l}, {-m}) do not belong to a real vorticity: c_l(-m) = (-1)^m conj(c_lm)"
+            )
+        c[l, abs(m)] = number if m > 0 else mirrored if m < 0 else number.real
+    return c
+
+
+def _read_array(given: Any, N: int) -> Complexes:
+    c = array_given(given, "modes", "iufc")
+    if c.ndim < 2 or c.shape[-2:] != (N, N):
+        raise ValueError(
+            f"modes has the shape {c.shape}; give a mapping of (l, m) to a coefficient, or (..., {N}, {N})"
+        )
+    if not np.isfinite(c).all():
+        raise ValueError("modes contains NaN or infinity; every coefficient must be finite")
+    wrong = np.abs(np.where(np.arange(N)[:, None] < np.arange(N), c, 0)).max(initial=0.0)
+    wrong = max(wrong, np.abs(c[..., 0, 0]).max(initial=0.0), np.abs(np.imag(c[..., 0])).max(initial=0.0))
+    if wrong > 1e-12 * np.abs(c).max(initial=0.0):
+        raise ValueError("modes has entries [l, m] with m > l, or [0, 0], or complex ones of m = 0; these must be zero")
+    return np.asarray(c, dtype=np.complex128)
+
+
+def as_mapping(c: Complexes) -> dict[tuple[int, int], complex]:
+    """Return coefficients (N, N) as a mapping of (l, m), m from -l to l, without those that are round-off."""
+    found: dict[tuple[int, int], complex] = {}
+    for l, m in np.argwhere(np.abs(c) > 1e-14 * np.abs(c).max(initial=0.0)).tolist():
+        number = complex(c[l, m])
+        if m:
+            found[l, -m] = (-1) ** m * number.conjugate()
+        found[l, m] = number
+    return dict(sorted(found.items()))

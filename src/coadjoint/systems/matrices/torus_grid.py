@@ -1,0 +1,117 @@
+"""Grids on the torus of side 2 pi: values from Fourier modes, and modes of values."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.given import read_finite
+from coadjoint.memory import check_room
+from coadjoint.systems.matrices.torus_modes import representatives
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+
+def coordinates(count: int) -> Floats:
+    """Return equally spaced points from 0 to 2 pi, without the last one.
+
+    Examples
+    --------
+    >>> coordinates(4) / np.pi
+    array([0. , 0.5, 1. , 1.5])
+    """
+    return 2 * pi * np.arange(count) / count
+
+
+def values_of(w: Complexes, shape: tuple[int, int]) -> Floats:
+    """Return values (..., nx, ny) of ``sum of w_n exp(i (n1 x - n2 y))`` at grid points, of any shape.
+
+    Parameters
+    ----------
+    w : (..., N, N) array
+        ``w[n1 mod N, n2 mod N]``.
+    shape : (int, int)
+        nx and ny.
+
+    Examples
+    --------
+    >>> w = np.zeros((3, 3), dtype=complex)
+    >>> w[1, 0] = w[2, 0] = 0.5
+    >>> values_of(w, (4, 1))[:, 0].round(12) + 0.0
+    array([ 1.,  0., -1.,  0.])
+    """
+    lead = w.shape[:-2]
+    check_room(48 * int(np.prod(lead)) * shape[0] * shape[1], f"values on {shape[0]} x {shape[1]} points")
+    n = representatives(w.shape[-1])
+    folded = np.zeros((*lead, *shape), dtype=np.complex128)
+    # modes that a coarse grid does not tell apart have the same values there
+    places: Any = np.index_exp[..., (n % shape[0])[:, None], (-n % shape[1])[None, :]]
+    np.add.at(folded, places, w)
+    return np.asarray(np.fft.ifft2(folded).real * (shape[0] * shape[1]))
+
+
+def modes_of(values: Floats, N: int) -> Complexes:
+    """Return w (..., N, N) of values (..., nx, ny), all modes that both N and the grid resolve; w[0, 0] is the mean."""
+    shape = values.shape[-2:]
+    n = representatives(N)
+    found = np.fft.fft2(values) / (shape[0] * shape[1])
+    w = found[..., (n % shape[0])[:, None], (-n % shape[1])[None, :]]
+    x, y = (2 * np.abs(n) < count for count in shape)
+    return np.where(x[:, None] & y[None, :], w, 0.0)
+
+
+def of_points(places: Floats, strengths: Floats, N: int) -> Complexes:
+    """Return w (N, N) of a sum of delta functions at places (k, 2) with strengths (k,)."""
+    n = representatives(N)
+    along = np.exp(-1j * np.multiply.outer(places[:, 0], n)) * strengths[:, None]
+    across = np.exp(1j * np.multiply.outer(places[:, 1], n))
+    return np.asarray(along.T @ across / (2 * pi) ** 2)
+
+
+def disc_profile(radius: float, length: Floats) -> Floats:
+    """Return the integrals of exp(i n . x) over a disc, from |n|.
+
+    Examples
+    --------
+    >>> disc_profile(1.0, np.array([0.0, 1e-9])) / np.pi
+    array([1., 1.])
+    """
+    if not 0.0 < radius < pi:
+        raise ValueError(f"a radius is {radius:g}; give radians below pi")
+    from scipy.special import j1
+
+    some = np.where(length > 0.0, length, 1.0)
+    return np.where(length > 0.0, 2 * pi * radius * j1(radius * length) / some, pi * radius**2)
+
+
+def read_places(places: Any, what: str) -> Floats:
+    """Return x and y (k, 2)."""
+    found = read_finite(places, what)
+    if found.ndim != 2 or found.shape[1] != 2:
+        raise ValueError(f"{what} has the shape {found.shape}; give (k, 2), x and y in each row")
+    return found
+
+
+def recognized(first: Floats, name: str) -> int:
+    """Return 1 or -1 for a coordinate that rises or falls in equal steps once around.
+
+    Raises
+    ------
+    ValueError
+        It does neither.
+
+    Examples
+    --------
+    >>> recognized(coordinates(5)[::-1], "x")
+    -1
+    """
+    if first.ndim == 1 and len(first) > 1:
+        step = 2 * pi / len(first) * (1 if first[-1] > first[0] else -1)
+        # what a file keeps of a coordinate may be float32
+        if np.abs(first - first[0] - step * np.arange(len(first))).max() <= 1e-5:
+            return 1 if step > 0 else -1
+    raise ValueError(f"{name} is not equally spaced, once around 2 pi without the first point again")

@@ -1,0 +1,64 @@
+"""Flows that are known on the torus: two jets, one against the other."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.given import read_number, read_positive, read_whole
+
+if TYPE_CHECKING:
+    from coadjoint.systems.torus_euler import TorusEuler
+
+Complexes = npt.NDArray[np.complex128]
+
+
+def zonal_jet(
+    system: TorusEuler, speed: float = 1.0, *, width: float = 0.3, perturbation: float = 0.01, waves: int = 2
+) -> Complexes:
+    """Return the state of two jets along x, eastward at y = pi/2 and westward at 3 pi/2, slightly disturbed.
+
+    Their speed is ``speed / cosh(y/width)^2``, as Bickley's, with the distance y from the middle, repeated around the
+    torus.
+
+    Parameters
+    ----------
+    speed : float
+        Largest speed.
+    width : float
+        In radians, up to 0.5.
+    perturbation : float
+        Largest vorticity of a disturbance along both jets, as a part of ``speed/width``; zero leaves a steady flow.
+    waves : int
+        How many waves the disturbance has along x.
+
+    Returns
+    -------
+    (N, N) array
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> s = co.systems.torus_euler(N=65)
+    >>> W = s.zonal_jet(perturbation=0.0)
+    >>> bool(np.abs(s.vector_field(W)).max() < 1e-12 * np.abs(W).max() ** 2)
+    True
+    """
+    fast, thickness = read_positive(speed, "speed"), read_positive(width, "width")
+    if thickness > 0.5:
+        raise ValueError(f"width is {thickness:g}; the two jets are apart up to 0.5")
+    part = read_number(perturbation, "perturbation")
+    along = read_whole(waves, "waves", 1, system.complete_degree)
+    x, y = system.grid((4 * along, max(256, 4 * system.algebra.N)))
+    field = np.zeros((len(x), len(y)))
+    for sign, middle in ((1, pi / 2), (-1, 3 * pi / 2)):
+        for turn in (-2 * pi, 0.0, 2 * pi):
+            away = (y - middle + turn) / thickness
+            bell = 1 / np.cosh(away) ** 2
+            # of the speed u along x the vorticity is -du/dy
+            field += sign * fast / thickness * 2 * np.tanh(away) * bell
+            field += part * fast / thickness * np.cos(along * x)[:, None] * bell
+    return system.absolute(system.from_grid(field))

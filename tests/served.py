@@ -1,0 +1,29 @@
+"""A system that a scheme serves, with a state: a body where that will do, else a fluid of small matrices."""
+
+import numpy as np
+
+import coadjoint as co
+
+BODY = co.systems.rigid_body((1.0, 2.0, 4.0))
+X = (0.3, -0.2, 0.5)
+FLUID = co.systems.sphere_euler(N=4)
+
+
+def serves(method, system):
+    """Whether a scheme takes a system, as it says itself."""
+    try:
+        method.properties(system)
+    except ValueError:
+        return False
+    return True
+
+
+def served(method):
+    """Return a system and a state."""
+    return (BODY, X) if serves(method, BODY) else (FLUID, state_of(FLUID))
+
+
+def state_of(system, seed=1):
+    """Return a state of a system of matrices: seeded, of size one."""
+    rng, shape = np.random.default_rng(seed), system.algebra.shape
+    return system.algebra.projected(rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / shape[0]
