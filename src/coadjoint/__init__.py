@@ -26,6 +26,7 @@ _HOME = {
     "Invariant": "coadjoint.algebra.invariant",
     "IsospectralGauss": "coadjoint.methods.isospectral_gauss",
     "LieAlgebra": "coadjoint.algebra.lie_algebra",
+    "LineSplitting": "coadjoint.methods.line_splitting",
     "Polynomial": "coadjoint.algebra.polynomial",
     "ForcedSystem": "coadjoint.systems.forced",
     "Hamiltonian": "coadjoint.systems.hamiltonian",
@@ -48,6 +49,7 @@ _HOME = {
     "MatrixSystem": "coadjoint.systems.matrices.matrix_system",
     "SphericalMidpoint": "coadjoint.methods.spherical_midpoint",
     "Splitting": "coadjoint.methods.splitting",
+    "TwoLayerSystem": "coadjoint.systems.matrices.two_layer_system",
     "Taylor": "coadjoint.methods.taylor",
     "PreparedRun": "coadjoint.runs.prepared_run",
     "Solution": "coadjoint.runs.solution",
@@ -118,6 +120,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.isospectral_gauss import IsospectralGauss as IsospectralGauss
     from coadjoint.methods.iterated_gauss_legendre import IteratedGaussLegendre as IteratedGaussLegendre
     from coadjoint.methods.kahan import Kahan as Kahan
+    from coadjoint.methods.line_splitting import LineSplitting as LineSplitting
     from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
     from coadjoint.methods.projected import Projected as Projected
     from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy
@@ -135,6 +138,7 @@ if TYPE_CHECKING:
     from coadjoint.systems.hamiltonian import Hamiltonian as Hamiltonian
     from coadjoint.systems.lie_poisson import LiePoissonSystem as LiePoissonSystem
     from coadjoint.systems.matrices.matrix_system import MatrixSystem as MatrixSystem
+    from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem as TwoLayerSystem
     from coadjoint.systems.poisson import PoissonSystem as PoissonSystem
     from coadjoint.systems.quadratic import Quadratic as Quadratic
     from coadjoint.systems.separable import Separable as Separable

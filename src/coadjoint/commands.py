@@ -155,10 +155,11 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
         + f": {stats.steps} steps of {solution.step:g}, {stats.seconds:.3g} s"
     )
     over = "every step" if solution.watched else "the saved points"
-    columns = {"largest deviation from the start": solution.change()}
+    columns: dict[str, Mapping[str, float]] = {"largest deviation from the start": solution.change()}
     if solution.work:
         columns = {"change by the forces, and what is left of it beside their work (balance)": solution.change()}
-        columns["balance"] = solution.balance()
+        balance = solution.balance()
+        columns["balance"] = {name: balance[name] if name in balance else math.nan for name in solution.change()}
     click.echo(f"{next(iter(columns))}, over {over}:")
     names = {name: in_one_line(name, 60) for name in solution.change()}
     width = max(map(len, names.values()))

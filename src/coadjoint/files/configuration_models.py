@@ -58,9 +58,11 @@ def _attitude(value: Any) -> Any:
 
 
 def _states(value: Any) -> Any:
-    if not (isinstance(value, str) or _depth(value) in (1, 2, 3, 4)):
+    named = isinstance(value, str) and value.endswith(".npy")
+    if not (named or _depth(value) in (1, 2, 3, 4)):
         raise ValueError(
-            f"must be {SHAPES[1]} or {SHAPES[2]}, matrices of such lists, or a file .npy, not {short(value, SHOWN)}"
+            f"must be {SHAPES[1]} or {SHAPES[2]}, not {short(value, SHOWN)}; matrices may be lists of these, or in a "
+            "file .npy"
         )
     return value
 

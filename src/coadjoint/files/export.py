@@ -79,7 +79,7 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     variables["change" if solution.work else "drift"] = (over_tenths, _tenths(changes), {"long_name": about})
     if solution.work:
         about = f"largest absolute deviation of an invariant, less the work of all forces, {over}"
-        variables["balance"] = (over_tenths, _tenths(solution.balance()), {"long_name": about})
+        variables["balance"] = (over_tenths, _balanced(solution.balance(), changes), {"long_name": about})
         done = [values for of_force in solution.work.values() for values in of_force.values()]
         about = "what a force has changed of an invariant since the start"
         variables["work"] = ((*over_time, "account"), np.stack(done, axis=-1), {"long_name": about})
@@ -108,6 +108,12 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
         pairs = [(force, name) for force, of_force in solution.work.items() for name in of_force]
         coordinates["account"] = [f"{force}: {name}" for force, name in pairs]
     return xarray.Dataset(variables, coordinates, _attributes(solution))
+
+
+def _balanced(balance: Mapping[str, Drift], changes: Mapping[str, Drift]) -> NDArray[np.float64]:
+    """Return the balance of every invariant that changes; NaN of those of which no account is kept."""
+    unknown = np.full_like(next(iter(changes.values())).tenths, np.nan)
+    return np.stack([balance[name].tenths if name in balance else unknown for name in changes], axis=-2)
 
 
 def _tenths(found: Mapping[str, Drift]) -> NDArray[np.float64]:

@@ -148,6 +148,9 @@ def _forced_record(system: ForcedSystem) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
+    if isinstance(value, tuple) and np.asarray(value).dtype.kind == "c":
+        matrix = np.asarray(value)
+        return {"real": matrix.real.tolist(), "imaginary": matrix.imag.tolist()}
     if isinstance(value, tuple | list):
         return [_plain(entry) for entry in value]
     return {str(key): _plain(entry) for key, entry in value.items()} if isinstance(value, Mapping) else value

@@ -62,7 +62,8 @@ USED: Mapping[str, Iterable[str]] = {
     "Outcome": ("INTERRUPTED", "NO_MEMORY"),
     "StreamKind": ("TRIDIAGONAL", "CIRCULANT", "WEIGHTS", "MULTIPLIED", "BY_FUNCTION"),
     "Solver": ("EXPLICIT", "ITERATED", "IMPLICIT", "STRUCTURE", "GRADIENT"),
-    "ForceKind": ("DAMPING", "CONSTANT", "OF_TIME", "OF_STATE", "ON_ORBIT", "BY_FLOW"),
+    "ForceKind": ("DAMPING", "CONSTANT", "OF_TIME", "OF_STATE", "ON_ORBIT", "BY_FLOW", "MODE_RATES", "MODE_NOISE"),
+    "ModeKind": ("HARMONICS", "WAVES"),
     "Shape": ("MULTIPLE", "DIAGONAL", "FULL"),
     "Limit": (
         "TENTHS",

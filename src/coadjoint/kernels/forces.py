@@ -14,13 +14,16 @@ from coadjoint.extras import need
 from coadjoint.kernels.description import codes
 from coadjoint.kernels.functions import CompiledFunction
 from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.matrix_tables import stream_tables
 from coadjoint.kernels.step_tables import PLACE_OF_INNER, places_of, step_tables_of
 from coadjoint.kernels.stepping import STEP_LOOP
 from coadjoint.kernels.structures import pointed
 from coadjoint.kernels.tables import watch_tables
 from coadjoint.systems.forces.base import Noise
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 NOTHING = np.zeros(1, dtype=np.int64)
+NO_NUMBERS = np.zeros(1)
 
 
 class ForceTable(NamedTuple):
@@ -42,6 +45,10 @@ class ForceTable(NamedTuple):
     sets: int = 0
     begin: NDArray[np.int64] = NOTHING
     direction: NDArray[np.int64] = NOTHING
+    extent: int = 0
+    place: int = 0
+    turning: NDArray[np.float64] = NO_NUMBERS
+    basis: NDArray[np.float64] = NO_NUMBERS
 
 
 class Account(NamedTuple):
@@ -51,11 +58,38 @@ class Account(NamedTuple):
     invariant: str
 
 
+def _of_matrices(function: Callable[..., Any], arguments: str, shape: tuple[int, ...], kind: Any) -> Callable[..., Any]:
+    import numba
+
+    inner = function if hasattr(function, "py_func") else numba.njit(error_model="numpy", boundscheck=True)(function)
+    size = int(np.prod(shape))
+
+    @numba.njit
+    def numbers(W: Any) -> Any:
+        return np.ascontiguousarray(W).astype(kind).reshape(size).view(np.float64)
+
+    @numba.njit
+    def state(y: Any) -> Any:
+        return np.ascontiguousarray(y).view(kind).reshape(shape)
+
+    if arguments == "t":
+        return lambda y, t: numbers(inner(t))
+    if arguments == "x":
+        return lambda y: numbers(inner(state(y)))
+    if arguments == "x, t":
+        return lambda y, t: numbers(inner(state(y), t))
+    return lambda y, t: numbers(inner(state(y[:-1]), t, y[-1]))
+
+
 def accounts_of(system: Any) -> tuple[Account, ...]:
-    """Return the accounts of a system with forces: of each force the energy, and the Casimirs where it breaks them."""
-    found = []
+    """Return the accounts of a system with forces: of each force the energy, and the Casimirs where it breaks them.
+
+    Of a system of matrices these are the Casimirs of degree two.
+    """
+    found, plain = [], system.system
+    accounted = plain.quadratic_casimirs if isinstance(plain, MatrixSystem) else plain.casimirs
     for label, force in zip(system.labels, system.forces, strict=True):
-        followed = ["energy", *(() if force.casimirs else system.casimirs)]
+        followed = ["energy", *(() if force.casimirs else accounted)]
         found += [Account(label, name) for name in followed]
     return tuple(found)
 
@@ -63,8 +97,9 @@ def accounts_of(system: Any) -> tuple[Account, ...]:
 class _Reader:
     """Makes the table of a force; `keep` holds the machine code of its function."""
 
-    def __init__(self, n: int, account: int, accounts: int) -> None:
-        self.n, self._accounts = n, (account, accounts)
+    def __init__(self, system: Any, account: int, accounts: int) -> None:
+        self.n, self._accounts = system.dim, (account, accounts)
+        self._shape = (*system.shape, bool(system.complex)) if isinstance(system, MatrixSystem) else None
         self.keep: tuple[CompiledFunction, ...] = ()
 
     def _table(self, kind: str, rate: Any = 0.0, aim: Any = (), **more: Any) -> ForceTable:
@@ -98,17 +133,50 @@ class _Reader:
         self._compile(function, "x, t, tau", self.n + 1, "the flow of a force")
         return self._table("BY_FLOW")
 
+    def mode_rates(self, modes: Any, numbers: Any, rates: Any, still: NDArray[Any] | None, layer: int) -> ForceTable:
+        flat = np.concatenate(rates).astype(np.complex128)
+        aim = NO_NUMBERS if still is None else still
+        more = {"turning": np.ascontiguousarray(flat.imag), "sets": int(still is not None)}
+        return self._on_modes("MODE_RATES", modes, layer, numbers, np.ascontiguousarray(flat.real), aim, **more)
+
+    def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, layer: int) -> ForceTable:
+        flat = np.concatenate(amplitudes)
+        return self._on_modes("MODE_NOISE", modes, layer, numbers, flat, NO_NUMBERS, seed=seed, stream=stream)
+
+    def _on_modes(
+        self, kind: str, modes: Any, layer: int, numbers: Any, rate: Any, aim: Any, **more: Any
+    ) -> ForceTable:
+        return ForceTable(
+            codes("ForceKind")[kind],
+            *self._accounts,
+            codes("ModeKind")[modes.kind],
+            rate,
+            aim,
+            np.zeros(0, dtype=np.int64),
+            begin=np.cumsum([0, *map(len, numbers)], dtype=np.int64),
+            direction=np.concatenate(numbers).astype(np.int64),
+            extent=modes.N,
+            place=layer * 2 * modes.N**2,
+            basis=modes.table(numbers),
+            **more,
+        )
+
     def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
         need(f"{what}, a Python function,", "numba")
         timed = arguments != "x"
-        taken = _taking(function, arguments)
+        taken = _taking(function, arguments, self._shape)
         self.keep = (CompiledFunction(taken, size, self.n, scalar=False, flat=True, timed=timed, what=what),)
 
 
 # Kept, so that a function is compiled once for many runs.
 @lru_cache(maxsize=256)
-def _taking(function: Callable[..., Any], arguments: str) -> Callable[..., Any]:
-    """Return a function of (y) or (y, t), as the kernels call it, from one of other arguments."""
+def _taking(function: Callable[..., Any], arguments: str, shape: tuple[int, ...] | None) -> Callable[..., Any]:
+    """Return a function of (y) or (y, t), as the kernels call it, from one of other arguments.
+
+    Of a system of matrices `shape` is that of a state, and whether entries are complex; the function takes such states.
+    """
+    if shape is not None:
+        return _of_matrices(function, arguments, shape[:-1], np.complex128 if shape[-1] else np.float64)
     if arguments in ("x", "x, t"):
         return function
     import numba
@@ -122,6 +190,16 @@ def _taking(function: Callable[..., Any], arguments: str) -> Callable[..., Any]:
         return inner(y[:-1], t, y[-1])
 
     return of_time if arguments == "t" else of_flow
+
+
+def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
+    """Return what the energy and the quadratic Casimirs of a system of matrices are found by; zero for another one."""
+    if not isinstance(system, MatrixSystem):
+        return [0], [], ()
+    whole, numbers, made = stream_tables(system)
+    kind = next(iter(system.algebra.parts))[2]
+    signs = [system.energy_sign, -1 if kind.conjugate else 1]
+    return [*whole, int(system.complex), int(not system.algebra.skew), *signs], numbers, made
 
 
 def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> CompiledLoop:
@@ -146,15 +224,17 @@ def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> Compil
     keep: list[Any] = []
     for label, force in zip(system.labels, system.forces, strict=True):
         count = sum(account.force == label for account in accounts)
-        reader = _Reader(system.dim, first, count)
+        reader = _Reader(system.system, first, count)
         tables.append(force.given_to(reader, system.system))
         first += count
         keep += reader.keep
-    every = all(force.casimirs for force in system.forces)
-    followed = watch_tables(system.system, {} if every else system.casimirs)
-    places, kept = places_of(inner, system.system, representation)
+    plain = system.system
+    every = isinstance(plain, MatrixSystem) or all(force.casimirs for force in system.forces)
+    followed = watch_tables(plain, {} if every else system.casimirs)
+    places, kept = places_of(inner, plain, representation)
     read = [pointed(table) for table in tables]
-    whole = [*places, len(tables), *map(ctypes.addressof, read)]
-    found = step_tables_of(system.system, "forced", followed, whole, representation, (*keep, *read, *kept))
+    matrices, numbers, made = _matrices(plain)
+    whole = [*places, len(tables), *map(ctypes.addressof, read), *matrices]
+    found = step_tables_of(plain, "forced", followed, whole, representation, (*keep, *made, *read, *kept), numbers)
     held: dict[int, Any] = {PLACE_OF_INNER: inner, **dict(enumerate(tables, len(places) + 1))}
     return CompiledLoop(STEP_LOOP, found.tables, found.keep, accounts=accounts, held=held)

@@ -40,6 +40,43 @@ def blas_address(name: str) -> int:
     return int(api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule)))
 
 
+def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
+    """Return what the kernels read of the stream of a matrix system.
+
+    Parameters
+    ----------
+    system : MatrixSystem
+        The system. `stream` is its linear map, or a function; `second_stream` that of the first of two layers, and
+        `linear` a constant that is added, where it has them.
+
+    Returns
+    -------
+    whole : list of int
+        The size, the layers, the kinds of the two maps, whether there is a constant, and the address of a function.
+    numbers : list of float
+        The constant, and what the maps read.
+    keep : tuple
+        What must live as long.
+    """
+    kinds = codes("StreamKind")
+    stream, second = system.stream, getattr(system, "second_stream", None)
+    linear, function = getattr(system, "linear", None), None
+    if isinstance(stream, FunctionStream):
+        function = MatrixFunction(stream, system.algebra.shape, system.complex)
+    numbers = [] if linear is None else [system.to_vector(linear)]
+    numbers += [map_.table for map_ in (stream, second) if map_ is not None]
+    layers = 2 if len(system.shape) == 3 else 1
+    whole = [
+        system.algebra.N,
+        layers,
+        kinds[stream.kind],
+        -1 if second is None else kinds[second.kind],
+        int(linear is not None),
+        function.address if function else 0,
+    ]
+    return whole, np.concatenate(numbers).tolist(), (function,) if function else ()
+
+
 def matrix_tables(
     system: Any, step: str, stages: int, coefficients: Sequence[float], fractions: Sequence[float]
 ) -> Compiled:
@@ -48,8 +85,7 @@ def matrix_tables(
     Parameters
     ----------
     system : MatrixSystem
-        The system. `stream` is its linear map, or a function; `second_stream` that of the first of two layers, and
-        `linear` a constant that is added, where it has them.
+        The system.
     step : str
         The name of the step.
     stages : int
@@ -64,26 +100,9 @@ def matrix_tables(
     Compiled
         With a `Stepping`.
     """
-    kinds = codes("StreamKind")
-    stream, second = system.stream, getattr(system, "second_stream", None)
-    linear, function = getattr(system, "linear", None), None
-    if isinstance(stream, FunctionStream):
-        function = MatrixFunction(stream, system.algebra.shape, system.complex)
-    numbers = [] if linear is None else [system.to_vector(linear)]
-    numbers += [map_.table for map_ in (stream, second) if map_ is not None]
-    layers = 2 if len(system.shape) == 3 else 1
+    whole, numbers, keep = stream_tables(system)
     precisions = "zc" if system.complex else "ds"
-    whole = [
-        system.algebra.N,
-        layers,
-        kinds[stream.kind],
-        -1 if second is None else kinds[second.kind],
-        int(linear is not None),
-        function.address if function else 0,
-        *(blas_address(precision + routine) for precision in precisions for routine in ("gemm", "trsm")),
-        stages,
-        int(system.complex),
-        int(not system.algebra.skew),
-    ]
-    made = step_numbers(system, step, whole, [*coefficients, *np.concatenate(numbers).tolist()], fractions)
-    return Compiled(made.tables, (*made.keep, *([function] if function else [])))
+    whole += [blas_address(precision + routine) for precision in precisions for routine in ("gemm", "trsm")]
+    whole += [stages, int(system.complex), int(not system.algebra.skew)]
+    made = step_numbers(system, step, whole, [*coefficients, *numbers], fractions)
+    return Compiled(made.tables, (*made.keep, *keep))

@@ -173,7 +173,13 @@ def places_of(inner: CompiledLoop, system: System, representation: Any) -> tuple
 
 
 def step_tables_of(
-    system: System, step: str, kept: Compiled, whole: Sequence[int], representation: Any, keep: tuple[Any, ...]
+    system: System,
+    step: str,
+    kept: Compiled,
+    whole: Sequence[int],
+    representation: Any,
+    keep: tuple[Any, ...],
+    coefficients: Sequence[float] = (),
 ) -> Compiled:
     """Return the tables of a step of this library that reads whole numbers and invariants.
 
@@ -191,13 +197,15 @@ def step_tables_of(
         The group element that is carried along.
     keep : tuple
         What must live as long.
+    coefficients : sequence of float
+        The coefficients.
 
     Returns
     -------
     Compiled
         With a `Stepping`.
     """
-    made = _tables(system, group_of(system, representation), kept.tables, whole, [], not tabulated(system))
+    made = _tables(system, group_of(system, representation), kept.tables, whole, coefficients, not tabulated(system))
     return _stepping(step_address(step), (1.0,), *made, (*kept.keep, *keep))
 
 

@@ -2,6 +2,7 @@
 #include <memory>
 
 #include "forces/force.hpp"
+#include "matrices/invariants.hpp"
 #include "steps/inner_step.hpp"
 #include "steps/step_scheme.hpp"
 
@@ -12,24 +13,30 @@ namespace {
 struct Forced final : StepScheme {
     const StepTables& tables;
     const Own constants;
+    const std::unique_ptr<MatrixInvariants> matrices;
     const int64_t n, followed;
     InnerStep inner;
     std::vector<std::unique_ptr<Force>> forces;
-    std::vector<double> values, arguments, room;
+    std::vector<double> values, before, arguments, room;
 
+    // `whole`: where the inner loop stands, how many forces there are, the addresses of their tables, and what
+    // `matrix_invariants` reads; that is followed of a matrix in place of the invariants of the tables.
     Forced(const StepTables& tables, const Own& constants)
-        : tables(tables), constants(constants), n(tables.field.size), followed(tables.kept.size),
-          inner(tables.whole, n, tables.group.size * tables.group.size), values(followed),
+        : tables(tables), constants(constants),
+          matrices(matrix_invariants(tables.whole + 6 + tables.whole[5], tables.coefficients)), n(tables.field.size),
+          followed(matrices ? matrices->count() : tables.kept.size),
+          inner(tables.whole, n, tables.group.size * tables.group.size), values(followed), before(followed),
           arguments(tables.kept.longest + 1), room(2 * tables.kept.longest + 2) {
         for (int64_t k = 0; k < tables.whole[5]; ++k)
             forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field, constants));
         work = 16 * work_of(tables.field) +
-               (2 * tables.whole[5] + 2) * work_of_terms(tables.kept.terms, 0, tables.kept.terms.size);
+               (2 * tables.whole[5] + 2) *
+                   (matrices ? matrices->work() : work_of_terms(tables.kept.terms, 0, tables.kept.terms.size));
     }
 
     int64_t step(double* x, double* dx, double* group, double*, double t, double h) override {
         const double half = 0.5 * h;
-        evaluate(x, t);
+        if (!evaluate(x, t)) return UNDEFINED;
         for (auto force = forces.begin(); force != forces.end(); ++force)
             if (const int64_t status = move(**force, x, dx, t, half, t)) return status;
         const int64_t status = inner.take(x, group, t, h);
@@ -37,7 +44,7 @@ struct Forced final : StepScheme {
         iterations += inner.iterations;
         residual = inner.residual;
         if (status != DONE) return status;
-        evaluate(x, t + h);
+        if (!evaluate(x, t + h)) return UNDEFINED;
         for (auto force = forces.rbegin(); force != forces.rend(); ++force)
             if (const int64_t status = move(**force, x, dx, t + half, half, t + h)) return status;
         return DONE;
@@ -47,8 +54,10 @@ struct Forced final : StepScheme {
         return value_of(tables.kept, constants, i, x, t, arguments.data(), room.data());
     }
 
-    void evaluate(const double* x, double t) {
+    bool evaluate(const double* x, double t) {
+        if (matrices) return matrices->of(x, t, values.data());
         for (int64_t i = 0; i < followed; ++i) values[i] = value(i, x, t);
+        return true;
     }
 
     // Let a force flow, and add what that changes to its accounts, which stand behind the coordinates. The invariants
@@ -59,15 +68,14 @@ struct Forced final : StepScheme {
         iterations += force.iterations;
         residual = force.residual;
         if (status != DONE) return status;
-        for (int64_t i = 0; i < followed; ++i) {
-            const double before = values[i];
-            values[i] = value(i, x, frozen);
-            if (i >= force.table.accounts) continue;
-            const double period = constants.number_at<double>(tables.kept.period, i);
-            const double now = period > 0.0 ? unwrapped(values[i], before, period) : values[i];
+        before.swap(values);
+        if (!evaluate(x, frozen)) return UNDEFINED;
+        for (int64_t i = 0; i < std::min(followed, force.table.accounts); ++i) {
+            const double period = matrices ? 0.0 : constants.number_at<double>(tables.kept.period, i);
+            const double now = period > 0.0 ? unwrapped(values[i], before[i], period) : values[i];
             const int64_t place = n + force.table.account + i;
             const double old = x[place];
-            add_owing_rest(old, dx[place] + (now - before), x[place], dx[place]);
+            add_owing_rest(old, dx[place] + (now - before[i]), x[place], dx[place]);
         }
         return DONE;
     }

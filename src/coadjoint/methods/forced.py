@@ -124,6 +124,8 @@ class Forced(Method):
     def step(self, system: Any, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, read in NumPy; a noise is that of the first member."""
         self.properties(system)
+        if np.ndim(x) > 1 and hasattr(system.system, "from_vector"):
+            return np.asarray(system.system.from_vector(self.step(system, system.system.to_vector(x), t, h)))
         half, y = 0.5 * h, np.asarray(x)
         for force in system.forces:
             y = force.flow(system.system, y, t, half)

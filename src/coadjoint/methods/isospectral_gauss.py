@@ -15,8 +15,10 @@ from coadjoint.methods.gauss_coefficients import gauss_legendre
 from coadjoint.methods.isospectral_stages import derivative_of, increment_of, stages_of
 from coadjoint.methods.properties import Properties
 from coadjoint.methods.stepped import SteppedMethod
+from coadjoint.methods.two_layer_step import two_layer_increment
 from coadjoint.systems.kinds import System
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.wording import short
 
 if TYPE_CHECKING:
@@ -121,13 +123,16 @@ class IsospectralGauss(SteppedMethod):
         """
         matrices = matrices_of(system)
         (a, b), W = _coefficients(self.stages), matrices.matrices(x)
-        found = W + increment_of(stages_of(matrices, W, t, h, a, str(self)), h, b)
+        if isinstance(matrices, TwoLayerSystem):
+            found = W + two_layer_increment(matrices, W, h, a, b)
+        else:
+            found = W + increment_of(stages_of(matrices, W, t, h, a, str(self)), h, b)
         return np.asarray(matrices.to_vector(found) if matrices.is_in_numbers(x) else found)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its derivative by the numbers of the state, of its projection on the algebra.
 
-        The stream of a function that is not linear is differentiated by differences.
+        The stream of a function that is not linear is differentiated by differences, and so are steps of two layers.
 
         Raises
         ------
@@ -137,13 +142,16 @@ class IsospectralGauss(SteppedMethod):
             The iteration does not converge.
         """
         matrices, (a, b) = matrices_of(system), _coefficients(self.stages)
+        if isinstance(matrices, TwoLayerSystem):
+            return super().tangent(matrices, x, t, h)  # type: ignore[arg-type]
         W = matrices.matrices(x)
         stages = stages_of(matrices, W, t, h, a, str(self))
         found = W + increment_of(stages, h, b)
         return matrices.to_vector(found), derivative_of(matrices, W, stages, h, a, b)
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
-        return "formula" if matrices_of(system).linear_stream else "differences"
+        matrices = matrices_of(system)
+        return "formula" if matrices.linear_stream and not isinstance(matrices, TwoLayerSystem) else "differences"
 
 
 def matrices_of(system: Any) -> MatrixSystem:

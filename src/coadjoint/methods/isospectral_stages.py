@@ -22,7 +22,9 @@ Floats = NDArray[np.float64]
 MOST_ITERATIONS = 192
 FIRST_TESTED = 3  # early corrections may rise before they fall
 SLOW = 12  # from so many iterations on one that does not fall may be chance
+QUIET = 3  # so many that do not fall are none
 SMALL = 2.0**17 * UNIT_ROUNDOFF  # of the entries: only below it may a correction be round-off
+ROUND_OFF = 64 * UNIT_ROUNDOFF  # times sqrt(N), of the entries: there one that does not fall is round-off
 DIFFERENCE = 2.0**-17
 
 
@@ -65,7 +67,7 @@ def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, wh
     P0 = system.stream_of(W, t)
     V = np.stack([one + h * row.sum() * P0 for row in a])
     U = np.stack([one - h * row.sum() * P0 for row in a])
-    rest, change = _Rest(), np.inf
+    rest, change = _Rest(len(W)), np.inf
     for _ in range(MOST_ITERATIONS):
         if system.algebra.skew:
             U = np.conj(np.swapaxes(V, -1, -2))
@@ -123,7 +125,7 @@ def derivative_of(system: MatrixSystem, W: Matrix, stages: Stages, h: float, a: 
     # Axes: stage, direction, row, column.
     dV, dU = np.zeros((2, s, *moves.shape), dtype=M.dtype)
     V1, U1, M1, P1 = (found[:, None] for found in (V, U, M, P))
-    rest, change = _Rest(), np.inf
+    rest, change = _Rest(len(W)), np.inf
     for _ in range(MOST_ITERATIONS):
         dM = dV @ W @ U1 + V1 @ moves @ U1 + V1 @ W @ dU
         dP = np.stack([slope_along(system, m, dm, time) for m, dm, time in zip(M, dM, times, strict=True)])
@@ -159,7 +161,8 @@ def _largest(values: Matrix) -> float:
 class _Rest:
     """Whether the corrections of an iteration have stopped falling, at round-off."""
 
-    def __init__(self) -> None:
+    def __init__(self, N: int) -> None:
+        self._rounding = ROUND_OFF * float(np.sqrt(N))
         self._least, self._quiet, self._count = np.inf, 0, 0
 
     def after(self, change: float, size: float) -> bool:
@@ -168,5 +171,6 @@ class _Rest:
         self._quiet = 0 if change < self._least else self._quiet + 1
         self._least = min(self._least, change)
         # Where the iteration is slow, with complex eigenvalues, corrections rise and fall while they shrink.
-        still = self._quiet >= (1 if self._count < SLOW else self._count // 4)
+        fast = change <= self._rounding * size and self._count < SLOW
+        still = self._quiet >= (1 if fast else max(QUIET, self._count // 4))
         return change == 0.0 or (change <= SMALL * size and self._count >= FIRST_TESTED and still)

@@ -17,7 +17,7 @@ from coadjoint.methods.base import Method
 from coadjoint.runs.shifted_attitude import Unshift, plainly
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
-from coadjoint.systems.kinds import System
+from coadjoint.systems.kinds import System, unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.quadratic import Quadratic
 
@@ -171,9 +171,11 @@ class SystemLoops(Loops):
         followed = system.casimirs if casimirs is None else casimirs
         prepared = prepared or method.loop(system, h, representation)
         self.accounts = prepared.accounts
-        self._matrices = system if isinstance(system, MatrixSystem) else None
+        plain = unforced(system)
+        self._matrices = plain if isinstance(plain, MatrixSystem) else None
         if self._matrices:
-            watch = watch_tables(system, dict.fromkeys(followed, NOTHING))
+            count = (1 + len(followed)) * (2 if self.accounts else 1) - 1
+            watch = watch_tables(system, dict.fromkeys(map(str, range(count)), NOTHING))
         else:
             watch = balance_tables(system, followed, self.accounts) if self.accounts else watch_tables(system, followed)
         self.names = ["energy", *followed]
@@ -200,12 +202,14 @@ class SystemLoops(Loops):
         """Take the energy and the invariants of the saved matrices."""
         if self._matrices is None or not len(points):
             return
-        first = self._values(start.momenta, times.t0)
+        # nothing has been done yet
+        first = self._values(np.pad(start.momenta, ((0, 0), (0, len(self.accounts)))), times.t0)
         for k in points.tolist():
             number = int(times.saved[k])
             found = saved["values"][k] = self._values(saved["x"][k], float(times.at(times.saved[k])))
             tenth = max(0, number - 1) * worst.shape[1] // max(1, times.steps)
-            worst[:, tenth] = np.fmax(worst[:, tenth], np.abs(found - first))
+            with np.errstate(invalid="ignore"):  # infinities of members that are about to fail
+                worst[:, tenth] = np.fmax(worst[:, tenth], np.abs(found - first))
 
     def _values(self, states: NDArray[np.float64], t: float) -> NDArray[np.float64]:
         system = self._matrices
@@ -213,9 +217,16 @@ class SystemLoops(Loops):
         # Later states of members that have failed are NaN, and no function is asked about them.
         sound = np.isfinite(states[:, : system.dim]).all(axis=-1)
         found = np.full((len(states), len(self.names)), np.nan)
-        W = system.from_vector(states[sound, : system.dim])
+        rows = states[sound]
+        W, work = system.from_vector(rows[:, : system.dim]), rows[:, system.dim :]
         with np.errstate(all="ignore"):
-            found[sound] = np.stack([system.energy(W, t), *system.casimirs_at(W).values()], axis=-1)
+            values = {"energy": system.energy(W, t), **system.casimirs_at(W)}
+        if self.accounts:
+            # what is left of each beside the work of forces
+            for name in tuple(values):
+                done = [place for place, (_, which) in enumerate(self.accounts) if which == name]
+                values[f"{name}, balance"] = values[name] - work[:, done].sum(axis=-1)
+        found[sound] = np.stack(list(values.values()), axis=-1)
         return found
 
     def raised(self) -> BaseException | None:

@@ -130,16 +130,15 @@ class Run:
 
         try:
             wrong = sum(map(take, crews) if pool is None else pool.map(take, crews))
-            raised = self.loops.raised() if wrong else None
-            if raised is not None:
-                raise raised
-            return wrong
         except BaseException as ended:
             stop.say()
             raised = self.loops.raised()
             if raised is not None:
                 raise raised from None
             raise ended
+        if wrong and (raised := self.loops.raised()) is not None:
+            raise raised
+        return wrong
 
     def _take_in_chunks(
         self, crews: list[Crew], done: int, last: int, pool: ThreadPoolExecutor | None, bar: Callable[[int], Any]

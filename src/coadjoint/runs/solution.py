@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.base import Method
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.kinds import System
+from coadjoint.systems.kinds import System, unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.wording import short
 
@@ -198,8 +198,9 @@ class Solution:
         """Momenta."""
         # Behind the coordinates there may be accounts of forces.
         found = self._picked(self._series("x"))[..., : self._start.momenta.shape[1]]
-        if isinstance(self._system, MatrixSystem):
-            return self._system.states(found)
+        plain = unforced(self._system)
+        if isinstance(plain, MatrixSystem):
+            return plain.states(found)
         return found.reshape(*found.shape[:-1], *self._start.shape)
 
     @cached_property
@@ -299,7 +300,8 @@ class Solution:
         Returns
         -------
         dict
-            As `drift`, for ``invariant - work of all forces``. Without forces the same as `drift`.
+            As `drift`, for ``invariant - work of all forces``. Without forces the same as `drift`. Of matrices
+            these are the energy and the Casimirs of degree two; of others forces keep no account.
 
         Examples
         --------
@@ -310,7 +312,12 @@ class Solution:
         >>> bool(lost < -0.4), bool(abs(lost - done) < 1e-15), bool(sol.balance()["energy"] < 1e-15)
         (True, True, True)
         """
-        return self._deviations(1 + len(self.casimirs) if self.work else 0)
+        if not self.work:
+            return self._deviations(0)
+        accounted = {invariant for _, invariant in self._accounts}
+        every = accounted == {"energy"}  # the forces keep all Casimirs
+        found = self._deviations(1 + len(self.casimirs))
+        return {name: drift for name, drift in found.items() if every or name in accounted}
 
     def change(self) -> dict[str, Drift]:
         """Return how far forces and scheme have moved each invariant from its start.

@@ -14,7 +14,7 @@ from coadjoint.methods.attitude import check_attitude
 from coadjoint.methods.base import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.kinds import System, check_system, shape_of
+from coadjoint.systems.kinds import System, check_system, shape_of, unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.wording import short
 
@@ -92,8 +92,9 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
     ValueError
         Of another shape, empty, or not finite.
     """
-    if isinstance(system, MatrixSystem):
-        rows = system.read(x0)
+    plain = unforced(system)
+    if isinstance(plain, MatrixSystem):
+        rows = plain.read(x0)
         if not len(rows):
             raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs at least one member")
         return rows.reshape(-1, system.dim), rows.ndim == 1

@@ -40,7 +40,8 @@ class Batch:
         if not self.systems:
             raise ValueError("the batch is empty; give at least one system")
         for m, system in enumerate(self.systems):
-            if not isinstance(system, KINDS):
+            moved = system.system if isinstance(system, ForcedSystem) else system
+            if not isinstance(system, KINDS) or not isinstance(moved, (LiePoissonSystem, PoissonSystem)):
                 raise TypeError(
                     f"member {m} of the batch is {short(system)}; it must be a LiePoissonSystem or a PoissonSystem"
                 )

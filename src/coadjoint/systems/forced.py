@@ -63,6 +63,9 @@ class ForcedSystem:
         drawn = [(force.seed, force.stream) for force in forces if force.random]  # type: ignore[attr-defined]
         if len(set(drawn)) < len(drawn):
             raise ValueError("two forces draw the same noise; give each a seed of its own")
+        if not getattr(system, "linear_stream", True):
+            # the kernels find the energy of matrices by their stream
+            raise ValueError(f"the energy of {system.name} is a function; forces need one that its stream gives")
         self.system, self.forces = system, forces
 
     def with_forces(self, *forces: Force) -> ForcedSystem:
@@ -157,10 +160,15 @@ class ForcedSystem:
         TypeError
             A force is a noise.
         """
-        y, t = point(read_numbers(x, "x"), self.dim), read_number(t, "t")
-        return np.asarray(
-            sum((force.field(self.system, y, t) for force in self.forces), start=self.system.vector_field(y, t))
-        )
+        y, t = self._numbers(x), read_number(t, "t")
+        found = sum((force.field(self.system, y, t) for force in self.forces), start=self.system.vector_field(y, t))
+        return np.asarray(self.system.from_vector(found) if np.ndim(x) > 1 else found)
+
+    def _numbers(self, x: Any) -> npt.NDArray[Any]:
+        """Return a state as its numbers; those of a matrix are its entries."""
+        if np.ndim(x) > 1 and hasattr(self.system, "from_vector"):
+            x = self.system.read(x, "x")
+        return point(read_numbers(x, "x"), self.dim)
 
     def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
         """Refuse: no closed form of a motion with forces is known here."""
@@ -198,7 +206,7 @@ class ForcedSystem:
         >>> body.power([0.0, 0.0, 2.0])
         {'LinearDamping': -0.5}
         """
-        y, t = point(read_numbers(x, "x"), self.dim), read_number(t, "t")
+        y, t = self._numbers(x), read_number(t, "t")
         slope = self.hamiltonian.gradient(y, t)
         pairs = zip(self.labels, self.forces, strict=True)
         return {label: float(slope @ force.field(self.system, y, t)) for label, force in pairs}

@@ -71,6 +71,11 @@ def shape_of(system: Any) -> tuple[int, ...]:
     return tuple(getattr(system, "shape", (system.dim,)))
 
 
+def unforced(system: Any) -> Any:
+    """Return the Hamiltonian part of a system with forces, another system as it is."""
+    return system.system if isinstance(system, ForcedSystem) else system
+
+
 def tabulated(system: Any) -> bool:
     """Return whether the kernels can read the bracket: from structure constants, or from a function J."""
     return system.algebra is None or getattr(system.algebra, "triples", None) is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property, partial
+from functools import cached_property
 from math import pi
 from typing import Any
 
@@ -62,7 +62,6 @@ class SphereEuler(FluidSystem):
             linear=0.5 * self.planetary if rotation else None,
             name="sphere_euler",
             parameters={"N": N, "rotation": rotation},
-            exact=partial(sphere_states.exact_motion, N=N, rotation=rotation),
         )
 
     states_by_name = (*FluidSystem.states_by_name, "rossby_haurwitz", "zonal_jet")
@@ -72,7 +71,7 @@ class SphereEuler(FluidSystem):
 
     def mode_array(self, W: Any) -> Matrix:
         """Return the coefficients of matrices (..., N, N) as an array, ``[..., l, m]`` with m >= 0."""
-        return harmonics_of_matrix(W)
+        return harmonics_of_matrix(self.matrices(W))
 
     def from_modes(self, modes: Any) -> Matrix:
         """Return W of coefficients of orthonormal spherical harmonics with the phase of Condon and Shortley.
@@ -101,7 +100,7 @@ class SphereEuler(FluidSystem):
         return as_mapping(harmonics_of_matrix(self._one(W)))
 
     def _one(self, W: Any) -> Matrix:
-        given = np.asarray(W, dtype=np.complex128)
+        given = self.matrices(W)
         if given.shape != self.shape:
             raise ValueError(f"W has the shape {given.shape}; give one matrix, {self.shape}, or use mode_array")
         return given
@@ -157,7 +156,7 @@ class SphereEuler(FluidSystem):
         >>> s.to_grid(-2 * generators(4)[2], (3, 1))[:, 0].round(12) + 0.0
         array([ 2.,  0., -2.])
         """
-        return sphere_grid.values_of(harmonics_of_matrix(W), self._shape(shape), points)
+        return sphere_grid.values_of(self.mode_array(W), self._shape(shape), points)
 
     def from_grid(self, values: Any, points: str = "clenshaw-curtis", longitude: float = 0.0) -> Matrix:
         """Return the matrix of a field that is given at the points of a grid, without its mean.
@@ -222,10 +221,18 @@ class SphereEuler(FluidSystem):
         return sphere_grid.read_places(places, what)
 
     def relative(self, W: Any) -> Matrix:
-        return np.asarray(np.asarray(W, dtype=np.complex128) - self.planetary)
+        return np.asarray(self.matrices(W) - self.planetary)
 
     def absolute(self, W: Any) -> Matrix:
-        return np.asarray(np.asarray(W, dtype=np.complex128) + self.planetary)
+        return np.asarray(self.matrices(W) + self.planetary)
+
+    def exact(self, x0: Any, t: Any) -> Matrix:
+        """Return the exact motion (N, N) or (k, N, N) of a state at a time, or at several (k,).
+
+        It is known of zonal flows, and of states of the degree 1, about any axis, and one further degree, such as
+        `rossby_haurwitz` makes; ValueError for others.
+        """
+        return sphere_states.exact_motion(self.matrices(x0), t, self.rotation)
 
     def angular_momentum(self, W: Any) -> Floats:
         """Return the angular momentum of the absolute motion, the integral of (x, y, z) omega over the sphere.
@@ -242,18 +249,17 @@ class SphereEuler(FluidSystem):
         -------
         (..., 3) array
         """
-        return sphere_states.angular_momentum(W)
+        return sphere_states.angular_momentum(self.matrices(W))
 
     @property
     def integrals(self) -> Mapping[str, Any]:  # type: ignore[override]
-        """Name -> function of states (..., N, N): the parts of the angular momentum that are constant."""
-        kept = (2,) if self.rotation else (0, 1, 2)
-        return {f"angular momentum {'xyz'[a]}": partial(_part_of_momentum, axis=a) for a in kept}
+        """Name -> function of states (..., N, N): the parts of the angular momentum that are constant.
 
-
-def _part_of_momentum(W: Any, axis: int) -> Any:
-    found = sphere_states.angular_momentum(W)[..., axis]
-    return float(found) if found.ndim == 0 else found
+        These are all three, or in a rotating frame that along z; `integrate` follows them by
+        ``observe=system.integrals``.
+        """
+        kept = "z" if self.rotation else "xyz"
+        return {f"angular momentum {axis}": sphere_states.MomentumAlong(axis) for axis in kept}
 
 
 def _unstable_jet() -> Matrix:

@@ -10,6 +10,10 @@ import importlib
 TYPE_CHECKING = False
 
 _HOME = {
+    "Viscosity": "coadjoint.systems.forces.viscosity",
+    "RandomForcing": "coadjoint.systems.forces.random_forcing",
+    "Friction": "coadjoint.systems.forces.friction",
+    "BetaPlane": "coadjoint.systems.forces.beta_plane",
     "DoubleBracketDamping": "coadjoint.systems.forces.double_bracket",
     "Force": "coadjoint.systems.forces.base",
     "HeatBath": "coadjoint.systems.forces.heat_bath",
@@ -26,13 +30,17 @@ if TYPE_CHECKING:
     from typing import Any
 
     from coadjoint.systems.forces.base import Force as Force
+    from coadjoint.systems.forces.beta_plane import BetaPlane as BetaPlane
     from coadjoint.systems.forces.described import get as get
     from coadjoint.systems.forces.described import names as names
     from coadjoint.systems.forces.double_bracket import DoubleBracketDamping as DoubleBracketDamping
+    from coadjoint.systems.forces.friction import Friction as Friction
     from coadjoint.systems.forces.heat_bath import HeatBath as HeatBath
     from coadjoint.systems.forces.linear_damping import LinearDamping as LinearDamping
     from coadjoint.systems.forces.own_force import OwnForce as OwnForce
+    from coadjoint.systems.forces.random_forcing import RandomForcing as RandomForcing
     from coadjoint.systems.forces.torque import Torque as Torque
+    from coadjoint.systems.forces.viscosity import Viscosity as Viscosity
 
 
 def __getattr__(name: str) -> Any:

@@ -41,6 +41,12 @@ class ForceReader(Protocol):
     def flow(self, function: Callable[..., Any]) -> Any:
         """Take a flow, a function of (x, t, tau)."""
 
+    def mode_rates(self, modes: Any, numbers: Any, rates: Any, still: NDArray[Any] | None, layer: int) -> Any:
+        """Take c' = -rate c of some modes of a matrix, less those of one at rest; lists over diagonals."""
+
+    def mode_noise(self, modes: Any, numbers: Any, amplitudes: Any, seed: int, stream: int, layer: int) -> Any:
+        """Take the same with noise of these amplitudes."""
+
 
 class Force(ABC):
     """What moves a state beside the Hamiltonian: a flow of its own, which breaks the structure and says how.

@@ -8,16 +8,23 @@ from typing import Any
 
 from coadjoint.given import check_parameters, read_choice
 from coadjoint.systems.forces.base import Force
+from coadjoint.systems.forces.beta_plane import BetaPlane
 from coadjoint.systems.forces.double_bracket import DoubleBracketDamping
+from coadjoint.systems.forces.friction import Friction
 from coadjoint.systems.forces.heat_bath import HeatBath
 from coadjoint.systems.forces.linear_damping import LinearDamping
 from coadjoint.systems.forces.own_force import OwnForce
+from coadjoint.systems.forces.random_forcing import RandomForcing
 from coadjoint.systems.forces.torque import Torque
+from coadjoint.systems.forces.viscosity import Viscosity
 from coadjoint.wording import short
 
-KINDS: dict[str, type[Force]] = {
-    kind.__name__: kind for kind in (DoubleBracketDamping, HeatBath, LinearDamping, OwnForce, Torque)
-}
+FORCES: tuple[type[Force], ...] = (
+    *(BetaPlane, DoubleBracketDamping, Friction, HeatBath, LinearDamping),
+    *(OwnForce, RandomForcing, Torque, Viscosity),
+)
+
+KINDS: dict[str, type[Force]] = {kind.__name__: kind for kind in FORCES}
 
 
 def names() -> tuple[str, ...]:
@@ -29,8 +36,8 @@ def names() -> tuple[str, ...]:
 
     Examples
     --------
-    >>> names()
-    ('DoubleBracketDamping', 'HeatBath', 'LinearDamping', 'OwnForce', 'Torque')
+    >>> names()[:4]
+    ('BetaPlane', 'DoubleBracketDamping', 'Friction', 'HeatBath')
     """
     return tuple(sorted(KINDS))
 

@@ -9,7 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.matrices import applied, check_dimension, read_matrix
+from coadjoint.systems.forces.matrices import (
+    applied,
+    check_dimension,
+    check_state,
+    moves_matrices,
+    numbers_of,
+    read_matrix,
+    read_state,
+)
 
 
 @dataclass(frozen=True)
@@ -23,8 +31,9 @@ class LinearDamping(Force):
     ----------
     rate : float, (n,) or (n, n) array_like
         Rates, in inverse time. A matrix need not be symmetric. Negative rates feed.
-    toward : float or (n,) array_like
-        The state where the damping vanishes; a number stands for all coordinates.
+    toward : float, (n,) or (N, N) array_like
+        The state where the damping vanishes; a number stands for all coordinates. Of a `MatrixSystem` it is a matrix,
+        or zero, and the rate a number.
 
     Raises
     ------
@@ -47,19 +56,24 @@ class LinearDamping(Force):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rate", read_matrix(self.rate, "rate of LinearDamping"))
-        object.__setattr__(self, "toward", read_matrix(self.toward, "toward of LinearDamping", (0, 1)))
+        object.__setattr__(self, "toward", read_state(self.toward, "toward of LinearDamping", number=True))
 
     def check(self, system: Any) -> None:
+        if moves_matrices(system) and np.ndim(self.rate):
+            raise ValueError(
+                f"rate of LinearDamping has the shape {np.shape(self.rate)}; {system.name} needs a number, and "
+                "Friction has rates of their own for scales"
+            )
         check_dimension(self.rate, "rate of LinearDamping", system)
-        check_dimension(self.toward, "toward of LinearDamping", system)
+        check_state(self.toward, "toward of LinearDamping", system)
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        return np.asarray(applied(self.rate, np.asarray(self.toward) - x))
+        return np.asarray(applied(self.rate, numbers_of(self.toward, system) - x))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         from scipy.linalg import expm
 
-        rate, away = np.asarray(self.rate), np.asarray(x) - np.asarray(self.toward)
+        rate, away = np.asarray(self.rate), np.asarray(x) - numbers_of(self.toward, system)
         if rate.ndim == 2:
             n = len(rate)
             # The last column of this exponential is what the flow does to a state, less the state.
@@ -69,4 +83,4 @@ class LinearDamping(Force):
         return np.asarray(x + np.expm1(-tau * rate) * away)
 
     def given_to(self, reader: ForceReader, system: Any) -> Any:
-        return reader.damping(np.asarray(self.rate), np.broadcast_to(np.asarray(self.toward), (system.dim,)))
+        return reader.damping(np.asarray(self.rate), numbers_of(self.toward, system))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.given import read_finite
+from coadjoint.given import array_given, read_finite
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.user_functions import sample_points
 
 Plain = float | tuple[Any, ...]
 
@@ -28,6 +30,55 @@ def read_matrix(given: Any, what: str, dimensions: tuple[int, ...] = (0, 1, 2)) 
         raise ValueError(f"{what} has the shape {found.shape}; it must be {shapes}")
     plain = found.tolist()
     return tuple(map(_in_tuples, plain)) if isinstance(plain, list) else float(plain)
+
+
+def read_state(given: Any, what: str, number: bool = False) -> Any:
+    """Return a vector, or a state of a system of matrices, in tuples; where that is asked for a number as well.
+
+    Examples
+    --------
+    >>> read_state([[0, 1j], [1j, 0]], "torque")
+    ((0j, 1j), (1j, 0j))
+    """
+    if isinstance(given, Mapping) and given.keys() == {"real", "imaginary"}:  # as records have it
+        given = read_finite(given["real"], what) + 1j * read_finite(given["imaginary"], what)
+    if np.ndim(given) not in (2, 3):
+        return read_matrix(given, what, (0, 1) if number else (1,))
+    matrix = array_given(given, what, "iufc")
+    if matrix.shape[-2] != matrix.shape[-1] or not matrix.size or not np.isfinite(matrix).all():
+        raise ValueError(f"{what} has the shape {matrix.shape}; a matrix must be (N, N), of finite numbers")
+    rows = matrix.astype(complex if matrix.dtype.kind == "c" else float).tolist()
+    return tuple(tuple(map(_in_tuples, row)) for row in rows)
+
+
+def moves_matrices(system: Any) -> bool:
+    """Return whether a state of a system is a matrix."""
+    return hasattr(system, "from_vector")
+
+
+def check_state(given: Any, what: str, system: Any) -> None:
+    """Refuse a state that is none of a system; a number that stands for all coordinates must be zero for matrices."""
+    shape = np.shape(given)
+    if moves_matrices(system):
+        if shape or given != 0.0:
+            system.read(given, what)
+    elif len(shape) > 1:
+        raise ValueError(f"{what} is a matrix; {system.name} needs ({system.dim},)")
+    else:
+        check_dimension(given, what, system)
+
+
+def numbers_of(given: Any, system: Any) -> NDArray[np.float64]:
+    """Return a state as its numbers, (n,)."""
+    if moves_matrices(system) and np.ndim(given):
+        return np.asarray(system.read(given))
+    return np.asarray(np.broadcast_to(np.asarray(given, dtype=np.float64), (system.dim,)))
+
+
+def sample_states(system: Any) -> list[NDArray[Any]]:
+    """Return seeded states of different kinds, as functions of a user take them."""
+    points = sample_points(system.dim)
+    return [system.algebra.projected(system.from_vector(x)) for x in points] if moves_matrices(system) else points
 
 
 def _in_tuples(entry: Any) -> Any:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from coadjoint.errors import in_one_line
 from coadjoint.given import read_flag, read_title
 from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments, sample_points
+from coadjoint.systems.forces.matrices import moves_matrices, sample_states
+from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments
 
 MOMENT = 2.0**-12
 
@@ -27,8 +28,8 @@ class OwnForce(Force):
     Parameters
     ----------
     function : callable
-        Pure function of ``(x, t, tau)``: where the force alone moves the state x, shape (n,), from the time t on in the
-        time tau, which is negative in runs backward. Compiled by Numba. For a time zero it returns x.
+        Pure function of ``(x, t, tau)``: where the force alone moves the state x, shape (n,) or (N, N), from the time
+        t on in the time tau, which is negative in runs backward. Compiled by Numba. For a time zero it returns x.
     name : str
         What it is called in balances and messages.
     keeps_casimirs : bool
@@ -80,8 +81,9 @@ class OwnForce(Force):
         return self.backward
 
     def check(self, system: Any) -> None:
-        n, failure = system.dim, ""
-        for x in sample_points(n):
+        shape, failure = tuple(getattr(system, "shape", (system.dim,))), ""
+        kinds = "fiuc" if getattr(system, "complex", False) else "fiu"
+        for x in sample_states(system):
             try:
                 with np.errstate(all="ignore"):
                     found, still = (np.asarray(self.function(x, SAMPLE_TIME, tau)) for tau in (MOMENT, 0.0))
@@ -89,11 +91,13 @@ class OwnForce(Force):
                 failure = in_one_line(str(error), 200)
                 continue
             for result in (found, still):
-                if result.shape != (n,) or result.dtype.kind not in "fiu":
+                if result.shape != shape or result.dtype.kind not in kinds:
                     raise ValueError(
                         f"the flow of {self.name} returns {result.dtype} of shape {result.shape}; {system.name} needs "
-                        f"real numbers of shape ({n},)"
+                        f"{'' if 'c' in kinds else 'real '}numbers of shape {shape}"
                     )
+                if moves_matrices(system) and np.all(np.isfinite(result)):
+                    system.read(result, f"what the flow of {self.name} returns")
             if np.all(np.isfinite(still)) and np.max(np.abs(still - x)) > 1e-9 * np.max(np.abs(x)):
                 raise ValueError(f"the flow of {self.name} moves a state in no time; for tau = 0 it must return x")
             return
@@ -115,6 +119,8 @@ class OwnForce(Force):
         return np.asarray((4.0 * narrow - wide) / 3.0)
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
+        if moves_matrices(system):
+            return np.asarray(system.to_vector(self.function(system.from_vector(x), t, tau)))
         return np.asarray(self.function(x, t, tau))
 
     def given_to(self, reader: ForceReader, system: Any) -> Any:

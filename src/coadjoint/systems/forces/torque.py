@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from coadjoint.errors import in_one_line
 from coadjoint.given import read_numbers
 from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.matrices import check_dimension, read_matrix
-from coadjoint.systems.user_functions import SAMPLE_TIME, sample_points, takes_time
+from coadjoint.systems.forces.matrices import check_state, moves_matrices, numbers_of, read_state, sample_states
+from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
 
 # Nodes and weights of Gauss' formula with five points on (-1, 1).
 NODES = (-0.9061798459386640, -0.5384693101056831, 0.0, 0.5384693101056831, 0.9061798459386640)
@@ -32,9 +32,10 @@ class Torque(Force):
 
     Parameters
     ----------
-    torque : (n,) array_like, or callable
+    torque : (n,) or (N, N) array_like, or callable
         The torque, or a function of ``t``, of ``x``, or of ``(x, t)`` that returns it, shape (n,). A function of one
-        argument is one of the time where that argument is named ``t``.
+        argument is one of the time where that argument is named ``t``. Of a `MatrixSystem` the torque and x are
+        matrices (N, N), and the torque one of the algebra.
 
     Raises
     ------
@@ -55,7 +56,7 @@ class Torque(Force):
         if callable(self.torque):
             self._arguments()
         else:
-            object.__setattr__(self, "torque", read_matrix(self.torque, "the torque", (1,)))
+            object.__setattr__(self, "torque", read_state(self.torque, "the torque"))
 
     def _arguments(self) -> str:
         """Return what the function takes: "t", "x" or "x, t"."""
@@ -66,16 +67,19 @@ class Torque(Force):
 
     def check(self, system: Any) -> None:
         if not callable(self.torque):
-            check_dimension(self.torque, "the torque", system)
+            check_state(self.torque, "the torque", system)
             return
         arguments, n, failure = self._arguments(), system.dim, ""
-        for x in sample_points(n):
+        for x in sample_states(system):
             try:
                 with np.errstate(all="ignore"):
                     value = self.torque(*_given(arguments, x, SAMPLE_TIME))
             except (ArithmeticError, ValueError, TypeError, IndexError) as reason:  # perhaps outside its domain
                 failure = in_one_line(str(reason), 200)
                 continue
+            if moves_matrices(system):
+                system.read(value, "what the torque returns")
+                return
             found = read_numbers(value, "what the torque returns")
             if found.shape != (n,):
                 raise ValueError(f"the torque returns shape {found.shape}; {system.name} needs ({n},)")
@@ -84,12 +88,15 @@ class Torque(Force):
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         if not callable(self.torque):
-            return np.asarray(self.torque)
+            return numbers_of(self.torque, system)
+        if moves_matrices(system):
+            found = self.torque(*_given(self._arguments(), system.from_vector(x), t))
+            return np.asarray(system.to_vector(found))
         return np.asarray(self.torque(*_given(self._arguments(), x, t)))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if not callable(self.torque):
-            return np.asarray(x + tau * np.asarray(self.torque))
+            return np.asarray(x + tau * numbers_of(self.torque, system))
         if self._arguments() == "t":
             pairs = zip(NODES, WEIGHTS, strict=True)
             return np.asarray(
@@ -104,7 +111,7 @@ class Torque(Force):
     def given_to(self, reader: ForceReader, system: Any) -> Any:
         if callable(self.torque):
             return reader.function(self.torque, self._arguments())
-        return reader.constant(np.asarray(self.torque))
+        return reader.constant(numbers_of(self.torque, system))
 
 
 def _given(arguments: str, x: Any, t: Any) -> tuple[Any, ...]:

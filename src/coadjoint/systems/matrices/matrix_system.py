@@ -14,6 +14,8 @@ from coadjoint.algebra.matrix_states import SPARED, MatrixAlgebra
 from coadjoint.given import array_given, check_finite, no_numbers, read_numbers, read_title, read_whole
 from coadjoint.memory import check_room
 from coadjoint.systems.closed_form import checked_exact, checked_parameters, solution_of
+from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.forces.base import Force
 from coadjoint.systems.matrices.function_stream import FunctionStream
 from coadjoint.systems.matrices.matrix_energy import MatrixEnergy, check_stream, checked_energy
 from coadjoint.systems.matrices.streams import Stream
@@ -85,7 +87,6 @@ class MatrixSystem:
     sign = 1
     representation = None
     second_stream: Stream | None = None
-    integrals: Mapping[str, Any] = {}
 
     def __init__(
         self,
@@ -105,7 +106,8 @@ class MatrixSystem:
         if not isinstance(stream, Stream):
             if isinstance(stream, type) or not callable(stream):
                 raise TypeError(f"stream is {short(stream)}; give a Stream, such as Weights(w), or a function of W")
-            stream = FunctionStream(stream)
+            traceless = [(place.start, place.stop) for place, _, kind in algebra.parts if kind.traceless]
+            stream = FunctionStream(stream, tuple(traceless))
         self.algebra, self.stream, self.complex = algebra, stream, algebra.complex
         self.timed: bool = getattr(stream, "timed", False)
         self.energy_function = checked_energy(energy, self.timed)
@@ -132,6 +134,11 @@ class MatrixSystem:
 
     def __repr__(self) -> str:
         return f"<{self.name} on {self.algebra}>"
+
+    @property
+    def integrals(self) -> dict[str, Any]:
+        """Name -> what else is constant: nothing that is known of every such system."""
+        return {}
 
     @property
     def linear_stream(self) -> bool:
@@ -167,6 +174,15 @@ class MatrixSystem:
         """Return P = stream(W) + linear, of matrices (..., N, N)."""
         P = self.slope_of(self.matrices(W), t)
         return P if self.linear is None else P + self.linear
+
+    @property
+    def quadratic_casimirs(self) -> tuple[str, ...]:
+        """Names of those of degree two that runs with forces keep account of: tr W^2, of one block."""
+        return tuple(name for name in ("tr W^2", "Re tr W^2") if name in self.casimirs)
+
+    def with_forces(self, *forces: Force) -> ForcedSystem:
+        """Return the system with forces; see `LiePoissonSystem.with_forces`."""
+        return ForcedSystem(self, forces)
 
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
         """Return W' of matrices (..., N, N), or of rows of their numbers, in the same form."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import pi, sqrt
 from typing import TYPE_CHECKING, Any
 
@@ -139,7 +140,7 @@ def _read_band(band: Any) -> tuple[float, float]:
     return float(edges[0]), float(edges[1])
 
 
-def exact_motion(x0: Any, t: Any, *, N: int, rotation: float) -> Complexes:
+def exact_motion(W: Complexes, t: Any, rotation: float) -> Complexes:
     """Return the exact motion of a state of the degree 1 and one further degree, or of a zonal flow.
 
     With A the part of degree 1 about any axis, F that of the rotation of the frame and
@@ -148,12 +149,10 @@ def exact_motion(x0: Any, t: Any, *, N: int, rotation: float) -> Complexes:
 
     Parameters
     ----------
-    x0 : (N, N) array
+    W : (N, N) array
         The state at time 0.
     t : float or (k,) array
         Times.
-    N : int
-        Size of the matrices.
     rotation : float
         Angular velocity of the frame.
 
@@ -166,8 +165,8 @@ def exact_motion(x0: Any, t: Any, *, N: int, rotation: float) -> Complexes:
     ValueError
         No closed form is known: there are two further degrees, and the flow is not zonal.
     """
-    W, times = np.asarray(x0, dtype=np.complex128), read_finite(t, "t")
-    if W.shape != (N, N) or times.ndim > 1:
+    times, N = read_finite(t, "t"), W.shape[-1]
+    if W.ndim != 2 or times.ndim > 1:
         raise ValueError(f"x0 has the shape {W.shape} and t {times.shape}; give ({N}, {N}), and one time or several")
     c = harmonics_of_matrix(W)
     size = np.abs(c).max(initial=0.0)
@@ -208,3 +207,20 @@ def angular_momentum(W: Any) -> Floats:
     W = np.asarray(W, dtype=np.complex128)
     N = W.shape[-1]
     return -_components(W, N) * (N * (N * N - 1) / 12) / scale(N) ** 2
+
+
+@dataclass(frozen=True)
+class MomentumAlong:
+    """The angular momentum along an axis, "x", "y" or "z", as a function of states (..., N, N).
+
+    Examples
+    --------
+    >>> round(MomentumAlong("z")(-2 * generators(5)[2]) / np.pi, 12)
+    2.666666666667
+    """
+
+    axis: str
+
+    def __call__(self, W: Any) -> Any:
+        found = angular_momentum(W)[..., "xyz".index(self.axis)]
+        return float(found) if found.ndim == 0 else found

@@ -57,7 +57,7 @@ class _Shelf:
         with self._lock:
             found = self._made.get(m) if self._N == N else None
         if found is None:
-            found = _upper_half(N, m)
+            found = harmonics(N, m)
             with self._lock:
                 if self._N != N:
                     self._N, self._bytes, self._made = N, 0, {}
@@ -70,32 +70,47 @@ class _Shelf:
 _SHELF = _Shelf()
 
 
-def _upper_half(N: int, m: int) -> Floats:
+def harmonics(N: int, m: int) -> Floats:
     """Return the entries (i, i + m) of T_lm as [l - m, i], for i up to the middle: it is even or odd with l - m.
 
-    The place times T_lm is a sum of its neighbours in l, so that a row in l is an eigenvector of a tridiagonal matrix
-    whose eigenvalues are the places, one apart. Those of the Laplacian are the same but lose digits at small l.
+    The place times T_lm is a sum of its neighbours in l, with positive factors that rise and fall with l. Such a
+    recurrence is stable from either end to where they are largest.
     """
-    from scipy.linalg import eigh_tridiagonal
-
     n, m2 = N - m, m * m
-    if n == 1:
-        return np.full((1, 1), (-1.0) ** m)
-    check_room(40 * n * n, f"the matrix harmonics of order {m} for N = {N}")
+    check_room(24 * n * n, f"the matrix harmonics of order {m} for N = {N}")
+    half = n - n // 2
+    places: Floats = np.asarray((n - 1) / 2 - np.arange(half), dtype=np.float64)
     l = np.arange(m + 1, N, dtype=float)
-    beside = np.sqrt((l * l - m2) * (N * N - l * l) / (4 * l * l - 1)) / 2
-    _, V = eigh_tridiagonal(
-        np.zeros(n), beside, select="i", select_range=(n // 2, n - 1), lapack_driver="stemr", check_finite=False
-    )
-    V = V[:, ::-1]
-    # signs: the Laplacian couples neighbours of a diagonal by negative numbers, and T_mm is (-1)^m times positive ones
-    degrees = np.arange(m, N) * np.arange(m + 1, N + 1.0)
-    steps = -np.sign(np.einsum("l,li,li->i", degrees, V[:, 1:], V[:, :-1]))
-    signs = np.concatenate([[1.0], np.cumprod(steps)])
-    V = V * (signs * signs[-1] * np.sign(V[0, -1]) * (-1.0) ** m)
-    if n % 2:
-        V[1::2, -1] = 0.0
-    return np.ascontiguousarray(V)
+    beside: Floats = np.sqrt((l * l - m2) * (N * N - l * l) / (4 * l * l - 1)) / 2
+    met = int(np.argmax(beside)) if n > 1 else 0
+    V = np.empty((n, half))
+    V[: met + 2] = _recurrence(places, beside[: met + 1])
+    if met + 2 < n:
+        rest = _recurrence(places, beside[met:][::-1])[::-1]
+        known, same = V[met : met + 2], rest[:2]
+        V[met:] = rest * (np.sum(known * same, axis=0) / np.sum(same * same, axis=0))
+    # near the north pole T_lm has the sign of (-1)^m
+    V *= (-1.0) ** m / np.sqrt(np.sum(V * V, axis=0))
+    return V
+
+
+def _recurrence(places: Floats, beside: Floats) -> Floats:
+    """Return v, one row more than `beside`, of ``place v_k = beside_(k-1) v_(k-1) + beside_k v_(k+1)``.
+
+    Columns begin with a positive number, and end with entries of the size of 1 where they have grown.
+    """
+    v = np.ones((len(beside) + 1, len(places)))
+    for k in range(len(beside)):
+        np.multiply(places, v[k], out=v[k + 1])
+        if k:
+            v[k + 1] -= beside[k - 1] * v[k - 1]
+        v[k + 1] /= beside[k]
+        if k % 32 == 31 or k == len(beside) - 1:
+            size = np.maximum(np.abs(v[k]), np.abs(v[k + 1]))
+            large = size > (2.0**300 if k < len(beside) - 1 else 1.0)
+            if large.any():
+                v[: k + 2, large] /= size[large]
+    return v
 
 
 def diagonal_of(c: Complexes, N: int, m: int) -> Complexes:

@@ -143,8 +143,12 @@ class Circulants:
 
     def inverse(self, P: Matrix) -> Matrix:
         """Return W of P, without the modes of which nothing is left."""
+        return self.inverted()(P)
+
+    def inverted(self) -> Circulants:
+        """Return the stream that is the inverse of this one, zero where this is."""
         with np.errstate(divide="ignore"):
-            return self._scaled(P, np.where(self.spectrum == 0.0, 0.0, 1.0 / self.spectrum))
+            return Circulants(np.where(self.spectrum == 0.0, 0.0, 1.0 / self.spectrum))
 
     def _scaled(self, W: Matrix, spectrum: Floats) -> Matrix:
         N = len(spectrum)
@@ -154,6 +158,39 @@ class Circulants:
         P = np.empty_like(W)
         P[..., rows[None, :], columns] = np.fft.ifft(np.fft.fft(diagonals, axis=-1) * spectrum, axis=-1)
         return P
+
+
+@dataclass(frozen=True, eq=False)
+class Inverse:
+    """W of P: the inverse of a stream on diagonals, which multiplies where that solves.
+
+    Parameters
+    ----------
+    of : DiagonalSolve
+        The other one.
+
+    Examples
+    --------
+    >>> solve = DiagonalSolve(np.full((2, 2), 4.0), np.zeros((2, 2)))
+    >>> Inverse(solve)(np.array([[0.0, 1.0], [-1.0, 0.0]]))
+    array([[-0.,  4.],
+           [-4., -0.]])
+    """
+
+    of: DiagonalSolve
+    table: Floats = field(init=False, repr=False)
+
+    kind = "MULTIPLIED"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "table", np.stack([self.of.main, self.of.beside]).ravel() / self.of.factor)
+
+    def __call__(self, W: Matrix) -> Matrix:
+        return self.of.inverse(W)
+
+    def inverse(self, P: Matrix) -> Matrix:
+        """Return P of W."""
+        return self.of(P)
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,9 +46,15 @@ CODES(StreamKind, STREAMS)
 CODES(Solver, SOLVERS)
 
 // How a force moves a state: towards a point; by a torque that is constant, or a function of time or of state and time;
-// along coadjoint orbits; or by a flow that is a function.
-#define FORCES(_) _(DAMPING, 0) _(CONSTANT, 1) _(OF_TIME, 2) _(OF_STATE, 3) _(ON_ORBIT, 4) _(BY_FLOW, 5)
+// along coadjoint orbits; by a flow that is a function; or modes of a matrix, by rates of their own or by a noise.
+#define FORCES(_)                                                                                            \
+    _(DAMPING, 0) _(CONSTANT, 1) _(OF_TIME, 2) _(OF_STATE, 3) _(ON_ORBIT, 4) _(BY_FLOW, 5) _(MODE_RATES, 6) \
+    _(MODE_NOISE, 7)
 CODES(ForceKind, FORCES)
+
+// The modes of a matrix: harmonics of the sphere, or waves of the torus.
+#define MODES(_) _(HARMONICS, 0) _(WAVES, 1)
+CODES(ModeKind, MODES)
 
 // What is given of a matrix: a multiple of the unit, its diagonal, or all of it.
 #define SHAPES(_) _(MULTIPLE, 0) _(DIAGONAL, 1) _(FULL, 2)

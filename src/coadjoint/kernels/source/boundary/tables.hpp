@@ -98,10 +98,15 @@ TABLE(StepTables, STEP_FIELDS)
 // A force. `shape` is that of `rate`, a matrix, and of its root in `aim`; else `aim` is a vector. What it changes of the
 // first `accounts` invariants is added up behind the coordinates, from place `account` on. The directions of a noise,
 // columns of the root, fall into `sets` that commute: the directions direction[begin[s]] to direction[begin[s + 1]].
+// Of a force on modes of a matrix of `extent` rows, at `place` of a state, `shape` says which modes they are; on the
+// diagonal d they are those with the numbers direction[begin[d]] to direction[begin[d + 1] - 1], with as many entries of
+// `rate`, and of `turning` where they may turn. They are those of the matrix less that of `aim`, where `sets` is one.
+// `basis` is described in matrices/modes.hpp.
 #define FORCE_FIELDS(_)                                                                                              \
     _(integer, kind) _(integer, account) _(integer, accounts) _(integer, shape) _(numbers, rate) _(numbers, aim)     \
     _(integers, function) _(number, amplitude) _(integer, seed) _(integer, stream) _(integer, sets)                  \
-    _(integers, begin) _(integers, direction)
+    _(integers, begin) _(integers, direction) _(integer, extent) _(integer, place)                             \
+    _(numbers, turning) _(numbers, basis)
 TABLE(ForceTable, FORCE_FIELDS)
 
 #define STEPPING_FIELDS(_)                                                                                           \

@@ -1,7 +1,10 @@
 // The flow of one force over some time: what moves a state beside the Hamiltonian.
 #pragma once
 
+#include <memory>
+
 #include "field/field.hpp"
+#include "forces/mode_force.hpp"
 #include "forces/random.hpp"
 #include "numbers/arithmetic.hpp"
 #include "recording/watching.hpp"
@@ -17,7 +20,9 @@ class Force {
 
     Force(const ForceTable& table, const Field& field, const Own& constants)
         : table(table), field(field), constants(constants), n(field.size), room(field), exponential(n),
-          one(std::max<int64_t>(n + 1, 4)), two(n), three(n), four(n), five(n), six(n) {}
+          one(std::max<int64_t>(n + 1, 4)), two(n), three(n), four(n), five(n), six(n) {
+        if (table.kind == MODE_RATES || table.kind == MODE_NOISE) modes.reset(new ModeForce(table));
+    }
 
     // Move x from time t on for the time tau, negative for backward; return a status.
     int64_t flow(double* x, double t, double tau, int64_t member) {
@@ -29,6 +34,8 @@ class Force {
             case OF_TIME: return push_by_time(x, t, tau);
             case OF_STATE: return push_by_state(x, t, tau);
             case ON_ORBIT: return stay_on_orbit(x, t, tau, member);
+            case MODE_RATES: return modes->relax(x, tau), defined(x);
+            case MODE_NOISE: return modes->shake(x, t, tau, member), defined(x);
         }
         return leap(x, t, tau);
     }
@@ -41,6 +48,7 @@ class Force {
     ExponentialAction exponential;
     std::vector<double> one, two, three, four, five, six, beyond;
     double known = 0.0;  // the time that `beyond` is for
+    std::unique_ptr<ModeForce> modes;
 
     void call_at(const double* y, double t, double* out) {
         Hearing::of_this_call().after(WORK_OF_A_CALL);

@@ -1,0 +1,97 @@
+// The quadratic invariants of a state of matrices, in as many operations as its stream takes: the energy, and tr W^2 of
+// one matrix, tr Theta^2 and tr W Theta of two layers; complex skew-Hermitian matrices count as -i W.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "matrices/stream.hpp"
+
+namespace coadjoint {
+
+struct MatrixInvariants {
+    virtual ~MatrixInvariants() = default;
+    // How many values there are.
+    virtual int64_t count() const = 0;
+    virtual int64_t work() const = 0;
+    // Set them; return whether the stream is defined there.
+    virtual bool of(const double* x, double t, double* values) = 0;
+};
+
+template <class T>
+struct InvariantsOf final : MatrixInvariants {
+    const int64_t n, square, layers;
+    const bool general;
+    const double sign, sign_of_trace;
+    const T* const constant;
+    Stream<T> stream;
+    std::vector<T> Y;
+
+    InvariantsOf(const int64_t* whole, const double* numbers)
+        : n(whole[0]), square(n * n), layers(whole[1]), general(whole[7]), sign(double(whole[8])),
+          sign_of_trace(double(whole[9])),
+          constant(whole[4] ? reinterpret_cast<const T*>(numbers) : nullptr), stream(whole, numbers), Y(layers * square) {}
+
+    int64_t count() const override { return 1 + layers; }
+    int64_t work() const override { return stream.work() + 8 * layers * square; }
+
+    bool of(const double* x, double t, double* values) override {
+        const T* const X = reinterpret_cast<const T*>(x);
+        if (!stream.apply(X, t, Y.data())) return false;
+        double energy = 0.0;
+        for (int64_t l = 0; l < layers; ++l) {
+            // the stream is H's derivative by the other layer, and half of it is H but for what is constant
+            const T *const of = X + (layers - 1 - l) * square, *const y = Y.data() + l * square;
+            energy += 0.5 * pairing(y, of);
+            if (constant) energy += 0.5 * pairing(constant + l * square, of);
+        }
+        values[0] = sign * energy;
+        for (int64_t l = 0; l < layers; ++l) values[1 + l] = sign_of_trace * trace(X, X + l * square);
+        return true;
+    }
+
+  private:
+    static double real(const double& value) { return value; }
+    static double real(const Complex& value) { return value.real(); }
+    static double imaginary(const double&) { return 0.0; }
+    static double imaginary(const Complex& value) { return value.imag(); }
+
+    // The real part of tr(a* b), of matrices that are not skew-Hermitian that of tr(a b). Sums of rows are added up, so that rounding grows with the rows alone.
+    double pairing(const T* a, const T* b) const {
+        if (general) return trace(a, b);
+        double total = 0.0;
+        for (int64_t i = 0; i < n; ++i) {
+            double row = 0.0;
+            for (int64_t e = i * n; e < (i + 1) * n; ++e)
+                row += real(a[e]) * real(b[e]) + imaginary(a[e]) * imaginary(b[e]);
+            total += row;
+        }
+        return total;
+    }
+
+    // The real part of tr(a b).
+    double trace(const T* a, const T* b) const {
+        double total = 0.0;
+        for (int64_t i = 0; i < n; ++i) {
+            double row = 0.0;
+            for (int64_t j = 0; j < n; ++j) {
+                const T &left = a[i * n + j], &right = b[j * n + i];
+                row += real(left) * real(right) - imaginary(left) * imaginary(right);
+            }
+            total += row;
+        }
+        return total;
+    }
+};
+
+// Of the whole numbers what a stream reads, the size being zero where the state is no matrix, then whether entries are
+// complex, whether matrices are not skew-Hermitian, the sign of the energy, and that of the trace: -1 for -i W.
+inline std::unique_ptr<MatrixInvariants> matrix_invariants(const int64_t* whole, const double* numbers) {
+    std::unique_ptr<MatrixInvariants> found;
+    if (!whole[0]) return found;
+    if (whole[6]) found.reset(new InvariantsOf<Complex>(whole, numbers));
+    else found.reset(new InvariantsOf<double>(whole, numbers));
+    return found;
+}
+
+}  // namespace coadjoint

@@ -1,0 +1,137 @@
+// Modes of a skew-Hermitian matrix, diagonal by diagonal: their coefficients are read, changed, and the change is added.
+#pragma once
+
+#include <vector>
+
+#include "boundary/codes.hpp"
+#include "boundary/hearing.hpp"
+#include "matrices/products.hpp"
+
+namespace coadjoint {
+
+// What is at `basis`, by kind; a mode is a vector of length one along its diagonal:
+//   HARMONICS: for each mode the first half of its entries (i, i + d), with the one in the middle where there is one. It
+//              is even about the middle where its number less d is, else odd.
+//   WAVES:     cos(2 pi k/n), then sin(2 pi k/n), k = 0, ..., n - 1. The mode k of the cyclic diagonal d has the entries
+//              exp(2 pi i k (d + 2 a)/n)/sqrt(n) at (a, a + d mod n), d from 0 to (n - 1)/2.
+class Modes {
+  public:
+    explicit Modes(const ForceTable& table)
+        : table(table), n(table.extent), waves(table.shape == WAVES), diagonals(waves ? (n + 1) / 2 : n), first(2 * n),
+          second(2 * n), even(2 * n), odd(2 * n) {}
+
+    int64_t count() const { return table.begin[diagonals]; }
+
+    // Add to W its modes times `move(e, c)` of their places e in the table and their coefficients c, which are read only
+    // where that is asked for. On the main diagonal waves of opposite numbers go together where `paired`.
+    template <class Move>
+    void change(double* x, bool read, bool paired, Move move) {
+        Complex* const W = reinterpret_cast<Complex*>(x + table.place);
+        const double* harmonic = table.basis;
+        for (int64_t d = 0; d < diagonals; ++d) {
+            const int64_t from = table.begin[d], to = table.begin[d + 1], length = waves ? n : n - d;
+            if (from == to) continue;
+            Hearing::of_this_call().after(4 * length * (to - from));
+            if (read) fold(W, d, length);
+            std::fill(even.begin(), even.end(), 0.0);
+            std::fill(odd.begin(), odd.end(), 0.0);
+            for (int64_t e = from; e < to; ++e) {
+                const int64_t k = table.direction[e];
+                if (waves) {
+                    spread_wave(k, d, move(e, read ? wave(k, d) : Complex(0.0)));
+                    continue;
+                }
+                const int64_t half = (length + 1) / 2;
+                const bool is_odd = (k - d) % 2;
+                const double* part = (is_odd ? second : first).data();
+                const Complex c(read ? dot(harmonic, part, half) : 0.0, read ? dot(harmonic, part + n, half) : 0.0);
+                const Complex moved = move(e, c);
+                double* sum = (is_odd ? odd : even).data();
+                for (int64_t i = 0; i < half; ++i) {
+                    sum[i] += moved.real() * harmonic[i];
+                    sum[n + i] += moved.imag() * harmonic[i];
+                }
+                harmonic += half;
+            }
+            add(W, d, length, paired);
+        }
+    }
+
+  private:
+    const ForceTable& table;
+    const int64_t n;
+    const bool waves;
+    const int64_t diagonals;
+    std::vector<double> first, second, even, odd;  // real parts, then imaginary ones
+
+    Complex moving(const Complex* W, int64_t e) const {
+        return table.sets ? W[e] - reinterpret_cast<const Complex*>(table.aim)[e] : W[e];
+    }
+
+    // The diagonal, of harmonics its even and its odd part.
+    void fold(const Complex* W, int64_t d, int64_t length) {
+        for (int64_t a = 0; a < length; ++a) {
+            const int64_t b = length - 1 - a;
+            const Complex here = moving(W, a * n + (a + d) % n);
+            const Complex there = waves || a == b ? Complex(0.0) : moving(W, b * n + b + d);
+            first[a] = here.real() + there.real(), first[n + a] = here.imag() + there.imag();
+            second[a] = here.real() - there.real(), second[n + a] = here.imag() - there.imag();
+        }
+    }
+
+    // In four sums, in an order that no compiler changes.
+    static double dot(const double* a, const double* b, int64_t length) {
+        double sum[4] = {0.0, 0.0, 0.0, 0.0};
+        int64_t i = 0;
+        for (; i + 4 <= length; i += 4)
+            for (int lane = 0; lane < 4; ++lane) sum[lane] += a[i + lane] * b[i + lane];
+        for (; i < length; ++i) sum[0] += a[i] * b[i];
+        return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+    }
+
+    // The place of exp(2 pi i k (d + 2 a)/n) in the table, a = 0, and by how much it goes on with a.
+    int64_t start(int64_t k, int64_t d) const { return k * d % n; }
+    int64_t stride(int64_t k) const { return 2 * k % n; }
+
+    Complex wave(int64_t k, int64_t d) const {
+        double real = 0.0, imaginary = 0.0;
+        for (int64_t a = 0, at = start(k, d), by = stride(k); a < n; ++a) {
+            const double cosine = table.basis[at], sine = table.basis[n + at];
+            real += first[a] * cosine + first[n + a] * sine;
+            imaginary += first[n + a] * cosine - first[a] * sine;
+            at += by;
+            if (at >= n) at -= n;
+        }
+        const double root = std::sqrt(double(n));
+        return Complex(real / root, imaginary / root);
+    }
+
+    void spread_wave(int64_t k, int64_t d, const Complex& moved) {
+        const double root = std::sqrt(double(n)), real = moved.real() / root, imaginary = moved.imag() / root;
+        for (int64_t a = 0, at = start(k, d), by = stride(k); a < n; ++a) {
+            const double cosine = table.basis[at], sine = table.basis[n + at];
+            even[a] += real * cosine - imaginary * sine;
+            even[n + a] += real * sine + imaginary * cosine;
+            at += by;
+            if (at >= n) at -= n;
+        }
+    }
+
+    void add(Complex* W, int64_t d, int64_t length, bool paired) const {
+        for (int64_t a = 0; a < length; ++a) {
+            const int64_t b = length - 1 - a, c = (a + d) % n;
+            const bool upper = waves || a <= b;
+            const int64_t i = upper ? a : b;
+            const double sign = upper ? 1.0 : -1.0;
+            const Complex sum(even[i] + sign * odd[i], even[n + i] + sign * odd[n + i]);
+            if (d == 0) {
+                W[a * n + a] += Complex(0.0, (paired ? 2.0 : 1.0) * sum.imag());
+                continue;
+            }
+            W[a * n + c] += sum;
+            W[c * n + a] = -conjugate(W[a * n + c]);
+        }
+    }
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,68 @@
+"""The beta term of a fluid on the torus."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from coadjoint.given import read_number
+from coadjoint.systems.forces.on_modes import ModeRates, modes_of
+from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves
+from coadjoint.systems.matrices.torus_modes import representatives
+
+
+@dataclass(frozen=True)
+class BetaPlane(ModeRates):
+    """The beta term of a fluid on the torus, ``omega' = ... - beta d psi/dx``: Rossby waves, exactly dispersed.
+
+    The mode n turns by ``w_n' = i beta n1/|n|^2 w_n``: a wave, exp(i (n1 x - n2 y - sigma t)), has the frequency
+    ``sigma = -beta n1/|n|^2``, and goes to the west for a positive beta, x being eastward and y northward. Energy and
+    enstrophy are kept. The term is that of the continuous fluid: it belongs to no Hamiltonian of the matrix model,
+    whose bracket it breaks, and it changes the other Casimirs, tr W^3 and so on. On the sphere the rotation of the
+    frame does the same within the model: ``sphere_euler(rotation=...)``.
+
+    Parameters
+    ----------
+    beta : float
+        The gradient of the Coriolis parameter, in inverse time and length, of either sign.
+
+    Raises
+    ------
+    ValueError, TypeError
+        No finite number.
+
+    References
+    ----------
+    P. B. Rhines, "Waves and turbulence on a beta-plane", J. Fluid Mech. 69 (1975) 417.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> s = co.systems.torus_euler(N=7)
+    >>> moving = s.with_forces(co.forces.BetaPlane(2.0))
+    >>> sol = co.integrate(
+    ...     moving, s.from_modes({(1, 2): 1.0}), t_span=(0, 3), step=0.25, method=co.IsospectralGauss()
+    ... )
+    >>> bool(abs(s.modes(sol.x[-1])[1, 2] - np.exp(2j * 3 / 5)) < 1e-14)
+    True
+    """
+
+    beta: float
+
+    layer = "vorticity"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "beta", read_number(self.beta, "beta of BetaPlane"))
+
+    def check(self, system: Any) -> None:
+        if modes_of(system, self.label).kind != Waves.kind:
+            raise ValueError(
+                f"BetaPlane acts on a fluid on the torus, and {system.name} is one on the sphere; take "
+                "sphere_euler(rotation=...)"
+            )
+
+    def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
+        return -1j * self.beta * representatives(modes.N)[numbers] / modes.eigenvalues(d, numbers)

@@ -1,0 +1,133 @@
+"""White noise on a band of scales of a fluid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.given import read_finite, read_number, read_whole
+from coadjoint.systems.forces.base import ForceReader
+from coadjoint.systems.forces.heat_bath import LARGEST_SEED
+from coadjoint.systems.forces.normal_deviates import normal_deviates
+from coadjoint.systems.forces.on_modes import OnLayer, PerMode, modes_of
+from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves, stream_values
+
+
+@dataclass(frozen=True)
+class RandomForcing(OnLayer):
+    """White noise in time on a band of scales of a fluid of matrices, which feeds energy in at a known mean rate.
+
+    Every mode of the band, its real and its imaginary part by themselves, has a Wiener process of its own, and all have
+    the same share of the energy: the noise is isotropic. Its flow has the exact law, since nothing else moves W in it.
+    The mean of the energy, as ``system.energy`` has it, grows by `energy_rate` per time, that of
+    ``tr W^2 = sum of |W_ij|^2`` by twice that times the mean eigenvalue of minus the Laplacian over the band.
+
+    Parameters
+    ----------
+    energy_rate : float
+        Mean rate, not negative, of the energy of the system over time.
+    band : (float, float)
+        Lowest and highest degree l, or wave number |n|, both of which belong to it.
+    seed : int
+        The same seed gives the same noise, in any company; from 0 to 2^63 - 1.
+    stream : int
+        That of the first member; member m of an ensemble has the noise of ``stream + m``.
+    layer : {"vorticity", "carried"}
+        The field on which it acts; of one matrix the vorticity.
+
+    Raises
+    ------
+    ValueError, TypeError
+        A negative rate, no band, or no seed.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> noise = co.forces.RandomForcing(0.5, band=(2, 3), seed=1)
+    >>> s = co.systems.sphere_euler(N=8).with_forces(noise)
+    >>> still = np.zeros((400, 8, 8))
+    >>> sol = co.integrate(s, still, t_span=(0, 1), step=0.5, method=co.IsospectralGauss())
+    >>> bool(abs(sol.energy[-1].mean() - 0.5) < 4 * 0.5 * np.sqrt(2 / 12 / 400))
+    True
+    """
+
+    energy_rate: float
+    band: Any
+    seed: int
+    stream: int = 0
+    layer: str = "vorticity"
+
+    reversible: ClassVar[bool] = False
+    random: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        rate = read_number(self.energy_rate, "energy_rate of RandomForcing")
+        if rate < 0.0:
+            raise ValueError(f"energy_rate of RandomForcing is {rate!r}; it must be zero or positive")
+        band = read_finite(self.band, "band of RandomForcing")
+        if band.shape != (2,) or not 0.0 < band[0] <= band[1]:
+            raise ValueError(f"band of RandomForcing is {self.band!r}; give the lowest and the highest degree")
+        object.__setattr__(self, "energy_rate", rate)
+        object.__setattr__(self, "band", tuple(band.tolist()))
+        for name in ("seed", "stream"):
+            object.__setattr__(self, name, read_whole(getattr(self, name), f"{name} of RandomForcing", 0, LARGEST_SEED))
+        self.read_layer()
+
+    def check(self, system: Any) -> None:
+        self._chosen(system, modes_of(system, self.label))
+
+    def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        raise TypeError("RandomForcing is a noise, which has no field; it feeds energy in at energy_rate")
+
+    def _chosen(self, system: Any, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
+        """Return the numbers of the modes in the band, and their amplitudes, diagonal after diagonal.
+
+        Of waves of the main diagonal those of n1 > 0 are taken, the others being their conjugates.
+        """
+        numbers: list[Numbers] = []
+        energies: PerMode = []
+        stream = system.stream if self.layer == "vorticity" else getattr(system, "second_stream", None)
+        self.place(system)
+        if stream is None:
+            raise ValueError(f"the carried field of {system.name} has no energy, which RandomForcing is to feed in")
+        waves, parts = modes.kind == Waves.kind, 0
+        for d in range(modes.diagonals):
+            every = modes.numbers(d)
+            if waves and d == 0:
+                every = every[: modes.N // 2]
+            scales = modes.scales(d, every)
+            numbers.append(every[(self.band[0] <= scales) & (scales <= self.band[1])])
+            energies.append(system.energy_sign * stream_values(stream, modes, d, numbers[d]))
+            parts += (2 if d or waves else 1) * len(numbers[d])
+        if not parts:
+            raise ValueError(f"band of RandomForcing is {self.band}; {system.name} has no {modes.scale} in it")
+        if not all(np.all(energy > 0.0) for energy in energies):
+            raise ValueError(f"the energy of {system.name} is not positive in the band {self.band} of RandomForcing")
+        # energy |c|^2 / 2 for each part: the real one, and the imaginary one where there are two
+        return numbers, [np.sqrt(2.0 * self.energy_rate / parts / energy) for energy in energies]
+
+    def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
+        if tau < 0.0:
+            raise ValueError("RandomForcing is a noise, which does not run backward")
+        modes = modes_of(system, self.label)
+        numbers, amplitudes = self._chosen(system, modes)
+        count = sum(map(len, numbers))
+        pairs = normal_deviates(self.seed, self.stream, float(t), 0, 2 * count).reshape(count, 2)
+        moved, first = [], 0
+        for d, amplitude in enumerate(amplitudes):
+            real, imaginary = pairs[first : first + len(amplitude)].T
+            first += len(amplitude)
+            if d == 0 and modes.kind != Waves.kind:
+                moved.append(1j * np.sqrt(tau) * amplitude * real)
+                continue
+            both = 2.0 if d == 0 else 1.0
+            moved.append(both * np.sqrt(0.5 * tau) * amplitude * (real + 1j * imaginary))
+        return np.asarray(x + self.moved(system, modes.matrix(moved, numbers)))
+
+    def given_to(self, reader: ForceReader, system: Any) -> Any:
+        modes = modes_of(system, self.label)
+        return reader.mode_noise(modes, *self._chosen(system, modes), self.seed, self.stream, self.place(system))

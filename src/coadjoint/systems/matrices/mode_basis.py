@@ -1,0 +1,225 @@
+"""The modes of fluids on sphere and torus as vectors along the diagonals of W: which there are, and their entries."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.memory import check_room
+from coadjoint.systems.matrices.hoppe_yau import laplacian
+from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse
+from coadjoint.systems.matrices.torus_modes import representatives
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+Numbers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class ModeBasis(ABC):
+    """Orthonormal modes of skew-Hermitian matrices (N, N), on diagonals d from the main one on.
+
+    The other half of a matrix follows from these. ``kind`` is the code `ModeKind` of the kernels, ``scale`` the name of
+    what a mode's scale is counted by.
+    """
+
+    N: int
+
+    kind: ClassVar[str]
+    scale: ClassVar[str]
+
+    @property
+    @abstractmethod
+    def diagonals(self) -> int:
+        """How many diagonals have modes."""
+
+    @abstractmethod
+    def numbers(self, d: int) -> Numbers:
+        """Return the numbers of the modes of a diagonal: degrees l, or n1 mod N."""
+
+    @abstractmethod
+    def eigenvalues(self, d: int, numbers: Numbers) -> Floats:
+        """Return those of minus the Laplacian."""
+
+    @abstractmethod
+    def scales(self, d: int, numbers: Numbers) -> Floats:
+        """Return the degrees l, or the wave numbers |n|."""
+
+    @abstractmethod
+    def vectors(self, d: int, numbers: Numbers) -> npt.NDArray[Any]:
+        """Return modes as rows, along the diagonal."""
+
+    @abstractmethod
+    def table(self, chosen: Sequence[Numbers]) -> Floats:
+        """Return what the kernels read of chosen modes, diagonal after diagonal, as ``matrices/modes.hpp`` says."""
+
+    @abstractmethod
+    def places(self, d: int) -> tuple[Numbers, Numbers]:
+        """Return rows and columns of the entries of a diagonal."""
+
+    def coefficients(self, W: npt.NDArray[Any], d: int, numbers: Numbers) -> Complexes:
+        """Return those of modes of a diagonal in W."""
+        return np.asarray(np.conj(self.vectors(d, numbers)) @ W[self.places(d)], dtype=np.complex128)
+
+    def matrix(self, coefficients: Sequence[Complexes], chosen: Sequence[Numbers]) -> Complexes:
+        """Return the matrix of coefficients of chosen modes, diagonal after diagonal, with its lower half.
+
+        On the main diagonal the real parts are left out.
+        """
+        W = np.zeros((self.N, self.N), dtype=np.complex128)
+        for d, (c, numbers) in enumerate(zip(coefficients, chosen, strict=True)):
+            if not len(numbers):
+                continue
+            i, j = self.places(d)
+            entries = c @ self.vectors(d, numbers)
+            if d == 0:
+                W[i, j] = 1j * entries.imag
+                continue
+            W[i, j], W[j, i] = entries, -np.conj(entries)
+        return W
+
+
+@dataclass(frozen=True)
+class Harmonics(ModeBasis):
+    """Those of the sphere, T_lm of `spherical_modes`, on the diagonal m."""
+
+    kind = "HARMONICS"
+    scale = "degree l"
+
+    @property
+    def diagonals(self) -> int:
+        """N."""
+        return self.N
+
+    def numbers(self, d: int) -> Numbers:
+        return np.arange(max(d, 1), self.N)
+
+    def eigenvalues(self, d: int, numbers: Numbers) -> Floats:
+        return np.asarray(numbers * (numbers + 1), dtype=np.float64)
+
+    def scales(self, d: int, numbers: Numbers) -> Floats:
+        return np.asarray(numbers, dtype=np.float64)
+
+    def vectors(self, d: int, numbers: Numbers) -> Floats:
+        half, n = self._half(d, numbers), self.N - d
+        sign = np.where((numbers - d) % 2, -1.0, 1.0)[:, None]
+        return np.concatenate([half, (sign * half)[:, : n // 2][:, ::-1]], axis=1)
+
+    def table(self, chosen: Sequence[Numbers]) -> Floats:
+        count = sum(len(numbers) * ((self.N - d + 1) // 2) for d, numbers in enumerate(chosen))
+        check_room(8.0 * count, f"the harmonics of a force on matrices of N = {self.N}", "let it act on fewer degrees")
+        found, filled = np.empty(count), 0
+        for d, numbers in enumerate(chosen):
+            if len(numbers):
+                half = self._half(d, numbers).ravel()
+                found[filled : filled + half.size] = half
+                filled += half.size
+        return found
+
+    def places(self, d: int) -> tuple[Numbers, Numbers]:
+        i = np.arange(self.N - d)
+        return i, i + d
+
+    def _half(self, d: int, numbers: Numbers) -> Floats:
+        from coadjoint.systems.matrices.spherical_modes import harmonics
+
+        return np.asarray(harmonics(self.N, d)[numbers - d])
+
+
+@dataclass(frozen=True)
+class Waves(ModeBasis):
+    """Those of the torus, T_n of `torus_modes`, on the cyclic diagonal n2; the number is n1 mod N."""
+
+    kind = "WAVES"
+    scale = "wave number |n|"
+
+    @property
+    def diagonals(self) -> int:
+        """(N + 1)/2: the others have conjugate modes."""
+        return (self.N + 1) // 2
+
+    def numbers(self, d: int) -> Numbers:
+        return np.arange(0 if d else 1, self.N)
+
+    def eigenvalues(self, d: int, numbers: Numbers) -> Floats:
+        return np.asarray(representatives(self.N)[numbers] ** 2 + d**2, dtype=np.float64)
+
+    def scales(self, d: int, numbers: Numbers) -> Floats:
+        return np.sqrt(self.eigenvalues(d, numbers))
+
+    def vectors(self, d: int, numbers: Numbers) -> Complexes:
+        turns = numbers[:, None] * (d + 2 * np.arange(self.N)) % self.N
+        return np.asarray(self._circle()[turns] / np.sqrt(self.N))
+
+    def table(self, chosen: Sequence[Numbers]) -> Floats:
+        circle = self._circle()
+        return np.concatenate([circle.real, circle.imag])
+
+    def places(self, d: int) -> tuple[Numbers, Numbers]:
+        a = np.arange(self.N)
+        return a, (a + d) % self.N
+
+    def _circle(self) -> Complexes:
+        return np.asarray(np.exp(2j * np.pi * representatives(self.N) / self.N))
+
+
+LAYERS = ("vorticity", "carried")
+"""Of a system of two fields: the one that moves the flow, and the one that is carried by it."""
+
+
+def place_of_layer(system: Any, layer: str) -> int:
+    """Return where a layer stands in a state; refuse one that the system does not have."""
+    if len(system.shape) == 3:
+        return 1 - LAYERS.index(layer)
+    if layer != "vorticity":
+        raise ValueError(f"layer is {layer!r}; {system.name} has one field, the vorticity")
+    return 0
+
+
+def mode_basis_of(system: Any) -> ModeBasis | None:
+    """Return the modes of a system of matrices: those of its stream, or None where it has no others than entries.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.sphere_euler import sphere_euler
+    >>> mode_basis_of(sphere_euler(N=4))
+    Harmonics(N=4)
+    """
+    stream = getattr(system, "stream", None)
+    if isinstance(stream, Circulants):
+        return Waves(system.algebra.N)
+    if isinstance(stream, DiagonalSolve) and system.complex and _shift(stream) is not None:
+        return Harmonics(system.algebra.N)
+    return None
+
+
+def stream_values(stream: Any, modes: ModeBasis, d: int, numbers: Numbers) -> Floats:
+    """Return by what a stream multiplies modes.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.torus_euler import torus_euler
+    >>> s = torus_euler(N=5)
+    >>> stream_values(s.stream, mode_basis_of(s), 1, np.array([1, 2]))
+    array([-0.5, -0.2])
+    """
+    if isinstance(stream, Inverse):
+        return 1.0 / stream_values(stream.of, modes, d, numbers)
+    if isinstance(stream, Circulants):
+        return np.asarray(stream.spectrum[d, 2 * numbers % modes.N])
+    shift = _shift(stream)
+    assert shift is not None
+    return np.asarray(stream.factor / (modes.eigenvalues(d, numbers) + shift))
+
+
+def _shift(stream: DiagonalSolve) -> float | None:
+    """Return what the equations of a stream have beside the Laplacian of Hoppe and Yau, or None: it is another one."""
+    N = len(stream.main)
+    main, beside = laplacian(N)
+    apart = (stream.main - main)[np.add.outer(np.arange(N), np.arange(N)) < N]
+    return float(apart[0]) if np.array_equal(stream.beside, beside) and np.all(apart == apart[0]) else None

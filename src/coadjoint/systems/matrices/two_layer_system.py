@@ -1,0 +1,238 @@
+"""Two fields on one flow: a vorticity, and a field that it carries, which may act back on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.matrix_states import MatrixAlgebra
+from coadjoint.given import array_given
+from coadjoint.memory import check_room
+from coadjoint.systems.matrices.matrix_energy import MatrixEnergy
+from coadjoint.systems.matrices.matrix_system import POWERS, MatrixSystem
+from coadjoint.systems.matrices.streams import Stream
+from coadjoint.systems.matrices.traces import traces_of
+from coadjoint.wording import short
+
+Matrix = npt.NDArray[Any]
+Floats = npt.NDArray[np.float64]
+
+
+class TwoLayerEnergy(MatrixEnergy):
+    """The energy of two layers, whose slope has J by the carried field and P by the vorticity."""
+
+    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
+        system = self._system
+        slope = system.stream_of(system.from_vector(x))[..., ::-1, :, :]
+        return system.energy_sign * system.to_vector(slope)
+
+    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
+        return np.stack([self.gradient(unit) for unit in np.eye(self.dim)], axis=1)
+
+
+class TwoLayerSystem(MatrixSystem):
+    """Two matrices, a carried field Theta and a vorticity W: ``Theta' = [P, Theta]``, ``W' = [P, W] + [J, Theta]``.
+
+    P = stream(W) and J = second_stream(Theta), or zero where the field is passive. A state is an array (2, N, N),
+    ``[0]`` Theta and ``[1]`` W: the Lie-Poisson equation of the semidirect product of the algebra with its dual. With
+    dual numbers, eps^2 = 0, X = Theta + eps W and Y = P + eps J, it is ``X' = [Y, X]``. So the spectrum of Theta is
+    kept, and ``tr W Theta^k``; of a passive field that of W as well.
+
+    Parameters
+    ----------
+    algebra : MatrixAlgebra
+        Where both matrices live, skew-Hermitian.
+    stream : Stream
+        A symmetric linear map from W to P.
+    second_stream : Stream, optional
+        A symmetric linear map from Theta to J; none of a passive field.
+    energy_sign : {1, -1}
+        Of the energy ``energy_sign (<P, W> + <J, Theta>)/2``.
+    name, parameters, powers
+        As of `MatrixSystem`; `powers` is how many invariants of each kind are followed.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Something else was given.
+
+    Notes
+    -----
+    K. Modin, M. Roop, "Spatio-temporal Lie-Poisson discretization for incompressible magnetohydrodynamics on the
+    sphere" (2023).
+
+    Examples
+    --------
+    >>> from coadjoint.systems.matrices.streams import Weights
+    >>> half = Weights(np.full((3, 3), 0.5))
+    >>> s = TwoLayerSystem(MatrixAlgebra("u", 3), half, half)
+    >>> s.shape, list(s.casimirs)[:3]
+    ((2, 3, 3), ['tr Theta^2', 'tr W Theta', 'tr Theta^3'])
+    """
+
+    def __init__(
+        self,
+        algebra: MatrixAlgebra,
+        stream: Stream,
+        second_stream: Stream | None = None,
+        *,
+        energy_sign: int = 1,
+        name: str = "two-layer system",
+        parameters: Mapping[str, Any] | None = None,
+        powers: int = POWERS,
+    ) -> None:
+        super().__init__(algebra, stream, energy_sign=energy_sign, name=name, parameters=parameters, powers=powers)
+        if not algebra.skew or algebra.blocks:
+            raise ValueError(f"algebra is {algebra}; two layers need skew-Hermitian matrices of one block")
+        if not self.linear_stream or stream.kind == "BY_FUNCTION":
+            raise TypeError(f"stream is {short(stream)}; two layers need a Stream, such as Weights(w)")
+        traces = traces_of(algebra, self.powers, self.matrices, self.to_vector)
+        self._followed = tuple(trace.power for trace in traces.values() if trace.power > 1)
+        if second_stream is not None:
+            if not isinstance(second_stream, Stream):
+                raise TypeError(f"second_stream is {short(second_stream)}; give a Stream, such as Weights(w)")
+            # the same checks as of the first one
+            MatrixSystem(algebra, second_stream, name=f"the second stream of {name}")
+        self.second_stream = second_stream
+        self.shape = (2, *algebra.shape)
+        self.dim = 2 * self.dim
+        self.hamiltonian = TwoLayerEnergy(self)
+
+    @cached_property
+    def casimirs(self) -> dict[str, Any]:
+        """Name -> function of states (..., 2, N, N)."""
+        return {name: _Invariant(self, name) for name in self._names}
+
+    @property
+    def quadratic_casimirs(self) -> tuple[str, ...]:
+        """Names of those of degree two, the first of all, which runs with forces keep account of."""
+        return self._names[:2]
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        own = [] if self.second_stream is not None else [f"tr W^{k}" for k in self._followed]
+        return (*(name for k in self._followed for name in (f"tr Theta^{k}", mixed(k))), *own)
+
+    def casimirs_at(self, x: Any) -> dict[str, Any]:
+        """Return the invariants at states (..., 2, N, N), of -i Theta and -i W where these are complex."""
+        X = self.matrices(x)
+        base = -1j * X if self.complex else X
+        theta, W = base[..., 0, :, :], base[..., 1, :, :]
+        found = {}
+        for k, power in self._powers(theta):
+            found[f"tr Theta^{k}"], found[mixed(k)] = _trace(power, theta), _trace(power, W)
+        if self.second_stream is None:
+            found |= {f"tr W^{k}": _trace(power, W) for k, power in self._powers(W)}
+        return found
+
+    def _powers(self, A: Matrix) -> list[tuple[int, Matrix]]:
+        """Return k, and the power k - 1 of matrices."""
+        found, power, below = [], A, 1
+        for k in self._followed:
+            while below < k - 1:
+                power, below = power @ A, below + 1
+            found.append((k, power))
+        return found
+
+    def stream_of(self, W: Any, t: float = 0.0) -> Matrix:
+        """Return P and J of states (..., 2, N, N), in this order."""
+        X = self.matrices(W)
+        P = self.stream(X[..., 1, :, :])
+        J = np.zeros_like(P) if self.second_stream is None else self.second_stream(X[..., 0, :, :])
+        return np.stack([P, J], axis=-3)
+
+    def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
+        """Return x' of a state (2, N, N), or of its numbers, in the same form."""
+        X = self.matrices(x)
+        found = self._bracket(self.stream_of(X), X)
+        return self.to_vector(found) if np.shape(x)[-1] == self.dim else found
+
+    def energy(self, x: Any, t: float = 0.0) -> Any:
+        """Return H of states (..., 2, N, N)."""
+        X = self.matrices(x)
+        slope = self.stream_of(X)[..., ::-1, :, :]
+        found = 0.5 * self.energy_sign * np.sum(np.conj(slope) * X, axis=(-3, -2, -1)).real
+        return float(found) if found.ndim == 0 else found
+
+    def spectrum(self, x: Any) -> Floats:
+        """Return the eigenvalues of -i Theta, real and rising, of states (..., 2, N, N)."""
+        return np.asarray(np.linalg.eigvalsh(-1j * self.matrices(x)[..., 0, :, :]), dtype=np.float64)
+
+    def structure_matrix(self, x: Any) -> Floats:
+        """Return J of a state, (n, n) for its n numbers: x' = J(x) grad H(x)."""
+        check_room(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
+        slopes = self.algebra.projected(self.from_vector(np.eye(self.dim)))[..., ::-1, :, :]
+        return self.energy_sign * self.to_vector(self._bracket(slopes, self.matrices(x))).T
+
+    def _bracket(self, Y: Matrix, X: Matrix) -> Matrix:
+        """Return the commutator of dual numbers."""
+        bracket = self.algebra.bracket
+        P, J, theta, W = Y[..., 0, :, :], Y[..., 1, :, :], X[..., 0, :, :], X[..., 1, :, :]
+        return np.stack([bracket(P, theta), bracket(P, W) + bracket(J, theta)], axis=-3)
+
+    def matrices(self, x: Any) -> Matrix:
+        """Return states (..., 2, N, N) as they are, and rows of numbers as states."""
+        if np.shape(x)[-1:] == (self.dim,):
+            return self.from_vector(x)
+        X = np.asarray(x, dtype=np.complex128 if self.complex else np.float64)
+        if X.shape[-3:] != self.shape:
+            raise ValueError(f"a state has the shape {X.shape}; it must be {self.shape}, or ({self.dim},)")
+        return X
+
+    def states(self, rows: Floats) -> Matrix:
+        """Return rows of numbers as states (..., 2, N, N)."""
+        return self.from_vector(rows)
+
+    def read(self, given: Any, what: str = "x0") -> Floats:
+        """Return initial states as rows of numbers, one for a state and more for members; refuse others."""
+        found = array_given(given, what, "iufc")
+        if found.shape[-3:] != self.shape or found.ndim > 4:
+            raise ValueError(
+                f"{what} has the shape {found.shape}; it must be {self.shape}, the carried field and the vorticity, or "
+                f"(members, {str(self.shape)[1:]}"
+            )
+        layers = [self.algebra.read(found[..., k, :, :], f"{what}, layer {k},") for k in range(2)]
+        return self.to_vector(np.stack(layers, axis=-3))
+
+    def to_vector(self, W: Any) -> Floats:
+        """Return states (..., 2, N, N) as rows of numbers: layer by layer, entry by entry."""
+        X = np.ascontiguousarray(W, dtype=np.complex128 if self.complex else np.float64)
+        if X.shape[-3:] != self.shape:
+            raise ValueError(f"a state is {short(W)}; it must have the shape {self.shape}")
+        return X.view(np.float64).reshape(*X.shape[:-3], self.dim)
+
+    def from_vector(self, x: Any) -> Matrix:
+        """Return rows of numbers as states."""
+        found = np.ascontiguousarray(x, dtype=np.float64)
+        lead = found.shape[:-1]
+        return (found.view(np.complex128) if self.complex else found).reshape(*lead, *self.shape)
+
+
+def mixed(k: int) -> str:
+    """Return the name of the invariant that is linear in W and of degree k.
+
+    Examples
+    --------
+    >>> mixed(2), mixed(3)
+    ('tr W Theta', 'tr W Theta^2')
+    """
+    return "tr W Theta" if k == 2 else f"tr W Theta^{k - 1}"
+
+
+def _trace(A: Matrix, B: Matrix) -> Any:
+    return np.einsum("...ij,...ji->...", A, B).real
+
+
+class _Invariant:
+    def __init__(self, system: TwoLayerSystem, name: str) -> None:
+        self._system, self._name = system, name
+
+    def __repr__(self) -> str:
+        return self._name
+
+    def __call__(self, x: Any) -> Any:
+        return self._system.casimirs_at(x)[self._name]

@@ -1,0 +1,82 @@
+"""Reduced magnetohydrodynamics on sphere and torus, quantized."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from coadjoint.given import read_choice
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Stream
+from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
+from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.sphere_euler import sphere_euler
+from coadjoint.systems.torus_euler import torus_euler
+
+SURFACES: dict[str, Callable[..., MatrixSystem]] = {"sphere": sphere_euler, "torus": torus_euler}
+
+
+@ready_made
+def reduced_mhd(N: int = 33, surface: str = "sphere") -> TwoLayerSystem:
+    """Return the equations of an ideal conducting fluid in two dimensions, quantized.
+
+    ``W' = [P, W] + [J, Theta]``, ``Theta' = [P, Theta]`` with ``L P = -W`` and ``J = -L Theta``: W is the vorticity,
+    Theta the magnetic potential, J the current. Alfven waves run along the magnetic field.
+
+    Parameters
+    ----------
+    N : int
+        Size of the matrices, as of `sphere_euler` and `torus_euler`.
+    surface : {"sphere", "torus"}
+        Where the fluid moves.
+
+    Returns
+    -------
+    TwoLayerSystem
+        States (2, N, N): Theta and W. Energy ``(tr(W* L^-1 W) + tr(Theta* L Theta))/2``. Casimirs tr Theta^k and
+        tr W Theta^k, of which k = 1 is the cross helicity.
+
+    Notes
+    -----
+    K. Modin, M. Roop, "Spatio-temporal Lie-Poisson discretization for incompressible magnetohydrodynamics on the
+    sphere" (2023); H. R. Strauss, Phys. Fluids 19 (1976) 134.
+
+    Examples
+    --------
+    >>> s = reduced_mhd(N=7)
+    >>> s.shape, list(s.casimirs)[:2]
+    ((2, 7, 7), ['tr Theta^2', 'tr W Theta'])
+    """
+    ideal = ideal_fluid(N, surface)
+    return TwoLayerSystem(
+        ideal.algebra,
+        ideal.stream,  # type: ignore[arg-type]
+        inverse_of(ideal.stream),  # type: ignore[arg-type]
+        energy_sign=-1,
+        name="reduced_mhd",
+        parameters={"N": ideal.algebra.N, "surface": surface},
+    )
+
+
+def ideal_fluid(N: int, surface: str) -> MatrixSystem:
+    """Return the fluid without a second field on a surface.
+
+    Examples
+    --------
+    >>> ideal_fluid(5, "torus").name
+    'torus_euler'
+    """
+    return SURFACES[read_choice(surface, "surface", SURFACES)](N)
+
+
+def inverse_of(stream: Stream) -> Stream:
+    """Return W of P: by products where P of W is by solving.
+
+    Examples
+    --------
+    >>> inverse_of(sphere_euler(4).stream).kind
+    'MULTIPLIED'
+    """
+    if isinstance(stream, DiagonalSolve):
+        return Inverse(stream)
+    assert isinstance(stream, Circulants)
+    return stream.inverted()

@@ -1,0 +1,217 @@
+"""Fluids in motion: known solutions, steady states, symmetries, and what is constant."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import coadjoint as co
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.matrices.hoppe_yau import generators
+
+REFERENCE = json.loads(Path(__file__).with_name("zeitlin_reference.json").read_text())
+SPHERE, TORUS = co.systems.sphere_euler(N=8), co.systems.torus_euler(N=7)
+TURNING = co.systems.sphere_euler(N=8, rotation=-0.9)
+FLUIDS = pytest.mark.parametrize("s", [SPHERE, TURNING, TORUS], ids=["sphere", "rotating sphere", "torus"])
+FINE = co.IsospectralGauss(6)
+
+
+def last(s, W, t, step, method=FINE):
+    return co.integrate(s, W, (0, t), step, method, save_every=10**6).x[-1]
+
+
+@pytest.mark.parametrize("t", [1, 5, 20])
+def test_the_torus_of_three_to_12_digits(t):
+    given = REFERENCE["torus"]
+    s = co.systems.torus_euler(N=given["N"])
+    start, wanted = (
+        {(n1, n2): complex(a, b) for n1, n2, a, b in modes} for modes in (given["w0"], given["values"][str(t)])
+    )
+    W0 = s.from_modes(start)
+    assert s.energy(W0) * (4 * np.pi) ** 2 / 27 == pytest.approx(given["energy"], rel=1e-14)
+    found = s.modes(last(s, W0, t, 0.125, co.IsospectralGauss(8)))
+    assert max(abs(found[mode] - w) for mode, w in wanted.items()) < 1e-12
+
+
+def test_rossby_and_haurwitz_in_su5_to_12_digits():
+    given = REFERENCE["sphere"]
+    s = co.systems.sphere_euler(N=given["N"])
+    W0, wanted = (np.array(given[name]) @ [1, 1j] for name in ("W0", "Wt"))
+    assert np.abs(s.exact(W0, given["t"]) - wanted).max() < 1e-12
+    assert np.abs(last(s, W0, given["t"], 1 / 32, co.IsospectralGauss(8)) - wanted).max() < 1e-12
+
+
+@pytest.mark.parametrize("rotation", [0.0, 0.8, -2.0])
+def test_the_phase_speed_of_rossby_and_haurwitz(rotation):
+    """The pattern turns by zonal - 2 (zonal + rotation)/(l(l + 1)), on a grid, whatever N."""
+    for N in (7, 12):
+        s = co.systems.sphere_euler(N=N, rotation=rotation)
+        W = s.rossby_haurwitz(5, 4, zonal=1.3, wave=0.6)
+        t = 0.75
+        moved = (1.3 - 2 * (1.3 + rotation) / 30) * t
+        wanted = s.rossby_haurwitz(5, 4, zonal=1.3, wave=0.6, longitude=moved)
+        assert np.abs(s.exact(W, t) - wanted).max() < 1e-13 * N * np.abs(W).max()
+        assert np.abs(last(s, W, t, 1 / 64) - wanted).max() < 1e-11 * np.abs(W).max()
+        latitude, longitude = s.grid((9, 40))
+        wave = np.sin(latitude)[:, None] * np.cos(latitude)[:, None] ** 4 * np.cos(4 * (longitude - moved))
+        field = s.to_grid(s.relative(wanted), (9, 40)) - 2 * 1.3 * np.sin(latitude)[:, None]
+        factor = np.vdot(wave, field) / np.vdot(wave, wave)
+        assert factor > 0 and np.abs(field - factor * wave).max() < 1e-12
+
+
+@pytest.mark.parametrize("rotation", [0.0, 1.1])
+def test_the_exact_motion_about_any_axis(rotation):
+    s = co.systems.sphere_euler(N=9, rotation=rotation)
+    W = s.absolute(s.from_modes({(1, 0): 0.7, (1, 1): 0.4 - 0.9j, (6, 2): 1j, (6, 5): -0.5, (6, 0): 0.3}))
+    times = np.array([0.0, 0.5, -0.75])
+    exact = s.exact(W, times)
+    assert exact.shape == (3, 9, 9) and np.abs(exact[0] - W).max() < 1e-13 * np.abs(W).max()
+    for t, wanted in zip(times[1:], exact[1:], strict=True):
+        assert np.abs(last(s, W, t, 1 / 64) - wanted).max() < 1e-11 * np.abs(W).max()
+    zonal = s.zonal_jet(perturbation=0.0)
+    np.testing.assert_array_equal(s.exact(zonal, [1.0, 2.0])[1], zonal)
+    with pytest.raises(ValueError, match=r"has the degrees \[2, 3\]; a closed form is known"):
+        s.exact(s.random(1, degrees=(2, 3)), 1.0)
+    with pytest.raises(ValueError, match=r"x0 has the shape \(2, 9, 9\)"):
+        s.exact(np.stack([W, W]), 1.0)
+    assert s.closed_form is None  # not of every state
+
+
+def test_a_turned_frame_sees_the_same_motion():
+    """In the rotating frame the absolute vorticity turns backward beside its own motion."""
+    W0, t, Omega = SPHERE.random(3), 0.5, TURNING.rotation
+    rest, moving = last(SPHERE, W0, t, 1 / 32), last(TURNING, W0, t, 1 / 32)
+    back = expm(-Omega * t * generators(8)[2])
+    assert np.abs(back @ rest @ back.conj().T - moving).max() < 1e-11 * np.abs(rest).max()
+
+
+@FLUIDS
+def test_zonal_flows_stand_still(s):
+    """On the torus flows along any direction: their matrices commute with their streams, and with all of a step."""
+    if s is TORUS:
+        W = s.from_modes({(1, -1): 1.0, (2, -2): 0.5j, (-3, 3): 0.2})
+    else:
+        W = s.absolute(s.from_modes({(l, 0): 1 / l for l in range(1, 8)}))
+    assert np.abs(s.vector_field(W)).max() < 64 * 8 * UNIT_ROUNDOFF * np.abs(W).max() ** 2
+    assert np.abs(last(s, W, 2.0, 0.25, co.IsospectralGauss()) - W).max() < 1e-12 * np.abs(W).max()
+
+
+@pytest.mark.parametrize("s", [SPHERE, TORUS], ids=["sphere", "torus"])
+def test_fields_of_one_eigenvalue_stand_still(s):
+    """The stages of a step have other degrees: it is the order of the method that counts."""
+    W = s.random(4, degrees=(4, 4)) if s is SPHERE else s.from_modes({(3, 0): 1.0, (0, 3): 1j})
+    assert np.abs(s.vector_field(W)).max() < 64 * 8 * UNIT_ROUNDOFF * np.abs(W).max() ** 2
+    assert np.abs(last(s, W, 1.0, 1 / 32) - W).max() < 1e-12 * np.abs(W).max()
+
+
+def test_a_trace_is_not_seen_by_the_stream():
+    """The middle of a step has one: the stream leaves it out, and turns with the matrix all the same."""
+    A = np.random.default_rng(1).standard_normal((8, 8, 2)) @ [1, 1j]
+    A = A - A.conj().T
+    assert abs(np.trace(A)) > 0.1
+    P = SPHERE.stream(A)
+    assert np.abs(P - SPHERE.stream(SPHERE.algebra.projected(A))).max() < 1e-14
+    U = expm(np.einsum("a,aij->ij", [0.3, -0.5, 0.9], np.stack(generators(8))))
+    assert np.abs(SPHERE.stream(U @ A @ U.conj().T) - U @ P @ U.conj().T).max() < 1e-13
+
+
+def test_a_turned_start_leads_to_the_turned_end():
+    W, method = SPHERE.random(5), co.IsospectralGauss()
+    S = np.stack(generators(8))
+    for axis in (np.array([1.0, 0, 0]), np.array([0.3, -0.5, 0.9])):
+        U = expm(np.einsum("a,aij->ij", axis, S))
+        turned = last(SPHERE, U @ W @ U.conj().T, 2.0, 0.125, method)
+        assert np.abs(turned - U @ last(SPHERE, W, 2.0, 0.125, method) @ U.conj().T).max() < 1e-12 * np.abs(W).max()
+    # about its axis the rotating sphere is the same
+    U = expm(0.7 * S[2])
+    turned = last(TURNING, U @ W @ U.conj().T, 2.0, 0.125, method)
+    assert np.abs(turned - U @ last(TURNING, W, 2.0, 0.125, method) @ U.conj().T).max() < 1e-12 * np.abs(W).max()
+
+
+def test_a_shifted_start_leads_to_the_shifted_end():
+    """By whole parts 2 pi/N of the torus."""
+    s, N, method = TORUS, 7, co.IsospectralGauss()
+    field = s.to_grid(s.random(6))
+    W = s.from_grid(field)
+    shifted = s.from_grid(np.roll(field, (2, -1), (0, 1)))
+    end = np.roll(s.to_grid(last(s, W, 2.0, 0.125, method)), (2, -1), (0, 1))
+    assert np.abs(s.to_grid(last(s, shifted, 2.0, 0.125, method)) - end).max() < 1e-12 * N
+    assert np.abs(end - np.roll(field, (2, -1), (0, 1))).max() > 0.1
+
+
+@FLUIDS
+@pytest.mark.parametrize("stages", [1, 2])
+def test_time_can_be_reversed(s, stages):
+    W, method = s.random(7), co.IsospectralGauss(stages)
+    there = last(s, W, 2.0, 0.125, method)
+    back = co.integrate(s, there, (2.0, 0.0), 0.125, method).x[-1]
+    assert np.abs(back - W).max() < 1e-12 * np.abs(W).max()
+    assert np.abs(there - W).max() > 1e-2 * np.abs(W).max()
+    if s is not TURNING:
+        # the other way around a flow goes back
+        assert np.abs(last(s, -there, 2.0, 0.125, method) + W).max() < 1e-12 * np.abs(W).max()
+
+
+def test_angular_momentum():
+    """Constant without rotation; with it the part along the axis, and the others turn westward."""
+    W = SPHERE.random(8, degrees=(1, 7))
+    L = SPHERE.angular_momentum(np.stack([W, 2 * W]))
+    assert L.shape == (2, 3) and np.array_equal(L[1], 2 * L[0])
+    latitude, longitude = SPHERE.grid((40, 60), "gauss-legendre")
+    weights = np.polynomial.legendre.leggauss(40)[1][:, None] * 2 * np.pi / 60
+    field = weights * SPHERE.to_grid(W, (40, 60), "gauss-legendre")
+    east, north = np.cos(latitude)[:, None], np.sin(latitude)[:, None]
+    wanted = [(east * np.cos(longitude) * field).sum(), (east * np.sin(longitude) * field).sum(), (north * field).sum()]
+    np.testing.assert_allclose(L[0], wanted, rtol=0, atol=1e-13)
+    end = last(SPHERE, W, 4.0, 0.125, co.IsospectralGauss())
+    assert np.abs(SPHERE.angular_momentum(end) - L[0]).max() < 1e-12
+    t, Omega = 0.5, TURNING.rotation
+    moved = TURNING.angular_momentum(last(TURNING, W, t, 1 / 32))
+    cos, sin = np.cos(-Omega * t), np.sin(-Omega * t)
+    np.testing.assert_allclose(moved, [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]] @ L[0], rtol=0, atol=1e-11)
+
+
+def test_known_integrals():
+    W = SPHERE.random(9, degrees=(1, 7))
+    assert list(SPHERE.integrals) == ["angular momentum x", "angular momentum y", "angular momentum z"]
+    assert list(TURNING.integrals) == ["angular momentum z"]
+    for s in (SPHERE, TURNING):
+        sol = co.integrate(s, W, (0, 2), 0.125, co.IsospectralGauss(), observe=s.integrals)
+        for name, F in s.integrals.items():
+            values = sol.observed[name]
+            assert values.shape == (17,) and np.ptp(values) < 1e-12
+            wanted = s.angular_momentum(sol.x)[:, "xyz".index(name[-1])]
+            np.testing.assert_allclose(values, wanted, rtol=0, atol=1e-13)
+            assert isinstance(F(W), float) and F(W) == wanted[0] and np.array_equal(F(sol.x), wanted)
+
+
+@FLUIDS
+def test_energy_is_that_of_the_relative_motion(s):
+    """But for a constant and the factor that turns traces into integrals."""
+    A, B = s.random(10), s.random(11, degrees=(1, 3))
+    factor = s.scale**2 if s is not TORUS else s.algebra.N**3 / (4 * np.pi) ** 2 / (4 * np.pi**2)
+    by_spectrum = [s.energy_spectrum(W)[1].sum() for W in (A, B)]
+    assert s.energy(A) - s.energy(B) == pytest.approx(factor * (by_spectrum[0] - by_spectrum[1]), rel=1e-12)
+    sol = co.integrate(s, A, (0, 1), 1 / 32, co.IsospectralGauss(4))
+    spectra = s.energy_spectrum(sol.x)[1]
+    assert spectra.shape[0] == 33 and np.ptp(spectra.sum(axis=-1)) < 1e-9 * by_spectrum[0]
+    if s is not TURNING:  # where the absolute vorticity is the relative one
+        assert np.ptp(s.enstrophy_spectrum(sol.x)[1].sum(axis=-1)) < 1e-12
+
+
+@pytest.mark.parametrize("rotation", [0.3, 2])
+def test_made_again(rotation):
+    import pickle
+
+    s = co.systems.sphere_euler(6, rotation)
+    again = co.systems.get("sphere_euler", **s.parameters)
+    copy = pickle.loads(pickle.dumps(s))
+    W = s.random(1)
+    for other in (again, copy):
+        np.testing.assert_array_equal(other.vector_field(W), s.vector_field(W))
+        np.testing.assert_array_equal(other.exact(s.zonal_jet(perturbation=0), 1.0), s.zonal_jet(perturbation=0))
+    assert "torus_euler" in co.systems.names() and co.systems.get("torus_euler", N=5).parameters == {"N": 5}
+    with pytest.raises(ValueError, match="rotation"):
+        co.systems.sphere_euler(6, np.nan)

@@ -1,0 +1,288 @@
+"""Initial states of fluids: spectra, circulations, shapes, files; on sphere and torus, and on the rotating sphere."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.extras import MissingPackageError
+from coadjoint.systems.matrices.sphere_grid import latitudes, longitudes
+
+SPHERE, TORUS = co.systems.sphere_euler(N=24), co.systems.torus_euler(N=25)
+TURNING = co.systems.sphere_euler(N=24, rotation=0.7)
+FLUIDS = [SPHERE, TURNING, TORUS]
+IDS = ["sphere", "rotating sphere", "torus"]
+fluids = pytest.mark.parametrize("s", FLUIDS, ids=IDS)
+
+
+def integral(s, field):
+    """Return the integral over the surface of a field at the points of a grid, with the poles on the sphere."""
+    if s is TORUS:
+        return field.mean() * s.area
+    degree_zero = field.mean(axis=1)
+    theta = np.pi / 2 - latitudes("clenshaw-curtis", len(field))
+    k = np.arange(0, len(field) - 1, 2)
+    # Clenshaw and Curtis: the integrals of cos(k theta) sin(theta) are 2/(1 - k^2), k even
+    coefficients = np.linalg.solve(np.cos(np.outer(theta, np.arange(len(theta)))), degree_zero)
+    return 2 * np.pi * np.sum(coefficients[k] * 2 / (1.0 - k**2))
+
+
+@fluids
+def test_a_random_field_has_the_spectrum_that_is_asked_for(s):
+    W = s.random(11, spectrum=lambda l: l**-2.0, degrees=(3, 9))
+    degree, energy = s.energy_spectrum(W)
+    wanted = np.where((degree >= 3) & (degree <= 9), degree**-2.0, 0.0)
+    assert np.abs(energy - wanted).max() < 1e-13
+    listed = s.random(11, spectrum=[0.0, *wanted[: s.complete_degree]])
+    assert np.abs(listed - W).max() < 1e-12 * np.abs(W).max()
+    assert s.energy_spectrum(s.random(11, degrees=(2, 5), energy=0.25))[1].sum() == pytest.approx(0.25, rel=1e-12)
+    assert s.enstrophy_spectrum(s.random(11, degrees=(2, 5), enstrophy=3.0))[1].sum() == pytest.approx(3.0, rel=1e-12)
+    other = s.random(12, spectrum=lambda l: l**-2.0, degrees=(3, 9))
+    assert np.abs(other - W).max() > 0.1 * np.abs(s.relative(W)).max()
+
+
+@fluids
+def test_matrices_of_another_size_are_refused(s):
+    for call in (s.to_grid, s.mode_array, s.energy_spectrum, s.relative, s.absolute):
+        with pytest.raises(ValueError, match=r"a state has the shape \(5, 5\)"):
+            call(np.zeros((5, 5)))
+    # the numbers of states are taken for them
+    W = s.random(3)
+    np.testing.assert_array_equal(s.to_grid(s.to_vector(W)[None]), s.to_grid(W[None]))
+
+
+@fluids
+def test_spectra_are_integrals(s):
+    """Of the square of the vorticity on a grid that is fine enough, and of the square of the velocity by -psi omega."""
+    W = s.random(2, degrees=(1, 6))
+    shape = (64, 64)
+    omega, psi = (s.to_grid(A, shape) for A in (s.relative(W), s.stream(s.relative(W))))
+    assert s.enstrophy_spectrum(W)[1].sum() == pytest.approx(integral(s, omega**2) / 2, rel=1e-12)
+    assert s.energy_spectrum(W)[1].sum() == pytest.approx(-integral(s, psi * omega) / 2, rel=1e-12)
+    assert integral(s, omega**2) == pytest.approx(s.area, rel=1e-12)
+    degree, enstrophy = s.enstrophy_spectrum(np.stack([W, W])[:, None])
+    assert enstrophy.shape == (2, 1, len(degree)) and degree[0] == 1
+    np.testing.assert_allclose(enstrophy[1, 0], s.enstrophy_spectrum(W)[1], rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("small", "large"), [(SPHERE, co.systems.sphere_euler(N=40)), (TORUS, co.systems.torus_euler(N=41))], ids=IDS[::2]
+)
+def test_one_seed_is_one_field_for_every_size(small, large):
+    shape = (20, 30)
+    for seed in (0, 5):
+        few, many = (s.to_grid(s.random(seed, degrees=(1, 9)), shape) for s in (small, large))
+        assert np.abs(few - many).max() < 1e-11 * np.abs(many).max()
+
+
+def test_random_directions_are_even():
+    """Over many seeds each of the 2 l + 1 real parts of a degree has the same share of it."""
+    s = co.systems.sphere_euler(N=4)
+    c = np.array([s.mode_array(s.random(seed, degrees=(3, 3)))[3] for seed in range(600)])
+    parts = np.concatenate([np.abs(c[:, :1]) ** 2, 2 * c[:, 1:].real ** 2, 2 * c[:, 1:].imag ** 2], axis=1)
+    shares = parts.mean(axis=0) / parts.sum(axis=1).mean()
+    # the standard deviation of a share is about 1/7 sqrt(2/600), and five of them are allowed
+    assert np.abs(shares - 1 / 7).max() < 5 / 7 * np.sqrt(2 / 600)
+
+
+def gaussian(s, place, width, points):
+    first, second = points
+    if s is TORUS:
+        turns = 2 * np.pi * np.arange(-2, 3)
+        square = [((x[:, None] - at + turns) ** 2) for x, at in ((first, place[0]), (second, place[1]))]
+        along, across = (np.exp(-q / (2 * width**2)).sum(axis=1) for q in square)
+        return along[:, None] * across / (2 * np.pi * width**2) - 1 / s.area
+    # the heat kernel of the sphere to its second order, with the time width^2/2 (Minakshisundaram and Pleijel)
+    cosine = np.sin(first)[:, None] * np.sin(place[0]) + np.cos(first)[:, None] * np.cos(place[0]) * np.cos(
+        second - place[1]
+    )
+    r, t = np.maximum(np.arccos(np.clip(cosine, -1, 1)), 1e-6), width**2 / 2
+    second_order = 1 + t / 4 + t * (1 - r / np.tan(r)) / (4 * r**2)
+    kernel = np.sqrt(r / np.sin(r)) * second_order * np.exp(-(r**2) / (4 * t)) / (4 * np.pi * t)
+    return np.where(r < 3, kernel, 0.0) - 1 / s.area
+
+
+@fluids
+def test_blobs_are_gaussians_with_their_circulation(s):
+    places, width = np.array([(0.5, 1.0), (-0.9, 4.0)]), 0.35
+    W = s.relative(s.blobs(places, [2.0, -0.5], width))
+    points = s.grid((60, 80))
+    wanted = 2.0 * gaussian(s, places[0], width, points) - 0.5 * gaussian(s, places[1], width, points)
+    found = s.to_grid(W, (60, 80))
+    # further terms of the kernel are t^2/15 of it where they are largest; the cut series misses exp(-(12.5 width)^2/2)
+    near = width**4 / 60 * 1.1 + 2 * np.exp(-((12.5 * width) ** 2) / 2)
+    assert np.abs(found - wanted).max() < near * np.abs(wanted).max()
+    one = s.relative(s.blobs(places, [2.0, -0.5], [width, 0.5]))
+    two = s.relative(s.blobs(places[:1], 2.0, width)) + s.relative(s.blobs(places[1:], -0.5, 0.5))
+    assert np.abs(one - two).max() < 1e-11 * np.abs(one).max()
+    assert abs(integral(s, s.to_grid(W, (64, 64)))) < 1e-12
+
+
+@fluids
+def test_patches_have_their_value_inside(s):
+    place, radius = np.array([(0.6, 2.0)]), 0.9
+    field = s.to_grid(s.relative(s.patches(place, radius, 1.5)), (80, 100))
+    first, second = s.grid((80, 100))
+    if s is TORUS:
+        far = np.hypot(
+            *np.meshgrid(
+                *(np.mod(x - at + np.pi, 2 * np.pi) - np.pi for x, at in zip((first, second), place[0], strict=True)),
+                indexing="ij",
+            )
+        )
+        inside = np.pi * radius**2
+    else:
+        x = np.sin(first)[:, None] * np.sin(0.6) + np.cos(first)[:, None] * np.cos(0.6) * np.cos(second - 2.0)
+        far, inside = np.arccos(np.clip(x, -1, 1)), 2 * np.pi * (1 - np.cos(radius))
+    edge = np.pi / s.complete_degree
+    mean = 1.5 * inside / s.area
+    # two and a half standard deviations from the edge a Gaussian has 0.6 percent left, and as much is cut off
+    assert np.abs(field[far < radius - 2.5 * edge] + mean - 1.5).max() < 0.03
+    assert np.abs(field[far > radius + 2.5 * edge] + mean).max() < 0.03
+    sharp = s.to_grid(s.relative(s.patches(place, radius, 1.5, edge=0.0)), (80, 100))
+    assert np.ptp(sharp) > 1.55 and np.ptp(field) < 1.53
+
+
+@fluids
+def test_jets_alone_are_steady(s):
+    W = s.zonal_jet(0.8, perturbation=0.0)
+    rate = s.vector_field(W)
+    assert np.abs(rate).max() < 1e-12 * np.abs(W).max() ** 2
+    disturbed = s.zonal_jet(0.8, perturbation=0.05)
+    assert np.abs(s.vector_field(disturbed)).max() > 1e-4 * np.abs(W).max()
+    assert 0 < np.abs(disturbed - W).max() < 0.2 * np.abs(s.relative(W)).max()
+
+
+def test_the_speed_of_the_jets():
+    """The velocity is the slope of the stream function: northward on the sphere, minus; upward on the torus, too."""
+    sphere, torus = co.systems.sphere_euler(N=96), co.systems.torus_euler(N=65)
+    for s, place in ((sphere, np.pi / 4), (torus, np.pi / 2)):
+        W = s.zonal_jet(0.8, perturbation=0.0)
+        first, second = s.grid((801, 3) if s is sphere else (3, 800))
+        psi = s.to_grid(s.stream(W), (len(first), len(second)))
+        north, values = (first, psi[:, 0]) if s is sphere else (second, psi[0])
+        speed = -np.gradient(values, north)
+        assert speed.max() == pytest.approx(0.8, rel=5e-3)
+        assert north[np.argmax(speed)] == pytest.approx(place, abs=0.02)
+        if s is sphere:
+            assert np.abs(speed[(north < np.pi / 7 - 0.1) | (north > 5 * np.pi / 14 + 0.1)]).max() < 0.01
+
+
+def test_the_bump_of_the_jet_is_where_it_is_asked_for():
+    s = co.systems.sphere_euler(N=96)
+    band = (-0.5, 0.3)
+    bump = s.to_grid(s.zonal_jet(2.0, band=band, longitude=6.0, perturbation=0.1)) - s.to_grid(
+        s.zonal_jet(2.0, band=band, longitude=6.0, perturbation=0.0)
+    )
+    latitude, longitude = s.grid()
+    i, j = np.unravel_index(np.argmax(bump), bump.shape)
+    assert latitude[i] == pytest.approx(-0.1, abs=0.02) and longitude[j] == pytest.approx(6.0, abs=0.02)
+    assert bump.max() == pytest.approx(0.1 * 2.0 / 0.4, rel=0.03)
+
+
+@fluids
+def test_states_in_files_of_numpy(s, tmp_path):
+    W = s.random(8)
+    np.save(tmp_path / "state.npy", W)
+    np.testing.assert_array_equal(s.from_file(tmp_path / "state.npy"), s.algebra.read(W))
+    np.save(tmp_path / "field.npy", s.to_grid(s.relative(W), (40, 70)))
+    assert np.abs(s.from_file(str(tmp_path / "field.npy")) - W).max() < 1e-12 * np.abs(W).max()
+
+
+@pytest.mark.parametrize("points", ["clenshaw-curtis", "fejer", "gauss-legendre"])
+def test_fields_in_netcdf_in_any_order(points, tmp_path):
+    import xarray
+
+    W = TURNING.random(9)
+    latitude, longitude = latitudes(points, 30)[::-1], longitudes(60, -np.pi / 3)[::-1]
+    field = TURNING.to_grid(TURNING.relative(W), (30, 60), points)[::-1]
+    field = np.roll(field, 10, axis=1)[:, ::-1]
+    dataset = xarray.Dataset(
+        {"vo": (("time", "longitude", "lat"), np.stack([0 * field.T, field.T])), "top": ("lat", latitude)},
+        {
+            "lat": ("lat", np.degrees(latitude).astype(np.float32), {"units": "degrees_north"}),
+            "longitude": ("longitude", longitude, {"units": "radian"}),
+        },
+    )
+    dataset.to_netcdf(tmp_path / "field.nc", engine="h5netcdf")
+    found = TURNING.from_file(tmp_path / "field.nc", select={"time": -1})
+    assert np.abs(found - W).max() < 1e-11 * np.abs(W).max()
+    with pytest.raises(ValueError, match="has the axis 'time' too"):
+        TURNING.from_file(tmp_path / "field.nc")
+    with pytest.raises(ValueError, match=r"no variable 'vx', but \['vo'\]"):
+        TURNING.from_file(tmp_path / "field.nc", variable="vx")
+    with pytest.raises(ValueError, match="no axis 'level'"):
+        TURNING.from_file(tmp_path / "field.nc", select={"level": 0})
+
+
+def test_fields_of_the_torus_in_netcdf(tmp_path):
+    import xarray
+
+    W = TORUS.random(10)
+    x, y = TORUS.grid((32, 40))
+    field = np.roll(TORUS.to_grid(W, (32, 40)), -8, axis=0)[:, ::-1]
+    dataset = xarray.Dataset({"w": (("y", "x"), field.T)}, {"x": x + np.pi / 2, "y": y[::-1]})
+    dataset.to_netcdf(tmp_path / "torus.nc", engine="h5netcdf")
+    assert np.abs(TORUS.from_file(tmp_path / "torus.nc") - W).max() < 1e-12 * np.abs(W).max()
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "said"),
+    [
+        (np.linspace(75, -75, 9), np.arange(0, 360, 20.0), "those of no known grid"),
+        (np.linspace(90, -90, 9), np.linspace(0, 360, 19), "without the first one again"),
+        (np.linspace(90, -90, 9), np.arange(0, 180, 20.0), "all around in one turn"),
+    ],
+)
+def test_other_grids_are_refused(latitude, longitude, said, tmp_path):
+    import xarray
+
+    axes = {
+        "lat": ("lat", latitude, {"units": "degrees_north"}),
+        "lon": ("lon", longitude, {"units": "degrees_east"}),
+    }
+    dataset = xarray.Dataset({"w": (("lat", "lon"), np.zeros((len(latitude), len(longitude))))}, axes)
+    dataset.to_netcdf(tmp_path / "field.nc", engine="h5netcdf")
+    with pytest.raises(ValueError, match=said):
+        SPHERE.from_file(tmp_path / "field.nc")
+
+
+@pytest.mark.parametrize(
+    ("call", "kind", "said"),
+    [
+        (lambda: SPHERE.random(-1), ValueError, "seed"),
+        (lambda: SPHERE.random(1, degrees=(2, 24)), ValueError, r"degrees\[1\] must be a whole number from 2 to 23"),
+        (lambda: TORUS.random(1, degrees=(2, 13)), ValueError, r"degrees\[1\] must be a whole number from 2 to 12"),
+        (lambda: SPHERE.random(1, degrees=5), TypeError, "the first and the last one"),
+        (lambda: SPHERE.random(1, spectrum=lambda l: -l), ValueError, "positive or zero"),
+        (lambda: SPHERE.random(1, spectrum=lambda l: 1.0), ValueError, "one number for each degree"),
+        (lambda: SPHERE.random(1, spectrum=[0, 1.0], degrees=(1, 3)), ValueError, "of the degrees 0, ..., 3"),
+        (lambda: SPHERE.random(1, spectrum=np.ones(30)), ValueError, "N resolves those up to 23"),
+        (lambda: SPHERE.random(1, energy=1.0, enstrophy=1.0), ValueError, "both given"),
+        (lambda: SPHERE.random(1, energy=-1.0), ValueError, "energy is -1.0; it must be positive"),
+        (lambda: SPHERE.blobs([(2.0, 0.0)], 1.0, 0.1), ValueError, "the latitude 2; give radians"),
+        (lambda: SPHERE.blobs([(1.0, 0.0)], [1.0, 2.0], 0.1), ValueError, "one for each of 1 places"),
+        (lambda: TORUS.blobs((1.0, 0.0), 1.0, 0.1), ValueError, "x and y in each row"),
+        (lambda: TORUS.blobs([(1.0, 0.0)], 1.0, -0.1), ValueError, "widths is -0.1; give positive"),
+        (lambda: TORUS.patches([(1.0, 0.0)], 4.0, 1.0), ValueError, "a radius is 4; give radians below pi"),
+        (lambda: SPHERE.patches([(1.0, 0.0)], 4.0, 1.0), ValueError, "a radius is 4; give radians below pi"),
+        (lambda: SPHERE.patches([(1.0, 0.0)], 1.0, 1.0, edge=-1), ValueError, "edge is -1"),
+        (lambda: SPHERE.rossby_haurwitz(1, 0), ValueError, "degree must be a whole number from 2 to 23"),
+        (lambda: SPHERE.rossby_haurwitz(4, 5), ValueError, "order must be a whole number from 0 to 4"),
+        (lambda: SPHERE.zonal_jet(band=(0.5, 0.1)), ValueError, "a southern and a northern latitude"),
+        (lambda: SPHERE.zonal_jet(-1.0), ValueError, "speed is -1.0; it must be positive"),
+        (lambda: TORUS.zonal_jet(width=1.0), ValueError, "the two jets"),
+        (lambda: TORUS.from_file(3), TypeError, "the name of a file"),
+        (lambda: TORUS.from_file("a.csv"), ValueError, "give a file .npy or .nc"),
+        (lambda: TORUS.from_file("a.npy", variable="w"), ValueError, "are for NetCDF"),
+        (lambda: TORUS.from_file("not there.npy"), OSError, "not there.npy"),
+    ],
+)
+def test_what_is_refused(call, kind, said):
+    with pytest.raises(kind, match=said):
+        call()
+
+
+def test_netcdf_without_xarray(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MissingPackageError, match=r"a\.nc: NetCDF needs the packages xarray and h5netcdf"):
+        TORUS.from_file("a.nc")

@@ -1,0 +1,54 @@
+"""Modes and grids of the torus."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+N = 9
+S = co.systems.torus_euler(N=N)
+ROUNDED = 8 * N**2 * UNIT_ROUNDOFF
+
+
+def summed(modes, x, y):
+    return sum((w * np.exp(1j * (n1 * x - n2 * y))).real for (n1, n2), w in modes.items())
+
+
+@pytest.mark.parametrize("shape", [None, (12, 20), (5, 4), (1, 3), (16, 9)])
+def test_values_are_sums_of_waves(shape):
+    W = S.random(3, degrees=(1, N // 2))
+    x, y = S.grid(shape)
+    wanted = summed(S.modes(W), x[:, None], y[None, :])
+    found = S.to_grid(W, shape)
+    assert found.shape == (len(x), len(y)) == (shape or (N, N))
+    assert np.abs(found - wanted).max() < 10 * ROUNDED
+
+
+@pytest.mark.parametrize("shape", [(N, N), (10, 9), (32, 15)])
+def test_there_and_back(shape):
+    W = np.stack([S.random(4), S.random(5)])
+    back = S.from_grid(S.to_grid(W, shape) + 3.0)
+    assert back.shape == W.shape and np.abs(back - W).max() < ROUNDED * np.abs(W).max()
+    assert np.abs(S.from_modes(S.mode_array(W)) - W).max() < ROUNDED * np.abs(W).max()
+
+
+def test_coarse_grids_and_small_sizes_keep_what_they_resolve():
+    W = S.from_modes({(1, 2): 1.0, (2, -1): 1j, (3, 0): 0.5, (0, 2): 0.25})
+    assert set(S.modes(S.from_grid(S.to_grid(W, (32, 4))))) == {(2, -1), (-2, 1), (3, 0), (-3, 0)}
+    small = co.systems.torus_euler(N=5)
+    assert set(small.modes(small.from_grid(S.to_grid(W)))) == {(1, 2), (-1, -2), (2, -1), (-2, 1), (0, 2), (0, -2)}
+
+
+@pytest.mark.parametrize(
+    ("modes", "kind", "said"),
+    [
+        (np.ones((3, 3)), ValueError, r"shape \(3, 3\)"),
+        (np.eye(N), ValueError, "not conjugate, or that of"),
+        (np.full((N, N), np.nan), ValueError, "finite"),
+        ("(1, 0)", TypeError, "modes is"),
+    ],
+)
+def test_what_is_no_field_is_refused(modes, kind, said):
+    with pytest.raises(kind, match=said):
+        S.from_modes(modes)
