@@ -36,9 +36,9 @@ def _in_all_planes() -> npt.NDArray[np.float64]:
     telling=Telling(
         x0=_in_all_planes,
         t_span=(0.0, 60.0),
-        step=0.1,
-        says="A body of five dimensions turns in all planes at once, with several frequencies. Its momentum is a matrix "
-        "that turns and does not change: the eigenvalues stay.",
+        step=0.05,
+        says="A body of five dimensions turns in all planes at once, with several frequencies. Its momentum is a "
+        "matrix that turns and does not change: the eigenvalues stay.",
         pictures=(Picture("eigenvalues"),),
         components=Picture("components", chosen=_above_the_diagonal),
         coordinates=_names,
