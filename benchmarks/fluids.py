@@ -14,6 +14,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 ROTATION = 0.1 * 3.141592653589793  # of the fastest mode in a step: what quflow's `estimate_stepsize` recommends
@@ -94,13 +95,15 @@ def main() -> None:
         ends = {name: solve(W) for name, solve in solvers.items()}
         for _ in range(GIVEN.rounds):
             for name, solve in solvers.items():
-                taken[name].append(timed(lambda solve=solve: solve(W))[1] / GIVEN.steps)  # type: ignore[misc]
+                taken[name].append(timed(partial(solve, W))[1] / GIVEN.steps)
         whole = product(n)
         for name, seconds in taken.items():
             share = statistics.median(a / b for a, b in zip(taken["coadjoint"], seconds, strict=True))
             away = np.abs(ends[name] - exact).max() / np.abs(exact).max()
             middle = statistics.median(seconds)
-            print(f"| {n} | {name} | {1e3 * middle:.3g} | {share:.2f} | {middle / whole:.1f} | {away:.1e} |", flush=True)
+            print(
+                f"| {n} | {name} | {1e3 * middle:.3g} | {share:.2f} | {middle / whole:.1f} | {away:.1e} |", flush=True
+            )
         times.append(statistics.median(taken["coadjoint"]))
     if len(times) > 1:
         exponent = np.polyfit(np.log(GIVEN.sizes), np.log(times), 1)[0]

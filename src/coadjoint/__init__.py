@@ -26,6 +26,7 @@ _HOME = {
     "Invariant": "coadjoint.algebra.invariant",
     "IsospectralGauss": "coadjoint.methods.isospectral_gauss",
     "LieAlgebra": "coadjoint.algebra.lie_algebra",
+    "LineSplitting": "coadjoint.methods.line_splitting",
     "Polynomial": "coadjoint.algebra.polynomial",
     "ForcedSystem": "coadjoint.systems.forced",
     "Hamiltonian": "coadjoint.systems.hamiltonian",
@@ -119,6 +120,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.isospectral_gauss import IsospectralGauss as IsospectralGauss
     from coadjoint.methods.iterated_gauss_legendre import IteratedGaussLegendre as IteratedGaussLegendre
     from coadjoint.methods.kahan import Kahan as Kahan
+    from coadjoint.methods.line_splitting import LineSplitting as LineSplitting
     from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
     from coadjoint.methods.projected import Projected as Projected
     from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy

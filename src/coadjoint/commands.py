@@ -7,7 +7,7 @@ import inspect
 import math
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -53,20 +53,22 @@ def commands(context: click.Context) -> None:
 @click.argument("file", type=click.Path())
 @click.option("--out", metavar="PATH", help="Where to write the solution: .nc or .zarr; otherwise what the file says.")
 @click.option("--figure", metavar="PATH", help="Where to draw it: .png, .pdf or .svg; otherwise what the file says.")
+@click.option("--movie", metavar="PATH", help="Where to show it move: .mp4 or .gif; otherwise what the file says.")
 @click.option("--progress", is_flag=True, help="Show a progress bar.")
 @click.option("--quiet", is_flag=True, help="Print nothing.")
-def run_file(file: str, out: str | None, figure: str | None, progress: bool, quiet: bool) -> None:
+def run_file(file: str, out: str | None, figure: str | None, movie: str | None, progress: bool, quiet: bool) -> None:
     """Run the configuration FILE (TOML).
 
     A run that fails while running writes what it had, marked as failed, and ends with exit status 1.
     """
     from coadjoint.errors import IntegrationError
     from coadjoint.files.configuration import load
-    from coadjoint.files.output import DATASETS, FIGURES, write_dataset, write_figure
+    from coadjoint.files.output import DATASETS, FIGURES, check_target, write_dataset, write_figure
 
     configuration = load(file)
-    target = _place(configuration, "file", out, DATASETS)
-    drawing = _place(configuration, "figure", figure, FIGURES)
+    target = _place(configuration, "file", out, lambda path: check_target(path, DATASETS))
+    drawing = _place(configuration, "figure", figure, lambda path: check_target(path, FIGURES))
+    moving = _place(configuration, "movie", movie, lambda path: _movie_target(configuration, path))
     try:
         solution = configuration.integrate(progress=progress)
     except IntegrationError as error:
@@ -77,22 +79,36 @@ def run_file(file: str, out: str | None, figure: str | None, progress: bool, qui
     if drawing is not None:
         with _writing(configuration, drawing):
             write_figure(solution.plot(), drawing)
+    if moving is not None:
+        with _writing(configuration, moving):
+            solution.movie(moving)
     if not quiet:
-        _summarize(solution, [place for place in (target, drawing) if place is not None])
+        _summarize(solution, [place for place in (target, drawing, moving) if place is not None])
 
 
-def _place(configuration: Configuration, key: str, option: str | None, suffixes: Sequence[str]) -> Path | None:
+def _place(configuration: Configuration, key: str, option: str | None, check: Callable[[str], Path]) -> Path | None:
     """Return where a result goes, by the option or else by the key of the file, checked before the run."""
     from coadjoint.files.configuration_parts import section
-    from coadjoint.files.output import check_target
 
     if option is not None:
-        return check_target(option, suffixes)
-    written = configuration.output if key == "file" else configuration.figure
+        return check(option)
+    written = {"file": configuration.output, "figure": configuration.figure, "movie": configuration.movie}[key]
     if written is None:
         return None
     with section(configuration.path, f"output.{key}"):
-        return check_target(written, suffixes)
+        return check(written)
+
+
+def _movie_target(configuration: Configuration, path: str) -> Path:
+    from coadjoint.files.configuration_parts import section
+    from coadjoint.files.output import MOVIES, check_target
+
+    check_target(path, MOVIES)  # says which package is missing before the pictures are loaded
+    from coadjoint.pictures.movie import check_movie, declared_picture
+
+    with section(configuration.path, "output.movie"):
+        declared_picture(getattr(configuration.system, "system", configuration.system).name)
+    return check_movie(path)
 
 
 class _RunFailed(click.ClickException):
@@ -276,16 +292,18 @@ def _folder(out: str) -> Path:
 def draw_gallery(names: tuple[str, ...], out: str) -> None:
     """Run every ready-made system, or those with a NAME, for a telling time; draw them, and write a page.
 
-    The page is index.html, beside the pictures.
+    The page is index.html, beside the pictures. The NAME decaying_turbulence is a run of minutes.
     """
     from coadjoint.files.output import write_figure, write_page
     from coadjoint.systems.ready_made import told_systems
 
     need("a gallery", "matplotlib")
+    from coadjoint.pictures.scenes import SCENES
+
     known = told_systems()
-    wanted = [_known_system(name, known) for name in dict.fromkeys(names)] or known
+    wanted = [_known_system(name, (*known, *SCENES)) for name in dict.fromkeys(names)] or known
     if not names:
-        need("a gallery of all systems", "numba")
+        need("a gallery of all systems", "numba", "ducc0")
     folder = _folder(out)
     from coadjoint.pictures.gallery import PAGE, gallery
 

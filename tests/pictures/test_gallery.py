@@ -40,7 +40,7 @@ def test_every_ready_made_system_says_what_is_seen_first():
 
 
 # Functions take seconds to compile, and many spins a second to draw.
-SLOW = {"double_spherical_pendulum", "satellite", "separable_cosh", "sklyanin", "spin_lattice"}
+SLOW = {"double_spherical_pendulum", "sphere_euler", "satellite", "separable_cosh", "sklyanin", "spin_lattice"}
 
 
 @pytest.mark.parametrize("name", long_where(SLOW, co.systems.names()))

@@ -246,15 +246,15 @@ def matrices() -> dict[str, Case]:
     """Return systems of matrices, whose states are taken as rows of their numbers."""
     g, rng = co.MatrixAlgebra, np.random.default_rng(7)
 
-    def case(system: co.MatrixSystem, time: float = 1.0) -> Case:
+    def case(system: co.MatrixSystem, time: float = 1.0, size: float = 1.0) -> Case:
         W = system.algebra.projected(rng.normal(size=system.algebra.shape) + 1j * rng.normal(size=system.algebra.shape))
-        return Case(system.in_numbers, system.to_vector(W / np.abs(W).max()), time)
+        return Case(system.in_numbers, system.to_vector(size * W / np.abs(W).max()), time)
 
     masses = np.linspace(1.0, 2.0, 5)
     return {
-        "sphere": case(co.systems.sphere_euler(N=3)),
+        "so(5), body": case(co.MatrixSystem(g("so", 5), Weights(3.0 / np.add.outer(masses, masses)))),
+        "sphere": case(co.systems.sphere_euler(N=3), size=3.0),
         "torus": case(co.systems.torus_euler(N=3), 2.0),
-        "so(5), body": case(co.MatrixSystem(g("so", 5), Weights(2.0 / np.add.outer(masses, masses)))),
         "gl(3), transposed": case(co.MatrixSystem(g("gl", 3), np.transpose, np.diag([0.3, 0.1, -0.2]), energy_sign=-1)),
     }
 

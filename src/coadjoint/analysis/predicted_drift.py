@@ -13,7 +13,7 @@ from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian
 from coadjoint.analysis.periods import period
 from coadjoint.analysis.rotations import turns_space, twist
 from coadjoint.given import read_finite, read_flag, read_number
-from coadjoint.systems.kinds import check_one_system
+from coadjoint.systems.kinds import check_vectors
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.points import QUIET
 from coadjoint.systems.user_functions import check_arguments
@@ -117,7 +117,7 @@ def predicted_drift(
     >>> round(fast.slope, 11)
     0.001
     """
-    check_one_system(system)
+    check_vectors(system, "a drift is predicted for vectors")
     if sum(given is not None for given in (modified, gradient, field)) != 1:
         raise TypeError("give one of modified, gradient and field: what the scheme moves by at its step")
     if modified is not None:

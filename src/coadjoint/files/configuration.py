@@ -7,18 +7,23 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.errors import in_one_line
 from coadjoint.extras import need
 from coadjoint.files.configuration_parts import ConfigurationError, method_of_file, section, system_of_file
+from coadjoint.files.initial_states import initial_state
 from coadjoint.files.polynomials import read_polynomial
+from coadjoint.files.states_by_name import check_named, state_by_name
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import Method
 from coadjoint.methods.forced import check_serves, serving
+from coadjoint.methods.splitting import Splitting
+from coadjoint.methods.suggested import suggested_scheme
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import times_of
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 MOST_BYTES = 2**28
 MOST_NESTED = 64
@@ -47,7 +52,7 @@ class Configuration:
         The file, for messages.
     system, x0, t_span, step, method, save_every, attitude, watch, observe, threads
         As for `coadjoint.integrate`.
-    output, figure : str or None
+    output, figure, movie : str or None
         Where the file wants the results; relative to the current directory.
     text : str
         The file itself, kept with the results.
@@ -81,6 +86,7 @@ class Configuration:
     threads: int | None = None
     output: str | None = None
     figure: str | None = None
+    movie: str | None = None
     text: str = field(default="", repr=False)
 
     def integrate(self, progress: bool = False) -> Solution:
@@ -243,25 +249,37 @@ def _deepest(text: str) -> int:
     return len(text)
 
 
+def _method(name: str, file: File, system: Any) -> Method:
+    """Return the scheme of a file; where it says none, as `integrate` takes it."""
+    if file.method is not None:
+        return method_of_file(name, file.method)
+    return suggested_scheme(cast(Any, system)) if isinstance(system, MatrixSystem) else Splitting()
+
+
 def _configuration(name: str, text: str, file: File) -> Configuration:
+    check_named(name, file)
     system: Any = system_of_file(name, file)
-    method = method_of_file(name, file.method)
+    method = _method(name, file, system)
     with section(name, "method"):
         check_serves(system, method)
     with section(name, "run"):
         times_of(file.run.t_span, file.run.step, file.run.save_every)
+    x0 = state_by_name(name, file.initial, system)
     with section(name, "initial.x"):
-        start_of(system, serving(system, method), file.initial.x, False)
+        x0 = initial_state(system, file.initial.x, Path(name).parent) if x0 is None else x0
+        start_of(system, serving(system, method), x0, False)
     with section(name, "initial.attitude"):
-        start_of(system, serving(system, method), file.initial.x, file.initial.attitude)
+        start_of(system, serving(system, method), x0, file.initial.attitude)
     observe = {}
     for key, written in file.observe.items():
         with section(name, f"observe.{key}"):
+            if isinstance(system, MatrixSystem):
+                raise ValueError(f"a polynomial is one of coordinates; the states of {system.name} are matrices")
             observe[key] = read_polynomial(written, system.dim)
     return Configuration(
         path=name,
         system=system,
-        x0=file.initial.x,
+        x0=x0,
         t_span=(float(file.run.t_span[0]), float(file.run.t_span[1])),
         step=file.run.step,
         method=method,
@@ -272,5 +290,6 @@ def _configuration(name: str, text: str, file: File) -> Configuration:
         threads=file.run.threads,
         output=file.output.file,
         figure=file.output.figure,
+        movie=file.output.movie,
         text=text,
     )

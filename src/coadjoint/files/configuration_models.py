@@ -7,7 +7,7 @@ import typing
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from coadjoint.algebra.exact import fits
 from coadjoint.errors import in_one_line, nearest
@@ -30,13 +30,14 @@ def _number(value: Any) -> bool:
 
 
 def _depth(value: Any) -> int | None:
-    """Return 0 for a number, 1 for a list of them, 2 for a matrix, None for anything else."""
+    """Return how many lists lie in one another, of equal lengths and with numbers inside, at most 4; else None."""
     if not isinstance(value, list):
         return 0 if _number(value) else None
     inner = {_depth(entry) for entry in value}
     if inner == {0}:
         return 1
-    return 2 if inner == {1} and len({len(row) for row in value}) == 1 else None
+    depth = inner.pop() if len(inner) == 1 else None
+    return depth + 1 if depth in (1, 2, 3) and len({len(row) for row in value}) == 1 else None
 
 
 def _numbers(*depths: int) -> AfterValidator:
@@ -52,6 +53,16 @@ def _attitude(value: Any) -> Any:
     if not (isinstance(value, bool) or value == "coadjoint" or _depth(value) == 2):
         raise ValueError(
             f"must be true, false, 'coadjoint' or a matrix, the initial group element, not {short(value, SHOWN)}"
+        )
+    return value
+
+
+def _states(value: Any) -> Any:
+    named = isinstance(value, str) and value.endswith(".npy")
+    if not (named or _depth(value) in (1, 2, 3, 4)):
+        raise ValueError(
+            f"must be {SHAPES[1]} or {SHAPES[2]}, not {short(value, SHOWN)}; matrices may be lists of these, or in a "
+            "file .npy"
         )
     return value
 
@@ -82,7 +93,7 @@ Number = Annotated[Any, _numbers(0)]
 Matrix = Annotated[Any, _numbers(0, 1, 2)]
 Sign = Annotated[Any, AfterValidator(_sign)]
 Vector = Annotated[Any, _numbers(1)]
-States = Annotated[Any, _numbers(1, 2)]
+States = Annotated[Any, AfterValidator(_states)]
 Written = Annotated[Any, AfterValidator(_polynomial)]
 Whole = Annotated[int, Field(ge=1)]
 
@@ -120,10 +131,28 @@ class HamiltonianTable(Table):
 
 
 class InitialTable(Table):
-    """The initial state, or states."""
+    """The initial state, or states; or the kind of one, whose parameters are the further keys."""
 
-    x: States
+    x: States | None = None
+    kind: str | None = None
+    parameters: dict[str, Any] = {}
     attitude: Annotated[Any, AfterValidator(_attitude)] = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _further_keys(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or "kind" not in given:
+            return given
+        own = {key: given[key] for key in ("kind", "attitude") if key in given}
+        return {**own, "parameters": {key: value for key, value in given.items() if key not in own}}
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> InitialTable:
+        if self.kind is None and self.x is None:
+            raise ValueError("x is missing; give it, or the kind of an initial state")
+        if self.kind is None and self.parameters:
+            raise ValueError("parameters belong to a kind of initial state; give kind, and them beside it")
+        return self
 
 
 class RunTable(Table):
@@ -141,6 +170,7 @@ class OutputTable(Table):
 
     file: str | None = None
     figure: str | None = None
+    movie: str | None = None
 
 
 class File(Table):
@@ -154,7 +184,7 @@ class File(Table):
     casimirs: dict[Name, Written] | None = None
     forces: list[dict[str, Any]] = []
     initial: InitialTable
-    method: dict[str, Any] = {"name": "Splitting"}
+    method: dict[str, Any] | None = None
     run: RunTable
     observe: dict[Name, Written] = {}
     output: OutputTable = OutputTable()

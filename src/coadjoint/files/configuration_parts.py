@@ -178,9 +178,9 @@ def method_of_file(name: str, table: Mapping[str, Any]) -> Method:
         return registry.from_description(table)
 
 
-def _check_dimension(name: str, table: AlgebraTable, states: list[Any]) -> None:
+def _check_dimension(name: str, table: AlgebraTable, states: Any) -> None:
     """Refuse a dimension other than the length of the state, before anything of that length is made."""
-    if table.dim is None:
+    if table.dim is None or isinstance(states, str):
         return
     with section(name, "algebra.dim"):
         check_room(BYTES_PER_COORDINATE * table.dim, f"an algebra of dimension {short(table.dim)}")

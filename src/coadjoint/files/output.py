@@ -26,16 +26,24 @@ class OutputError(ValueError):
 
 DATASETS = (".nc", ".zarr")
 FIGURES = (".png", ".pdf", ".svg")
+MOVIES = (".mp4", ".gif")
 TEXTS = (".json",)
 PAGES = (".html",)
 PACKAGES = {
     ".nc": ("xarray", "h5netcdf", "h5py"),
     ".zarr": ("xarray", "zarr"),
-    **dict.fromkeys(FIGURES, ("matplotlib",)),
+    **dict.fromkeys(FIGURES + MOVIES, ("matplotlib",)),
     ".json": (),
     ".html": (),
 }
-NAMED = {".nc": "NetCDF", ".zarr": "Zarr", ".json": "JSON", ".html": "a page", **dict.fromkeys(FIGURES, "a figure")}
+NAMED = {
+    ".nc": "NetCDF",
+    ".zarr": "Zarr",
+    ".json": "JSON",
+    ".html": "a page",
+    **dict.fromkeys(FIGURES, "a figure"),
+    **dict.fromkeys(MOVIES, "a movie"),
+}
 
 
 def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:

@@ -42,7 +42,7 @@ class MatrixFunction:
         self._raised: BaseException | None = None
         try:
             need("a compiled stream", "numba")
-            self._callback: Any = _compiled(stream.function, shape[0], complex_entries, stream.timed)
+            self._callback: Any = _compiled(stream.function, shape[0], complex_entries, stream.timed, stream.traceless)
             self.address, self.compiled = int(self._callback.address), True
         except MissingPackageError as reason:
             self._call_python(stream, shape, complex_entries, str(reason))
@@ -89,7 +89,9 @@ def _say_once(function: Callable[..., Any], reason: str) -> None:
 
 
 @lru_cache(maxsize=256)
-def _compiled(function: Callable[..., Any], N: int, complex_entries: bool, timed: bool) -> Any:
+def _compiled(
+    function: Callable[..., Any], N: int, complex_entries: bool, timed: bool, traceless: tuple[tuple[int, int], ...]
+) -> Any:
     import numba
     from numba import carray
 
@@ -99,10 +101,23 @@ def _compiled(function: Callable[..., Any], N: int, complex_entries: bool, timed
         numba.njit(error_model="numpy", boundscheck=True)(function) if inspect.isfunction(function) else function
     )
 
+    blocks = np.array(traceless, dtype=np.int64).reshape(-1, 2)
+
+    @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator]
+    def centre(given: Any) -> None:
+        for first, last in blocks:
+            mean = 0.0 * given[0, 0]
+            for i in range(first, last):
+                mean += given[i, i]
+            mean /= last - first
+            for i in range(first, last):
+                given[i, i] -= mean
+
     def of_complex(W: Any, t: float, P: Any) -> None:
         out = carray(P, (2 * N * N,))
         out[:] = np.nan
         given = carray(W, (2 * N * N,)).copy().view(np.complex128).reshape((N, N))
+        centre(given)
         found = inner(given, t) if timed else inner(given)
         for i in range(N):
             for j in range(N):
@@ -114,6 +129,7 @@ def _compiled(function: Callable[..., Any], N: int, complex_entries: bool, timed
         out = carray(P, (N * N,))
         out[:] = np.nan
         given = carray(W, (N * N,)).copy().reshape((N, N))
+        centre(given)
         found = inner(given, t) if timed else inner(given)
         for i in range(N):
             for j in range(N):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,14 @@ from coadjoint.errors import IntegrationError
 from coadjoint.given import read_whole
 from coadjoint.methods.base import Representation
 from coadjoint.methods.compiled_step import CompiledStepMethod
+from coadjoint.methods.orbits import MatrixOrbit, VectorOrbit, orbit_of
 from coadjoint.methods.properties import Properties
 from coadjoint.program.numbers import Number, array_of, roundoff
-from coadjoint.systems.kinds import System, check_vectors
+from coadjoint.systems.kinds import System
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.formal_numbers import FormalNumber
     from coadjoint.methods.work import Work
 
@@ -66,8 +69,10 @@ class CommutatorFree(CompiledStepMethod):
     A step moves the momentum by exponentials ``exp(h sign D_k)``, each k a combination of gradients of H at stages that
     are reached in the same way: two of them for order 2, four for order 3, five for order 4. So it never leaves the
     coadjoint orbit, and it carries the group element that it computes, in every representation. It serves every Lie
-    algebra and every Hamiltonian, also where H has no exact flows. The bracket and the energy are not kept. It is what
-    the literature compares with: for long runs take `Splitting`, whose energy does not drift, for accuracy `Taylor`.
+    algebra and every Hamiltonian, also where H has no exact flows; and every `MatrixSystem`, whose W it moves to
+    ``U W U^-1``, U the exponential of a combination of stream matrices, so that the whole spectrum is kept. The bracket
+    and the energy are not kept. It is what the literature compares with: for long runs take `Splitting`, or
+    `IsospectralGauss` for matrices, whose energy does not drift, for accuracy `Taylor`.
 
     Parameters
     ----------
@@ -81,8 +86,8 @@ class CommutatorFree(CompiledStepMethod):
 
     Notes
     -----
-    An exponential is the series of the sparse D_k, in so many substeps that each turns by less than 1, up to a degree
-    that leaves nothing but rounding; 4096 substeps at most.
+    An exponential is the series of the sparse D_k, or of commutators with a matrix, in so many substeps that each turns
+    by less than 1, up to a degree that leaves nothing but rounding; 4096 substeps at most.
 
     References
     ----------
@@ -115,12 +120,9 @@ class CommutatorFree(CompiledStepMethod):
         ValueError
             There is no Lie algebra, and so no orbit.
         """
-        check_vectors(system)
-        if system.algebra is None:
-            raise ValueError(
-                f"CommutatorFree moves along coadjoint orbits, but {system.name} has no Lie algebra; take GaussLegendre"
-            )
-        return Properties(poisson=False, energy=False, casimirs="all", attitude="every representation")
+        vectors = isinstance(orbit_of(system, "CommutatorFree"), VectorOrbit)
+        attitude = "every representation" if vectors else "none"
+        return Properties(poisson=False, energy=False, casimirs="all", attitude=attitude)
 
     @classmethod
     def examples(cls) -> Sequence[CommutatorFree]:
@@ -133,56 +135,81 @@ class CommutatorFree(CompiledStepMethod):
         return "commutator_free"
 
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
-        """Return how many stages and exponentials at the end there are, where stages start, and all coefficients."""
+        """Return how many stages there are; and how many exponentials at the end, when stages are, and all moves."""
         scheme = SCHEMES[self.order]
         stages = len(scheme.stages) + 1
-        moves = [combination for _, combination in scheme.stages] + scheme.out
-        rows = [[float(a) for a in row] + [0.0] * (stages - len(row)) for row in moves]
-        starts = [start for start, _ in scheme.stages]
-        return [stages, len(scheme.out), *starts], [*map(float, scheme.nodes), *(a for row in rows for a in row)]
+        moves = [*scheme.stages, *((0, combination) for combination in scheme.out)]
+        rows = [[start, *map(float, row), *[0.0] * (stages - len(row))] for start, row in moves]
+        return [stages], [len(scheme.out), *map(float, scheme.nodes), *(a for row in rows for a in row)]
+
+    def loop_of_substeps(
+        self, system: System, h: float, representation: Representation, fractions: Sequence[float]
+    ) -> CompiledLoop:
+        """Return the loop over steps of vectors, or of matrices."""
+        if isinstance(orbit_of(system, "CommutatorFree"), VectorOrbit):
+            return super().loop_of_substeps(system, h, representation, fractions)
+        from coadjoint.kernels.loop import CompiledLoop
+        from coadjoint.kernels.matrix_tables import matrix_tables
+        from coadjoint.kernels.stepping import STEP_LOOP
+
+        whole, coefficients = self.constants()
+        found = matrix_tables(system, "commutator_free_matrices", whole[0], coefficients, fractions)
+        return CompiledLoop(STEP_LOOP, found.tables, found.keep)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, read in NumPy for any number type but fractions."""
-        self.properties(system)
-        return self._moved(system, x, t, h, None)[0]
+        """Return one step in NumPy, of vectors of any number type but fractions, or of a matrix or its numbers."""
+        orbit = orbit_of(system, "CommutatorFree")
+        if isinstance(orbit, VectorOrbit):
+            return self._moved(orbit, x, t, h, None)[0]
+        flat, matrices = np.ndim(x) == 1, cast(MatrixSystem, system)
+        end = self._moved(orbit, matrices.from_vector(x) if flat else x, t, h, None)[0]
+        return matrices.to_vector(end) if flat else end
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative, that of its series."""
-        self.properties(system)
-        return self._moved(system, np.asarray(x, dtype=np.float64), t, h, np.eye(len(x)))
+        orbit, units = orbit_of(system, "CommutatorFree"), np.eye(len(x))
+        if isinstance(orbit, VectorOrbit):
+            return self._moved(orbit, np.asarray(x, dtype=np.float64), t, h, units)
+        matrices = cast(MatrixSystem, system)
+        end, changes = self._moved(orbit, matrices.from_vector(x), t, h, matrices.from_vector(units))
+        return matrices.to_vector(end), matrices.to_vector(changes).T
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        self.properties(system)
-        return self._moved(system, x, 0 * h, h, None, type(h).count)[0]
+        orbit = orbit_of(system, "CommutatorFree")
+        if not isinstance(orbit, VectorOrbit):
+            raise TypeError(f"a step of {self} on matrices is not known as a power series in exact numbers")
+        return self._moved(orbit, x, 0 * h, h, None, type(h).count)[0]
 
     def _moved(
-        self, system: System, x: Any, t: Any, h: Any, tangent: Any, degree: int | None = None
+        self, orbit: VectorOrbit | MatrixOrbit, x: Any, t: Any, h: Any, tangent: Any, degree: int | None = None
     ) -> tuple[NDArray[Any], Any]:
         """Return the new state and its derivative, where that of x is given."""
         scheme, point = SCHEMES[self.order], np.asarray(x)
         number: Number = float if point.dtype != object else type(point[0])
-        states: list[Any] = [(array_of(number, point), tangent)]
+        states: list[Any] = [(point if point.dtype.kind == "c" else array_of(number, point), tangent)]
         gradients: list[Any] = []
         for i, node in enumerate(scheme.nodes):
             if i > 0:
                 start, combination = scheme.stages[i - 1]
-                states.append(moved(system, states[start], combined(combination, gradients, h), number, degree))
+                states.append(moved(orbit, states[start], combined(combination, gradients, h), number, degree))
             state, change = states[i]
             time = t + h * number(node.numerator) / node.denominator
-            bend = None if change is None else system.hamiltonian.hessian(state, time) @ change
-            gradients.append((system.hamiltonian.gradient(state, time), bend))
+            bend = None if change is None else orbit.bend(state, change, time)
+            gradients.append((orbit.gradient(state, time), bend))
         end = states[0]
         for combination in scheme.out:
-            end = moved(system, end, combined(combination, gradients, h), number, degree)
+            end = moved(orbit, end, combined(combination, gradients, h), number, degree)
         return end
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the products in its series."""
-        from coadjoint.methods.work import work_of_evaluations
+        from coadjoint.methods.work import work_of_evaluations, work_of_products
 
         scheme = SCHEMES[self.order]
-        exponentials = len(scheme.stages) + len(scheme.out)
-        return work_of_evaluations(system, substeps * (len(scheme.nodes) + DEGREE * exponentials), self.explicit)
+        products = DEGREE * (len(scheme.stages) + len(scheme.out))
+        if isinstance(orbit_of(system, "CommutatorFree"), MatrixOrbit):
+            return work_of_products(system, substeps * products)
+        return work_of_evaluations(system, substeps * (len(scheme.nodes) + products), self.explicit)
 
 
 def combined(combination: Sequence[Fraction], gradients: Sequence[tuple[Any, Any]], h: Any) -> tuple[Any, Any]:
@@ -193,33 +220,34 @@ def combined(combination: Sequence[Fraction], gradients: Sequence[tuple[Any, Any
 
 
 def moved(
-    system: System, state: tuple[Any, Any], generator: tuple[Any, Any], number: Number, degree: int | None
+    orbit: VectorOrbit | MatrixOrbit,
+    state: tuple[Any, Any],
+    combination: tuple[Any, Any],
+    number: Number,
+    degree: int | None,
 ) -> tuple[NDArray[Any], Any]:
-    """Return exp(sign D_k) y and its derivative, by substeps of a series, up to a degree where one is given."""
-    (y, dy), (k, dk) = state, generator
+    """Return exp(D) y and its derivative, by substeps of a series, up to a degree where one is given."""
+    (y, dy), D = state, orbit.generator(*combination)
     substeps = 1
     if degree is None:
-        substeps, degree = extent(system, k, roundoff(number))
-    J, sign = system.structure_matrix, system.sign
-    D = None if dy is None else sign * coadjoint_of(system, k)
+        substeps, degree = extent(D.norm(), roundoff(number))
     for _ in range(substeps):
         total, spread = y, dy
         for power in range(degree, 0, -1):
             # y + (1/power) D total, and its derivative
             if dy is not None:
-                spread = dy + (D @ spread + sign * (J(total) @ dk)) / (power * substeps)
-            total = y + sign * (J(total) @ k) / (power * substeps)
+                spread = dy + D.change(total, spread) / (power * substeps)
+            total = y + D.image(total) / (power * substeps)
         y, dy = total, spread
     return y, dy
 
 
-def extent(system: System, k: NDArray[Any], unit: Any) -> tuple[int, int]:
-    """Return how many substeps exp(D_k) takes, each of a norm up to 1, and the degree that leaves only rounding."""
+def extent(norm: float, unit: Any) -> tuple[int, int]:
+    """Return how many substeps an exponential takes, each of a norm up to 1, and the degree that leaves rounding."""
     from coadjoint.kernels.description import limit
 
     if unit == 0:
         raise TypeError("an exponential is no fraction: take floats or mpmath.mpf")
-    norm = float(max(abs(coadjoint_of(system, k)).sum(axis=1)))
     if not norm <= limit("MOST_SUBSTEPS"):
         said = CommutatorFree.failures["UNDEFINED"]
         raise IntegrationError(said, step=1, time=float("nan"), residual=float("nan"))
@@ -229,9 +257,3 @@ def extent(system: System, k: NDArray[Any], unit: Any) -> tuple[int, int]:
         degree += 1
         term *= theta / (degree + 1)
     return substeps, degree
-
-
-def coadjoint_of(system: System, k: NDArray[Any]) -> NDArray[Any]:
-    """Return D_k of the algebra that a served system has."""
-    assert system.algebra is not None
-    return np.asarray(system.algebra.coadjoint(k))

@@ -21,7 +21,10 @@ Floats = NDArray[np.float64]
 
 MOST_ITERATIONS = 192
 FIRST_TESTED = 3  # early corrections may rise before they fall
+SLOW = 12  # from so many iterations on one that does not fall may be chance
+QUIET = 3  # so many that do not fall are none
 SMALL = 2.0**17 * UNIT_ROUNDOFF  # of the entries: only below it may a correction be round-off
+ROUND_OFF = 64 * UNIT_ROUNDOFF  # times sqrt(N), of the entries: there one that does not fall is round-off
 DIFFERENCE = 2.0**-17
 
 
@@ -64,8 +67,8 @@ def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, wh
     P0 = system.stream_of(W, t)
     V = np.stack([one + h * row.sum() * P0 for row in a])
     U = np.stack([one - h * row.sum() * P0 for row in a])
-    least, change = np.inf, np.inf
-    for k in range(1, MOST_ITERATIONS + 1):
+    rest, change = _Rest(len(W)), np.inf
+    for _ in range(MOST_ITERATIONS):
         if system.algebra.skew:
             U = np.conj(np.swapaxes(V, -1, -2))
         M = V @ W @ U
@@ -73,9 +76,8 @@ def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, wh
         V_new, U_new = one + h * _mixed(a, P @ V), one - h * _mixed(a, U @ P)
         change = max(_largest(V_new - V), 0.0 if system.algebra.skew else _largest(U_new - U))
         V, U = V_new, U_new
-        if _at_rest(change, least, k, 1.0):
+        if rest.after(change, 1.0):
             return Stages(V, U, M, P, times)
-        least = min(least, change)
     raise IntegrationError(
         f"the stages of {who} do not converge with a step of {float(h):g}; take a smaller one",
         step=1,
@@ -123,17 +125,16 @@ def derivative_of(system: MatrixSystem, W: Matrix, stages: Stages, h: float, a: 
     # Axes: stage, direction, row, column.
     dV, dU = np.zeros((2, s, *moves.shape), dtype=M.dtype)
     V1, U1, M1, P1 = (found[:, None] for found in (V, U, M, P))
-    least = change = np.inf
-    for k in range(1, MOST_ITERATIONS + 1):
+    rest, change = _Rest(len(W)), np.inf
+    for _ in range(MOST_ITERATIONS):
         dM = dV @ W @ U1 + V1 @ moves @ U1 + V1 @ W @ dU
         dP = np.stack([slope_along(system, m, dm, time) for m, dm, time in zip(M, dM, times, strict=True)])
         dV_new, dU_new = h * _mixed(a, dP @ V1 + P1 @ dV), -h * _mixed(a, dU @ P1 + U1 @ dP)
         change = max(_largest(dV_new - dV), _largest(dU_new - dU))
         dV, dU = dV_new, dU_new
-        if _at_rest(change, least, k, _largest(dV)):
+        if rest.after(change, _largest(dV)):
             rows = moves + h * np.tensordot(b, dP @ M1 + P1 @ dM - dM @ P1 - M1 @ dP, 1)
             return system.to_vector(rows).T
-        least = min(least, change)
     raise IntegrationError(
         "the linear equations of the stages do not converge; take a smaller step", step=1, time=0.0, residual=change
     )
@@ -157,6 +158,19 @@ def _largest(values: Matrix) -> float:
     return float(np.abs(values).max(initial=0.0))
 
 
-def _at_rest(change: float, least: float, k: int, size: float) -> bool:
-    """Return whether the corrections of an iteration have stopped falling, at round-off."""
-    return change == 0.0 or (change <= SMALL * size and k >= FIRST_TESTED and not change < least)
+class _Rest:
+    """Whether the corrections of an iteration have stopped falling, at round-off."""
+
+    def __init__(self, N: int) -> None:
+        self._rounding = ROUND_OFF * float(np.sqrt(N))
+        self._least, self._quiet, self._count = np.inf, 0, 0
+
+    def after(self, change: float, size: float) -> bool:
+        """Say it after another correction, of entries as large as `size`."""
+        self._count += 1
+        self._quiet = 0 if change < self._least else self._quiet + 1
+        self._least = min(self._least, change)
+        # Where the iteration is slow, with complex eigenvalues, corrections rise and fall while they shrink.
+        fast = change <= self._rounding * size and self._count < SLOW
+        still = self._quiet >= (1 if fast else max(QUIET, self._count // 4))
+        return change == 0.0 or (change <= SMALL * size and self._count >= FIRST_TESTED and still)

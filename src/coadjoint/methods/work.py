@@ -49,6 +49,8 @@ CROWD = 16
 FLOWS_OF_A_CROWD = 0.1
 BODIES_OF_A_CROWD = 0.17
 ELIMINATION = 0.015
+# A multiplication in a product of matrices, by BLAS.
+PRODUCT = 0.006
 
 
 @dataclass(frozen=True)
@@ -179,6 +181,13 @@ def work_of_evaluations(system: System, evaluations: int, explicit: bool) -> Wor
     if not explicit:
         cost += newton_work(system.dim, 1)
     return Work(lambda iterations, counted: cost)
+
+
+def work_of_products(system: Any, products: int) -> Work:
+    """Return the work of a step of so many products of the system's matrices."""
+    numbers = 4.0 if system.complex else 1.0
+    cost = products * PRODUCT * numbers * float(system.algebra.N) ** 3
+    return Work(lambda iterations, evaluations: cost)
 
 
 class Operations(NamedTuple):

@@ -25,6 +25,8 @@ Floats = npt.NDArray[np.float64]
 MOST_MEMBERS = 20
 MOST_POINTS = 20_000  # of a curve, more than a printed line can show
 SAMPLED = 64  # stretches between points that are looked at
+NUMBERS_SAMPLED = 2**19  # of large states fewer, but FEWEST_SAMPLED
+FEWEST_SAMPLED = 4
 FLAT = 0.04  # how far a motion may leave the chord, as a part of its range: a circle of 11 points does by as much
 
 
@@ -73,7 +75,9 @@ class Drawn:
         self.of_members = states.shape[1]
         self._chosen = spread(self.of_members, MOST_MEMBERS)
         self.t = solution.t
-        self.x = np.swapaxes(states[:, self._chosen], 0, 1)
+        # A crowd of few is seen, not copied: states may be large.
+        seen = states if len(self._chosen) == self.of_members else states[:, self._chosen]
+        self.x = np.swapaxes(seen, 0, 1)
 
     def of_each(self, series: npt.ArrayLike) -> Floats:
         """Return a series of the run, (k, ...) or (k, members, ...), for the members that are drawn, (members, k, ...).
@@ -206,7 +210,7 @@ class Drawn:
         size = float(np.linalg.norm(np.ptp(x[np.isfinite(x).all(axis=1)], axis=0)))
         if not size > 0.0:
             return True
-        places = spread(len(kept) - 1, SAMPLED)
+        places = spread(len(kept) - 1, min(SAMPLED, max(FEWEST_SAMPLED, NUMBERS_SAMPLED // self.n)))
         leaves = [self._bend(x, self.t[kept], int(p)) for p in places]
         return bool(np.quantile(leaves, 0.9) <= FLAT * size)
 

@@ -8,7 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from coadjoint.extras import need
+from coadjoint.pictures.scenes import SCENES
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.telling_run import telling_run
 from coadjoint.systems.ready_made import ready_made_systems, telling_of
@@ -52,7 +55,7 @@ def piece(name: str) -> Piece:
     Parameters
     ----------
     name : str
-        One of `coadjoint.systems.ready_made.told_systems`.
+        One of `coadjoint.systems.ready_made.told_systems`, or of `coadjoint.pictures.scenes.SCENES`.
 
     Returns
     -------
@@ -64,6 +67,11 @@ def piece(name: str) -> Piece:
         No such system, or it declares no telling run.
     """
     need("a gallery", "matplotlib")
+    if name in SCENES:
+        scene = SCENES[name]
+        run = scene.run()
+        told = f"{_told(run)}; {run.stats.seconds:.0f} s"
+        return Piece(name, run.plot(scene.pictures), scene.summary, scene.says, told)
     solution = telling_run(name)
     telling = telling_of(name)
     assert telling is not None
@@ -79,7 +87,7 @@ def gallery(names: Sequence[str], draw: Callable[[Any, str], None], echo: Callab
     Parameters
     ----------
     names : sequence of str
-        Some of `coadjoint.systems.ready_made.told_systems`.
+        As for `piece`.
     draw : callable
         Takes a figure and the name of its file.
     echo : callable
@@ -114,10 +122,10 @@ def _told(solution: Solution) -> str:
     system = solution.system
     given = ", ".join(f"{key}={short(value)}" for key, value in (getattr(system, "parameters", None) or {}).items())
     start, end = solution.t_span
-    drift = solution.drift()["energy"]
+    drift, energy = solution.drift()["energy"], np.abs(solution.energy).max()
     return (
         f"{system.name}({given}), {solution.method}, step {solution.step:g}, t from {start:g} to {end:g}; "
-        f"the energy stays within {drift:.1e}"
+        f"the energy, up to {energy:.1e}, stays within {drift:.1e}"
     )
 
 

@@ -18,8 +18,10 @@ from coadjoint.wording import short
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Paint = Callable[["Axes"], None]
-"""What puts a picture into axes."""
+Update = Callable[[int], None]
+"""What shows another saved point in a picture that was put into axes."""
+Paint = Callable[["Axes"], Update | None]
+"""What puts a picture into axes; of kinds that `Kind.moves` it returns what shows another time."""
 Prepare = Callable[..., Paint]
 """A function of a `coadjoint.pictures.drawn.Drawn` and options that returns a `Paint`."""
 
@@ -43,12 +45,18 @@ class Kind:
         Whether it is wide and low, over time: such panels stand one over the other.
     projection : str or None
         Of the axes, as Matplotlib calls it.
+    low : bool
+        Whether two of the kind are drawn one over the other, where others have a column of their own.
+    moves : bool
+        Whether it is drawn at one time, and can show another one: movies are made of it.
     """
 
     name: str
     prepare: Prepare
     over_time: bool = False
     projection: str | None = None
+    low: bool = False
+    moves: bool = False
 
     def check(self, picture: Picture) -> None:
         """Refuse options that this kind does not have.
@@ -74,14 +82,16 @@ class Kind:
 _FOUND: dict[str, Kind] = {}
 
 
-def kind(name: str, *, over_time: bool = False, projection: str | None = None) -> Callable[[Prepare], Prepare]:
+def kind(
+    name: str, *, over_time: bool = False, projection: str | None = None, low: bool = False, moves: bool = False
+) -> Callable[[Prepare], Prepare]:
     """Register a function that prepares a picture, as a kind.
 
     Parameters
     ----------
     name : str
         By which systems and `Solution.plot` ask for it.
-    over_time, projection
+    over_time, projection, low, moves
         As for `Kind`.
 
     Returns
@@ -91,7 +101,7 @@ def kind(name: str, *, over_time: bool = False, projection: str | None = None) -
     """
 
     def register(prepare: Prepare) -> Prepare:
-        _FOUND[name] = Kind(name, prepare, over_time, projection)
+        _FOUND[name] = Kind(name, prepare, over_time, projection, low, moves)
         return prepare
 
     return register

@@ -83,7 +83,8 @@ def _declared(drawn: Drawn, plain: Picture) -> list[tuple[Kind, Paint]]:
     # What the system declares may name coordinates that this one of its family does not have.
     series = (_shown(drawn, (plain,)) if own else []) or [_prepared(drawn, Picture("components") if own else plain)]
     first = _shown(drawn, (Picture("drift"),)) + series + _shown(drawn, (Picture("observed"),))
-    return first + (_shown(drawn, wanted) or _shown(drawn, (Picture("coadjoint orbit"),)))
+    unnamed = (Picture("coadjoint orbit"), Picture("eigenvalues"))
+    return first + (_shown(drawn, wanted) or _shown(drawn, unnamed))
 
 
 def _shown(drawn: Drawn, pictures: Sequence[Picture]) -> list[tuple[Kind, Paint]]:
@@ -133,22 +134,36 @@ def _figure(solution: Solution, drawn: Drawn, prepared: list[tuple[Kind, Paint]]
     from matplotlib.figure import Figure
 
     rows = [(kind, paint) for kind, paint in prepared if kind.over_time]
-    columns = [(kind, paint) for kind, paint in prepared if not kind.over_time]
+    columns = _columns([(kind, paint) for kind, paint in prepared if not kind.over_time])
     widths = [WIDE[True]] * bool(rows) + [WIDE[False]] * len(columns)
     figure = Figure(figsize=(max(7.2, sum(widths)), max(HIGH, 2.4 * len(rows))), layout="constrained")
-    grid = figure.add_gridspec(max(1, len(rows)), len(widths), width_ratios=widths)
+    grid = figure.add_gridspec(1, len(widths), width_ratios=widths)
+    over = grid[0].subgridspec(max(1, len(rows)), 1)
     first: Any = None
     for place, (_, paint) in enumerate(rows):
-        axes = figure.add_subplot(grid[place, 0], sharex=first)
+        axes = figure.add_subplot(over[place], sharex=first)
         first = first or axes
         paint(axes)
         if place < len(rows) - 1:
             axes.tick_params(labelbottom=False)
             axes.set_xlabel("")
-    for place, (kind, paint) in enumerate(columns):
-        paint(figure.add_subplot(grid[:, bool(rows) + place], projection=kind.projection))
+    for place, column in enumerate(columns, start=int(bool(rows))):
+        below = grid[place].subgridspec(len(column), 1)
+        for k, (kind, paint) in enumerate(column):
+            paint(figure.add_subplot(below[k], projection=kind.projection))
     figure.suptitle(_headline(solution, drawn, int(16 * sum(widths)) - 60), fontsize=10.5)
     return figure
+
+
+def _columns(pictures: list[tuple[Kind, Paint]]) -> list[list[tuple[Kind, Paint]]]:
+    """Return one picture for each column, or two low ones, one over the other."""
+    columns: list[list[tuple[Kind, Paint]]] = []
+    for picture in pictures:
+        if picture[0].low and columns and len(columns[-1]) == 1 and columns[-1][0][0].low:
+            columns[-1].append(picture)
+        else:
+            columns.append([picture])
+    return columns
 
 
 def _headline(solution: Solution, drawn: Drawn, letters: int) -> str:

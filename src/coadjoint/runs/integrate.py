@@ -42,7 +42,8 @@ def integrate(
     system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
         What moves; a `batch` has a system for each member.
     x0 : array_like, shape (n,) or (members, n)
-        Initial momentum, or one for each member of an ensemble; (n,) is shared by all members of a batch.
+        Initial momentum, or one for each member of an ensemble; (n,) is shared by all members of a batch. For a
+        `MatrixSystem` a matrix (N, N), or (members, N, N).
     t_span : (float, float)
         Start and end; backward where the end lies before the start. A whole number of steps.
     step : float, optional
@@ -59,9 +60,11 @@ def integrate(
         The group element carried beside the momentum: in the system's own representation (True, or an initial element
         of shape (d, d)), or the coadjoint matrix K with K x constant.
     watch : bool
-        Follow the energy and every Casimir over every step; otherwise over the saved points.
+        Follow the energy and every Casimir over every step; otherwise over the saved points, as those of matrices
+        always are.
     observe : mapping, optional
-        Name -> `Polynomial`, `Quadratic` or function of x: further quantities, evaluated at the saved points.
+        Name -> `Polynomial`, `Quadratic` or function of x: further quantities, evaluated at the saved points. Where
+        states are matrices, functions of a matrix.
     threads : int, optional
         Threads for the members of an ensemble; None is one for each core.
     progress : bool

@@ -98,19 +98,23 @@ class Loops(ABC):
         """What `turned` takes back, for each system where a Casimir was taken off."""
         return [self.turned] if isinstance(self.turned, Unshift) else []
 
-    def measure(self, times: Times, saved: NDArray[Any], values: NDArray[Any], worst: NDArray[Any]) -> None:
-        """Fill in, after a run, the invariants that the loops do not follow; of most systems there are none.
+    def measure(
+        self, times: Times, start: Start, saved: NamedArrays, worst: NDArray[Any], points: NDArray[np.int64]
+    ) -> None:
+        """Fill in the invariants that the loops do not follow, at saved points; of most systems there are none.
 
         Parameters
         ----------
         times : Times
             The steps.
-        saved : (k, members, n) array
-            The saved states.
-        values : (k, members, invariants) array
-            Where the invariants there go.
+        start : Start
+            Where the first of them begins.
+        saved : NamedArrays
+            What was saved.
         worst : (members, tenths, invariants) array
-            Where their largest deviations in each tenth of the run go.
+            The largest deviations in each tenth of the run.
+        points : ndarray of int
+            Those of the saved points that are new.
         """
         return
 
@@ -192,27 +196,37 @@ class SystemLoops(Loops):
         """Return the members first to last - 1 as a crew; `base` as for `Crew`."""
         return Crew(*self._given, first, last, base=base)
 
-    def measure(self, times: Times, saved: NDArray[Any], values: NDArray[Any], worst: NDArray[Any]) -> None:
+    def measure(
+        self, times: Times, start: Start, saved: NamedArrays, worst: NDArray[Any], points: NDArray[np.int64]
+    ) -> None:
         """Take the energy and the invariants of the saved matrices."""
-        system = self._matrices
-        if system is None:
+        if self._matrices is None or not len(points):
             return
-        tenth = np.where(times.saved > 0, (times.saved - 1) * worst.shape[1] // max(1, times.steps), 0)
-        # The later states of members that have failed are NaN, and no function is asked about them.
-        sound = np.isfinite(saved[..., : system.dim]).all(axis=-1)
-        values[:] = np.nan
-        for k, (states, t) in enumerate(zip(saved, times.at(times.saved).tolist(), strict=True)):
-            rows = states[sound[k]]
-            W = system.from_vector(rows[..., : system.dim])
-            with np.errstate(all="ignore"):
-                found = {"energy": system.energy(W, t), **system.casimirs_at(W)}
-            if self.accounts:
-                # what is left of each beside the work of forces
-                for name in tuple(found):
-                    done = [system.dim + place for place, (_, which) in enumerate(self.accounts) if which == name]
-                    found[f"{name}, balance"] = found[name] - rows[..., done].sum(axis=-1)
-            values[k, sound[k]] = np.stack(list(found.values()), axis=-1)
-            worst[:, tenth[k]] = np.fmax(worst[:, tenth[k]], np.abs(values[k] - values[0]))
+        first = self._values(start.momenta, times.t0)
+        for k in points.tolist():
+            number = int(times.saved[k])
+            found = saved["values"][k] = self._values(saved["x"][k], float(times.at(times.saved[k])))
+            tenth = max(0, number - 1) * worst.shape[1] // max(1, times.steps)
+            with np.errstate(invalid="ignore"):  # infinities of members that are about to fail
+                worst[:, tenth] = np.fmax(worst[:, tenth], np.abs(found - first))
+
+    def _values(self, states: NDArray[np.float64], t: float) -> NDArray[np.float64]:
+        system = self._matrices
+        assert system is not None
+        # Later states of members that have failed are NaN, and no function is asked about them.
+        sound = np.isfinite(states[:, : system.dim]).all(axis=-1)
+        found = np.full((len(states), len(self.names) * (2 if self.accounts else 1)), np.nan)
+        W = system.from_vector(states[sound, : system.dim])
+        with np.errstate(all="ignore"):
+            values = [system.energy(W, t), *system.casimirs_at(W).values()]
+        if self.accounts:
+            # less what forces have done to each, which stands behind the numbers of a state, and not of a start
+            done = {name: np.zeros(len(W)) for name in self.names}
+            for (_, name), column in zip(self.accounts, states[sound, system.dim :].T, strict=False):
+                done[name] += column
+            values += [value - done[name] for value, name in zip(values, self.names, strict=True)]
+        found[sound] = np.stack(values, axis=-1)
+        return found
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop."""

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.given import read_number
 from coadjoint.systems.kinds import System
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.wording import short
@@ -24,7 +26,7 @@ class Observed:
     system : LiePoissonSystem or PoissonSystem
         For the number of coordinates.
     observe : mapping
-        Name -> `Polynomial`, `Quadratic` or function of x.
+        Name -> `Polynomial`, `Quadratic` or function of x; of a matrix where states are matrices.
     x0 : ndarray, shape (n,)
         A state; there a function must return one real number.
 
@@ -38,23 +40,53 @@ class Observed:
         from coadjoint.kernels.tables import watch_tables
         from coadjoint.kernels.watching import values_along
 
+        self._names, self._matrices = list(observe), system if isinstance(system, MatrixSystem) else None
+        self._given = dict(observe)
+        start: Any = x0
+        if self._matrices is not None:
+            start = self._matrices.states(x0)
+            _check_of_matrices(self._matrices, observe)
         for name, given in observe.items():
-            value = _value_at(given, name, x0)
+            value = _value_at(given, name, start)
             if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
                 raise TypeError(
                     f"observe[{short(name)}] returns {short(value)} at the start; it must return one real number"
                 )
-        self._names = list(observe)
+        if self._matrices is not None:
+            return
         kinds = (Polynomial, Quadratic, Invariant)
         wrapped = {name: given if isinstance(given, kinds) else Invariant(given) for name, given in observe.items()}
         self._compiled, self._values_along = watch_tables(system, wrapped), values_along
 
     def along(self, t: NDArray[np.float64], points: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
         """Return the values (k, members) of every quantity at the times (k,) and points (k, members, n)."""
+        if self._matrices is not None:
+            return {name: self._of_matrices(name, t, points) for name in self._names}
         # The first invariant of a watch is the energy.
         out = np.empty((*points.shape[:2], len(self._names) + 1))
         self._values_along(self._compiled.tables, points, t, out)
         return {name: out[..., i + 1] for i, name in enumerate(self._names)}
+
+    def _of_matrices(self, name: str, t: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the values of a function of a matrix, called in Python; NaN where a member has failed."""
+        assert self._matrices is not None
+        function, system = self._given[name], self._matrices
+        timed = takes_time(function, name)
+        found = np.full(points.shape[:2], np.nan)
+        for k, m in np.argwhere(np.isfinite(points).all(axis=-1)).tolist():
+            W = system.states(points[k, m, : system.dim])
+            value = function(W, float(t[k])) if timed else function(W)
+            found[k, m] = read_number(value, f"what observe[{short(name)}] returns at t = {t[k]:g}")
+        return found
+
+
+def _check_of_matrices(system: MatrixSystem, observe: Mapping[str, Any]) -> None:
+    for name, given in observe.items():
+        if isinstance(given, Polynomial | Quadratic):
+            raise TypeError(
+                f"observe[{short(name)}] is a function of coordinates, and the states of {system.name} are matrices; "
+                "give a function of a matrix"
+            )
 
 
 def check_observe(observe: Any) -> dict[str, Any]:

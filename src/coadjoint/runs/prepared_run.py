@@ -69,7 +69,8 @@ class PreparedRun:
         self.system: Any = system
         self.method, self.step = scheme, checked_step(step)
         self._scheme = serving(system, scheme)
-        self._attitude, self._watching = attitude, watching
+        # The loops do not follow what is kept of matrices.
+        self._attitude, self._watching = attitude, watching and not isinstance(system, MatrixSystem)
         self._representations = representations_of(cast(Any, system), self._scheme, attitude)
         self._observe = check_observe({} if observe is None else observe)
         self._threads = workers or os.cpu_count() or 1

@@ -118,8 +118,8 @@ class Run:
             self.state.arrays = self.state.arrays.take(place, 0)
             if last == self.times.steps:
                 self.saved = self.saved.take(place, 1)
-        if last == self.times.steps:
-            self.loops.measure(self.times, self.saved["x"], self.saved["values"], self.state["worst"])
+        new = np.flatnonzero((self.times.saved <= last) & ((self.times.saved > first) | (first == 0)))
+        self.loops.measure(self.times, self.start, self.saved, self.state["worst"], new)
 
     def _take(self, crews: list[Crew], done: int, target: int, pool: ThreadPoolExecutor | None) -> int:
         """Take the steps done + 1 to target of some crews; return how many members have failed."""
@@ -130,16 +130,15 @@ class Run:
 
         try:
             wrong = sum(map(take, crews) if pool is None else pool.map(take, crews))
-            raised = self.loops.raised() if wrong else None
-            if raised is not None:
-                raise raised
-            return wrong
         except BaseException as ended:
             stop.say()
             raised = self.loops.raised()
             if raised is not None:
                 raise raised from None
             raise ended
+        if wrong and (raised := self.loops.raised()) is not None:
+            raise raised
+        return wrong
 
     def _take_in_chunks(
         self, crews: list[Crew], done: int, last: int, pool: ThreadPoolExecutor | None, bar: Callable[[int], Any]

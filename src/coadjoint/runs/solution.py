@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import FrozenInstanceError, dataclass
 from functools import cached_property, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -333,6 +334,37 @@ class Solution:
         series = {"energy": self.energy, **self.casimirs}
         return {name: Drift(self._worst[..., first + i], values[0]) for i, (name, values) in enumerate(series.items())}
 
+    def spectrum(self) -> NDArray[Any]:
+        """Return the eigenvalues of the saved matrices of a `MatrixSystem`, which an isospectral scheme keeps.
+
+        Returns
+        -------
+        ndarray, shape (k, N) or (k, members, N)
+            As `MatrixSystem.spectrum` says; NaN where a member has failed.
+
+        Raises
+        ------
+        TypeError
+            The states are no matrices.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> import numpy as np
+        >>> s = co.MatrixSystem(co.MatrixAlgebra("gl", 3), lambda W: W.T)
+        >>> sol = co.integrate(s, np.diag([1.0, 2.0, 3.0]) + 0.1, t_span=(0, 1), step=0.1)
+        >>> bool(abs(sol.spectrum() - sol.spectrum()[0]).max() < 1e-13)
+        True
+        """
+        if not isinstance(self.system, MatrixSystem):
+            raise TypeError(f"the states of {self.system.name} are no matrices, and have no spectrum")
+        x = self.x.reshape(-1, *self.x.shape[1 if self._start.single else 2 :])
+        sound = np.isfinite(x).reshape(len(x), -1).all(axis=1)
+        values = self.system.spectrum(x[sound])
+        found = np.full((len(x), values.shape[-1]), np.nan, dtype=values.dtype)
+        found[sound] = values
+        return found.reshape(*self.x.shape[: 1 if self._start.single else 2], -1)
+
     def modified_energy(self, order: int = 4) -> NDArray[np.float64]:
         """Return the modified Hamiltonian of the scheme and the step of the run, at the saved points.
 
@@ -420,6 +452,51 @@ class Solution:
         from coadjoint.pictures.solution import draw_solution
 
         return draw_solution(self, panels, components, axes)
+
+    def movie(
+        self,
+        path: str | Path,
+        picture: Any = None,
+        frames: int = 240,
+        fps: float = 24.0,
+        size: tuple[int, int] = (960, 540),
+    ) -> Path:
+        """Write the run as a movie: a picture of one time, such as the vorticity of a fluid, at the saved times.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``.mp4``, which needs the program ffmpeg, or ``.gif``.
+        picture : str or Picture, optional
+            Another picture than the first of one time that the system declares, such as ``Picture("vorticity",
+            part="large")``; `coadjoint.pictures.movie.write_movie` says more.
+        frames : int
+            How many at most, from 2 to 5000: of the saved times, evenly spread.
+        fps : float
+            Frames a second.
+        size : (int, int)
+            Width and height in pixels, even numbers.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        TypeError, ValueError
+            The system has nothing that a movie shows, ffmpeg is missing, or a value is wrong.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> sol = co.integrate(co.systems.rigid_body((1, 2, 3)), (1, 0.2, 0.1), (0, 1), 0.1)
+        >>> sol.movie("body.gif")
+        Traceback (most recent call last):
+        coadjoint.pictures.register.CannotShow: rigid_body declares no picture that a movie can show; give one: ...
+        """
+        from coadjoint.pictures.movie import write_movie
+
+        return write_movie(self, path, picture, frames, fps, size)
 
 
 def check_solution(solution: Any) -> None:

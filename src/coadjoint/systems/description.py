@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made_systems, telling_of
 
@@ -32,7 +33,7 @@ def description(name: str) -> dict[str, Any]:
         ``"state"``, ``"source"``; ``"sign"``, ``"algebra"``, ``"dimension"``, ``"rank"`` of J(x) at a generic point,
         ``"coordinates"`` (their names), ``"casimirs"`` and ``"integrals"`` (name to formula, or to None where they are
         no polynomials), ``"exact"`` (whether there is a closed form) and ``"attitude"`` ("representation", "coadjoint"
-        or "none": the group element that runs carry); for `json`.
+        "matrices" or "none": the group element that runs carry); for `json`.
 
     Raises
     ------
@@ -116,6 +117,8 @@ def _formula(value: Any, coordinates: tuple[str, ...]) -> str | None:
 def _attitude(system: Any) -> str:
     if system.representation is not None:
         return "representation"
+    if isinstance(system, MatrixSystem):
+        return "matrices"
     return "none" if system.algebra is None else "coadjoint"
 
 
@@ -133,6 +136,8 @@ def short_formula(text: str) -> str:
 
 
 def _rank(system: Any) -> int:
+    if hasattr(system, "generic_rank"):
+        return int(system.generic_rank())
     if hasattr(system.algebra, "generic_rank"):
         return int(system.algebra.generic_rank())
     return int(np.linalg.matrix_rank(system.structure_matrix(np.cos(1.0 + np.arange(system.dim)))))

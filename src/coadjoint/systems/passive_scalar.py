@@ -8,7 +8,7 @@ from coadjoint.systems.reduced_mhd import ideal_fluid
 
 
 @ready_made
-def passive_scalar(N: int = 33, surface: str = "sphere") -> TwoLayerSystem:
+def passive_scalar(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     """Return an ideal fluid in two dimensions with a scalar that it carries, quantized.
 
     ``W' = [P, W]``, ``Theta' = [P, Theta]`` with ``L P = -W``: W is the vorticity, Theta the scalar, which does not act

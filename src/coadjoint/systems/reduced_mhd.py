@@ -16,7 +16,7 @@ SURFACES: dict[str, Callable[..., MatrixSystem]] = {"sphere": sphere_euler, "tor
 
 
 @ready_made
-def reduced_mhd(N: int = 33, surface: str = "sphere") -> TwoLayerSystem:
+def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     """Return the equations of an ideal conducting fluid in two dimensions, quantized.
 
     ``W' = [P, W] + [J, Theta]``, ``Theta' = [P, Theta]`` with ``L P = -W`` and ``J = -L Theta``: W is the vorticity,

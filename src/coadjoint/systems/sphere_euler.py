@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from math import pi
 from typing import Any
@@ -22,8 +23,8 @@ from coadjoint.systems.matrices.spherical_modes import (
     scale,
 )
 from coadjoint.systems.matrices.streams import DiagonalSolve
-from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 LARGEST = 4096
 Floats = npt.NDArray[np.float64]
@@ -63,12 +64,14 @@ class SphereEuler(FluidSystem):
             parameters={"N": N, "rotation": rotation},
         )
 
+    states_by_name = (*FluidSystem.states_by_name, "rossby_haurwitz", "zonal_jet")
+
     rossby_haurwitz = sphere_states.rossby_haurwitz
     zonal_jet = sphere_states.zonal_jet
 
     def mode_array(self, W: Any) -> Matrix:
         """Return the coefficients of matrices (..., N, N) as an array, ``[..., l, m]`` with m >= 0."""
-        return harmonics_of_matrix(W)
+        return harmonics_of_matrix(self.matrices(W))
 
     def from_modes(self, modes: Any) -> Matrix:
         """Return W of coefficients of orthonormal spherical harmonics with the phase of Condon and Shortley.
@@ -97,7 +100,7 @@ class SphereEuler(FluidSystem):
         return as_mapping(harmonics_of_matrix(self._one(W)))
 
     def _one(self, W: Any) -> Matrix:
-        given = np.asarray(W, dtype=np.complex128)
+        given = self.matrices(W)
         if given.shape != self.shape:
             raise ValueError(f"W has the shape {given.shape}; give one matrix, {self.shape}, or use mode_array")
         return given
@@ -153,7 +156,7 @@ class SphereEuler(FluidSystem):
         >>> s.to_grid(-2 * generators(4)[2], (3, 1))[:, 0].round(12) + 0.0
         array([ 2.,  0., -2.])
         """
-        return sphere_grid.values_of(harmonics_of_matrix(W), self._shape(shape), points)
+        return sphere_grid.values_of(self.mode_array(W), self._shape(shape), points)
 
     def from_grid(self, values: Any, points: str = "clenshaw-curtis", longitude: float = 0.0) -> Matrix:
         """Return the matrix of a field that is given at the points of a grid, without its mean.
@@ -218,10 +221,10 @@ class SphereEuler(FluidSystem):
         return sphere_grid.read_places(places, what)
 
     def relative(self, W: Any) -> Matrix:
-        return np.asarray(np.asarray(W, dtype=np.complex128) - self.planetary)
+        return np.asarray(self.matrices(W) - self.planetary)
 
     def absolute(self, W: Any) -> Matrix:
-        return np.asarray(np.asarray(W, dtype=np.complex128) + self.planetary)
+        return np.asarray(self.matrices(W) + self.planetary)
 
     def exact(self, x0: Any, t: Any) -> Matrix:
         """Return the exact motion (N, N) or (k, N, N) of a state at a time, or at several (k,).
@@ -246,21 +249,43 @@ class SphereEuler(FluidSystem):
         -------
         (..., 3) array
         """
-        return sphere_states.angular_momentum(W)
+        return sphere_states.angular_momentum(self.matrices(W))
 
     @property
-    def integrals(self) -> dict[str, Any]:  # type: ignore[override]
-        """Name -> linear function of the numbers of a state: the parts of the angular momentum that are constant.
+    def integrals(self) -> Mapping[str, Any]:  # type: ignore[override]
+        """Name -> function of states (..., N, N): the parts of the angular momentum that are constant.
 
         These are all three, or in a rotating frame that along z; `integrate` follows them by
         ``observe=system.integrals``.
         """
-        S, kept = generators(self.algebra.N), (2,) if self.rotation else (0, 1, 2)
-        slopes = {f"angular momentum {'xyz'[a]}": -self.to_vector(S[a]) / self.scale**2 for a in kept}
-        return {name: Quadratic(0.0, linear=slope) for name, slope in slopes.items()}
+        kept = "z" if self.rotation else "xyz"
+        return {f"angular momentum {axis}": sphere_states.MomentumAlong(axis) for axis in kept}
 
 
-@ready_made
+def _unstable_jet() -> Matrix:
+    return sphere_euler(48).zonal_jet(band=(0.2, 1.2), perturbation=0.1)
+
+
+@ready_made(
+    telling=Telling(
+        x0=_unstable_jet,
+        t_span=(0.0, 10.0),
+        step=0.00625,
+        says="An eastward jet is unstable: a small bump grows to waves, which roll up and break into vortices of both "
+        "signs. In the middle the vorticity at the start and at the end. Energy goes to both sides in scale, and the "
+        "spectrum of the matrix stays.",
+        pictures=(
+            Picture("vorticity", at=0.0),
+            Picture("vorticity", at=1.0),
+            Picture("field spectra"),
+            Picture("eigenvalues"),
+        ),
+        components=Picture("energy by scale"),
+        parameters={"N": 48},
+        save_every=20,
+        quantity="vorticity",
+    )
+)
 def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
     """Return the Euler equations of an ideal fluid on the sphere, quantized: ``W' = [P, W]``, ``L P = -W``.
 

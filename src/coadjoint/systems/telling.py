@@ -50,7 +50,7 @@ class Telling:
     Parameters
     ----------
     x0 : array_like, shape (n,) or (members, n), or function that returns it
-        A good start; a function where it takes a formula.
+        A good start; a function where it takes a formula. Of systems of matrices (N, N) or (members, N, N).
     t_span : (float, float)
         Start and end.
     step : float
@@ -111,14 +111,16 @@ class Telling:
             if not isinstance(text, str) or not text:
                 raise TypeError(f"{what} is {short(text)}; give a text")
 
-    def start(self) -> Floats:
+    def start(self) -> npt.NDArray[Any]:
         """Return the start, or one for each member.
 
         Returns
         -------
         ndarray, shape (n,) or (members, n)
         """
-        return read_finite(self.x0() if callable(self.x0) else self.x0, "x0")
+        given = self.x0() if callable(self.x0) else self.x0
+        # A complex matrix is read where the run begins.
+        return np.array(given) if np.iscomplexobj(given) else read_finite(given, "x0")
 
     def names(self, dim: int) -> tuple[str, ...]:
         """Return the names of so many coordinates, or none where they are not named.

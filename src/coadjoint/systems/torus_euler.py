@@ -17,6 +17,7 @@ from coadjoint.systems.matrices.sphere_grid import read_shape, read_values
 from coadjoint.systems.matrices.streams import Circulants
 from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix, read_modes, representatives
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 
 LARGEST = 1001
 Floats = npt.NDArray[np.float64]
@@ -31,11 +32,13 @@ class TorusEuler(FluidSystem):
     time in its own units as N grows. W is ``-i N/(4 pi) sum of w_n T_n``.
     """
 
+    states_by_name = (*FluidSystem.states_by_name, "zonal_jet")
+
     zonal_jet = torus_states.zonal_jet
 
     def mode_array(self, W: Any) -> Matrix:
         """Return the modes of matrices (..., N, N) as an array, ``[..., n1 mod N, n2 mod N]``."""
-        return modes_of_matrix(np.asarray(W, dtype=np.complex128))
+        return modes_of_matrix(self.matrices(W))
 
     def from_modes(self, modes: Any) -> Matrix:
         """Return the matrix W of modes.
@@ -61,7 +64,7 @@ class TorusEuler(FluidSystem):
     def modes(self, W: Any) -> dict[tuple[int, int], complex]:
         """Return the modes of a matrix W, those that are not zero to round-off."""
         N = self.algebra.N
-        w = modes_of_matrix(np.asarray(W, dtype=np.complex128))
+        w = modes_of_matrix(self.matrices(W))
         n, size = representatives(N), np.abs(w).max(initial=0.0)
         return {
             (int(n[i]), int(n[j])): complex(round_off(w[i, j], size)) for i, j in np.argwhere(np.abs(w) > 1e-14 * size)
@@ -124,9 +127,8 @@ class TorusEuler(FluidSystem):
         -------
         (..., N, N) array
         """
-        w = torus_grid.modes_of(read_values(values), self.algebra.N)
-        w[..., 0, 0] = 0.0
-        return self.algebra.projected(matrix_of_modes(w))
+        # the mean is a multiple of the unit, which is no part of the algebra
+        return self.algebra.projected(matrix_of_modes(torus_grid.modes_of(read_values(values), self.algebra.N)))
 
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
         x, y = torus_grid.recognized(first, "x"), torus_grid.recognized(second, "y")
@@ -184,7 +186,29 @@ def round_off(value: complex, size: float) -> complex:
     return complex(round(real / size, 15) * size, round(imaginary / size, 15) * size)
 
 
-@ready_made
+def _two_jets() -> Matrix:
+    return torus_euler(49).zonal_jet(width=0.5, perturbation=0.1)
+
+
+@ready_made(
+    telling=Telling(
+        x0=_two_jets,
+        t_span=(0.0, 10.0),
+        step=0.00625,
+        says="Two jets, one against the other, meander and roll up into rows of vortices. In the middle the vorticity "
+        "at the start and at the end. The spectrum of the matrix stays.",
+        pictures=(
+            Picture("vorticity", at=0.0),
+            Picture("vorticity", at=1.0),
+            Picture("field spectra"),
+            Picture("eigenvalues"),
+        ),
+        components=Picture("energy by scale"),
+        parameters={"N": 49},
+        save_every=20,
+        quantity="vorticity",
+    )
+)
 def torus_euler(N: int = 33) -> TorusEuler:
     """Return the Euler equations of an ideal fluid on the torus with the sine bracket: ``W' = [P, W]``, ``L P = -W``.
 

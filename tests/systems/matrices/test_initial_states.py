@@ -41,6 +41,16 @@ def test_a_random_field_has_the_spectrum_that_is_asked_for(s):
 
 
 @fluids
+def test_matrices_of_another_size_are_refused(s):
+    for call in (s.to_grid, s.mode_array, s.energy_spectrum, s.relative, s.absolute):
+        with pytest.raises(ValueError, match=r"a state has the shape \(5, 5\)"):
+            call(np.zeros((5, 5)))
+    # the numbers of states are taken for them
+    W = s.random(3)
+    np.testing.assert_array_equal(s.to_grid(s.to_vector(W)[None]), s.to_grid(W[None]))
+
+
+@fluids
 def test_spectra_are_integrals(s):
     """Of the square of the vorticity on a grid that is fine enough, and of the square of the velocity by -psi omega."""
     W = s.random(2, degrees=(1, 6))
@@ -183,9 +193,9 @@ def test_fields_in_netcdf_in_any_order(points, tmp_path):
     import xarray
 
     W = TURNING.random(9)
-    latitude, longitude = latitudes(points, 30)[::-1], longitudes(60, -np.pi)
+    latitude, longitude = latitudes(points, 30)[::-1], longitudes(60, -np.pi / 3)[::-1]
     field = TURNING.to_grid(TURNING.relative(W), (30, 60), points)[::-1]
-    field = np.roll(field, 30, axis=1)
+    field = np.roll(field, 10, axis=1)[:, ::-1]
     dataset = xarray.Dataset(
         {"vo": (("time", "longitude", "lat"), np.stack([0 * field.T, field.T])), "top": ("lat", latitude)},
         {

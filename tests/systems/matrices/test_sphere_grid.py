@@ -66,6 +66,8 @@ def test_coarser_and_finer_grids_keep_what_they_resolve():
     kept = {mode: c for mode, c in S.modes(S.from_grid(fine)).items() if mode[0] < 5}
     assert list(cut) == list(kept)
     assert max(abs(cut[mode] - kept[mode]) for mode in kept) < 1e-12
+    # eight columns do not tell the phase of an order of 4
+    assert np.abs(S.from_grid(S.to_grid(S.from_modes({(5, 4): 1.0}), (12, 8)))).max() < 1e-12
     degrees = {l for l, _ in S.modes(S.from_grid(S.to_grid(S.random(9), (6, 30))))}
     assert max(degrees) == resolved("clenshaw-curtis", 6) == 4
 

@@ -17,6 +17,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.kinds import System
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 Floats = NDArray[np.float64]
 
@@ -130,6 +131,10 @@ class Subject:
         units = small * np.eye(len(x))
         ahead, behind = self.step(x + units, h), self.step(x - units, h)
         P = (ahead - behind) / (2 * small)
+        if isinstance(self.system, MatrixSystem):
+            # Beside the algebra nothing moves.
+            values = np.linalg.svd(P, compute_uv=False)[: self.system.algebra.dim]
+            return float(np.linalg.norm(values) * np.linalg.norm(1.0 / values))
         return float(np.linalg.norm(P) * np.linalg.norm(np.linalg.inv(P)))
 
     def step(self, x: Floats, h: float, t: float = 0.0) -> Floats:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.fluids import carried_by, vorticity_of
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.style import colour, key, plain_axes, symbol
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 MOST_CASIMIRS = 5
 """Casimirs with a line of their own; of more, the worst four, and a band that holds all."""
 BAND = "#9AA7B5"
+TRACE = re.compile(r"tr (W|Theta)( Theta)?(?:\^(\d+))?")
 
 
 @kind("drift", over_time=True)
@@ -23,7 +28,8 @@ def drift(drawn: Drawn) -> Paint:
 
     Where the Hamiltonian depends on time the energy is meant to change, and the picture says so. Of many Casimirs the
     worst four have lines, and a band reaches from the smallest to the largest deviation of all. Where forces change the
-    invariants, dotted lines show what is left of the change less their work: that is the error of the run.
+    invariants, dotted lines show what is left of the change less their work: that is the error of the run. Traces of
+    powers of large matrices are large numbers; of matrices, deviations are shown as parts of their sizes.
 
     Parameters
     ----------
@@ -34,7 +40,11 @@ def drift(drawn: Drawn) -> Paint:
     -------
     Paint
     """
-    deviations = {name: np.abs(values - values[:, :1]) for name, values in drawn.invariants.items()}
+    sizes = _sizes(drawn)
+    deviations = {
+        name: np.abs(values - values[:, :1]) / sizes.get(name, 1.0) for name, values in drawn.invariants.items()
+    }
+    measure = "relative" if sizes else "absolute"
     energy = deviations.pop("energy")
     lines, others = {"energy": energy, **_worst(deviations)}, len(deviations)
 
@@ -47,8 +57,9 @@ def drift(drawn: Drawn) -> Paint:
             label = "$H$, driven" if name == "energy" and drawn.driven else symbol(name)
             draw_members(axes, drawn.t, visible, drawn.close, colour(i), label)
             if drawn.left is not None:
-                _draw_left(axes, drawn, name, colour(i), None if i else "$H$ less their work")
-        axes.set(yscale="log", ylabel="absolute deviation from start")
+                shown = np.abs(drawn.left[name]) / sizes.get(name, 1.0)
+                _draw_left(axes, drawn, shown, colour(i), None if i else "$H$ less their work")
+        axes.set(yscale="log", ylabel=f"{measure} deviation from start")
         plain = "drift of the energy $H$ and the Casimirs"
         title = "change of the driven energy $H$, drift of the Casimirs" if drawn.driven else plain
         if drawn.left is not None:
@@ -63,9 +74,31 @@ def drift(drawn: Drawn) -> Paint:
     return paint
 
 
-def _draw_left(axes: Any, drawn: Drawn, name: str, shade: str, label: str | None) -> None:
-    assert drawn.left is not None
-    for m, values in enumerate(np.abs(drawn.left[name])):
+def _sizes(drawn: Drawn) -> Mapping[str, float]:
+    """Return what deviations of invariants are divided by, at the start of the first member: of matrices alone.
+
+    Traces of powers have cancelled: their size is that of the sum without signs.
+    """
+    if not isinstance(drawn.family, MatrixSystem):
+        return {}
+    state = drawn.state(0)
+    found = {"energy": float(np.nanmax(np.abs(drawn.invariants["energy"])))}
+    singular = {
+        "W": np.linalg.svd(vorticity_of(state), compute_uv=False),
+        "Theta": np.linalg.svd(carried_by(state), compute_uv=False),
+    }
+    for name in drawn.invariants:
+        trace = TRACE.fullmatch(name)
+        if trace is not None:
+            first, second = singular[trace[1]], singular["Theta" if trace[2] else trace[1]]
+            power = int(trace[3] or 1) if trace[2] else int(trace[3] or 1) - 1
+            found[name] = float(np.sum(first * second**power))
+    known = all(np.isfinite(found.get(name, np.nan)) and found[name] > 0.0 for name in drawn.invariants)
+    return found if known else {}
+
+
+def _draw_left(axes: Any, drawn: Drawn, left: npt.NDArray[np.float64], shade: str, label: str | None) -> None:
+    for m, values in enumerate(left):
         visible = np.where(values > 0.0, values, np.nan)
         axes.plot(drawn.t, visible, ":", color=shade, linewidth=0.8, label=label if m == 0 else None)
 

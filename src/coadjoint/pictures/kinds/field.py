@@ -9,14 +9,14 @@ import numpy as np
 
 from coadjoint.given import read_positive
 from coadjoint.pictures.drawn import Drawn
-from coadjoint.pictures.register import CannotShow, Paint, kind
+from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import INK
 
 CELLS = 160
 LEVELS = 21
 
 
-@kind("field")
+@kind("field", moves=True)
 def field(
     drawn: Drawn,
     width: Callable[[Any], float],
@@ -49,30 +49,46 @@ def field(
     """
     k, wide = drawn.at(at), read_positive(width(drawn.family), "width")
     if values is not None:
-        shown, size = drawn.of_state(values, k)
+        first, size = drawn.of_state(values, k)
+
+        def at_point(j: int) -> Any:
+            return np.asarray(values(drawn.family, drawn.state(j)), dtype=np.float64)
+
     elif modes is not None:
         edge = np.linspace(0.0, wide, CELLS + 1)
         waves = np.asarray(modes(drawn.family, *np.meshgrid(edge, edge)))
         if len(waves) != drawn.n:
             raise CannotShow(f"the field has {len(waves)} modes, and the state has {drawn.n} coordinates")
-        shown = np.tensordot(drawn.x[0, k], waves, axes=1)
+
+        def at_point(j: int) -> Any:
+            return np.tensordot(drawn.x[0, j], waves, axes=1)
+
+        first = at_point(k)
         # One scale for all times, which no sum of the modes leaves.
         size = float(np.max(np.abs(drawn.x[0]) @ np.abs(waves).max(axis=(1, 2)))) or 1.0
     else:
         raise TypeError("a field needs its modes, or a function that gives its values")
 
-    def paint(axes: Any) -> None:
+    def paint(axes: Any) -> Update:
         from matplotlib.ticker import MaxNLocator
 
-        places = (np.linspace(0.0, wide, count) for count in shown.shape[::-1])
-        levels = np.linspace(-size, size, LEVELS)
-        drawn_field = axes.contourf(*places, shown, levels, cmap="RdBu_r")
+        places = [np.linspace(0.0, wide, count) for count in first.shape[::-1]]
+        style = {"levels": np.linspace(-size, size, LEVELS), "cmap": "RdBu_r"}
+        drawn_field = axes.contourf(*places, first, **style)
         bar = axes.figure.colorbar(drawn_field, ax=axes, shrink=0.7, pad=0.02, ticks=MaxNLocator(5))
         bar.set_label(label, fontsize=9)
         bar.ax.tick_params(labelsize=8)
         axes.tick_params(width=0.6, length=3.0, labelsize=8, colors=INK)
         axes.set(xlabel="$X$", ylabel="$Y$")
         axes.set_aspect("equal")
-        axes.set_title(f"{label} at $t$ = {drawn.t[k]:.4g}", fontsize=9.5, color=INK)
+        title = axes.set_title(f"{label} at $t$ = {drawn.t[k]:.4g}", fontsize=9.5, color=INK)
+
+        def update(j: int) -> None:
+            nonlocal drawn_field
+            drawn_field.remove()
+            drawn_field = axes.contourf(*places, np.clip(at_point(j), -size, size), **style)
+            title.set_text(f"{label} at $t$ = {drawn.t[j]:.4g}")
+
+        return update
 
     return paint

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.globe import VIEW, Globe
-from coadjoint.pictures.register import Paint, kind
+from coadjoint.pictures.register import Paint, Update, kind
 from coadjoint.pictures.style import INK
 
 Floats = npt.NDArray[np.float64]
@@ -18,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 PIXELS = 301
 
 
-@kind("sphere field")
+@kind("sphere field", moves=True)
 def sphere_field(
     drawn: Drawn,
     values: Callable[[Any, Any], Any],
@@ -49,21 +49,30 @@ def sphere_field(
     k = drawn.at(at)
     grid, size = drawn.of_state(values, k)
 
-    def paint(axes: Any) -> None:
+    def paint(axes: Any) -> Update:
         globe = Globe(axes, ("$X$", "$Y$", "$Z$"), view)
         edge = np.linspace(-1.0, 1.0, PIXELS)
         across, up = np.meshgrid(edge, edge)
         height = 1.0 - across**2 - up**2
         towards = np.stack([across, up, np.sqrt(np.maximum(height, 0.0))], axis=-1) @ globe.frame
-        seen = np.where(height >= 0.0, on_grid(grid, towards), np.nan)
+
+        def seen(values: Floats) -> Floats:
+            return np.where(height >= 0.0, on_grid(values, towards), np.nan)
+
         picture = axes.imshow(
-            seen, extent=(-1, 1, -1, 1), origin="lower", cmap="RdBu_r", vmin=-size, vmax=size, zorder=0.5
+            seen(grid), extent=(-1, 1, -1, 1), origin="lower", cmap="RdBu_r", vmin=-size, vmax=size, zorder=0.5
         )
         axes.set(xlim=(-1.42, 1.42), ylim=(-1.42, 1.42))
         bar = axes.figure.colorbar(picture, ax=axes, shrink=0.6, pad=0.02)
         bar.set_label(label, fontsize=9)
         bar.ax.tick_params(labelsize=8)
-        axes.set_title(f"{label} at $t$ = {drawn.t[k]:.4g}", fontsize=9.5, color=INK)
+        title = axes.set_title(f"{label} at $t$ = {drawn.t[k]:.4g}", fontsize=9.5, color=INK)
+
+        def update(j: int) -> None:
+            picture.set_data(seen(np.asarray(values(drawn.family, drawn.state(j)), dtype=np.float64)))
+            title.set_text(f"{label} at $t$ = {drawn.t[j]:.4g}")
+
+        return update
 
     return paint
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from coadjoint.given import read_choice
 from coadjoint.pictures.drawn import Drawn
-from coadjoint.pictures.register import CannotShow, Paint, kind
+from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.sites import places_of_sites
 from coadjoint.pictures.style import INK
 
@@ -17,7 +17,7 @@ SHADES = ("#0072B2", "#8A8A8A", "#D55E00")
 """Down, in the plane, up: the middle is dark enough for arrows on white."""
 
 
-@kind("spins")
+@kind("spins", moves=True)
 def spins(drawn: Drawn, at: float = 1.0, seen: str = "plane") -> Paint:
     """Show the spins of a lattice at one time.
 
@@ -44,17 +44,22 @@ def spins(drawn: Drawn, at: float = 1.0, seen: str = "plane") -> Paint:
         raise CannotShow(f"the lattice has {len(places)} sites, and there are {n // 3} spins")
     flat, out = ((0, 1), 2) if read_choice(seen, "way to see spins", FLAT) == "plane" else ((0, 2), 1)
     k = drawn.at(at)
-    S = drawn.x[0, k].reshape(-1, 3)
-    size = float(np.linalg.norm(S, axis=1).max()) or 1.0
+    size = float(np.linalg.norm(drawn.x[0, k].reshape(-1, 3), axis=1).max()) or 1.0
 
-    def paint(axes: Any) -> None:
+    def arrows(j: int) -> tuple[Any, ...]:
+        S = drawn.x[0, j].reshape(-1, 3) / size
+        return S[:, flat[0]], S[:, flat[1]], S[:, out]
+
+    def titled(j: int) -> str:
+        return f"spins at $t$ = {drawn.t[j]:g}: arrows $(S_{flat[0] + 1}, S_{flat[1] + 1})$"
+
+    def paint(axes: Any) -> Update:
         from matplotlib.colors import LinearSegmentedColormap
 
-        u, v = S[:, flat[0]] / size, S[:, flat[1]] / size
         shades = LinearSegmentedColormap.from_list("out of the plane", SHADES)
         style = {"angles": "xy", "scale_units": "xy", "scale": 1.05, "pivot": "mid", "cmap": shades}
         drawn_arrows = axes.quiver(
-            *places.T, u, v, S[:, out] / size, clim=(-1.0, 1.0), width=0.006, headwidth=4.0, minlength=0.0, **style
+            *places.T, *arrows(k), clim=(-1.0, 1.0), width=0.006, headwidth=4.0, minlength=0.0, **style
         )
         axes.plot(*places.T, ".", markersize=1.5, color=INK, zorder=0)
         bar = axes.figure.colorbar(drawn_arrows, ax=axes, shrink=0.7, pad=0.02)
@@ -64,8 +69,12 @@ def spins(drawn: Drawn, at: float = 1.0, seen: str = "plane") -> Paint:
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xticks=[], yticks=[])
         axes.set_aspect("equal")
         axes.spines[:].set_visible(False)
-        axes.set_title(
-            f"spins at $t$ = {drawn.t[k]:g}: arrows $(S_{flat[0] + 1}, S_{flat[1] + 1})$", fontsize=9.5, color=INK
-        )
+        title = axes.set_title(titled(k), fontsize=9.5, color=INK)
+
+        def update(j: int) -> None:
+            drawn_arrows.set_UVC(*arrows(j))
+            title.set_text(titled(j))
+
+        return update
 
     return paint

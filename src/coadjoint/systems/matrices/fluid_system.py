@@ -27,6 +27,9 @@ class FluidSystem(MatrixSystem):
     they return ``absolute(W)``.
     """
 
+    states_by_name: tuple[str, ...] = ("random", "blobs", "patches", "from_file")
+    """Methods that make a state; configuration files name them."""
+
     random = initial_states.random
     blobs = initial_states.blobs
     patches = initial_states.patches
@@ -107,11 +110,11 @@ class FluidSystem(MatrixSystem):
 
     def relative(self, W: Any) -> Complexes:
         """Return the matrix of the vorticity that is seen in the rotating frame, from that of the absolute one, W."""
-        return np.array(W, dtype=np.complex128)
+        return np.array(self.matrices(W))
 
     def absolute(self, W: Any) -> Complexes:
         """Return the state W of a vorticity that is seen in the rotating frame: the inverse of `relative`."""
-        return np.array(W, dtype=np.complex128)
+        return np.array(self.matrices(W))
 
     def energy_spectrum(self, W: Any) -> tuple[npt.NDArray[np.int64], Floats]:
         """Return the kinetic energy of the flow, degree by degree, the integral of |u|^2/2 over the surface.

@@ -27,6 +27,9 @@ class FunctionStream:
     ----------
     function : callable
         Of a matrix (N, N), real or complex as the algebra is, or of a matrix and the time; pure.
+    traceless : tuple of (int, int)
+        Blocks, from which row to which, whose matrices have trace zero. The stages of a step have a trace there, which
+        is taken off before the function is called: only so is a step a Poisson map.
 
     Raises
     ------
@@ -41,6 +44,7 @@ class FunctionStream:
     """
 
     function: Callable[..., Any]
+    traceless: tuple[tuple[int, int], ...] = ()
     timed: bool = field(init=False)
     table: Floats = field(init=False, repr=False)
 
@@ -53,8 +57,16 @@ class FunctionStream:
     def __call__(self, W: Matrix, t: float = 0.0) -> Matrix:
         W = np.asarray(W)
         if W.ndim == 2:
+            W = self._centred(W)
             return self.checked(self.function(W, t) if self.timed else self.function(W), W)
         return np.stack([self(part, t) for part in W]) if len(W) else np.zeros_like(W)
+
+    def _centred(self, W: Matrix) -> Matrix:
+        found = W.copy() if self.traceless else W
+        for first, last in self.traceless:
+            rows = np.arange(first, last)
+            found[rows, rows] -= found[rows, rows].mean()
+        return found
 
     def checked(self, P: Any, W: Matrix) -> Matrix:
         """Return what the function returned, as a matrix like W; refuse something else.

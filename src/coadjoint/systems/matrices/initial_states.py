@@ -72,7 +72,6 @@ def random(
     generator = np.random.default_rng(read_whole(seed, "seed", 0))
     first, last = _read_degrees(degrees, spectrum, system)
     modes = system.random_modes(generator, last)
-    modes[system.degrees < first] = 0.0
     if spectrum is None:
         weights = 0.5 * system.squares
         wanted = np.asarray(np.bincount(system.degrees.ravel(), system.squares.ravel())[first : last + 1], dtype=float)

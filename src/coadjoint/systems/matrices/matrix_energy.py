@@ -109,11 +109,11 @@ def check_stream(system: MatrixSystem) -> None:
     if system.energy_function is not None:
         _check_slope(system, A, B)
         return
-    Q, R = system.slope_of(B, SAMPLE_TIME), system.slope_of(A + 2.0 * B, SAMPLE_TIME)
-    off, size = float(np.abs(R - P - 2.0 * Q).max(initial=0.0)), float((np.abs(P) + 2.0 * np.abs(Q)).max(initial=0.0))
+    Q, R = system.slope_of(B, SAMPLE_TIME), system.slope_of((A + B) / 2.0, SAMPLE_TIME)
+    off, size = float(np.abs(2.0 * R - P - Q).max(initial=0.0)), float((np.abs(P) + np.abs(Q)).max(initial=0.0))
     if not off <= rounded * size:
         raise ValueError(
-            "the stream is not linear: stream(A + 2 B) and stream(A) + 2 stream(B) differ at sample matrices; give "
+            "the stream is not linear: stream((A + B)/2) is not the mean of stream(A) and stream(B) at sample matrices; give "
             "energy=, the function whose slope it is"
         )
     sizes = float(np.sum(np.abs(P.T * B.T)) + np.sum(np.abs(Q * A)))

@@ -106,7 +106,8 @@ class MatrixSystem:
         if not isinstance(stream, Stream):
             if isinstance(stream, type) or not callable(stream):
                 raise TypeError(f"stream is {short(stream)}; give a Stream, such as Weights(w), or a function of W")
-            stream = FunctionStream(stream)
+            traceless = [(place.start, place.stop) for place, _, kind in algebra.parts if kind.traceless]
+            stream = FunctionStream(stream, tuple(traceless))
         self.algebra, self.stream, self.complex = algebra, stream, algebra.complex
         self.timed: bool = getattr(stream, "timed", False)
         self.energy_function = checked_energy(energy, self.timed)

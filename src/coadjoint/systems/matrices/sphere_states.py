@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import pi, sqrt
 from typing import TYPE_CHECKING, Any
 
@@ -206,3 +207,20 @@ def angular_momentum(W: Any) -> Floats:
     W = np.asarray(W, dtype=np.complex128)
     N = W.shape[-1]
     return -_components(W, N) * (N * (N * N - 1) / 12) / scale(N) ** 2
+
+
+@dataclass(frozen=True)
+class MomentumAlong:
+    """The angular momentum along an axis, "x", "y" or "z", as a function of states (..., N, N).
+
+    Examples
+    --------
+    >>> round(MomentumAlong("z")(-2 * generators(5)[2]) / np.pi, 12)
+    2.666666666667
+    """
+
+    axis: str
+
+    def __call__(self, W: Any) -> Any:
+        found = angular_momentum(W)[..., "xyz".index(self.axis)]
+        return float(found) if found.ndim == 0 else found

@@ -91,8 +91,6 @@ def harmonics(N: int, m: int) -> Floats:
         V[met:] = rest * (np.sum(known * same, axis=0) / np.sum(same * same, axis=0))
     # near the north pole T_lm has the sign of (-1)^m
     V *= (-1.0) ** m / np.sqrt(np.sum(V * V, axis=0))
-    if n % 2:
-        V[1::2, -1] = 0.0
     return V
 
 

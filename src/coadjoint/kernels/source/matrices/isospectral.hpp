@@ -19,7 +19,10 @@ enum Place { STREAM = 0, GEMM = 6, TRSM, LOWER_GEMM, LOWER_TRSM, STAGES, COMPLEX
 
 constexpr int64_t FIRST_TESTED = 3;     // early corrections may rise before they fall
 constexpr int64_t MOST_ITERATIONS = 192;
+constexpr int64_t SLOW_FROM = 12;       // from so many iterations on one that does not fall may be chance
+constexpr int64_t QUIET = 3;            // so many that do not fall are none
 constexpr double SMALL = 0x1p-36;       // of the entries: only below it may a correction be round-off
+constexpr double ROUND_OFF = 0x1p-47;   // times sqrt(n), of the entries: there one that does not fall is round-off
 
 // The real numbers of which a matrix is made.
 inline double* numbers_of(double* matrix) { return matrix; }
@@ -65,10 +68,14 @@ struct Isospectral : StepScheme {
     // is in `status` then.
     bool ended(double change, double size) {
         ++iterations;
-        if (iterations == 1) first = least = change;
+        if (iterations == 1) first = least = change, quiet = 0;
+        else quiet = change < least ? 0 : quiet + 1;
         Hearing::of_this_call().after(work / 16);
-        const bool small = change <= SMALL * size;
-        if (change == 0.0 || (small && iterations >= FIRST_TESTED && !(change < least))) return status = DONE, true;
+        const bool small = change <= SMALL * size, rounding = change <= ROUND_OFF * std::sqrt(double(n)) * size;
+        // Where the iteration is slow, with complex eigenvalues, corrections rise and fall while they shrink.
+        const bool fast = rounding && iterations < SLOW_FROM;
+        const bool still = quiet >= (fast ? 1 : std::max(QUIET, iterations / 4));
+        if (change == 0.0 || (small && iterations >= FIRST_TESTED && still)) return status = DONE, true;
         if (!(change - change == 0.0)) return status = OVERFLOWED, true;
         if (iterations >= MOST_ITERATIONS || change > std::ldexp(first, int(GROWTH_BITS)))
             return status = NOT_CONVERGED, true;
@@ -80,6 +87,7 @@ struct Isospectral : StepScheme {
 
   private:
     double first = 0.0, least = 0.0;
+    int64_t quiet = 0;
     std::vector<T> other;
 };
 

@@ -32,7 +32,7 @@ struct SkewMidpoint final : Isospectral<T> {
     static constexpr int64_t DIFFERENCES = 12;     // of P over the last steps
     static constexpr int64_t MOST_CORRECTIONS = 24;
     static constexpr double FEW_DIGITS = 0x1p-21;  // what the lower precision tells of a correction
-    static constexpr double ROUND_OFF = 0x1p-52;
+    static constexpr double LAST_DIGIT = 0x1p-52;
     static constexpr double NEAR = 0x1p-28;        // of P: a correction from there reaches round-off
 
     const int64_t half;  // numbers on and above the diagonal
@@ -69,9 +69,9 @@ struct SkewMidpoint final : Isospectral<T> {
             ++this->evaluations;
             this->residual = largest_of(numbers, [=](int64_t k) { return f[k] = g[k] - p[k]; });
             const double size = largest_of(numbers, [=](int64_t k) { return g[k]; });
-            if (this->ended(this->residual, size) || this->residual <= ROUND_OFF * size) break;
+            if (this->ended(this->residual, size) || this->residual <= LAST_DIGIT * size) break;
             const bool last = this->residual <= NEAR * size;
-            const bool near = correct(h, std::max(FEW_DIGITS * this->residual, last ? ROUND_OFF * size : NEAR * size / 4)) && last;
+            const bool near = correct(h, std::max(FEW_DIGITS * this->residual, last ? LAST_DIGIT * size : NEAR * size / 4)) && last;
             for (int64_t k = 0; k < numbers; ++k) p[k] += d[k];
             if (near) {
                 for (int64_t k = 0; k < numbers; ++k) m[k] += g[k];

@@ -2,9 +2,10 @@
 #pragma once
 
 #include <cmath>
-#include <vector>
+#include <memory>
 
 #include "boundary/codes.hpp"
+#include "matrices/circulants.hpp"
 #include "matrices/products.hpp"
 
 namespace coadjoint {
@@ -21,7 +22,8 @@ template <class T>
 class DiagonalMap {
   public:
     DiagonalMap(int64_t kind, int64_t size, const double* numbers)
-        : kind(kind), n(size), numbers(numbers), row(kind == CIRCULANT ? 5 * size : 0) {}
+        : kind(kind), n(size), numbers(numbers),
+          circulants(kind == CIRCULANT ? std::make_unique<Circulants<T>>(size, numbers) : nullptr) {}
 
     // How many numbers a map reads.
     static int64_t numbers_of(int64_t kind, int64_t n) {
@@ -31,12 +33,12 @@ class DiagonalMap {
     }
 
     // About how many multiplications it takes.
-    int64_t work() const { return kind == CIRCULANT ? n * n * n : 4 * n * n; }
+    int64_t work() const { return circulants ? circulants->work() : 4 * n * n; }
 
     void apply(const T* W, T* P) {
         if (kind == TRIDIAGONAL) solve(W, P);
         if (kind == MULTIPLIED) multiply(W, P);
-        if (kind == CIRCULANT) convolve(W, P);
+        if (circulants) circulants->apply(W, P);
         if (kind == WEIGHTS)
             for (int64_t e = 0; e < n * n; ++e) P[e] = numbers[e] * W[e];
     }
@@ -44,7 +46,7 @@ class DiagonalMap {
   private:
     const int64_t kind, n;
     const double* const numbers;
-    std::vector<double> row;
+    const std::unique_ptr<Circulants<T>> circulants;
 
     // Row by row, all diagonals at once: what one row needs of another stands side by side.
     void solve(const T* W, T* P) const {
@@ -97,31 +99,6 @@ class DiagonalMap {
         for (int64_t i = 0; i < n; ++i)
             for (int64_t j = i + 1; j < n; ++j) P[j * n + i] = -conjugate(P[i * n + j]);
     }
-
-    void convolve(const T* W, T* P) {
-        double *twice = row.data(), *real = twice + 2 * n, *imaginary = real + n;
-        for (int64_t d = 0; d <= (n - 1) / 2; ++d) {
-            const double* kernel = numbers + d * n;
-            for (int64_t j = 0; j < n; ++j) twice[j] = twice[n + j] = kernel[j];
-            std::fill_n(real, 2 * n, 0.0);
-            for (int64_t b = 0; b < n; ++b) {
-                const Complex value = W[b * n + (b + d) % n];
-                const double x = value.real(), y = value.imag(), *shifted = twice + n - b;
-                for (int64_t a = 0; a < n; ++a) {
-                    real[a] += x * shifted[a];
-                    imaginary[a] += y * shifted[a];
-                }
-            }
-            for (int64_t a = 0; a < n; ++a) {
-                const int64_t c = (a + d) % n;
-                store(P[a * n + c], real[a], imaginary[a]);
-                if (d) P[c * n + a] = -conjugate(P[a * n + c]);
-            }
-        }
-    }
-
-    static void store(double& to, double real, double) { to = real; }
-    static void store(Complex& to, double real, double imaginary) { to = Complex(real, imaginary); }
 };
 
 // The stream of a state of one or two layers, X = Theta + eps W: Y = P + eps J, where P comes from W and J from Theta.

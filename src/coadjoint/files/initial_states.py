@@ -1,0 +1,65 @@
+"""The initial state of a configuration file: numbers, or the name of a file of NumPy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.memory import check_room
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.wording import short
+
+SUFFIX = ".npy"
+
+
+def initial_state(system: Any, given: Any, folder: Path) -> Any:
+    """Return the initial state, or states, as `integrate` takes them.
+
+    Parameters
+    ----------
+    system : object
+        What moves.
+    given : list or str
+        Numbers; of complex matrices each entry may be its real and imaginary part. Or a file ``.npy``.
+    folder : Path
+        That of the configuration file, from which a relative name of a file leads.
+
+    Returns
+    -------
+    list or ndarray
+
+    Raises
+    ------
+    ValueError
+        The file cannot be read, or holds no numbers.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.sphere_euler import sphere_euler
+    >>> initial_state(sphere_euler(N=2), [[[0, 1], [0, 0]], [[0, 0], [0, -1]]], Path())
+    array([[ 0.+1.j,  0.+0.j],
+           [ 0.+0.j, -0.-1.j]])
+    """
+    if isinstance(given, str):
+        return _from_file(folder / given, given)
+    if not (isinstance(system, MatrixSystem) and system.complex):
+        return given
+    array = np.array(given, dtype=np.float64)
+    pairs = array.ndim > 2 and array.shape[-1] == 2 and array.shape[-3:-1] == system.algebra.shape
+    return array[..., 0] + 1j * array[..., 1] if pairs else array
+
+
+def _from_file(path: Path, named: str) -> NDArray[Any]:
+    if path.suffix != SUFFIX:
+        raise ValueError(f"{short(named)} is no state; give numbers, or the name of a file {SUFFIX}")
+    try:
+        check_room(2 * path.stat().st_size, f"the states in {short(named)}")
+        found = np.load(path, allow_pickle=False)
+    except (OSError, EOFError) as reason:
+        raise ValueError(f"{short(named)} cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
+    if not isinstance(found, np.ndarray) or found.dtype.kind not in "iufc":
+        raise ValueError(f"{short(named)} holds no array of numbers")
+    return found

@@ -1,0 +1,77 @@
+// Circulant matrices times the cyclic diagonals of a skew-Hermitian matrix of odd size, by Fourier transforms of eight
+// diagonals side by side. From n = 5 on that takes less time than the sums themselves.
+#pragma once
+
+#include "matrices/fourier.hpp"
+#include "matrices/products.hpp"
+
+namespace coadjoint {
+
+constexpr int64_t SIDE_BY_SIDE = 8;
+typedef Lanes<SIDE_BY_SIDE> Eight;
+
+// The real parts of eight numbers, and then their imaginary parts.
+inline double* numbers_of(Pair<Eight>& numbers) { return reinterpret_cast<double*>(&numbers); }
+inline const double* numbers_of(const Pair<Eight>& numbers) { return reinterpret_cast<const double*>(&numbers); }
+
+template <class T>
+class Circulants {
+  public:
+    // `columns`: for each cyclic diagonal up to (n - 1)/2 the first column of its matrix, even.
+    Circulants(int64_t n, const double* columns)
+        : n(n), diagonals((n + 1) / 2), groups((diagonals + SIDE_BY_SIDE - 1) / SIDE_BY_SIDE), fourier(n), row(fourier.place()),
+          spectrum(n * groups) {
+        for (int64_t g = 0; g < groups; ++g) {
+            for (int64_t k = 0; k < n; ++k)
+                for (int64_t lane = 0; lane < SIDE_BY_SIDE; ++lane) {
+                    const int64_t d = g * SIDE_BY_SIDE + lane;
+                    put(k, lane, d < diagonals ? columns[d * n + k] : 0.0, 0.0);
+                }
+            const Pair<Eight>* found = fourier.transform(row);
+            for (int64_t k = 0; k < n; ++k) spectrum.at[g * n + k] = found[k].re / Eight(double(n));
+        }
+    }
+
+    int64_t work() const { return groups * (2 * fourier.work() + n) * SIDE_BY_SIDE; }
+
+    void apply(const T* W, T* P) {
+        for (int64_t g = 0; g < groups; ++g) {
+            const int64_t first = g * SIDE_BY_SIDE, lanes = std::min(SIDE_BY_SIDE, diagonals - first);
+            for (int64_t a = 0; a < n; ++a)
+                for (int64_t lane = 0; lane < lanes; ++lane) {
+                    const Complex value = W[a * n + beyond(a + first + lane)];
+                    put(a, lane, value.real(), value.imag());
+                }
+            Pair<Eight>* seen = fourier.transform(row);
+            for (int64_t k = 0; k < n; ++k) {
+                seen[k].re *= spectrum.at[g * n + k];
+                seen[k].im *= spectrum.at[g * n + k];
+            }
+            seen = fourier.transform(seen);
+            for (int64_t a = 0; a < n; ++a)
+                for (int64_t lane = 0; lane < lanes; ++lane) {
+                    const int64_t c = beyond(a + first + lane);
+                    const double* at = numbers_of(seen[a ? n - a : 0]) + lane;  // twice forward is once around
+                    // the main diagonal has no real part but rounding
+                    store(P[a * n + c], a == c ? 0.0 : at[0], at[SIDE_BY_SIDE]);
+                    if (a != c) P[c * n + a] = -conjugate(P[a * n + c]);
+                }
+        }
+    }
+
+  private:
+    const int64_t n, diagonals, groups;
+    Fourier<Eight> fourier;
+    Pair<Eight>* const row;
+    Room<Eight> spectrum;
+
+    int64_t beyond(int64_t column) const { return column < n ? column : column - n; }
+    void put(int64_t k, int64_t lane, double re, double im) {
+        numbers_of(row[k])[lane] = re;
+        numbers_of(row[k])[SIDE_BY_SIDE + lane] = im;
+    }
+    static void store(double& to, double real, double) { to = real; }
+    static void store(Complex& to, double real, double imaginary) { to = Complex(real, imaginary); }
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,253 @@
+// The discrete Fourier transform of any length, X_k = sum over j of x_j exp(-2 pi i j k / n), lanes side by side.
+//
+// A length falls into factors 4 and primes, one pass for each, by Stockham's order. Small primes are summed as they are
+// written, terms j and p - j together. Rader's permutation makes a cyclic convolution of p - 1 numbers of a large prime
+// p, or a longer one of small factors where p - 1 has large primes itself.
+#pragma once
+
+#include <cmath>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "numbers/arithmetic.hpp"
+#include "numbers/room.hpp"
+
+namespace coadjoint {
+
+constexpr int64_t LARGEST_SUMMED = 53;  // primes above are convolutions: about where the two cost the same
+
+template <class A>
+struct Pair {
+    A re, im;
+    INLINE friend Pair operator+(const Pair& a, const Pair& b) { return {a.re + b.re, a.im + b.im}; }
+    INLINE friend Pair operator-(const Pair& a, const Pair& b) { return {a.re - b.re, a.im - b.im}; }
+    // a times the complex number c + i s, of numbers or lanes.
+    template <class B>
+    INLINE Pair times(const B& c, const B& s) const {
+        return {fma(re, A(c), -(im * A(s))), fma(re, A(s), im * A(c))};
+    }
+};
+
+// cos and sin of 2 pi k / n, by angles of at most a quarter turn.
+inline Pair<double> root_of_unity(int64_t k, int64_t n) {
+    constexpr double QUARTER = 1.5707963267948966;
+    k %= n;
+    const int64_t quarter = 4 * k / n;
+    const Rotation<double> turn = rotation_by(QUARTER * (double(4 * k - quarter * n) / double(n)));
+    const double c = 1.0 + turn.lowered, s = turn.sine;
+    const Pair<double> turned[] = {{c, s}, {-s, c}, {-c, -s}, {s, -c}};
+    return turned[quarter];
+}
+
+inline int64_t power_modulo(int64_t base, int64_t exponent, int64_t p) {
+    int64_t result = 1;
+    for (int64_t k = 0; k < exponent; ++k) result = result * base % p;
+    return result;
+}
+
+// 4 as often as it goes, then primes, rising.
+inline std::vector<int64_t> factors_of(int64_t n) {
+    std::vector<int64_t> found;
+    for (; n % 4 == 0; n /= 4) found.push_back(4);
+    for (int64_t p = 2; n > 1; ++p)
+        for (; n % p == 0; n /= p) found.push_back(p);
+    return found;
+}
+
+template <class A>
+class Rader;
+
+template <class A>
+class Fourier {
+  public:
+    explicit Fourier(int64_t n) : n(n), factors(factors_of(n)), first(n), second(n) {
+        int64_t largest = 1;
+        for (int64_t k = 0; k < n; ++k) roots.push_back(root_of_unity(k, n));
+        for (int64_t p : factors) {
+            if (p > LARGEST_SUMMED) rader.push_back(std::make_unique<Rader<A>>(p));
+            largest = std::max(largest, p);
+        }
+        column.clear(4 * largest);
+    }
+
+    // About how many multiplications one transform takes.
+    int64_t work() const {
+        int64_t total = 0;
+        for (int64_t p : factors) total += n * (p > LARGEST_SUMMED ? 64 : p + 4);
+        return total;
+    }
+
+    // A place for numbers to be transformed.
+    Pair<A>* place() { return first.at; }
+
+    // Transform what is at x, and say where that is then: there, or in a place of this object. What was at x is lost.
+    Pair<A>* transform(Pair<A>* x) {
+        Pair<A>*from = x, *to = x == first.at ? second.at : first.at;
+        int64_t stride = 1, convolution = 0;
+        for (int64_t p : factors) {
+            if (p == 4) pass_of_four(from, to, stride);
+            else if (p == 2) pass<2>(from, to, p, stride, nullptr);
+            else if (p == 3) pass<3>(from, to, p, stride, nullptr);
+            else if (p == 5) pass<5>(from, to, p, stride, nullptr);
+            else if (p == 7) pass<7>(from, to, p, stride, nullptr);
+            else pass<0>(from, to, p, stride, p > LARGEST_SUMMED ? rader[convolution++].get() : nullptr);
+            stride *= p;
+            std::swap(from, to);
+        }
+        return from;
+    }
+
+  private:
+    const int64_t n;
+    const std::vector<int64_t> factors;
+    std::vector<Pair<double>> roots;
+    std::vector<std::unique_ptr<Rader<A>>> rader;
+    Room<Pair<A>> first, second, column{0};
+
+    // x exp(-2 pi i k / n)
+    INLINE Pair<A> turned(const Pair<A>& x, int64_t k) const {
+        return k ? x.times(roots[k].re, -roots[k].im) : x;
+    }
+
+    void pass_of_four(const Pair<A>* from, Pair<A>* to, int64_t stride) const {
+        const int64_t m = n / stride / 4, quarter = stride * m;
+        for (int64_t q = 0; q < m; ++q)
+            for (int64_t k = 0; k < stride; ++k) {
+                const Pair<A>* x = from + k + stride * q;
+                Pair<A>* y = to + k + stride * 4 * q;
+                const Pair<A> a = x[0] + x[2 * quarter], b = x[0] - x[2 * quarter];
+                const Pair<A> c = x[quarter] + x[3 * quarter], d = x[quarter] - x[3 * quarter];
+                y[0] = a + c;
+                y[stride] = turned(Pair<A>{b.re + d.im, b.im - d.re}, q * stride);
+                y[2 * stride] = turned(a - c, 2 * q * stride);
+                y[3 * stride] = turned(Pair<A>{b.re - d.im, b.im + d.re}, 3 * q * stride);
+            }
+    }
+
+    // A pass of a prime, in registers where it is a constant.
+    template <int fixed>
+    void pass(Pair<A>* from, Pair<A>* to, int64_t prime, int64_t stride, Rader<A>* convolution) {
+        const int64_t p = fixed ? fixed : prime, m = n / stride / p;
+        if (!fixed && p == n) return direct<fixed>(from, to, p, convolution);
+        Pair<A> few[fixed ? 2 * fixed : 1];
+        Pair<A>*x = fixed ? few : column.at, *X = x + p;
+        for (int64_t q = 0; q < m; ++q)
+            for (int64_t k = 0; k < stride; ++k) {
+                for (int64_t j = 0; j < p; ++j) x[j] = from[k + stride * (q + m * j)];
+                direct<fixed>(x, X, p, convolution);
+                Pair<A>* y = to + k + stride * p * q;
+                for (int64_t r = 0; r < p; ++r) y[r * stride] = turned(X[r], q * r * stride);
+            }
+    }
+
+    // The transform of a prime length; x is overwritten.
+    template <int fixed>
+    INLINE void direct(Pair<A>* x, Pair<A>* X, int64_t p, Rader<A>* convolution) {
+        if (!fixed && convolution) convolution->transform(x, X);
+        else sum<fixed>(x, X, p);
+    }
+
+    // The same as it is written.
+    template <int fixed>
+    INLINE void sum(Pair<A>* x, Pair<A>* X, int64_t prime) const {
+        const int64_t p = fixed ? fixed : prime, half = (p - 1) / 2, step = n / p;
+        if (p == 2) {
+            X[0] = x[0] + x[1];
+            X[1] = x[0] - x[1];
+            return;
+        }
+        X[0] = x[0];
+        for (int64_t j = 1; j <= half; ++j) {
+            const Pair<A> a = x[j], b = x[p - j];
+            x[j] = a + b;
+            x[p - j] = a - b;
+            X[0] = X[0] + x[j];
+        }
+        int64_t k = 1;
+        for (; k + 1 <= half; k += 2) sums<2>(x, X, p, k, half, step);
+        if (k <= half) sums<1>(x, X, p, k, half, step);
+    }
+
+    // The terms k, k + 1, ... and p - k, p - k - 1, ...: so many at once share what they load.
+    template <int count>
+    INLINE void sums(const Pair<A>* x, Pair<A>* X, int64_t p, int64_t k, int64_t half, int64_t step) const {
+        Pair<A> even[count], odd[count];
+        int64_t turn[count];
+        for (int c = 0; c < count; ++c) {
+            even[c] = x[0];
+            odd[c] = {A(0.0), A(0.0)};
+            turn[c] = 0;
+        }
+        for (int64_t j = 1; j <= half; ++j)
+            for (int c = 0; c < count; ++c) {
+                turn[c] = turn[c] + k + c < p ? turn[c] + k + c : turn[c] + k + c - p;
+                const A cosine(roots[turn[c] * step].re), sine(roots[turn[c] * step].im);
+                even[c].re = fma(x[j].re, cosine, even[c].re);
+                even[c].im = fma(x[j].im, cosine, even[c].im);
+                odd[c].re = fma(x[p - j].re, sine, odd[c].re);
+                odd[c].im = fma(x[p - j].im, sine, odd[c].im);
+            }
+        for (int c = 0; c < count; ++c) {
+            X[k + c] = {even[c].re + odd[c].im, even[c].im - odd[c].re};
+            X[p - k - c] = {even[c].re - odd[c].im, even[c].im + odd[c].re};
+        }
+    }
+};
+
+// A transform of a prime length as a convolution.
+template <class A>
+class Rader {
+  public:
+    explicit Rader(int64_t p) : p(p), length(convolved(p)), inner(length), kernel(length) {
+        int64_t generator = 1;
+        for (bool found = false; !found;) {
+            ++generator;
+            found = true;
+            for (int64_t prime : factors_of(p - 1))
+                found = found && power_modulo(generator, (p - 1) / (prime == 4 ? 2 : prime), p) != 1;
+        }
+        const int64_t inverse = power_modulo(generator, p - 2, p);
+        for (int64_t j = 0, up = 1, down = 1; j < p - 1; ++j, up = up * generator % p, down = down * inverse % p) {
+            from.push_back(up);
+            to.push_back(down);
+        }
+        Fourier<double> once(length);
+        Pair<double>* roots = once.place();
+        for (int64_t j = 0; j < p - 1; ++j) {
+            const Pair<double> root = root_of_unity(p - to[j], p);
+            roots[j] = {root.re / double(length), root.im / double(length)};
+            // a longer convolution sees the period before its beginning
+            if (j > 0) roots[length - (p - 1) + j] = roots[j];
+        }
+        std::copy_n(once.transform(roots), length, kernel.begin());
+    }
+
+    void transform(const Pair<A>* x, Pair<A>* X) {
+        Pair<A>* y = inner.place();
+        for (int64_t j = 0; j < p - 1; ++j) y[j] = x[from[j]];
+        for (int64_t j = p - 1; j < length; ++j) y[j] = {A(0.0), A(0.0)};
+        y = inner.transform(y);
+        const Pair<A> first = x[0];
+        X[0] = first + y[0];
+        for (int64_t k = 0; k < length; ++k) y[k] = y[k].times(kernel[k].re, kernel[k].im);
+        y = inner.transform(y);
+        // twice forward is once around: place -j
+        for (int64_t j = 0; j < p - 1; ++j) X[to[j]] = first + y[j ? length - j : 0];
+    }
+
+  private:
+    const int64_t p, length;
+    std::vector<int64_t> from, to;
+    Fourier<A> inner;
+    std::vector<Pair<double>> kernel;
+
+    static int64_t convolved(int64_t p) {
+        if (factors_of(p - 1).back() <= LARGEST_SUMMED) return p - 1;
+        int64_t length = 2 * (p - 1) - 1;
+        while (factors_of(length).back() > 5) ++length;
+        return length;
+    }
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,99 @@
+"""How exponentials of gradients move a state along its coadjoint orbit: a momentum of a Lie algebra, or a matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.methods.isospectral_stages import slope_along
+from coadjoint.systems.kinds import check_one_system
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+
+
+class Generator(NamedTuple):
+    """D in exp(D) y: its image of y, the change of that image by changes of y and D, and a bound of its norm."""
+
+    image: Callable[[Any], Any]
+    change: Callable[[Any, Any], Any]
+    norm: Callable[[], float]
+
+
+class VectorOrbit:
+    """The orbit of a momentum: ``D y = sign J(y) k``. Changes are columns."""
+
+    def __init__(self, system: LiePoissonSystem) -> None:
+        self._system = system
+
+    def gradient(self, y: Any, t: Any) -> Any:
+        """Return the gradient of H."""
+        return self._system.hamiltonian.gradient(y, t)
+
+    def bend(self, y: Any, dy: Any, t: Any) -> Any:
+        """Return the changes of the gradient."""
+        return self._system.hamiltonian.hessian(y, t) @ dy
+
+    def generator(self, k: Any, dk: Any) -> Generator:
+        """Return D of a combination of gradients, and of its changes where there are any."""
+        system, J, sign = self._system, self._system.structure_matrix, self._system.sign
+        D = None if dk is None else sign * self._coadjoint(k)
+        return Generator(
+            lambda y: sign * (J(y) @ k),
+            lambda y, dy: D @ dy + sign * (J(y) @ dk),
+            lambda: float(max(abs(np.asarray(system.algebra.coadjoint(k))).sum(axis=1))),
+        )
+
+    def _coadjoint(self, k: Any) -> NDArray[Any]:
+        return np.asarray(self._system.algebra.coadjoint(k))
+
+
+class MatrixOrbit:
+    """The orbit of a matrix: ``D W = [P, W]``, P the stream in place of the gradient. Changes are stacked."""
+
+    def __init__(self, system: MatrixSystem) -> None:
+        self._system = system
+
+    def gradient(self, W: Any, t: Any) -> Any:
+        """Return P."""
+        return self._system.stream_of(W, t)
+
+    def bend(self, W: Any, dW: Any, t: Any) -> Any:
+        """Return the changes of P."""
+        return slope_along(self._system, W, dW, t)
+
+    def generator(self, P: Any, dP: Any) -> Generator:
+        """Return D of a combination of streams, and of its changes where there are any."""
+        bracket, sizes = self._system.algebra.bracket, np.abs(P)
+        return Generator(
+            lambda W: bracket(P, W),
+            lambda W, dW: bracket(P, dW) + bracket(dP, W),
+            lambda: float(sizes.sum(axis=-1).max() + sizes.sum(axis=-2).max()),
+        )
+
+
+def orbit_of(system: Any, asked_by: str) -> VectorOrbit | MatrixOrbit:
+    """Return the orbits of a system; refuse one that has none.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or MatrixSystem
+        The system.
+    asked_by : str
+        The scheme, for messages.
+
+    Raises
+    ------
+    TypeError, ValueError
+        It is no single system, or has no Lie algebra.
+    """
+    check_one_system(system)
+    if isinstance(system, MatrixSystem):
+        return MatrixOrbit(system)
+    if system.algebra is None:
+        raise ValueError(
+            f"{asked_by} moves along coadjoint orbits, but {system.name} has no Lie algebra; take GaussLegendre"
+        )
+    return VectorOrbit(system)

@@ -1,0 +1,98 @@
+"""What of a quantized fluid is drawn? Its fields on a grid, of one matrix or of two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.register import CannotShow
+from coadjoint.systems.matrices.fluid_system import FluidSystem
+from coadjoint.systems.matrices.scale_separation import large_scales
+from coadjoint.systems.sphere_euler import SphereEuler, sphere_euler
+from coadjoint.systems.torus_euler import torus_euler
+
+Floats = npt.NDArray[np.float64]
+
+SURFACES: dict[str, Callable[[int], FluidSystem]] = {"sphere": sphere_euler, "torus": torus_euler}
+
+
+def fluid_of(drawn: Drawn) -> FluidSystem:
+    """Return the fluid of a run, on its surface; where two fields move, the one without the second field.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        The run.
+
+    Returns
+    -------
+    FluidSystem
+
+    Raises
+    ------
+    CannotShow
+        The system is no fluid on a surface.
+    """
+    family = drawn.family
+    if isinstance(family, FluidSystem):
+        return family
+    given = getattr(family, "parameters", None) or {}
+    if len(getattr(family, "shape", ())) == 3 and given.get("surface") in SURFACES:
+        return SURFACES[given["surface"]](family.algebra.N)
+    raise CannotShow(f"{family.name} has no vorticity to show; sphere_euler and torus_euler have")
+
+
+def surface_of(fluid: FluidSystem) -> str:
+    """Return "sphere" or "torus".
+
+    Examples
+    --------
+    >>> surface_of(torus_euler(5))
+    'torus'
+    """
+    return "sphere" if isinstance(fluid, SphereEuler) else "torus"
+
+
+def vorticity_of(state: Any) -> npt.NDArray[Any]:
+    """Return the matrix of the vorticity: the state, or the second of two fields."""
+    W = np.asarray(state)
+    return W[1] if W.ndim == 3 else W
+
+
+def carried_by(state: Any) -> npt.NDArray[Any]:
+    """Return the matrix whose spectrum is kept: the state, or the first of two fields, which is carried."""
+    W = np.asarray(state)
+    return W[0] if W.ndim == 3 else W
+
+
+def part_on_grid(fluid: FluidSystem, state: Any, part: str, shape: tuple[int, int]) -> Floats:
+    """Return a part of the vorticity, the stream function or the carried field on a grid.
+
+    Parameters
+    ----------
+    fluid : FluidSystem
+        From `fluid_of`.
+    state : (N, N) or (2, N, N) array
+        The matrix W, or a carried field and W.
+    part : {"all", "large", "small", "stream", "carried"}
+        As the picture "vorticity" has it.
+    shape : (int, int)
+        Of the grid.
+
+    Returns
+    -------
+    ndarray
+    """
+    if part == "carried":
+        return fluid.to_grid(carried_by(state), shape)
+    W = vorticity_of(state)
+    shown = fluid.relative(W)
+    if part != "all":
+        P = fluid.stream_of(W)
+        large = large_scales(P, shown)
+        shown = {"stream": P, "large": large, "small": shown - large}[part]
+    return fluid.to_grid(shown, shape)

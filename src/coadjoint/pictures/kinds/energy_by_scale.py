@@ -1,0 +1,50 @@
+"""Where the energy of a fluid goes: the shares of its largest scales over time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coadjoint.pictures.drawn import Drawn, spread
+from coadjoint.pictures.fluids import fluid_of, surface_of, vorticity_of
+from coadjoint.pictures.register import Paint, kind
+from coadjoint.pictures.style import colour, key, plain_axes
+
+MOST_TIMES = 200
+MOST_SCALES = 6
+LETTER = {"sphere": "l", "torus": "|n|"}
+
+
+@kind("energy by scale", over_time=True)
+def energy_by_scale(drawn: Drawn) -> Paint:
+    """Show the shares of the energy in the degrees on the sphere, or the wave numbers on the torus, that have most.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        The run; of several members the first, at no more than 200 of the saved times.
+
+    Returns
+    -------
+    Paint
+    """
+    fluid = fluid_of(drawn)
+    times = spread(len(drawn.t), MOST_TIMES)
+    found = [fluid.energy_spectrum(vorticity_of(drawn.state(int(k)))) for k in times]
+    scales = np.asarray(found[0][0])
+    energies = np.stack([np.asarray(values, dtype=np.float64) for _, values in found])
+    total = energies.sum(axis=1, keepdims=True)
+    shares = np.divide(energies, total, out=np.zeros_like(energies), where=total > 0.0)
+    most = np.sort(np.argsort(-shares.max(axis=0), kind="stable")[:MOST_SCALES])
+
+    def paint(axes: Any) -> None:
+        for place, i in enumerate(most):
+            label = f"${LETTER[surface_of(fluid)]} = {scales[i]:g}$"
+            axes.plot(drawn.t[times], shares[:, i], color=colour(place), linewidth=0.9, label=label)
+        axes.set(xlabel="time $t$", ylabel="share of the energy", title="energy by scale")
+        axes.set_ylim(0.0, None)
+        plain_axes(axes)
+        key(axes, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+    return paint

@@ -1,0 +1,57 @@
+"""How energy and enstrophy of a fluid are spread over its scales."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.fluids import fluid_of, surface_of, vorticity_of
+from coadjoint.pictures.register import Paint, kind
+from coadjoint.pictures.style import colour, key, plain_axes
+
+ACROSS = {"sphere": "degree $l$", "torus": "wave number $|n|$"}
+DECADES = 8.0
+"""What is smaller than the largest value by more is not drawn."""
+
+
+@kind("field spectra", low=True)
+def field_spectra(drawn: Drawn, at: float = 1.0) -> Paint:
+    """Show energy and enstrophy over the degree on the sphere, or the wave number on the torus.
+
+    Thin and dashed, those of the start.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        The run; of several members the first.
+    at : float
+        The time, as a part of the span: 0 is the start, 1 the end.
+
+    Returns
+    -------
+    Paint
+    """
+    fluid, k = fluid_of(drawn), drawn.at(at)
+    spectra = {"energy": fluid.energy_spectrum, "enstrophy": fluid.enstrophy_spectrum}
+    found = {
+        (name, j): [np.asarray(part, dtype=np.float64) for part in spectrum(vorticity_of(drawn.state(j)))]
+        for name, spectrum in spectra.items()
+        for j in dict.fromkeys((k, 0))
+    }
+
+    def paint(axes: Any) -> None:
+        for place, name in enumerate(spectra):
+            for j, style in {0: {"linestyle": "--", "linewidth": 0.8}, k: {"linestyle": "-", "linewidth": 1.2}}.items():
+                scales, values = found[name, j]
+                label = f"{name}, $t$ = {drawn.t[j]:.4g}"
+                axes.plot(scales, np.where(values > 0.0, values, np.nan), color=colour(place), label=label, **style)
+        top = max(float(values.max()) for _, values in found.values())
+        low = min(float(values[values > top * 10.0**-DECADES].min(initial=top)) for _, values in found.values())
+        axes.set(xscale="log", yscale="log", xlabel=ACROSS[surface_of(fluid)], ylim=(low / 2, top * 3))
+        axes.set(ylabel="energy and enstrophy", title="spectra of energy and enstrophy")
+        plain_axes(axes)
+        key(axes)
+
+    return paint

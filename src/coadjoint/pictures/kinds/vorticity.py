@@ -1,0 +1,148 @@
+"""The vorticity of a fluid whose state is a matrix: a map of the sphere, or the square of the torus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.given import read_choice, read_number, read_positive
+from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.fluids import fluid_of, part_on_grid, surface_of
+from coadjoint.pictures.kinds.sphere_field import on_grid
+from coadjoint.pictures.projections import PROJECTIONS, Projection
+from coadjoint.pictures.register import CannotShow, Paint, Update, kind
+from coadjoint.pictures.style import INK
+
+Floats = npt.NDArray[np.float64]
+
+PARTS = {
+    "all": "vorticity",
+    "large": "vorticity, large scales",
+    "small": "vorticity, small scales",
+    "stream": "stream function",
+    "carried": "carried field",
+}
+COLUMNS = 720
+"""Pixels across a map."""
+FEWEST, MOST = 128, 720
+"""Points of the grid along a side."""
+LINES = 30.0
+"""Degrees between the lines of a map."""
+
+
+@kind("vorticity", low=True, moves=True)
+def vorticity(
+    drawn: Drawn,
+    at: float = 1.0,
+    part: str = "all",
+    projection: str = "mollweide",
+    centre: tuple[float, float] = (0.0, 0.0),
+    limit: float | None = None,
+) -> Paint:
+    """Show the vorticity of a quantized fluid at one time, on one scale of colours with its start and its end.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        The run, on the sphere or on the torus; of several members the first.
+    at : float
+        The time, as a part of the span: 0 is the start, 1 the end.
+    part : {"all", "large", "small", "stream", "carried"}
+        All of it; what is constant along streamlines, which are the large scales; what is left beside these; the stream
+        function; or the second field, which the fluid carries.
+    projection : {"mollweide", "hammer", "outside"}
+        Of the sphere: equal-area maps, or the view from outside.
+    centre : (float, float)
+        Longitude and latitude of the middle of the map, in degrees.
+    limit : float, optional
+        Where the colours end, to both signs; by default they hold start, end and this time.
+
+    Returns
+    -------
+    Paint
+    """
+    fluid = fluid_of(drawn)
+    part = read_choice(part, "part of the vorticity", PARTS)
+    across = PROJECTIONS[read_choice(projection, "projection", PROJECTIONS)]
+    middle = read_number(centre[0], "longitude of centre"), read_number(centre[1], "latitude of centre")
+    if part == "carried" and len(drawn.family.shape) != 3:
+        raise CannotShow(f"{drawn.family.name} carries no second field; reduced_mhd and passive_scalar do")
+    surface, k = surface_of(fluid), drawn.at(at)
+
+    def shown(system: Any, state: Any) -> Floats:
+        return part_on_grid(fluid, state, part, _shape(fluid.algebra.N, surface))
+
+    first, largest = drawn.of_state(shown, k)
+    size = largest if limit is None else read_positive(limit, "limit")
+
+    def paint(axes: Any) -> Update:
+        put, pixels = (_map if surface == "sphere" else _square)(axes, across, middle)
+        style = {"cmap": "RdBu_r", "vmin": -size, "vmax": size, "origin": "lower"}
+        image = axes.imshow(pixels(first), **put, **style)
+        ends = "both" if largest > size else "neither"
+        bar = axes.figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02, extend=ends)
+        bar.set_label(PARTS[part], fontsize=9)
+        bar.ax.tick_params(labelsize=8)
+        title = axes.set_title(_title(drawn, part, k), fontsize=9.5, color=INK)
+
+        def update(later: int) -> None:
+            image.set_data(pixels(shown(drawn.family, drawn.state(later))))
+            title.set_text(_title(drawn, part, later))
+
+        return update
+
+    return paint
+
+
+def _title(drawn: Drawn, part: str, k: int) -> str:
+    return f"{PARTS[part]} at $t$ = {drawn.t[k]:.4g}"
+
+
+def _shape(N: int, surface: str) -> tuple[int, int]:
+    """Return a grid fine enough for the picture: with both poles, or a square."""
+    side = min(max(FEWEST, 2 * N), MOST)
+    return (side + 1, 2 * side) if surface == "sphere" else (side, side)
+
+
+Pixels = tuple[dict[str, Any], Callable[[Floats], Floats]]
+
+
+def _map(axes: Any, across: Projection, centre: tuple[float, float]) -> Pixels:
+    wide = across.half_width
+    towards = across.directions(COLUMNS, centre)
+    edge = np.linspace(0.0, 2 * np.pi, 361)
+    axes.plot(wide * np.cos(edge), np.sin(edge), color=INK, linewidth=0.6)
+    turn, rise = np.radians(np.linspace(-180.0, 180.0, 361)), np.radians(np.linspace(-90.0, 90.0, 181))
+    lines = {"color": INK, "linewidth": 0.3, "alpha": 0.4}
+    for latitude in np.arange(-90.0 + LINES, 89.0, LINES):
+        axes.plot(*across.line(turn, np.full_like(turn, np.radians(latitude)), centre), **lines)
+    for longitude in np.arange(-180.0, 179.0, 2 * LINES):
+        axes.plot(*across.line(np.full_like(rise, np.radians(longitude)), rise, centre), **lines)
+    axes.set_aspect("equal")
+    axes.axis("off")
+    inside = np.isfinite(towards[..., 0])
+
+    def pixels(values: Floats) -> Floats:
+        found = np.full(inside.shape, np.nan)
+        # rows of the grid go from north to south
+        found[inside] = on_grid(values[::-1], towards[inside])
+        return found
+
+    return {"extent": (-wide, wide, -1.0, 1.0)}, pixels
+
+
+def _square(axes: Any, across: Projection, centre: tuple[float, float]) -> Pixels:
+    ticks = {0.0: "0", np.pi: r"$\pi$", 2 * np.pi: r"$2\pi$"}
+    axes.set_xticks(list(ticks), list(ticks.values()))
+    axes.set_yticks(list(ticks), list(ticks.values()))
+    axes.set(xlabel="$x$", ylabel="$y$")
+    axes.tick_params(width=0.6, length=3.0, labelsize=8, colors=INK)
+
+    def pixels(values: Floats) -> Floats:
+        # a value stands in the middle of its cell, and the first ones again at the other edge
+        return np.pad(values.T, (0, 1), mode="wrap")
+
+    return {"extent": (0.0, 2 * np.pi, 0.0, 2 * np.pi), "interpolation": "bilinear"}, pixels

@@ -1,0 +1,130 @@
+"""How does a sphere lie in the plane? Equal-area maps, and the view from outside, from any direction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Pair = tuple[Floats, Floats]
+
+TABLE = 4001
+JUMP = 0.5  # a line that goes over the edge of a map ends there
+
+
+@dataclass(frozen=True)
+class Projection:
+    """A map of the sphere inside of an ellipse, as wide as `half_width` and as high as 1 to each side.
+
+    Parameters
+    ----------
+    half_width : float
+        2 for maps of the whole sphere, 1 for the view from outside.
+    onto, back : callable
+        Longitudes and latitudes in radians, seen from the middle of the map, to x, y; and back. What is not seen is
+        NaN.
+    """
+
+    half_width: float
+    onto: Callable[[Floats, Floats], Pair]
+    back: Callable[[Floats, Floats], Pair]
+
+    def directions(self, columns: int, centre: tuple[float, float]) -> Floats:
+        """Return what the pixels of the map show, as unit vectors; NaN outside of it.
+
+        Parameters
+        ----------
+        columns : int
+            Pixels across; squares.
+        centre : (float, float)
+            Longitude and latitude of the middle of the map in degrees.
+
+        Returns
+        -------
+        (rows, columns, 3) array
+            The lowest row first.
+        """
+        rows = round(columns / self.half_width)
+        x = self.half_width * ((2 * np.arange(columns) + 1) / columns - 1)
+        x, y = np.meshgrid(x, (2 * np.arange(rows) + 1) / rows - 1)
+        inside = (x / self.half_width) ** 2 + y**2 <= 1.0
+        found = np.full((*x.shape, 3), np.nan)
+        found[inside] = unit_vectors(*self.back(x[inside], y[inside])) @ turned(centre)
+        return found
+
+    def line(self, longitude: Floats, latitude: Floats, centre: tuple[float, float]) -> Pair:
+        """Return a line on the sphere as one on the map, with NaN where it leaves over an edge."""
+        seen = unit_vectors(longitude, latitude) @ turned(centre).T
+        x, y = self.onto(np.arctan2(seen[:, 1], seen[:, 0]), np.arcsin(np.clip(seen[:, 2], -1.0, 1.0)))
+        over = np.append(np.hypot(np.diff(x), np.diff(y)) > JUMP, False)
+        return np.where(over, np.nan, x), y
+
+
+def unit_vectors(longitude: Floats, latitude: Floats) -> Floats:
+    """Return directions (..., 3).
+
+    Examples
+    --------
+    >>> unit_vectors(np.array(0.0), np.array(0.0))
+    array([1., 0., 0.])
+    """
+    return np.stack(
+        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
+    )
+
+
+def turned(centre: tuple[float, float]) -> Floats:
+    """Return the rotation whose rows are the axes of the map: towards its middle, to the right, and upward.
+
+    Examples
+    --------
+    >>> turned((90.0, 0.0)).round(12) + 0.0
+    array([[ 0.,  1.,  0.],
+           [-1.,  0.,  0.],
+           [ 0.,  0.,  1.]])
+    """
+    longitude, latitude = np.radians(centre)
+    middle = unit_vectors(longitude, latitude)
+    right = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
+    return np.stack([middle, right, np.cross(middle, right)])
+
+
+def _mollweide_onto(longitude: Floats, latitude: Floats) -> Pair:
+    turn = np.linspace(-np.pi / 2, np.pi / 2, TABLE)
+    theta = np.interp(np.sin(latitude), (2 * turn + np.sin(2 * turn)) / np.pi, turn)
+    return 2 * longitude / np.pi * np.cos(theta), np.sin(theta)
+
+
+def _mollweide_back(x: Floats, y: Floats) -> Pair:
+    theta = np.arcsin(y)
+    return np.pi * x / (2 * np.cos(theta)), np.arcsin(np.clip((2 * theta + np.sin(2 * theta)) / np.pi, -1.0, 1.0))
+
+
+def _hammer_onto(longitude: Floats, latitude: Floats) -> Pair:
+    size = np.sqrt(1 + np.cos(latitude) * np.cos(longitude / 2))
+    return 2 * np.cos(latitude) * np.sin(longitude / 2) / size, np.sin(latitude) / size
+
+
+def _hammer_back(x: Floats, y: Floats) -> Pair:
+    z = np.sqrt(1 - x**2 / 8 - y**2 / 2)
+    return 2 * np.arctan2(np.sqrt(2) * z * x, 2 * (2 * z**2 - 1)), np.arcsin(np.clip(np.sqrt(2) * z * y, -1.0, 1.0))
+
+
+def _outside_onto(longitude: Floats, latitude: Floats) -> Pair:
+    x, y, z = np.moveaxis(unit_vectors(longitude, latitude), -1, 0)
+    return np.where(x >= 0.0, y, np.nan), np.where(x >= 0.0, z, np.nan)
+
+
+def _outside_back(x: Floats, y: Floats) -> Pair:
+    return np.arctan2(x, np.sqrt(np.maximum(1 - x**2 - y**2, 0.0))), np.arcsin(y)
+
+
+PROJECTIONS = {
+    "mollweide": Projection(2.0, _mollweide_onto, _mollweide_back),
+    "hammer": Projection(2.0, _hammer_onto, _hammer_back),
+    "outside": Projection(1.0, _outside_onto, _outside_back),
+}
+"""The first two are equal-area maps of the whole sphere; the last one is what is seen from far away."""

@@ -1,0 +1,67 @@
+"""The free rigid body of n dimensions with its momentum as a matrix, for n in the hundreds."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.matrix_states import LARGEST, MatrixAlgebra
+from coadjoint.given import read_finite
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.matrices.streams import Weights
+from coadjoint.systems.ready_made import ready_made
+from coadjoint.wording import short
+
+
+@ready_made
+def matrix_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0, 5.0)) -> MatrixSystem:
+    """Return the free rigid body of n dimensions, ``X' = [X, Omega]``, its momentum X a skew (n, n) matrix.
+
+    ``Omega_ij = X_ij / (l_i + l_j)`` is the angular velocity in the frame of the body. Choose it in place of
+    `so_n_body` where structure constants of so(n), some n^3 of them, would not fit, or the spectrum is to be kept: a
+    step takes products of matrices.
+
+    Parameters
+    ----------
+    inertia : (n,)
+        Second moments l of the mass along the principal axes (mass times length squared), n from 2. The sum of any two
+        must be positive.
+
+    Returns
+    -------
+    MatrixSystem
+        On so(n). Energy ``tr(Omega^T X)/2``, the sum over the planes of ``X_ij Omega_ij``: twice that of `so_n_body`.
+        Casimirs tr X^2, tr X^4, ...
+
+    Raises
+    ------
+    ValueError
+        `inertia` has another shape, is not finite, or the sum of two moments is not positive.
+
+    Notes
+    -----
+    Manakov, Funct. Anal. Appl. 10, 328 (1976); Ratiu, Indiana Univ. Math. J. 29, 609 (1980).
+
+    Examples
+    --------
+    >>> body = matrix_body((1.0, 1.0, 3.0, 7.0))
+    >>> X = np.zeros((4, 4))
+    >>> X[0, 1] = X[2, 3] = 1.0
+    >>> body.energy(X - X.T)
+    0.6
+    """
+    values = read_finite(inertia, "inertia")
+    if values.ndim != 1 or not 2 <= len(values) <= LARGEST:
+        raise ValueError(f"inertia has shape {values.shape}; give n principal values, n from 2 to {LARGEST}")
+    if np.sort(values)[:2].sum() <= 0.0:
+        raise ValueError(f"inertia is {short(values.tolist())}; the sum of any two moments must be positive")
+    with np.errstate(over="ignore", divide="ignore"):
+        sums = np.add.outer(values, values)
+        # The diagonal moves nothing: that of X is zero.
+        np.fill_diagonal(sums, np.inf)
+        inverse = -1.0 / sums
+    if not (np.isfinite(sums) | np.eye(len(values), dtype=bool)).all() or not np.isfinite(inverse).all():
+        raise ValueError("sums of two moments of inertia or their inverses leave float64; change units")
+    parameters = {"inertia": tuple(values.tolist())}
+    algebra = MatrixAlgebra("so", len(values))
+    return MatrixSystem(algebra, Weights(inverse), energy_sign=-1, name="matrix_body", parameters=parameters)

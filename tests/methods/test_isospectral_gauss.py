@@ -1,0 +1,160 @@
+"""Isospectral Gauss methods: the compiled step against its formula, the spectrum, far steps, crowds, reversal."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.systems.matrices.streams import Weights
+from coadjoint.systems.torus_euler import torus_euler
+
+
+def body(n: int) -> co.MatrixSystem:
+    """Return a free body of n dimensions."""
+    inertia = 1.0 + np.arange(n) / n
+    return co.MatrixSystem(co.MatrixAlgebra("so", n), Weights(1 / np.add.outer(inertia, inertia)), name="body")
+
+
+SYSTEMS = {
+    **{f"sphere {n}": (lambda n=n: co.systems.sphere_euler(N=n)) for n in (2, 5, 8, 33)},
+    **{f"torus {n}": (lambda n=n: torus_euler(N=n)) for n in (3, 9)},
+    **{f"so({n})": (lambda n=n: body(n)) for n in (3, 4, 7, 35)},
+}
+
+
+def start(system: co.MatrixSystem, seed: int = 1, members: int | None = None) -> np.ndarray:
+    """Return random matrices of spectral radius one; smooth where a stream smooths."""
+    shape = system.shape if members is None else (members, *system.shape)
+    rng = np.random.default_rng(seed)
+    W = rng.standard_normal(shape)
+    if system.complex:
+        W = W + 1j * rng.standard_normal(shape)
+    W = system.stream(system.algebra.projected(W))
+    return W / np.abs(np.linalg.eigvals(W)).max()
+
+
+def turning(system: co.MatrixSystem, W: np.ndarray, share: float) -> float:
+    """Return the step in which the fastest mode of the stream turns by `share` of a half turn."""
+    return float(share * np.pi / np.abs(np.linalg.eigvals(system.stream(W))).max())
+
+
+@pytest.mark.parametrize("stages", [1, 2, 3])
+@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("direction", [1, -1])
+def test_the_compiled_step_is_the_formula(name: str, stages: int, direction: int) -> None:
+    """Also after steps from which the loop guesses the next one."""
+    system, scheme = SYSTEMS[name](), co.IsospectralGauss(stages)
+    W = start(system)
+    h = direction * turning(system, W, 0.05)
+    run = co.integrate(system, W, t_span=(0, 3 * h), step=abs(h), method=scheme).x
+    for before, after in pairwise(run):
+        formula = scheme.step(system, before, 0.0, h)
+        # The stages end where corrections of 1 stop falling; products of N entries round by some N^(1/2) units.
+        assert np.abs(after - formula).max() < 16 * np.sqrt(system.shape[-1]) * np.finfo(float).eps
+
+
+@pytest.mark.parametrize("name", ["sphere 8", "sphere 33", "so(7)", "torus 9"])
+def test_a_step_of_a_stage_turns_the_matrix(name: str) -> None:
+    """W = M - (h/2)[P, M] - (h^2/4) P M P and W + h [P, M]: both have the spectrum of W."""
+    system = SYSTEMS[name]()
+    W = start(system)
+    h = turning(system, W, 0.2)
+    after = co.integrate(system, W, t_span=(0, h), step=h, method=co.IsospectralGauss()).x[-1]
+    # From both ends the middle is found: (1 - h P/2) M (1 + h P/2) = W, (1 + h P/2) M (1 - h P/2) = W', P = stream(M).
+    middle = 0.5 * (W + after)
+    for _ in range(60):
+        P = system.stream(middle)
+        middle = 0.5 * (W + after) + 0.25 * h**2 * P @ middle @ P
+    P, one = system.stream(middle), np.eye(len(W))
+    below, above = one - 0.5 * h * P, one + 0.5 * h * P
+    assert np.abs(below @ middle @ above - W).max() < 1e-14
+    assert np.abs(above @ middle @ below - after).max() < 1e-14
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 1.0])
+def test_a_long_step_is_solved_or_refused(share: float) -> None:
+    """Far from where the iteration begins, and with a rough vorticity."""
+    system = co.systems.sphere_euler(N=24)
+    rng = np.random.default_rng(3)
+    W = system.algebra.projected(rng.standard_normal((24, 24)) + 1j * rng.standard_normal((24, 24)))
+    h = turning(system, W, share)
+    try:
+        run = co.integrate(system, W, t_span=(0, 3 * h), step=h, method=co.IsospectralGauss())
+    except co.IntegrationError as error:
+        assert "step" in str(error)
+        return
+    size = np.abs(system.spectrum(W)).max()
+    assert np.abs(system.spectrum(run.x) - system.spectrum(W)).max() < 1e-13 * size
+
+
+@pytest.mark.parametrize(
+    ("n", "steps"),
+    [
+        (16, 5000),
+        pytest.param(16, 10**6, marks=pytest.mark.long),
+        pytest.param(64, 10**4, marks=pytest.mark.long),
+    ],
+)
+def test_the_spectrum_stays(n: int, steps: int) -> None:
+    """And the energy is bounded by the square of the step, without a trend."""
+    system = co.systems.sphere_euler(N=n)
+    W = start(system, seed=7)
+    h = turning(system, W, 0.1)
+    every = steps // 100
+    run = co.integrate(system, W, t_span=(0, steps * h), step=h, method=co.IsospectralGauss(), save_every=every)
+    found = system.spectrum(run.x)
+    # Each step rounds the middle once, by which W moves h |P| times as much; the roundings add up like a walk.
+    walk = 0.3 * np.finfo(float).eps * np.sqrt(steps)
+    assert np.abs(found - found[0]).max() < max(walk, 2 * n * np.finfo(float).eps) * np.abs(found).max()
+    away = (run.energy - run.energy[0]) / run.energy[0]
+    half = len(away) // 2
+    assert np.abs(away).max() < 0.02
+    # The mean of a half of the run differs from that of the other by less than the energy goes to and fro.
+    assert abs(away[half:].mean() - away[:half].mean()) < 4 * away.std()
+
+
+@pytest.mark.parametrize("stages", [1, 2])
+@pytest.mark.parametrize("name", ["sphere 8", "torus 9", "so(4)"])
+def test_a_member_is_the_same_alone_and_in_a_crowd(name: str, stages: int) -> None:
+    """Bit for bit, on one thread and on two; one that fails leaves the others alone."""
+    system = SYSTEMS[name]()
+    W = start(system, members=3)
+    h = turning(system, W[0], 0.1)
+    W[1] *= 1e200
+    given = {"t_span": (0, 20 * h), "step": h, "method": co.IsospectralGauss(stages)}
+    with pytest.raises(co.IntegrationError) as raised:
+        co.integrate(system, W, threads=2, **given)
+    crowd = raised.value.partial
+    assert list(crowd.failed) == [False, True, False]
+    for k in (0, 2):
+        assert np.array_equal(crowd.x[:, k], co.integrate(system, W[k], **given).x)
+
+
+@pytest.mark.parametrize("stages", [1, 2, 3])
+@pytest.mark.parametrize("name", ["sphere 8", "torus 9", "so(7)"])
+def test_steps_back_undo_steps(name: str, stages: int) -> None:
+    system = SYSTEMS[name]()
+    W = start(system)
+    h = turning(system, W, 0.1)
+    there = co.integrate(system, W, t_span=(0, 50 * h), step=h, method=co.IsospectralGauss(stages)).x[-1]
+    back = co.integrate(system, there, t_span=(50 * h, 0), step=h, method=co.IsospectralGauss(stages)).x[-1]
+    assert np.abs(there - W).max() > 0.01
+    assert np.abs(back - W).max() < 1e-13
+
+
+@pytest.mark.parametrize("stages", [1, 2, 3])
+def test_the_order_is_twice_the_stages(stages: int) -> None:
+    system = co.systems.sphere_euler(N=7)
+    W = start(system, seed=5)
+    h = turning(system, W, 0.2)
+    exact = co.integrate(system, W, t_span=(0, 8 * h), step=h / 16, method=co.IsospectralGauss(4)).x[-1]
+    errors = [
+        np.abs(
+            co.integrate(system, W, t_span=(0, 8 * h), step=h / k, method=co.IsospectralGauss(stages)).x[-1] - exact
+        ).max()
+        for k in (2, 4)
+    ]
+    assert abs(np.log2(errors[0] / errors[1]) - 2 * stages) < 0.3

@@ -1,0 +1,229 @@
+"""Movies show the saved states, one after the other, and are refused where there is nothing to show."""
+
+import os
+import stat
+import sys
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+import coadjoint as co
+from coadjoint import cli
+from coadjoint.files.output import OutputError
+from coadjoint.pictures.drawn import Drawn
+from coadjoint.pictures.movie import write_movie
+from coadjoint.pictures.register import kinds, read_picture
+from coadjoint.systems.ready_made import telling_of
+from coadjoint.systems.telling import Picture
+
+SMALL = {"size": (96, 64)}
+
+# Keeps what it is given: its arguments, and how many bytes came.
+KEEPER = """#!{python}
+import sys
+came = sys.stdin.buffer.read()
+open(sys.argv[-1], "w").write(" ".join(sys.argv[1:-1]) + "|" + str(len(came)))
+"""
+FAILING = """#!{python}
+import sys
+print("no such encoder", file=sys.stderr)
+sys.exit(3)
+"""
+
+
+@pytest.fixture(scope="module")
+def fluid():
+    s = co.systems.torus_euler(N=9)
+    return co.integrate(s, s.random(2, degrees=(1, 3)), (0.0, 1.0), 0.05, co.IsospectralGauss())
+
+
+@pytest.fixture
+def ffmpeg(tmp_path, monkeypatch):
+    def put(script):
+        file = tmp_path / "programs" / "ffmpeg"
+        file.parent.mkdir()
+        file.write_text(script.format(python=sys.executable))
+        file.chmod(file.stat().st_mode | stat.S_IXUSR)
+        monkeypatch.setenv("PATH", f"{file.parent}{os.pathsep}{os.environ['PATH']}")
+
+    monkeypatch.setitem(matplotlib.rcParams, "animation.ffmpeg_path", "ffmpeg")
+    return put
+
+
+def test_a_gif_has_the_saved_states_in_order(fluid, tmp_path):
+    path = fluid.movie(tmp_path / "run.gif", frames=6, fps=10, **SMALL)
+    assert path == tmp_path / "run.gif" and [file.name for file in tmp_path.iterdir()] == ["run.gif"]
+    with Image.open(path) as movie:
+        assert movie.n_frames == 6 and movie.size == (96, 64)
+        frames = []
+        for k in range(6):
+            movie.seek(k)
+            assert movie.info["duration"] == 100
+            frames.append(np.asarray(movie.convert("RGB"), dtype=float))
+    # neighbours are alike, and the bar of colours at the right stays
+    far, near = np.abs(frames[5] - frames[0]).mean(), np.abs(frames[1] - frames[0]).mean()
+    assert far > near > 0.0
+    assert np.abs(frames[5] - frames[0])[:, -8:].max() == 0.0
+    assert (frames[0][0, 0] == 255).all(), "the paper is white"
+
+
+MOVING = {
+    "vorticity": lambda: telling_short("torus_euler"),
+    "field": lambda: telling_short("fluid_triad"),
+    "sphere field": lambda: telling_short("rigid_body"),
+    "spins": lambda: co.integrate(co.systems.spin_lattice("chain", 4), np.cos(np.arange(12.0)), (0.0, 1.0), 0.1),
+}
+
+
+def telling_short(name):
+    """Return a short run of a system."""
+    if name == "torus_euler":
+        s = co.systems.torus_euler(N=9)
+        return co.integrate(s, s.random(2, degrees=(1, 3)), (0.0, 1.0), 0.1, co.IsospectralGauss())
+    told = telling_of(name)
+    return co.integrate(co.systems.get(name), told.start(), (0.0, 1.0), 0.1)
+
+
+def values(system, x):
+    return np.add.outer(x[0] * np.arange(5.0), np.cos(np.arange(8.0) + x[1]))
+
+
+def test_every_kind_that_moves_is_tried():
+    assert {name for name, kind in kinds().items() if kind.moves} == set(MOVING)
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_another_time_in_the_same_picture_is_the_picture_of_that_time(name):
+    run = MOVING[name]()
+    options = {"sphere field": {"values": values}}.get(name, {})
+    declared = next((p for p in telling_of(run.system.name).pictures if p.kind == name), Picture(name))
+    options = {**declared.options, **options}
+    drawn, (kind, _) = Drawn(run), read_picture(Picture(name, **options))
+    moved, direct = (Figure().add_subplot() for _ in range(2))
+    update = kind.prepare(drawn, **{**options, "at": 0.0})(moved)
+    before = canvas_of(moved)
+    update(7)
+    kind.prepare(drawn, **{**options, "at": 0.7})(direct)
+    assert moved.get_title() == direct.get_title()
+    # the scale of colours may differ, as it holds start, end and the time that is shown
+    for one, other in zip((*moved.images, *moved.collections), (*direct.images, *direct.collections), strict=True):
+        one.set_clim(-1.0, 1.0)
+        other.set_clim(-1.0, 1.0)
+    assert not np.array_equal(before, canvas_of(moved))
+    difference = np.abs(canvas_of(moved).astype(int) - canvas_of(direct))[:, :480]
+    assert np.mean(difference > 8) < 0.01
+
+
+def canvas_of(axes):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas = FigureCanvasAgg(axes.figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba()).copy()
+
+
+def test_ffmpeg_is_given_every_frame(fluid, tmp_path, ffmpeg):
+    ffmpeg(KEEPER)
+    fluid.movie(tmp_path / "run.mp4", frames=5, fps=12.5, **SMALL)
+    said, _, came = (tmp_path / "run.mp4").read_text().partition("|")
+    assert int(came) == 5 * 96 * 64 * 4
+    for part in ("-pix_fmt rgba", "-s 96x64", "-framerate 12.5", "-pix_fmt yuv420p"):
+        assert part in said
+
+
+def test_no_ffmpeg_and_one_that_fails(fluid, tmp_path, monkeypatch, ffmpeg):
+    (tmp_path / "old.mp4").write_text("kept")
+    monkeypatch.setattr("coadjoint.pictures.movie.shutil.which", lambda name: None)
+    with pytest.raises(OutputError, match=r"MP4 needs the program ffmpeg.*\.gif"):
+        fluid.movie(tmp_path / "old.mp4")
+    monkeypatch.undo()
+    ffmpeg(FAILING)
+    monkeypatch.setenv("PATH", f"{tmp_path / 'programs'}{os.pathsep}{os.environ['PATH']}")
+    with pytest.raises(OutputError, match="no such encoder"):
+        fluid.movie(tmp_path / "old.mp4", frames=3, **SMALL)
+    assert (tmp_path / "old.mp4").read_text() == "kept"
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["old.mp4", "programs"]
+
+
+def test_what_is_wrong_is_refused_and_nothing_is_left(fluid, tmp_path):
+    body = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (0.0, 1.0), 0.1)
+    single = co.integrate(fluid.system, fluid.x[0], (0.0, 0.0), 0.05, co.IsospectralGauss())
+    for run, options, said in [
+        (body, {}, "rigid_body declares no picture that a movie can show; give one: .*vorticity"),
+        (body, {"picture": "vorticity"}, "rigid_body has no vorticity"),
+        (fluid, {"picture": "drift"}, "'drift' shows no single time"),
+        (fluid, {"picture": "vorticty"}, "did you mean 'vorticity'"),
+        (fluid, {"frames": 1}, "frames"),
+        (fluid, {"frames": 10**6}, "5000"),
+        (fluid, {"fps": 0}, "fps"),
+        (fluid, {"fps": 100}, "no more than 50"),
+        (fluid, {"size": (101, 64)}, "even"),
+        (fluid, {"size": (100, 10**6)}, "4096"),
+        (single, {}, "only one saved state"),
+    ]:
+        with pytest.raises(ValueError, match=said):
+            write_movie(run, tmp_path / "run.gif", **options)
+    with pytest.raises(OutputError, match=r"\.mp4 or \.gif"):
+        fluid.movie(tmp_path / "run.avi")
+    with pytest.raises(TypeError, match="Solution"):
+        write_movie(3, tmp_path / "run.gif")
+    assert list(tmp_path.iterdir()) == []
+
+
+FLUID = """
+[system]
+name = "torus_euler"
+parameters = {N = 9}
+[initial]
+kind = "random"
+seed = 1
+degrees = [1, 3]
+[method]
+name = "IsospectralGauss"
+[run]
+t_span = [0.0, 1.0]
+step = 0.1
+save_every = 5
+"""
+
+
+def test_the_command_makes_movies(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fluid.toml").write_text(FLUID + '[output]\nmovie = "named.gif"\n')
+    made = []
+    monkeypatch.setattr("coadjoint.pictures.movie.write_movie", lambda run, path, *given: made.append((run, path)))
+    assert cli.main(["run", "fluid.toml"]) == 0
+    assert capsys.readouterr().out.endswith("written: named.gif\n")
+    assert cli.main(["run", "fluid.toml", "--movie", "other.gif", "--quiet"]) == 0
+    assert [path.name for _, path in made] == ["named.gif", "other.gif"]
+    assert [run.t.tolist() for run, _ in made] == [[0.0, 0.5, 1.0]] * 2
+
+
+def test_the_command_refuses_before_the_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("coadjoint.runs.run.Run.advance", None)
+    monkeypatch.setattr("coadjoint.pictures.movie.shutil.which", lambda name: None)
+    (tmp_path / "fluid.toml").write_text(FLUID)
+    body = '[system]\nname = "rigid_body"\n[initial]\nx = [1.0, 0.1, 0.5]\n[run]\nt_span = [0, 1]\nstep = 0.1\n'
+    (tmp_path / "body.toml").write_text(body)
+    for file, movie, said in [
+        ("fluid.toml", "x.mp4", "x.mp4: MP4 needs the program ffmpeg"),
+        ("fluid.toml", "x.avi", "must be .mp4 or .gif"),
+        ("body.toml", "x.gif", "body.toml: output.movie: rigid_body declares no picture that a movie can show"),
+    ]:
+        assert cli.main(["run", file, "--movie", movie]) == 2
+        assert said in capsys.readouterr().err
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["body.toml", "fluid.toml"]
+
+
+def test_a_crowd_shows_its_first_member(tmp_path):
+    s = co.systems.sphere_euler(N=6)
+    crowd = np.stack([s.random(seed, degrees=(2, 3)) for seed in (1, 2)])
+    run = co.integrate(s, crowd, (0.0, 0.5), 0.1, co.IsospectralGauss())
+    single = co.integrate(s, crowd[0], (0.0, 0.5), 0.1, co.IsospectralGauss())
+    for name, each in (("crowd", run), ("one", single)):
+        each.movie(tmp_path / f"{name}.gif", frames=2, **SMALL)
+    assert (tmp_path / "crowd.gif").read_bytes() == (tmp_path / "one.gif").read_bytes()

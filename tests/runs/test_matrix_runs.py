@@ -1,0 +1,195 @@
+"""Matrices wherever vectors go: ensembles, threads, prepared runs, steppers, what is observed, and runs that fail."""
+
+import threading
+import warnings
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.analysis.poisson_defect import poisson_defect
+from served import state_of
+
+SPHERE = co.systems.sphere_euler(N=4)
+BODY = co.systems.matrix_body()
+GENERAL = co.MatrixSystem(co.MatrixAlgebra("gl", 3), np.transpose, np.diag([0.3, 0.1, -0.2]), name="general")
+SYSTEMS = {"sphere": SPHERE, "body": BODY, "general": GENERAL}
+pytestmark = pytest.mark.filterwarnings("ignore:the stream .* is called in Python:RuntimeWarning")
+
+
+def states(system, count):
+    return np.array([state_of(system, seed) for seed in range(count)])
+
+
+@pytest.mark.parametrize("stages", [1, 2])
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_members_alone_and_in_company_have_the_same_bits(name, stages):
+    system, method = SYSTEMS[name], co.IsospectralGauss(stages)
+    W = states(system, 5)
+    crowd = co.integrate(system, W, (0.0, 1.0), 0.0625, method, save_every=3, threads=2)
+    assert crowd.x.shape == (7, 5, *system.shape) and crowd.x.dtype == W.dtype
+    assert crowd.failed.tolist() == [False] * 5 and crowd.energy.shape == (7, 5)
+    one = co.integrate(system, W, (0.0, 1.0), 0.0625, method, save_every=3, threads=1)
+    assert np.array_equal(one.x, crowd.x)
+    ready = co.prepare(system, method, 0.0625, observe={"size": lambda V: float(np.abs(V).max())})
+    for m in range(5):
+        alone = ready.run(W[m], (0.0, 1.0), save_every=3)
+        assert np.array_equal(alone.x, crowd.x[:, m]) and np.array_equal(alone.energy, crowd.energy[:, m])
+        assert all(np.array_equal(values, crowd.casimirs[key][:, m]) for key, values in alone.casimirs.items())
+        assert np.array_equal(alone.observed["size"], np.abs(alone.x).max(axis=(1, 2)))
+        assert np.array_equal(alone.spectrum(), crowd.spectrum()[:, m])
+    assert np.array_equal(crowd.x[0], W)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_what_is_saved_changes_nothing(name):
+    system, W = SYSTEMS[name], state_of(SYSTEMS[name])
+    every = co.integrate(system, W, (0.0, 1.0), 0.125, co.IsospectralGauss(2))
+    few = co.integrate(system, W, (0.0, 1.0), 0.125, co.IsospectralGauss(2), save_every=8)
+    assert np.array_equal(every.x[[0, -1]], few.x) and not every.watched
+    # Invariants are taken at the saved points.
+    assert every.drift()["energy"] == np.abs(every.energy - every.energy[0]).max() > 0.0
+    # Step k of 8 is in the tenth 10 (k - 1) / 8, rounded down.
+    off, tenths = np.abs(every.energy - every.energy[0])[1:], every.drift()["energy"].tenths
+    assert np.array_equal(tenths[[0, 1, 2, 3, 5, 6, 7, 8]], off) and tenths[4] == tenths[9] == 0.0
+    assert few.drift()["energy"] == abs(few.energy[1] - few.energy[0])
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_steppers(name):
+    system, W, method = SYSTEMS[name], state_of(SYSTEMS[name]), co.IsospectralGauss(2)
+    step = co.stepper(system, method, 0.1)
+    run = co.integrate(system, W, (0.0, 0.1), 0.1, method)
+    assert np.array_equal(step(W), run.x[-1]) and step(np.stack([W, W])).shape == (2, *system.shape)
+    assert np.abs(method.step(system, W, 0.0, 0.1) - step(W)).max() < 1e-15
+    found = poisson_defect(step, W)
+    assert found.poisson, found
+    seen = step.tangent(W) @ system.to_vector(state_of(system, 3))
+    d = 2.0**-16
+    ends = [step(W + side * d * state_of(system, 3)) for side in (1, -1)]
+    assert np.abs(system.to_vector(ends[0] - ends[1]) / (2 * d) - seen).max() < 1e-9
+    assert step.tangent_by(W) == "formula"
+    with pytest.raises(ValueError, match="no group element"):
+        step.both(W)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_there_and_back(name):
+    system, W = SYSTEMS[name], states(SYSTEMS[name], 2)
+    there = co.integrate(system, W, (0.5, 1.5), 0.0625)
+    back = co.integrate(system, there.x[-1], (1.5, 0.5), 0.0625)
+    assert np.abs(back.x[-1] - W).max() < 1e-14 < 1e-3 < np.abs(there.x[-1] - W).max()
+
+
+def test_without_a_scheme_matrices_take_their_own():
+    assert isinstance(co.integrate(BODY, state_of(BODY), (0, 1), 0.1).method, co.IsospectralGauss)
+    assert isinstance(co.prepare(SPHERE, None, 0.1).method, co.IsospectralGauss)
+
+
+def test_energy_that_depends_on_time():
+    def stream(W, t):
+        return (1.0 + 0.5 * np.cos(t)) * np.diag(np.array([1.0, 2.0, 3.0])) @ W @ np.diag(np.array([1.0, 2.0, 3.0]))
+
+    system = co.MatrixSystem(co.MatrixAlgebra("so", 3), stream)
+    W, method = state_of(system), co.IsospectralGauss(3)
+    sol = co.integrate(system, W, (2.0, 4.0), 0.125, method, observe={"H": system.energy})
+    assert np.array_equal(sol.observed["H"], sol.energy)
+    x = W
+    for k in range(16):
+        x = method.step(system, x, 2.0 + 0.125 * k, 0.125)
+    assert np.abs(x - sol.x[-1]).max() < 1e-15
+    # H of (t) is a factor times the energy of the body, which is kept: it follows the factor.
+    factor = (1.0 + 0.5 * np.cos(sol.t)) / (1.0 + 0.5 * np.cos(2.0))
+    assert np.abs(sol.energy / sol.energy[0] - factor).max() < 1e-8
+    assert sol.spectrum().std(axis=0).max() < 1e-15
+
+
+def test_a_member_that_fails_leaves_the_others():
+    W = np.array([state_of(SPHERE), 1e9 * state_of(SPHERE), 0.5 * state_of(SPHERE)])
+    with pytest.raises(co.IntegrationError, match=r"1 of 3 members \(first: member 1\)") as failure:
+        co.integrate(SPHERE, W, (0.0, 1.0), 0.125, co.IsospectralGauss(2))
+    partial = failure.value.partial
+    assert partial.failed.tolist() == [False, True, False]
+    assert np.array_equal(partial.x[:, 0], co.integrate(SPHERE, W[0], (0.0, 1.0), 0.125, co.IsospectralGauss(2)).x)
+    assert (
+        np.isnan(partial.x[-1, 1]).all() and np.isnan(partial.energy[-1, 1]) and np.isfinite(partial.energy[:, 2]).all()
+    )
+    assert np.isnan(partial.spectrum()[-1, 1]).all() and np.isfinite(partial.spectrum()[:, 2]).all()
+    with pytest.raises(co.IntegrationError) as alone:
+        co.integrate(SPHERE, W[1], (0.0, 1.0), 0.125, co.IsospectralGauss(2))
+    assert np.array_equal(alone.value.partial.x, W[1][None])
+
+
+class TooLarge(Exception):
+    """Of the user."""
+
+
+def watched_stream(limit):
+    def stream(W):
+        if np.abs(W).max() > limit and not np.isnan(W).any():
+            raise TooLarge(f"beyond {limit}")
+        return [*W.T]
+
+    return stream
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_what_a_function_raises_comes_out_of_the_run(threads):
+    # W' = [W^T, W] makes entries above the diagonal of a triangular matrix fall, and so others rise.
+    system = co.MatrixSystem(co.MatrixAlgebra("gl", 3), watched_stream(2.0))
+    W = np.array([[0.5, 1.9, 0.0], [0.0, -0.5, 1.9], [0.3, 0.0, 0.1]])
+    with pytest.raises(TooLarge, match="beyond 2"):
+        co.integrate(system, [W, 0.1 * W], (0.0, 2.0), 0.01, threads=threads)
+    calm = co.integrate(system, 0.1 * W, (0.0, 2.0), 0.01)
+    assert np.isfinite(calm.x).all()
+
+
+def test_a_function_that_numba_cannot_compile_is_said_to_be_slow_once():
+    def stream(W):
+        return dict(P=W)["P"].T
+
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        for _ in range(2):
+            system = co.MatrixSystem(co.MatrixAlgebra("gl", 2), stream)
+            co.integrate(system, np.array([[1.0, 0.5], [0.0, 0.2]]), (0.0, 0.5), 0.125)
+    assert len([w for w in said if "is called in Python" in str(w.message)]) == 1
+
+
+def test_compiled_and_called_functions_are_one_motion():
+    """H = tr W^3/3 + tr(W W^T)/2 on gl(3), whose slope is W^2 + W^T."""
+    g, ends = co.MatrixAlgebra("gl", 3), []
+    for function in (lambda W: W @ W + W.T, lambda W: np.einsum("ij,jk->ik", W, W) + W.T):
+        system = co.MatrixSystem(g, function, energy=lambda W: np.trace(W @ W @ W) / 3 + np.sum(W * W) / 2)
+        sol = co.integrate(system, 2.0 * state_of(system), (0.0, 1.0), 0.125, co.IsospectralGauss(2))
+        assert 1e-10 < sol.drift()["energy"] < 1e-3
+        ends.append(sol.x[-1])
+    assert np.abs(ends[0] - ends[1]).max() < 1e-15
+
+
+def test_an_interrupt_ends_a_long_run():
+    import signal
+
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        pytest.skip("no interrupts are heard here")
+    timer = threading.Timer(0.3, lambda: signal.raise_signal(signal.SIGINT))
+    timer.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            co.integrate(SPHERE, state_of(SPHERE), (0.0, 1e6), 1e-3, save_every=10**9)
+    finally:
+        timer.cancel()
+
+
+def test_large_states_are_estimated(monkeypatch):
+    large = co.systems.matrix_body(np.linspace(1.0, 2.0, 400))
+    W = np.zeros((400, 400))
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 10**8)
+    with pytest.raises(ValueError, match=r"101 saved points of 1 member need about .* give save_every="):
+        co.integrate(large, W, (0.0, 1.0), 0.01)
+    assert co.integrate(large, W, (0.0, 0.01), 0.01).x.shape == (2, 400, 400)
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 10**7)
+    with pytest.raises(ValueError, match="x0"):
+        co.MatrixAlgebra("so", 1000).read(np.zeros((1000, 1000)))
+    with pytest.raises(ValueError, match="structure matrix"):
+        large.structure_matrix(W)

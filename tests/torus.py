@@ -1,0 +1,43 @@
+"""Fluids on the torus for tests: modes, random states, and a reference to 40 digits."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from coadjoint.systems.matrices.torus_modes import matrix_of_modes, representatives
+
+REFERENCE = json.loads((Path(__file__).parent / "systems" / "torus_reference.json").read_text())["modes"]
+
+
+def first_modes(N):
+    """The modes at t = 0 of the reference: 1/(k + 2) + i (-1)^k/(k + 3), in lexicographic order."""
+    above = sorted((m1, m2) for m1, m2, _, _ in REFERENCE[str(N)])
+    return {mode: complex(1 / (k + 2), (-1) ** k / (k + 3)) for k, mode in enumerate(above)}
+
+
+def last_modes(N):
+    """Those at t = 1."""
+    return {(m1, m2): complex(float(re), float(im)) for m1, m2, re, im in REFERENCE[str(N)]}
+
+
+def mode(N, n):
+    """T_n."""
+    w = np.zeros((N, N), dtype=complex)
+    w[n[0] % N, n[1] % N] = 1.0
+    return matrix_of_modes(w) / (-1j * N / (4 * np.pi))
+
+
+def of_size(N):
+    n = representatives(N)
+    return n[:, None] ** 2 + n[None, :] ** 2
+
+
+def smooth(system, seed, width=2.0):
+    """A random state of large waves, its vorticity of size one."""
+    N, rng = system.algebra.N, np.random.default_rng(seed)
+    w = (rng.standard_normal((N, N)) + 1j * rng.standard_normal((N, N))) * np.exp(-of_size(N) / (2 * width**2))
+    w[0, 0] = 0.0
+    back = -np.arange(N) % N
+    w = w + np.conj(w[back][:, back])
+    return system.algebra.projected(matrix_of_modes(w / np.linalg.norm(w)))
