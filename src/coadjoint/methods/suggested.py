@@ -47,7 +47,8 @@ def suggested_scheme(system: System) -> Method:
         first = [method for name in names() for method in scheme(name).examples()]
     for method in first:
         try:
-            method.properties(system)
+            if not method.properties(system).poisson:
+                continue
             # Whether H has exact flows is found where they are counted.
             method.work(system, None)
         except (TypeError, ValueError):

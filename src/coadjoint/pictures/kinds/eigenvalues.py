@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from coadjoint.pictures.drawn import Drawn
-from coadjoint.pictures.fluids import carried_by
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import colour, key, plain_axes
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -34,7 +33,7 @@ def eigenvalues(drawn: Drawn, at: float = 1.0) -> Paint:
     if not isinstance(drawn.family, MatrixSystem):
         raise CannotShow(f"{drawn.family.name} moves no matrix, and has no eigenvalues")
     k = drawn.at(at)
-    first, last = (drawn.family.spectrum(carried_by(drawn.state(j))) for j in (0, k))
+    first, last = (drawn.family.spectrum(drawn.state(j)) for j in (0, k))
     size = float(np.abs(first).max()) or 1.0
     moved = float(np.abs(last - first).max()) / size
     part = (np.arange(len(first)) + 0.5) / len(first)
