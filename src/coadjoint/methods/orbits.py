@@ -12,6 +12,7 @@ from coadjoint.methods.isospectral_stages import slope_along
 from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 
 
 class Generator(NamedTuple):
@@ -90,6 +91,8 @@ def orbit_of(system: Any, asked_by: str) -> VectorOrbit | MatrixOrbit:
         It is no single system, or has no Lie algebra.
     """
     check_one_system(system)
+    if isinstance(system, TwoLayerSystem):
+        raise ValueError(f"{asked_by} moves one matrix, and {system.name} has two layers; take IsospectralGauss")
     if isinstance(system, MatrixSystem):
         return MatrixOrbit(system)
     if system.algebra is None:
