@@ -166,7 +166,10 @@ class CommutatorFree(CompiledStepMethod):
         return matrices.to_vector(end) if matrices.is_in_numbers(x) else end
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its exact derivative, that of its series."""
+        """Return one step and its derivative, that of its series: of a matrix, of its projection on the algebra.
+
+        A stream that is a function is differentiated by differences.
+        """
         orbit = orbit_of(system, "CommutatorFree")
         if isinstance(orbit, VectorOrbit):
             return self._moved(orbit, np.asarray(x, dtype=np.float64), t, h, np.eye(len(x)))
@@ -174,6 +177,10 @@ class CommutatorFree(CompiledStepMethod):
         units = matrices.algebra.projected(matrices.from_vector(np.eye(matrices.dim)))
         end, changes = self._moved(orbit, matrices.matrices(x), t, h, units)
         return matrices.to_vector(end), matrices.to_vector(changes).T
+
+    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
+        """Return that of a formula, but for matrices whose stream is a function."""
+        return orbit_of(system, "CommutatorFree").bent_by
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
         orbit = orbit_of(system, "CommutatorFree")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_whole
+from coadjoint.memory import check_room
 from coadjoint.methods.base import Representation
 from coadjoint.methods.properties import Properties
 from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
@@ -143,12 +144,13 @@ class LineSplitting(SteppedMethod):
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step of a matrix (N, N) or of its numbers (dim,), read in NumPy."""
         torus = torus_of(system)
-        found = self._moved(torus, modes_of(torus.matrices(x)), h, None)[0]
-        return np.asarray(torus.to_vector(matrix_of(found)) if torus.is_in_numbers(x) else matrix_of(found))
+        found = matrix_of(self._moved(torus, modes_of(torus.matrices(x)), h, None)[0])
+        return np.asarray(torus.to_vector(found) if torus.is_in_numbers(x) else found)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative by the numbers of the state, of its projection on the algebra."""
         torus = torus_of(system)
+        check_room(8 * 12 * torus.dim**2, f"the derivative of a step of {torus.dim} numbers")
         units = torus.algebra.projected(torus.from_vector(np.eye(torus.dim)))
         moved, changes = self._moved(torus, modes_of(torus.matrices(x)), h, modes_of(units))
         return torus.to_vector(matrix_of(moved)), torus.to_vector(matrix_of(changes)).T
@@ -223,7 +225,7 @@ def stream_of_modes(torus: MatrixSystem) -> tuple[NDArray[np.float64], Complexes
     """Return the factors by which the stream multiplies modes, and the modes that it adds, each (N, N)."""
     N = torus.algebra.N
     assert isinstance(torus.stream, Circulants)
-    linear = getattr(torus, "linear", None)
+    linear = torus.linear
     return torus.stream.spectrum.T[(2 * np.arange(N)) % N], None if linear is None else modes_of(linear)
 
 
@@ -249,7 +251,7 @@ def torus_of(system: Any) -> MatrixSystem:
     """
     name = getattr(system, "name", short(system))
     served = isinstance(system, MatrixSystem) and isinstance(system.stream, Circulants)
-    if not served or system.algebra.kind not in ("u", "su") or len(system.shape) == 3:
+    if not served or system.algebra.kind not in ("u", "su") or len(system.shape) != 2:
         raise ValueError(
             f"LineSplitting moves fluids on the torus, but {name} is none: its stream is no factor for each mode of "
             "su(N); take IsospectralGauss for matrices, Splitting for vectors"
