@@ -202,8 +202,7 @@ class SystemLoops(Loops):
         """Take the energy and the invariants of the saved matrices."""
         if self._matrices is None or not len(points):
             return
-        # nothing has been done yet
-        first = self._values(np.pad(start.momenta, ((0, 0), (0, len(self.accounts)))), times.t0)
+        first = self._values(start.momenta, times.t0)
         for k in points.tolist():
             number = int(times.saved[k])
             found = saved["values"][k] = self._values(saved["x"][k], float(times.at(times.saved[k])))
@@ -216,17 +215,17 @@ class SystemLoops(Loops):
         assert system is not None
         # Later states of members that have failed are NaN, and no function is asked about them.
         sound = np.isfinite(states[:, : system.dim]).all(axis=-1)
-        found = np.full((len(states), len(self.names)), np.nan)
-        rows = states[sound]
-        W, work = system.from_vector(rows[:, : system.dim]), rows[:, system.dim :]
+        found = np.full((len(states), len(self.names) * (2 if self.accounts else 1)), np.nan)
+        W = system.from_vector(states[sound, : system.dim])
         with np.errstate(all="ignore"):
-            values = {"energy": system.energy(W, t), **system.casimirs_at(W)}
+            values = [system.energy(W, t), *system.casimirs_at(W).values()]
         if self.accounts:
-            # what is left of each beside the work of forces
-            for name in tuple(values):
-                done = [place for place, (_, which) in enumerate(self.accounts) if which == name]
-                values[f"{name}, balance"] = values[name] - work[:, done].sum(axis=-1)
-        found[sound] = np.stack(list(values.values()), axis=-1)
+            # less what forces have done to each, which stands behind the numbers of a state, and not of a start
+            done = {name: np.zeros(len(W)) for name in self.names}
+            for (_, name), column in zip(self.accounts, states[sound, system.dim :].T, strict=False):
+                done[name] += column
+            values += [value - done[name] for value, name in zip(values, self.names, strict=True)]
+        found[sound] = np.stack(values, axis=-1)
         return found
 
     def raised(self) -> BaseException | None:
