@@ -25,5 +25,5 @@ def served(method):
 
 def state_of(system, seed=1):
     """Return a state of a system of matrices: seeded, of size one."""
-    rng, shape = np.random.default_rng(seed), system.algebra.shape
-    return system.algebra.projected(rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / shape[0]
+    rng, shape = np.random.default_rng(seed), system.shape
+    return system.algebra.projected(rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / shape[-1]

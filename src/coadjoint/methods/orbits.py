@@ -12,6 +12,7 @@ from coadjoint.methods.isospectral_stages import slope_along
 from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 
 
 class Generator(NamedTuple):
@@ -26,7 +27,7 @@ class VectorOrbit:
     """The orbit of a momentum: ``D y = sign J(y) k``. Changes are columns."""
 
     def __init__(self, system: LiePoissonSystem) -> None:
-        self._system = system
+        self._system, self.bent_by = system, "formula"
 
     def gradient(self, y: Any, t: Any) -> Any:
         """Return the gradient of H."""
@@ -54,7 +55,7 @@ class MatrixOrbit:
     """The orbit of a matrix: ``D W = [P, W]``, P the stream in place of the gradient. Changes are stacked."""
 
     def __init__(self, system: MatrixSystem) -> None:
-        self._system = system
+        self._system, self.bent_by = system, "formula" if system.linear_stream else "differences"
 
     def gradient(self, W: Any, t: Any) -> Any:
         """Return P."""
@@ -90,6 +91,8 @@ def orbit_of(system: Any, asked_by: str) -> VectorOrbit | MatrixOrbit:
         It is no single system, or has no Lie algebra.
     """
     check_one_system(system)
+    if isinstance(system, TwoLayerSystem):
+        raise ValueError(f"{asked_by} moves one matrix, and {system.name} has two layers; take IsospectralGauss")
     if isinstance(system, MatrixSystem):
         return MatrixOrbit(system)
     if system.algebra is None:

@@ -108,6 +108,8 @@ class Inputs:
                 f"inputs has {short(label)} for {name}, which is {short(str(force))}; of the forces only a constant "
                 "Torque may be an input"
             )
+        if np.ndim(force.torque) > 1:
+            raise TypeError(f"inputs has {short(label)} for {name}, which is a matrix; only a vector may be an input")
         if k in self._torques:
             raise ValueError(f"inputs name {short(label)} more than once; each torque is one input")
         places = self._torques[k] = len(self.values) + np.arange(self.system.dim)

@@ -136,6 +136,8 @@ def short_formula(text: str) -> str:
 
 
 def _rank(system: Any) -> int:
+    if hasattr(system, "generic_rank"):
+        return int(system.generic_rank())
     if hasattr(system.algebra, "generic_rank"):
         return int(system.algebra.generic_rank())
     return int(np.linalg.matrix_rank(system.structure_matrix(np.cos(1.0 + np.arange(system.dim)))))

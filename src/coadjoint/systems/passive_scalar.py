@@ -2,13 +2,41 @@
 
 from __future__ import annotations
 
+import numpy as np
+import numpy.typing as npt
+
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.reduced_mhd import ideal_fluid
+from coadjoint.systems.sphere_euler import sphere_euler
+from coadjoint.systems.telling import Picture, Telling
 
 
-@ready_made
-def passive_scalar(N: int = 33, surface: str = "sphere") -> TwoLayerSystem:
+def _latitude_as_dye() -> npt.NDArray[np.complex128]:
+    """Return a random flow on the sphere with a dye that is the sine of the latitude."""
+    fluid = sphere_euler(N=33)
+    return np.stack([fluid.from_modes({(1, 0): 1.0}), fluid.random(seed=3)])
+
+
+@ready_made(
+    telling=Telling(
+        x0=_latitude_as_dye,
+        t_span=(0.0, 4.0),
+        step=0.02,
+        says="A dye, at the start the sine of the latitude, is wound up by the vortices of a random flow on the "
+        "sphere. On the left the vorticity, on the right the dye, at the end. The spectrum of the dye stays.",
+        pictures=(
+            Picture("vorticity", at=1.0),
+            Picture("vorticity", part="carried", at=1.0),
+            Picture("eigenvalues"),
+        ),
+        components=Picture("energy by scale"),
+        parameters={"N": 33},
+        save_every=4,
+        quantity="vorticity",
+    )
+)
+def passive_scalar(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     """Return an ideal fluid in two dimensions with a scalar that it carries, quantized.
 
     ``W' = [P, W]``, ``Theta' = [P, Theta]`` with ``L P = -W``: W is the vorticity, Theta the scalar, which does not act

@@ -4,19 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+import numpy.typing as npt
+
 from coadjoint.given import read_choice
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Stream
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.sphere_euler import sphere_euler
+from coadjoint.systems.telling import Picture, Telling
 from coadjoint.systems.torus_euler import torus_euler
 
 SURFACES: dict[str, Callable[..., MatrixSystem]] = {"sphere": sphere_euler, "torus": torus_euler}
 
 
-@ready_made
-def reduced_mhd(N: int = 33, surface: str = "sphere") -> TwoLayerSystem:
+def _two_vortices() -> npt.NDArray[np.complex128]:
+    """Return the vortex of Orszag and Tang: omega = cos x + cos y, Theta = cos y + cos(2 x)/2."""
+    fluid = torus_euler(N=33)
+    theta, W = (fluid.from_modes(modes) for modes in ({(0, 1): 0.5, (2, 0): 0.25}, {(1, 0): 0.5, (0, 1): 0.5}))
+    return np.stack([theta, W])
+
+
+@ready_made(
+    telling=Telling(
+        x0=_two_vortices,
+        t_span=(0.0, 2.0),
+        step=0.002,
+        says="The vortex of Orszag and Tang in a conducting fluid: vorticity and magnetic potential fold into each "
+        "other, and sheets of vorticity grow where the field is bent. The spectrum of the potential stays.",
+        pictures=(
+            Picture("vorticity", at=1.0),
+            Picture("vorticity", part="carried", at=1.0),
+            Picture("eigenvalues"),
+        ),
+        components=Picture("energy by scale"),
+        parameters={"N": 33, "surface": "torus"},
+        save_every=20,
+        quantity="vorticity",
+    )
+)
+def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     """Return the equations of an ideal conducting fluid in two dimensions, quantized.
 
     ``W' = [P, W] + [J, Theta]``, ``Theta' = [P, Theta]`` with ``L P = -W`` and ``J = -L Theta``: W is the vorticity,

@@ -8,7 +8,9 @@ from coadjoint.files.record_reading import system_of
 from coadjoint.files.records import record_of
 from coadjoint.methods.forced import Forced
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.forces.on_modes import ModeRates
 from coadjoint.systems.matrices.streams import Weights
+from coadjoint.systems.matrices.torus_modes import representatives
 from long import long_beyond
 
 GAUSS = co.IsospectralGauss()
@@ -108,9 +110,23 @@ def test_on_a_rotating_sphere_the_relative_motion_decays():
         found = s.relative(last(s.with_forces(force), s.absolute(relative), 2, 0.25))
         assert np.abs(found - np.exp(-rate * 2) * relative).max() < 1e-14 * np.abs(relative).max()
     viscous = s.with_forces(co.forces.Viscosity(0.1, rotation=True))
+    W = s.absolute(random_state(s))
+    assert np.abs(last(viscous, W, 0.125, 0.125) - Forced(FINE).step(viscous, W, 0.0, 0.125)).max() < 1e-13
     found = s.modes(s.relative(last(viscous, s.absolute(relative), 2, 0.25)))
     assert found[1, 0] == pytest.approx(0.2 * np.exp(-0.4), rel=1e-13)
     assert found[3, 0] == pytest.approx(0.5 * np.exp(-2.4), rel=1e-13)
+
+
+def test_a_force_of_ones_own_may_damp_and_turn():
+    class Spiral(ModeRates):
+        layer = "vorticity"
+
+        def rates(self, modes, d, numbers):
+            return 0.3 - 2j * representatives(modes.N)[numbers]
+
+    found = TORUS.modes(last(TORUS.with_forces(Spiral()), one_degree(TORUS), 2, 0.25))
+    for n, w in PERIODIC.items():
+        assert abs(found[n] - w * np.exp(-0.6 + 4j * n[0])) < 1e-12
 
 
 @pytest.mark.parametrize("N", [5, 9])
@@ -287,6 +303,11 @@ def test_a_run_is_continued_by_a_prepared_one():
     assert np.array_equal(ready.run(W, (0, 1)).x, co.integrate(driven, W, (0, 1), 0.125, GAUSS).x)
 
 
+def prepared_with_input():
+    s = SPHERES[0].with_forces(co.forces.Torque(one_degree(SPHERES[0])))
+    return co.prepare(s, GAUSS, 0.125, inputs={"stirring": "Torque"})
+
+
 WRONG = [
     (lambda: co.forces.Viscosity(-1.0), "zero or positive"),
     (lambda: co.forces.Viscosity(0.1, power=0), "power"),
@@ -305,6 +326,7 @@ WRONG = [
     (lambda: SPHERES[0].with_forces(co.forces.LinearDamping(np.ones(72))), "Friction"),
     (lambda: SPHERES[0].with_forces(co.forces.DoubleBracketDamping(0.1)), "structure constants"),
     (lambda: SPHERES[0].with_forces(co.forces.HeatBath(0.1, temperature=1.0, seed=1)), "structure constants"),
+    (lambda: prepared_with_input(), "matrix"),
     (lambda: co.systems.rigid_body().with_forces(co.forces.Viscosity(0.1)), "modes of a fluid"),
     (lambda: co.systems.rigid_body().with_forces(co.forces.Torque(np.zeros((3, 3)))), "matrix"),
 ]

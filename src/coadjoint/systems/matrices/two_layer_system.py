@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.matrix_states import MatrixAlgebra
+from coadjoint.algebra.matrix_states import SPARED, MatrixAlgebra
 from coadjoint.given import array_given
 from coadjoint.memory import check_room
 from coadjoint.systems.matrices.matrix_energy import MatrixEnergy
@@ -168,6 +168,10 @@ class TwoLayerSystem(MatrixSystem):
         slopes = self.algebra.projected(self.from_vector(np.eye(self.dim)))[..., ::-1, :, :]
         return self.energy_sign * self.to_vector(self._bracket(slopes, self.matrices(x))).T
 
+    def generic_rank(self) -> int:
+        """Return the rank of J at a generic state: each Casimir of the algebra makes two of the layers."""
+        return 2 * self.algebra.generic_rank()
+
     def _bracket(self, Y: Matrix, X: Matrix) -> Matrix:
         """Return the commutator of dual numbers."""
         bracket = self.algebra.bracket
@@ -175,9 +179,9 @@ class TwoLayerSystem(MatrixSystem):
         return np.stack([bracket(P, theta), bracket(P, W) + bracket(J, theta)], axis=-3)
 
     def matrices(self, x: Any) -> Matrix:
-        """Return states (..., 2, N, N) as they are, and rows of numbers as states."""
+        """Return states (..., 2, N, N) as they are, and rows of numbers as the nearest states."""
         if np.shape(x)[-1:] == (self.dim,):
-            return self.from_vector(x)
+            return self.algebra.projected(self.from_vector(x), spared=SPARED)
         X = np.asarray(x, dtype=np.complex128 if self.complex else np.float64)
         if X.shape[-3:] != self.shape:
             raise ValueError(f"a state has the shape {X.shape}; it must be {self.shape}, or ({self.dim},)")

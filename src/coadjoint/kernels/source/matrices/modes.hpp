@@ -1,10 +1,12 @@
 // Modes of a skew-Hermitian matrix, diagonal by diagonal: their coefficients are read, changed, and the change is added.
 #pragma once
 
+#include <memory>
 #include <vector>
 
 #include "boundary/codes.hpp"
 #include "boundary/hearing.hpp"
+#include "matrices/fourier.hpp"
 #include "matrices/products.hpp"
 
 namespace coadjoint {
@@ -18,7 +20,9 @@ class Modes {
   public:
     explicit Modes(const ForceTable& table)
         : table(table), n(table.extent), waves(table.shape == WAVES), diagonals(waves ? (n + 1) / 2 : n), first(2 * n),
-          second(2 * n), even(2 * n), odd(2 * n) {}
+          second(2 * n), even(2 * n), odd(2 * n) {
+        if (waves) fourier.reset(new Fourier<double>(n));
+    }
 
     int64_t count() const { return table.begin[diagonals]; }
 
@@ -31,16 +35,13 @@ class Modes {
         for (int64_t d = 0; d < diagonals; ++d) {
             const int64_t from = table.begin[d], to = table.begin[d + 1], length = waves ? n : n - d;
             if (from == to) continue;
-            Hearing::of_this_call().after(4 * length * (to - from));
+            Hearing::of_this_call().after(waves ? 2 * fourier->work() : 4 * length * (to - from));
             if (read) fold(W, d, length);
             std::fill(even.begin(), even.end(), 0.0);
             std::fill(odd.begin(), odd.end(), 0.0);
-            for (int64_t e = from; e < to; ++e) {
+            if (waves) change_waves(d, from, to, read, move);
+            for (int64_t e = from; e < to && !waves; ++e) {
                 const int64_t k = table.direction[e];
-                if (waves) {
-                    spread_wave(k, d, move(e, read ? wave(k, d) : Complex(0.0)));
-                    continue;
-                }
                 const int64_t half = (length + 1) / 2;
                 const bool is_odd = (k - d) % 2;
                 const double* part = (is_odd ? second : first).data();
@@ -63,6 +64,8 @@ class Modes {
     const bool waves;
     const int64_t diagonals;
     std::vector<double> first, second, even, odd;  // real parts, then imaginary ones
+    std::vector<Complex> coefficients;
+    std::unique_ptr<Fourier<double>> fourier;
 
     Complex moving(const Complex* W, int64_t e) const {
         return table.sets ? W[e] - reinterpret_cast<const Complex*>(table.aim)[e] : W[e];
@@ -89,31 +92,40 @@ class Modes {
         return (sum[0] + sum[1]) + (sum[2] + sum[3]);
     }
 
-    // The place of exp(2 pi i k (d + 2 a)/n) in the table, a = 0, and by how much it goes on with a.
-    int64_t start(int64_t k, int64_t d) const { return k * d % n; }
-    int64_t stride(int64_t k) const { return 2 * k % n; }
-
-    Complex wave(int64_t k, int64_t d) const {
-        double real = 0.0, imaginary = 0.0;
-        for (int64_t a = 0, at = start(k, d), by = stride(k); a < n; ++a) {
-            const double cosine = table.basis[at], sine = table.basis[n + at];
-            real += first[a] * cosine + first[n + a] * sine;
-            imaginary += first[n + a] * cosine - first[a] * sine;
-            at += by;
-            if (at >= n) at -= n;
-        }
-        const double root = std::sqrt(double(n));
-        return Complex(real / root, imaginary / root);
+    // exp(2 pi i k d/n)/sqrt(n), by which a mode begins.
+    Complex first_of(int64_t k, int64_t d) const {
+        const int64_t at = k * d % n;
+        return Complex(table.basis[at], table.basis[n + at]) / std::sqrt(double(n));
     }
 
-    void spread_wave(int64_t k, int64_t d, const Complex& moved) {
-        const double root = std::sqrt(double(n)), real = moved.real() / root, imaginary = moved.imag() / root;
-        for (int64_t a = 0, at = start(k, d), by = stride(k); a < n; ++a) {
-            const double cosine = table.basis[at], sine = table.basis[n + at];
-            even[a] += real * cosine - imaginary * sine;
-            even[n + a] += real * sine + imaginary * cosine;
-            at += by;
-            if (at >= n) at -= n;
+    static Complex times(const Complex& a, const Complex& b) {
+        return Complex(a.real() * b.real() - a.imag() * b.imag(), a.real() * b.imag() + a.imag() * b.real());
+    }
+
+    // The change of a cyclic diagonal, by Fourier transforms: mode k turns by 2 k from entry to entry.
+    template <class Move>
+    void change_waves(int64_t d, int64_t from, int64_t to, bool read, Move move) {
+        coefficients.assign(to - from, Complex(0.0));
+        Pair<double>* x = fourier->place();
+        if (read) {
+            for (int64_t a = 0; a < n; ++a) x[a] = {first[a], first[n + a]};
+            const Pair<double>* seen = fourier->transform(x);
+            for (int64_t e = from; e < to; ++e) {
+                const int64_t k = table.direction[e];
+                const Pair<double>& value = seen[2 * k % n];
+                coefficients[e - from] = times(std::conj(first_of(k, d)), Complex(value.re, value.im));
+            }
+        }
+        std::fill_n(x, n, Pair<double>{0.0, 0.0});
+        for (int64_t e = from; e < to; ++e) {
+            const int64_t k = table.direction[e];
+            const Complex turned = times(first_of(k, d), move(e, coefficients[e - from]));
+            x[2 * k % n] = {turned.real(), turned.imag()};
+        }
+        const Pair<double>* sums = fourier->transform(x);
+        for (int64_t a = 0; a < n; ++a) {
+            const Pair<double>& sum = sums[a ? n - a : 0];  // backward is forward, read backward
+            even[a] = sum.re, even[n + a] = sum.im;
         }
     }
 
