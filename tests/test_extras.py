@@ -111,14 +111,14 @@ def test_modules_that_begin_with_an_extra_are_imported_where_they_are_used():
 @pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="this is no checkout")
 def test_the_extras_are_those_of_the_project():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    modules = {"python-flint": "flint", "pillow": "PIL"}
     declared = {
-        extra: {requirement.partition(">=")[0] for requirement in requirements}
+        extra: {modules.get(name := requirement.partition(">=")[0], name) for requirement in requirements}
         for extra, requirements in project["optional-dependencies"].items()
     }
     assert all(package in declared[extra] for package, extra in EXTRAS.items())
     assert set().union(*(declared[extra] for extra in EXTRAS.values())) == set(EXTRAS)
     assert declared["all"] == {"coadjoint[functions,io,plot,cli,precision,algebra,fluids]"}
     assert "coadjoint[all]" in declared["dev"]
-    modules = {"python-flint": "flint"}
     needed = {requirement.partition(">=")[0] for requirement in project["dependencies"]}
     assert {modules.get(name, name) for name in needed} == CORE - {"coadjoint"}

@@ -101,14 +101,14 @@ def _place(configuration: Configuration, key: str, option: str | None, check: Ca
 
 def _movie_target(configuration: Configuration, path: str) -> Path:
     from coadjoint.files.configuration_parts import section
-    from coadjoint.files.output import MOVIES, check_target
+    from coadjoint.files.movie_file import check_movie
 
-    check_target(path, MOVIES)  # says which package is missing before the pictures are loaded
-    from coadjoint.pictures.movie import check_movie, declared_picture
+    target = check_movie(path)
+    from coadjoint.pictures.movie import declared_picture
 
     with section(configuration.path, "output.movie"):
         declared_picture(getattr(configuration.system, "system", configuration.system).name)
-    return check_movie(path)
+    return target
 
 
 class _RunFailed(click.ClickException):

@@ -12,6 +12,7 @@ EXTRAS = {
     "zarr": "io",
     "pydantic": "io",
     "matplotlib": "plot",
+    "PIL": "plot",
     "click": "cli",
     "tqdm": "cli",
     "mpmath": "precision",

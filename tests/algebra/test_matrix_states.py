@@ -8,8 +8,8 @@ from served import state_of
 
 G = co.MatrixAlgebra
 KINDS = [
-    G("u", 3), G("su", 3), G("su", 4), G("so", 2), G("so", 5), G("so", 6), G("gl", 3), G("sl", 3), G("sp", 4), G("sp", 6),
-    G("gl(C)", 2), G("sl(C)", 3), G("so(C)", 4), G("sp(C)", 4), G("so", 5, 2), G("su", 3, 1), G("u", 4, 2),
+    G("u", 3), G("su", 3), G("su", 4), G("so", 2), G("so", 5), G("so", 6), G("gl", 3), G("sl", 3), G("sp", 4),
+    G("sp", 6), G("gl(C)", 2), G("sl(C)", 3), G("so(C)", 4), G("sp(C)", 4), G("so", 5, 2), G("su", 3, 1), G("u", 4, 2),
     G.sum(G("so", 3), G("su", 2)), G.sum(G("sp", 2), G("gl", 2), G("so", 4, 1)),
 ]  # fmt: skip
 

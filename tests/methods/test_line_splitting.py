@@ -140,6 +140,15 @@ def test_spectrum_energy_and_reality(order):
     assert 1e-15 < sol.drift()["energy"] < 0.01
 
 
+def test_rounding_prefers_no_sign():
+    """Fifty thousand steps: what one of them rounds, a hundredth of a unit, adds up like a root, not in a line."""
+    system = torus_euler(N=5)
+    W = smooth(system, 3)
+    sol = co.integrate(system, W, (0.0, 1e4), 0.2, co.LineSplitting(), save_every=10000, watch=False)
+    spectrum = system.spectrum(sol.x)
+    assert np.abs(spectrum - spectrum[0]).max() < 32 * UNIT_ROUNDOFF * np.abs(spectrum[0]).max()
+
+
 def test_a_line_alone_rests():
     """Modes of one line commute: the fluid rests, and no step moves it beyond rounding."""
     system = torus_euler(N=7)

@@ -196,7 +196,7 @@ def test_eigenvalues_and_relative_drift(ball):
     assert axes.get_ylabel() == "relative deviation from start"
     lines = {line.get_label(): np.nanmax(line.get_ydata()) for line in axes.lines}
     cube = np.abs(ball.casimirs["tr W^3"] - ball.casimirs["tr W^3"][0]).max() / np.sum(np.abs(spectrum) ** 3)
-    assert lines[r"$\mathrm{tr}\,W^3$"] == pytest.approx(cube, rel=1e-6) and cube < 1e-13
+    assert lines[r"$\mathrm{tr}\,W^3$"] == pytest.approx(cube, rel=1e-6, abs=0.0) and 0.0 < cube < 1e-13
     assert lines["$H$"] == pytest.approx(np.abs(ball.energy - ball.energy[0]).max() / np.abs(ball.energy).max())
 
 
@@ -223,6 +223,43 @@ def test_matrices_of_ones_own_show_their_eigenvalues():
     assert titles[-1].startswith("spectrum of $W$") and "components" in titles[1]
     with pytest.raises(CannotShow, match="body of mine has no vorticity"):
         run.plot("vorticity")
+
+
+@pytest.mark.parametrize("name", ["reduced_mhd", "passive_scalar"])
+def test_a_second_field_is_shown_beside_the_vorticity(name):
+    fluid = co.systems.torus_euler(N=9)
+    theta, W = fluid.from_modes({(1, 1): 0.5j}), fluid.random(2, degrees=(1, 2))
+    s = co.systems.get(name, N=9, surface="torus")
+    run = co.integrate(s, np.stack([theta, W]), (0.0, 0.5), 0.05, co.IsospectralGauss())
+    (carried,) = shown(run, Picture("vorticity", at=0.0, part="carried")).get_images()
+    np.testing.assert_allclose(carried.get_array()[:-1, :-1], fluid.to_grid(theta, (128, 128)).T, atol=1e-14)
+    (image,) = shown(run, Picture("vorticity")).get_images()
+    np.testing.assert_allclose(image.get_array()[:-1, :-1], fluid.to_grid(run.x[-1, 1], (128, 128)).T, atol=1e-13)
+    axes = shown(run, "eigenvalues")
+    values = np.linalg.eigvalsh(-1j * theta)
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), values / np.abs(values).max(), atol=1e-14)
+    assert r"\Theta" in axes.get_title() and float(axes.get_title().split("by ")[1].split()[0]) < 1e-13
+    axes = shown(run, "drift")
+    mixed = run.casimirs["tr W Theta"]
+    size = np.linalg.norm(theta) * np.linalg.norm(W)
+    assert axes.get_ylabel() == "relative deviation from start"
+    assert np.abs(mixed - mixed[0]).max() / size < 1e-13
+    for line in axes.lines:
+        if not line.get_label().startswith("$H"):
+            assert np.nanmax(line.get_ydata(), initial=0.0) < 1e-13
+
+
+def test_complex_spectra_are_drawn_in_the_plane():
+    from coadjoint.systems.matrices.streams import Weights
+
+    s = co.MatrixSystem(co.MatrixAlgebra("gl", 3), Weights(np.full((3, 3), 0.5) + np.eye(3)), name="of gl")
+    W = np.array([[0.0, 1.0, 0.2], [-1.0, 0.1, 0.0], [0.3, 0.0, 0.5]])
+    run = co.integrate(s, W, (0.0, 0.5), 0.05, co.IsospectralGauss())
+    axes = shown(run, "eigenvalues")
+    values = np.linalg.eigvals(W)
+    drawn = axes.lines[0].get_xdata() + 1j * axes.lines[0].get_ydata()
+    np.testing.assert_allclose(np.sort_complex(drawn), np.sort_complex(values) / np.abs(values).max(), atol=1e-12)
+    assert "imaginary" in axes.get_ylabel()
 
 
 def test_what_is_no_fluid_is_refused_by_name(ball):

@@ -14,7 +14,7 @@ import coadjoint as co
 from coadjoint import cli
 from coadjoint.files.output import OutputError
 from coadjoint.pictures.drawn import Drawn
-from coadjoint.pictures.movie import write_movie
+from coadjoint.pictures.movie import frames_of
 from coadjoint.pictures.register import kinds, read_picture
 from coadjoint.systems.ready_made import telling_of
 from coadjoint.systems.telling import Picture
@@ -136,7 +136,7 @@ def test_ffmpeg_is_given_every_frame(fluid, tmp_path, ffmpeg):
 
 def test_no_ffmpeg_and_one_that_fails(fluid, tmp_path, monkeypatch, ffmpeg):
     (tmp_path / "old.mp4").write_text("kept")
-    monkeypatch.setattr("coadjoint.pictures.movie.shutil.which", lambda name: None)
+    monkeypatch.setattr("coadjoint.files.movie_file.shutil.which", lambda name: None)
     with pytest.raises(OutputError, match=r"MP4 needs the program ffmpeg.*\.gif"):
         fluid.movie(tmp_path / "old.mp4")
     monkeypatch.undo()
@@ -165,11 +165,11 @@ def test_what_is_wrong_is_refused_and_nothing_is_left(fluid, tmp_path):
         (single, {}, "only one saved state"),
     ]:
         with pytest.raises(ValueError, match=said):
-            write_movie(run, tmp_path / "run.gif", **options)
+            run.movie(tmp_path / "run.gif", **options)
     with pytest.raises(OutputError, match=r"\.mp4 or \.gif"):
         fluid.movie(tmp_path / "run.avi")
     with pytest.raises(TypeError, match="Solution"):
-        write_movie(3, tmp_path / "run.gif")
+        frames_of(3)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -194,7 +194,7 @@ def test_the_command_makes_movies(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "fluid.toml").write_text(FLUID + '[output]\nmovie = "named.gif"\n')
     made = []
-    monkeypatch.setattr("coadjoint.pictures.movie.write_movie", lambda run, path, *given: made.append((run, path)))
+    monkeypatch.setattr(co.Solution, "movie", lambda run, path: made.append((run, path)))
     assert cli.main(["run", "fluid.toml"]) == 0
     assert capsys.readouterr().out.endswith("written: named.gif\n")
     assert cli.main(["run", "fluid.toml", "--movie", "other.gif", "--quiet"]) == 0
@@ -205,7 +205,7 @@ def test_the_command_makes_movies(tmp_path, monkeypatch, capsys):
 def test_the_command_refuses_before_the_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("coadjoint.runs.run.Run.advance", None)
-    monkeypatch.setattr("coadjoint.pictures.movie.shutil.which", lambda name: None)
+    monkeypatch.setattr("coadjoint.files.movie_file.shutil.which", lambda name: None)
     (tmp_path / "fluid.toml").write_text(FLUID)
     body = '[system]\nname = "rigid_body"\n[initial]\nx = [1.0, 0.1, 0.5]\n[run]\nt_span = [0, 1]\nstep = 0.1\n'
     (tmp_path / "body.toml").write_text(body)

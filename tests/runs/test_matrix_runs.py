@@ -162,7 +162,7 @@ def test_compiled_and_called_functions_are_one_motion():
     for function in (lambda W: W @ W + W.T, lambda W: np.einsum("ij,jk->ik", W, W) + W.T):
         system = co.MatrixSystem(g, function, energy=lambda W: np.trace(W @ W @ W) / 3 + np.sum(W * W) / 2)
         sol = co.integrate(system, 2.0 * state_of(system), (0.0, 1.0), 0.125, co.IsospectralGauss(2))
-        assert 1e-10 < sol.drift()["energy"] < 1e-3
+        assert np.abs(sol.x[-1] - sol.x[0]).max() > 0.1 and sol.drift()["energy"] < 1e-14
         ends.append(sol.x[-1])
     assert np.abs(ends[0] - ends[1]).max() < 1e-15
 
@@ -190,6 +190,6 @@ def test_large_states_are_estimated(monkeypatch):
     assert co.integrate(large, W, (0.0, 0.01), 0.01).x.shape == (2, 400, 400)
     monkeypatch.setattr("coadjoint.memory.available", lambda: 10**7)
     with pytest.raises(ValueError, match="x0"):
-        co.MatrixAlgebra("so", 1000).read(np.zeros((1000, 1000)))
+        co.MatrixAlgebra("so", 2000).read(np.zeros((2000, 2000)))
     with pytest.raises(ValueError, match="structure matrix"):
         large.structure_matrix(W)

@@ -38,7 +38,7 @@ def in_constants(s, algebra):
     P = np.array([[s.algebra.pairing(one, s.slope_of(other)) for other in b] for one in b])
     linear = None if s.linear is None else s.energy_sign * dual @ [s.algebra.pairing(one, s.linear) for one in b]
     M = s.energy_sign * dual @ P @ dual
-    return b, gram, dual, co.Quadratic((M + M.T) / 2, linear=linear)
+    return b, dual, co.Quadratic((M + M.T) / 2, linear=linear)
 
 
 CASES = {
@@ -70,7 +70,7 @@ def test_it_moves_as_by_structure_constants(name, of):
     g, algebra, sign = CASES[name]
     constant = g.projected(np.random.default_rng(9).normal(size=g.shape)) if "constant" in of else None
     s = co.MatrixSystem(g, linear_map(g, 3), constant, energy_sign=sign)
-    b, gram, dual, H = in_constants(s, algebra)
+    b, dual, H = in_constants(s, algebra)
     W = state_of(s)
     mu = np.array([g.pairing(one, W) for one in b])
     assert np.abs(np.einsum("i,iab->ab", dual @ mu, b) - W).max() < 1e-14

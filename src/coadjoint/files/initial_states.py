@@ -56,10 +56,14 @@ def _from_file(path: Path, named: str) -> NDArray[Any]:
     if path.suffix != SUFFIX:
         raise ValueError(f"{short(named)} is no state; give numbers, or the name of a file {SUFFIX}")
     try:
-        check_room(2 * path.stat().st_size, f"the states in {short(named)}")
-        found = np.load(path, allow_pickle=False)
-    except (OSError, EOFError) as reason:
+        size = path.stat().st_size
+    except OSError as reason:
         raise ValueError(f"{short(named)} cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
+    check_room(2 * size, f"the states in {short(named)}")
+    try:
+        found = np.load(path, allow_pickle=False)
+    except (OSError, EOFError, ValueError):
+        found = None
     if not isinstance(found, np.ndarray) or found.dtype.kind not in "iufc":
         raise ValueError(f"{short(named)} holds no array of numbers")
     return found

@@ -32,7 +32,8 @@ PAGES = (".html",)
 PACKAGES = {
     ".nc": ("xarray", "h5netcdf", "h5py"),
     ".zarr": ("xarray", "zarr"),
-    **dict.fromkeys(FIGURES + MOVIES, ("matplotlib",)),
+    **dict.fromkeys((*FIGURES, ".mp4"), ("matplotlib",)),
+    ".gif": ("matplotlib", "PIL"),
     ".json": (),
     ".html": (),
 }

@@ -161,18 +161,26 @@ class CommutatorFree(CompiledStepMethod):
         orbit = orbit_of(system, "CommutatorFree")
         if isinstance(orbit, VectorOrbit):
             return self._moved(orbit, x, t, h, None)[0]
-        flat, matrices = np.ndim(x) == 1, cast(MatrixSystem, system)
-        end = self._moved(orbit, matrices.from_vector(x) if flat else x, t, h, None)[0]
-        return matrices.to_vector(end) if flat else end
+        matrices = cast(MatrixSystem, system)
+        end = self._moved(orbit, matrices.matrices(x), t, h, None)[0]
+        return matrices.to_vector(end) if matrices.is_in_numbers(x) else end
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its exact derivative, that of its series."""
-        orbit, units = orbit_of(system, "CommutatorFree"), np.eye(len(x))
+        """Return one step and its derivative, that of its series: of a matrix, of its projection on the algebra.
+
+        A stream that is a function is differentiated by differences.
+        """
+        orbit = orbit_of(system, "CommutatorFree")
         if isinstance(orbit, VectorOrbit):
-            return self._moved(orbit, np.asarray(x, dtype=np.float64), t, h, units)
+            return self._moved(orbit, np.asarray(x, dtype=np.float64), t, h, np.eye(len(x)))
         matrices = cast(MatrixSystem, system)
-        end, changes = self._moved(orbit, matrices.from_vector(x), t, h, matrices.from_vector(units))
+        units = matrices.algebra.projected(matrices.from_vector(np.eye(matrices.dim)))
+        end, changes = self._moved(orbit, matrices.matrices(x), t, h, units)
         return matrices.to_vector(end), matrices.to_vector(changes).T
+
+    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
+        """Return that of a formula, but for matrices whose stream is a function."""
+        return orbit_of(system, "CommutatorFree").bent_by
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
         orbit = orbit_of(system, "CommutatorFree")

@@ -189,12 +189,12 @@ struct LineSplitting final : StepScheme {
 
     // The vorticity is real: the mode -n is minus the conjugate of the mode n.
     void scatter(const Line& k, int64_t first, int64_t lanes) {
-        const double scale = 1.0 / double(n);
+        const double size = double(n);
         each_row(k, first, lanes, [&](int64_t j, int64_t at, int64_t back, int64_t lane, int64_t count, bool edge) {
             const double *from_re = numbers(opposite(j)) + lane, *from_im = from_re + L;  // twice forward is once around
             double *to_re = added_re.data() + at, *to_im = added_im.data() + at;
-            for (int64_t c = 0; c < count; ++c) to_re[c] = fma(from_re[c], scale, to_re[c]);
-            for (int64_t c = 0; c < count; ++c) to_im[c] = fma(from_im[c], scale, to_im[c]);
+            for (int64_t c = 0; c < count; ++c) to_re[c] += from_re[c] / size;
+            for (int64_t c = 0; c < count; ++c) to_im[c] += from_im[c] / size;
             // column 0 is its own opposite
             if (edge) added_re[back - n] = -to_re[0], added_im[back - n] = to_im[0];
             for (int64_t c = edge; c < count; ++c) added_re[back - c] = -to_re[c];

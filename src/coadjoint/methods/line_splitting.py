@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_whole
+from coadjoint.memory import check_room
 from coadjoint.methods.base import Representation
 from coadjoint.methods.properties import Properties
 from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
@@ -143,17 +144,15 @@ class LineSplitting(SteppedMethod):
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step of a matrix (N, N) or of its numbers (dim,), read in NumPy."""
         torus = torus_of(system)
-        flat = np.ndim(x) == 1
-        W = torus.from_vector(x) if flat else np.asarray(x)
-        found = self._moved(torus, modes_of(W), h, None)[0]
-        return np.asarray(torus.to_vector(matrix_of(found)) if flat else matrix_of(found))
+        found = matrix_of(self._moved(torus, modes_of(torus.matrices(x)), h, None)[0])
+        return np.asarray(torus.to_vector(found) if torus.is_in_numbers(x) else found)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its exact derivative by the numbers of the state."""
+        """Return one step and its exact derivative by the numbers of the state, of its projection on the algebra."""
         torus = torus_of(system)
-        moved, changes = self._moved(
-            torus, modes_of(torus.from_vector(x)), h, modes_of(torus.from_vector(np.eye(torus.dim)))
-        )
+        check_room(8 * 12 * torus.dim**2, f"the derivative of a step of {torus.dim} numbers")
+        units = torus.algebra.projected(torus.from_vector(np.eye(torus.dim)))
+        moved, changes = self._moved(torus, modes_of(torus.matrices(x)), h, modes_of(units))
         return torus.to_vector(matrix_of(moved)), torus.to_vector(matrix_of(changes)).T
 
     def _moved(
@@ -226,7 +225,7 @@ def stream_of_modes(torus: MatrixSystem) -> tuple[NDArray[np.float64], Complexes
     """Return the factors by which the stream multiplies modes, and the modes that it adds, each (N, N)."""
     N = torus.algebra.N
     assert isinstance(torus.stream, Circulants)
-    linear = getattr(torus, "linear", None)
+    linear = torus.linear
     return torus.stream.spectrum.T[(2 * np.arange(N)) % N], None if linear is None else modes_of(linear)
 
 

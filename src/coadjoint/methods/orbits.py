@@ -27,7 +27,7 @@ class VectorOrbit:
     """The orbit of a momentum: ``D y = sign J(y) k``. Changes are columns."""
 
     def __init__(self, system: LiePoissonSystem) -> None:
-        self._system = system
+        self._system, self.bent_by = system, "formula"
 
     def gradient(self, y: Any, t: Any) -> Any:
         """Return the gradient of H."""
@@ -55,7 +55,7 @@ class MatrixOrbit:
     """The orbit of a matrix: ``D W = [P, W]``, P the stream in place of the gradient. Changes are stacked."""
 
     def __init__(self, system: MatrixSystem) -> None:
-        self._system = system
+        self._system, self.bent_by = system, "formula" if system.linear_stream else "differences"
 
     def gradient(self, W: Any, t: Any) -> Any:
         """Return P."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any, cast
+
 from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.registry import names, scheme
@@ -18,8 +21,8 @@ def suggested_scheme(system: System) -> Method:
 
     The splitting of order 4 where it serves the system: it keeps the Poisson bracket, every Casimir, and the attitude
     in every representation, and its energy does not drift. Elsewhere, where H has no exact flows or J(x) is not linear
-    in x, Gauss-Legendre with three stages. For a system of matrices the first of the register that serves it. For a
-    wanted accuracy `choose` finds scheme and step.
+    in x, Gauss-Legendre with three stages. For a system of matrices the first of the register that serves it as a
+    Poisson map. For a wanted accuracy `choose` finds scheme and step.
 
     Parameters
     ----------
@@ -44,7 +47,7 @@ def suggested_scheme(system: System) -> Method:
     check_one_system(system)
     *first, last = RULE
     if isinstance(system, MatrixSystem):
-        first = [method for name in names() for method in scheme(name).examples()]
+        first = sorted(_serving(system), key=lambda method: not method.properties(cast(Any, system)).poisson)
     for method in first:
         try:
             if not method.properties(system).poisson:
@@ -56,3 +59,14 @@ def suggested_scheme(system: System) -> Method:
         return method
     last.properties(system)
     return last
+
+
+def _serving(system: MatrixSystem) -> Iterator[Method]:
+    """Return the schemes of the register that serve a system, each as its first example."""
+    for name in names():
+        method = scheme(name).examples()[0]
+        try:
+            method.properties(cast(Any, system))
+        except (TypeError, ValueError):
+            continue
+        yield method

@@ -1,20 +1,12 @@
-"""A run as a movie: one picture at many of its times, written frame by frame."""
+"""What does a movie of a run show? One picture, at many of its times."""
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-import tempfile
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-import numpy as np
-
-from coadjoint.files.output import MOVIES, OutputError, check_target
-from coadjoint.files.unfinished import Unfinished
-from coadjoint.given import read_list, read_positive, read_whole
-from coadjoint.memory import check_room
+from coadjoint.extras import need
+from coadjoint.given import read_list, read_whole
 from coadjoint.pictures.drawn import Drawn, spread
 from coadjoint.pictures.register import CannotShow, Kind, kinds, read_picture
 from coadjoint.pictures.style import INK
@@ -27,98 +19,97 @@ PIXELS = (64, 4096)
 """Fewest and most along a side."""
 WIDE, HIGH = 8.0, 4.5
 """Of the figure in inches, at least: letters grow with the pixels."""
-NEARLY_WHITE = 248
-"""In a GIF such shades are the white of the paper."""
-FASTEST_GIF = 50
-"""Frames a second: viewers slow down what is faster."""
 
 
-def write_movie(
-    solution: Solution,
-    path: str | Path,
-    picture: str | Picture | None = None,
-    frames: int = 240,
-    fps: float = 24.0,
-    size: tuple[int, int] = (960, 540),
-) -> Path:
-    """Write a run as a movie, whole or not at all.
+class SavedFrames:
+    """Frames of a run: a picture at some of its saved times.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        The run.
+    kind : Kind
+        Of the picture.
+    picture : Picture
+        At the start.
+    places : sequence of int
+        Which saved points.
+    size : (int, int)
+        Width and height in pixels.
+
+    Attributes
+    ----------
+    count : int
+    size : (int, int)
+    """
+
+    def __init__(
+        self, drawn: Drawn, kind: Kind, picture: Picture, places: Sequence[int], size: tuple[int, int]
+    ) -> None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        self.count, self.size, self._places = len(places), size, places
+        width, height = size
+        dots = min(width / WIDE, height / HIGH)
+        figure = Figure(figsize=(width / dots, height / dots), dpi=dots, layout="compressed", facecolor="white")
+        self._canvas = FigureCanvasAgg(figure)
+        figure.suptitle(drawn.solution.system.name.replace("$", r"\$"), fontsize=9, color=INK)
+        update = kind.prepare(drawn, **picture.options)(figure.add_subplot(projection=kind.projection))
+        assert update is not None, f"the picture {kind.name!r} is said to move"
+        self._update = update
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # nothing moves but what the picture shows
+
+    def __iter__(self) -> Iterator[memoryview]:
+        for k in self._places:
+            self._update(k)
+            self._canvas.draw()  # type: ignore[no-untyped-call]
+            yield self._canvas.buffer_rgba()  # type: ignore[no-untyped-call]
+
+
+def frames_of(
+    solution: Solution, picture: str | Picture | None = None, frames: int = 240, size: tuple[int, int] = (960, 540)
+) -> SavedFrames:
+    """Return the frames of a movie of a run, drawn one by one when they are asked for.
 
     Parameters
     ----------
     solution : Solution
         The run; of an ensemble the first member is shown.
-    path : str or Path
-        ``.mp4``, which the program ffmpeg writes, or ``.gif``. A file there is replaced.
     picture : str or Picture, optional
         What is shown: a kind of picture that shows one time, with its options, such as ``Picture("vorticity",
         part="large")``. By default the first of its kind that the system declares. Its colours do not change with time.
     frames : int
         How many at most, from 2 to 5000: saved times, evenly spread. No time is invented between them.
-    fps : float
-        Frames a second; for a GIF no more than 50.
     size : (int, int)
         Width and height in pixels, even numbers.
 
     Returns
     -------
-    Path
+    SavedFrames
 
     Raises
     ------
     TypeError, ValueError
         The system has nothing that a movie shows, or a value is wrong.
-    OutputError
-        The file cannot be written, or ffmpeg is missing.
 
     Examples
     --------
-    >>> import coadjoint as co, tempfile
+    >>> import coadjoint as co
     >>> sol = co.integrate(co.systems.fluid_triad(), (0.02, 1.0, 0.02), (0, 4), 0.5)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_movie(sol, f"{folder}/waves.gif", size=(128, 96)).name
-    'waves.gif'
+    >>> [frame.shape for frame in frames_of(sol, frames=2, size=(128, 96))]
+    [(96, 128, 4), (96, 128, 4)]
     """
     check_solution(solution)
-    target = check_movie(path)
-    count, rate = read_whole(frames, "frames", 2, MOST_FRAMES), read_positive(fps, "fps")
-    width, height = _read_size(size)
-    gif = target.suffix == ".gif"
-    if gif and rate > FASTEST_GIF:
-        raise ValueError(f"fps is {rate:g}; a GIF shows no more than {FASTEST_GIF} frames a second")
+    need("a movie", "matplotlib")
+    count, sides = read_whole(frames, "frames", 2, MOST_FRAMES), _read_size(size)
     drawn = Drawn(solution)
     kind, read = _moving(drawn, picture)
     places = spread(len(drawn.t), count).tolist()
     if len(places) < 2:
         raise ValueError("the run has only one saved state, and a movie needs two; integrate with a smaller save_every")
-    pictures = _drawn(drawn, kind, read, places, width, height)
-    with Unfinished(target) as unfinished:
-        if gif:
-            check_room(2 * len(places) * width * height, "a GIF of so many frames", "take fewer, or a smaller size")
-            _write_gif(pictures, unfinished.place, rate)
-        else:
-            _write_mp4(pictures, unfinished.place, rate, width, height, target)
-        unfinished.finish()
-    return target
-
-
-def check_movie(path: str | Path) -> Path:
-    """Return the path of a movie if it can be written, before anything is drawn.
-
-    Raises
-    ------
-    OutputError
-        As `coadjoint.files.output.check_target`; or it ends in .mp4, and there is no program ffmpeg.
-    """
-    target = check_target(path, MOVIES)
-    if target.suffix == ".mp4" and _ffmpeg() is None:
-        raise OutputError(f"{path}: MP4 needs the program ffmpeg, which is not there; install it, or give a .gif")
-    return target
-
-
-def _ffmpeg() -> str | None:
-    from matplotlib import rcParams
-
-    return shutil.which(str(rcParams["animation.ffmpeg_path"]))
+    return SavedFrames(drawn, kind, read, places, sides)
 
 
 def _read_size(size: Any) -> tuple[int, int]:
@@ -164,76 +155,3 @@ def _moving(drawn: Drawn, wanted: Any) -> tuple[Kind, Picture]:
         moving = ", ".join(_moving_kinds())
         raise CannotShow(f"the picture {kind.name!r} shows no single time; a movie shows one of: {moving}")
     return kind, Picture(kind.name, **{**read.options, "at": 0.0})
-
-
-def _drawn(
-    drawn: Drawn, kind: Kind, read: Picture, places: list[int], width: int, height: int
-) -> Callable[[], Iterator[memoryview]]:
-    """Return what draws one frame after the other, as bytes of red, green, blue and opacity."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    dots = min(width / WIDE, height / HIGH)
-    figure = Figure(figsize=(width / dots, height / dots), dpi=dots, layout="compressed", facecolor="white")
-    canvas = FigureCanvasAgg(figure)
-    figure.suptitle(drawn.solution.system.name.replace("$", r"\$"), fontsize=9, color=INK)
-    update = kind.prepare(drawn, **read.options)(figure.add_subplot(projection=kind.projection))
-    assert update is not None, f"the picture {kind.name!r} is said to move"
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # nothing moves but what the picture shows
-
-    def frames() -> Iterator[memoryview]:
-        for k in places:
-            update(k)
-            canvas.draw()  # type: ignore[no-untyped-call]
-            yield canvas.buffer_rgba()  # type: ignore[no-untyped-call]
-
-    return frames
-
-
-def _write_gif(frames: Callable[[], Iterator[memoryview]], place: Path, fps: float) -> None:
-    """Write with the colours of the first frame, each counted once: its bar of colours has all that may come."""
-    from PIL import Image
-
-    def images() -> Iterator[Image.Image]:
-        palette = None
-        for frame in frames():
-            image = Image.fromarray(np.ascontiguousarray(np.asarray(frame)[..., :3]))
-            if palette is None:
-                shades = np.unique(np.asarray(image).reshape(-1, 3), axis=0)
-                shades = shades[(shades < NEARLY_WHITE).any(axis=1)]
-                found = Image.fromarray(shades[None]).quantize(255).getpalette() or []
-                palette = Image.new("P", (1, 1))
-                palette.putpalette([*found[: 3 * 255], *3 * [255]])
-            yield image.quantize(palette=palette, dither=Image.Dither.NONE)
-
-    each = images()
-    next(each).save(place, save_all=True, append_images=each, duration=round(1000 / fps), loop=0)
-
-
-def _write_mp4(
-    frames: Callable[[], Iterator[memoryview]], place: Path, fps: float, width: int, height: int, target: Path
-) -> None:
-    given = ["-f", "rawvideo", "-pix_fmt", "rgba", "-s", f"{width}x{height}", "-framerate", f"{fps:g}", "-i", "pipe:"]
-    made = ["-an", "-vcodec", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
-    command = [str(_ffmpeg()), "-loglevel", "error", "-y", *given, *made, str(place)]
-    with (
-        tempfile.TemporaryFile() as complaints,
-        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=complaints) as writer,
-    ):
-        assert writer.stdin is not None
-        try:
-            for frame in frames():
-                writer.stdin.write(frame)
-            writer.stdin.close()
-        except BrokenPipeError:
-            pass  # it has ended, and says why
-        except BaseException:
-            writer.kill()
-            raise
-        status = writer.wait()
-        complaints.seek(0)
-        said = complaints.read().decode(errors="replace").strip()
-    if status != 0:
-        last = said.splitlines()[-1] if said else f"it ended with status {status}"
-        raise OutputError(f"{target}: ffmpeg could not write it ({last})")

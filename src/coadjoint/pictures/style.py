@@ -74,13 +74,13 @@ def symbol(name: str) -> str:
     --------
     >>> print(symbol("|x|^2"), symbol("energy"), symbol("log C"), symbol("x1*x3 + x2^2"), symbol("my integral"))
     $|x|^2$ $H$ $\log C$ $x_{1}\,x_{3} + x_{2}^2$ my integral
-    >>> print(symbol("|x|^2 [12]"), symbol("|total L|^2"), symbol("tr W^3"))
-    $|x|^2$ [12] |total L|^2 $\mathrm{tr}\,W^3$
+    >>> print(symbol("|x|^2 [12]"), symbol("|total L|^2"), symbol("tr W Theta^3"))
+    $|x|^2$ [12] |total L|^2 $\mathrm{tr}\,W\,\Theta^3$
     """
     if name == "energy":
         return "$H$"
     if name.startswith("tr "):
-        return rf"$\mathrm{{tr}}\,{name[3:]}$"
+        return rf"$\mathrm{{tr}}\,{name[3:]}$".replace(" ", r"\,").replace("Theta", r"\Theta")
     if re.fullmatch(r"log \w", name):
         return rf"$\log {name[4:]}$"
     copy = re.fullmatch(r"(.+) (\[\d+\])", name)

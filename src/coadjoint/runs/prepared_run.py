@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Mapping
 from functools import partial
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_flag, read_whole
+from coadjoint.kernels.matrix_tables import members_at_once
 from coadjoint.methods.base import Method
 from coadjoint.methods.forced import serving
 from coadjoint.methods.splitting import Splitting
@@ -73,7 +73,7 @@ class PreparedRun:
         self._attitude, self._watching = attitude, watching and not isinstance(system, MatrixSystem)
         self._representations = representations_of(cast(Any, system), self._scheme, attitude)
         self._observe = check_observe({} if observe is None else observe)
-        self._threads = workers or os.cpu_count() or 1
+        self._threads = workers or members_at_once(system)
         self._made: dict[float, Loops | InputLoops] = {}
         self._observed: Observed | None = None
         self._making = threading.RLock()

@@ -469,11 +469,11 @@ class Solution:
             ``.mp4``, which needs the program ffmpeg, or ``.gif``.
         picture : str or Picture, optional
             Another picture than the first of one time that the system declares, such as ``Picture("vorticity",
-            part="large")``; `coadjoint.pictures.movie.write_movie` says more.
+            part="large")``; `coadjoint.pictures.movie.frames_of` says more.
         frames : int
-            How many at most, from 2 to 5000: of the saved times, evenly spread.
+            How many at most, from 2 to 5000: of the saved times, evenly spread. They are drawn one by one.
         fps : float
-            Frames a second.
+            Frames a second; for a GIF no more than 50.
         size : (int, int)
             Width and height in pixels, even numbers.
 
@@ -494,9 +494,13 @@ class Solution:
         Traceback (most recent call last):
         coadjoint.pictures.register.CannotShow: rigid_body declares no picture that a movie can show; give one: ...
         """
-        from coadjoint.pictures.movie import write_movie
+        from coadjoint.files.movie_file import check_movie, check_speed, write_movie
+        from coadjoint.pictures.movie import frames_of
 
-        return write_movie(self, path, picture, frames, fps, size)
+        target = check_movie(path)
+        rate = check_speed(fps, target)
+        write_movie(frames_of(self, picture, frames, size), target, rate)
+        return target
 
 
 def check_solution(solution: Any) -> None:

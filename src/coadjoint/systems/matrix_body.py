@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -10,10 +12,39 @@ from coadjoint.given import read_finite
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Weights
 from coadjoint.systems.ready_made import ready_made
+from coadjoint.systems.telling import Picture, Telling
 from coadjoint.wording import short
 
 
-@ready_made
+def _above_the_diagonal(dim: int) -> list[int]:
+    n = math.isqrt(dim)
+    return [n * i + j for i in range(n) for j in range(i + 1, n)][:8]
+
+
+def _names(dim: int) -> tuple[str, ...]:
+    n = math.isqrt(dim)
+    return tuple(f"X{i},{j}" for i in range(1, n + 1) for j in range(1, n + 1))
+
+
+def _in_all_planes() -> npt.NDArray[np.float64]:
+    X = np.zeros((5, 5))
+    X[np.triu_indices(5, 1)] = np.cos(np.arange(10.0))
+    return X - X.T
+
+
+@ready_made(
+    telling=Telling(
+        x0=_in_all_planes,
+        t_span=(0.0, 60.0),
+        step=0.05,
+        says="A body of five dimensions turns in all planes at once, with several frequencies. Its momentum is a "
+        "matrix that turns and does not change: the eigenvalues stay.",
+        pictures=(Picture("eigenvalues"),),
+        components=Picture("components", chosen=_above_the_diagonal),
+        coordinates=_names,
+        quantity="angular momentum",
+    )
+)
 def matrix_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0, 5.0)) -> MatrixSystem:
     """Return the free rigid body of n dimensions, ``X' = [X, Omega]``, its momentum X a skew (n, n) matrix.
 

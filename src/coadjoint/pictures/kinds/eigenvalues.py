@@ -11,13 +11,17 @@ from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import colour, key, plain_axes
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
+FEW = 40
+"""So many eigenvalues are points on their line."""
+
 
 @kind("eigenvalues", low=True)
 def eigenvalues(drawn: Drawn, at: float = 1.0) -> Paint:
-    """Show the eigenvalues of -i W in rising order, at the start and at another time, and say how far they moved.
+    """Show the eigenvalues of a matrix at the start and at another time, and say how far they moved.
 
-    Of a fluid they tell how much of the surface has which vorticity. Of two fields those of the carried one are shown,
-    which stay.
+    Those of -i W in rising order, where W is skew-Hermitian; else those of W in the plane of complex numbers. Of a
+    fluid they tell how much of the surface has which vorticity. Of two fields those of the carried one are shown, which
+    stay.
 
     Parameters
     ----------
@@ -36,13 +40,23 @@ def eigenvalues(drawn: Drawn, at: float = 1.0) -> Paint:
     first, last = (drawn.family.spectrum(drawn.state(j)) for j in (0, k))
     size = float(np.abs(first).max()) or 1.0
     moved = float(np.abs(last - first).max()) / size
+    name = r"\Theta" if len(drawn.family.shape) == 3 else "W"
     part = (np.arange(len(first)) + 0.5) / len(first)
 
     def paint(axes: Any) -> None:
-        axes.plot(part, first / size, color=colour(4), linewidth=3.0, label="$t$ = " + f"{drawn.t[0]:.4g}")
-        axes.plot(part, last / size, color=colour(6), linewidth=0.9, label="$t$ = " + f"{drawn.t[k]:.4g}")
-        axes.set(xlabel="part of the eigenvalues below", ylabel="eigenvalues of $-iW$ over the largest")
-        axes.set_title(f"spectrum of $W$: moved by {moved:.1e} of the largest")
+        for values, j, place, width in ((first, 0, 4, 3.0), (last, k, 6, 0.9)):
+            style = {"color": colour(place), "linewidth": width, "label": f"$t$ = {drawn.t[j]:.4g}"}
+            if np.iscomplexobj(values):
+                style |= {"linestyle": "none", "marker": "o", "markersize": 3.0 * width}
+                axes.plot(values.real / size, values.imag / size, **style)
+            else:
+                style |= {"marker": "o", "markersize": 2.0 * width} if len(values) <= FEW else {}
+                axes.plot(part, values / size, **style)
+        if np.iscomplexobj(first):
+            axes.set(xlabel="real part over the largest", ylabel="imaginary part over the largest")
+        else:
+            axes.set(xlabel="part of the eigenvalues below", ylabel=f"eigenvalues of $-i{name}$ over the largest")
+        axes.set_title(f"spectrum of ${name}$: moved by {moved:.1e} of the largest")
         plain_axes(axes)
         key(axes, loc="upper left")
 

@@ -118,7 +118,7 @@ def blobs(system: FluidSystem, places: Any, strengths: Any, widths: Any) -> Comp
     >>> s.to_grid(W).shape
     (33, 33)
     """
-    found = _sum_about_points(system, places, strengths, widths, "blobs", "strengths", "widths", lambda width: 1.0)
+    found = _sum_about_points(system, ("blobs", "strengths", "widths"), places, strengths, widths, lambda width: 1.0)
     return system.absolute(system.from_modes(found))
 
 
@@ -160,9 +160,8 @@ def patches(system: FluidSystem, places: Any, radii: Any, vorticities: Any, *, e
     sigma = np.pi / system.complete_degree if edge is None else float(read_finite(edge, "edge"))
     if sigma < 0.0:
         raise ValueError(f"edge is {sigma:g}; give a width from 0 up")
-    found = _sum_about_points(
-        system, places, vorticities, radii, "patches", "vorticities", "radii", system.disc_profile, sigma
-    )
+    names = "patches", "vorticities", "radii"
+    found = _sum_about_points(system, names, places, vorticities, radii, system.disc_profile, sigma)
     return system.absolute(system.from_modes(found))
 
 
@@ -203,24 +202,21 @@ def from_file(
 
 def _sum_about_points(
     system: FluidSystem,
+    names: tuple[str, str, str],
     places: Any,
     strengths: Any,
     sizes: Any,
-    what: str,
-    what_strengths: str,
-    what_sizes: str,
     profile: Callable[[float], Any],
     edge: float | None = None,
 ) -> Complexes:
     """Return modes of fields about points; of blobs the size is the width, of patches the radius."""
-    points = system.read_places(places, f"places of {what}")
+    points = system.read_places(places, f"places of {names[0]}")
     factors, extents = (
-        np.array(_one_each(given, len(points), name))
-        for given, name in ((strengths, what_strengths), (sizes, what_sizes))
+        _one_each(given, len(points), name) for given, name in zip((strengths, sizes), names[1:], strict=True)
     )
     if not (extents > 0.0).all():
-        raise ValueError(f"{what_sizes} is {short(sizes)}; give positive numbers")
-    total = np.zeros(system.shape, dtype=np.complex128)
+        raise ValueError(f"{names[2]} is {short(sizes)}; give positive numbers")
+    total = np.zeros(system.degrees.shape, dtype=np.complex128)
     for extent in np.unique(extents):
         chosen = extents == extent
         smoothing = np.exp(-system.eigenvalues * (extent if edge is None else edge) ** 2 / 2)
@@ -233,7 +229,7 @@ def _one_each(given: Any, count: int, what: str) -> Floats:
     numbers = read_finite(given, what)
     if numbers.shape not in ((), (count,)):
         raise ValueError(f"{what} has the shape {numbers.shape}; give one number, or one for each of {count} places")
-    return np.broadcast_to(numbers, (count,))
+    return np.array(np.broadcast_to(numbers, (count,)))
 
 
 def _read_degrees(degrees: Any, spectrum: Any, system: FluidSystem) -> tuple[int, int]:

@@ -113,8 +113,8 @@ def check_stream(system: MatrixSystem) -> None:
     off, size = float(np.abs(2.0 * R - P - Q).max(initial=0.0)), float((np.abs(P) + np.abs(Q)).max(initial=0.0))
     if not off <= rounded * size:
         raise ValueError(
-            "the stream is not linear: stream((A + B)/2) is not the mean of stream(A) and stream(B) at sample matrices; give "
-            "energy=, the function whose slope it is"
+            "the stream is not linear: stream((A + B)/2) is not the mean of stream(A), stream(B) at sample matrices; "
+            "give energy=, the function whose slope it is"
         )
     sizes = float(np.sum(np.abs(P.T * B.T)) + np.sum(np.abs(Q * A)))
     if not abs(algebra.pairing(P, B) - algebra.pairing(A, Q)) <= rounded * sizes:

@@ -82,34 +82,38 @@ class DiagonalSolve:
     def __call__(self, W: Matrix) -> Matrix:
         N = len(self.main)
         below, inverse = self.table.reshape(2, N, N)
-        P = np.zeros_like(W)
-        for m in range(N):
-            y = np.diagonal(W, m, -2, -1).copy()
-            if m == 0 and inverse[N - 1, 0] == 0.0:
-                y -= y.mean(axis=-1, keepdims=True)
-            for i in range(1, N - m):
-                y[..., i] -= below[i, m] * y[..., i - 1]
-            y *= inverse[: N - m, m]
-            for i in range(N - m - 2, -1, -1):
-                y[..., i] -= below[i + 1, m] * y[..., i + 1]
-            if m == 0 and inverse[N - 1, 0] == 0.0:
-                y -= y.mean(axis=-1, keepdims=True)
-            rows = np.arange(N - m)
-            P[..., rows + m, rows] = -np.conj(y)
-            P[..., rows, rows + m] = y
-        return P
+        P, unseen = np.zeros_like(W), inverse[N - 1, 0] == 0.0
+        diagonal, mean = np.arange(N), np.trace(W, axis1=-2, axis2=-1) / N
+        # Row by row, all diagonals at once.
+        for i in range(N):
+            P[..., i, i:] = W[..., i, i:]
+            if i:
+                P[..., i, i:] -= below[i, : N - i] * P[..., i - 1, i - 1 : N - 1]
+            if unseen:
+                P[..., i, i] -= mean
+        for i in range(N - 1, -1, -1):
+            P[..., i, i:] *= inverse[i, : N - i]
+            P[..., i, i : N - 1] -= below[i + 1, : N - i - 1] * P[..., i + 1, i + 1 :] if i < N - 1 else 0.0
+        if unseen:
+            P[..., diagonal, diagonal] -= (np.trace(P, axis1=-2, axis2=-1) / N)[..., None]
+        return _mirrored(P)
 
     def inverse(self, P: Matrix) -> Matrix:
         """Return W of P."""
         N, W = len(self.main), np.zeros_like(P)
-        for m in range(N):
-            y, rows = np.diagonal(P, m, -2, -1), np.arange(N - m)
-            w = self.main[: N - m, m] * y
-            w[..., 1:] += self.beside[1 : N - m, m] * y[..., :-1]
-            w[..., :-1] += self.beside[1 : N - m, m] * y[..., 1:]
-            W[..., rows + m, rows] = -np.conj(w / self.factor)
-            W[..., rows, rows + m] = w / self.factor
-        return W
+        for i in range(N):
+            W[..., i, i:] = self.main[i, : N - i] * P[..., i, i:]
+            if i:
+                W[..., i, i:] += self.beside[i, : N - i] * P[..., i - 1, i - 1 : N - 1]
+            if i < N - 1:
+                W[..., i, i : N - 1] += self.beside[i + 1, : N - i - 1] * P[..., i + 1, i + 1 :]
+        return _mirrored(W / self.factor)
+
+
+def _mirrored(upper: Matrix) -> Matrix:
+    """Return a skew-Hermitian matrix from its upper triangle; the diagonal stays as it is."""
+    above = np.triu(upper, 1)
+    return np.asarray(upper - np.conj(np.swapaxes(above, -1, -2)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@
 #pragma once
 
 #include <cmath>
+#include <limits>
 #include <memory>
 #include <utility>
 #include <vector>
@@ -40,6 +41,42 @@ inline Pair<double> root_of_unity(int64_t k, int64_t n) {
     return turned[quarter];
 }
 
+// c^2 + s^2 - 1 to some hundred bits.
+inline double beyond_circle(double c, double s) {
+    const double square = c * c, other = s * s, rest = fma(c, c, -square) + fma(s, s, -other);
+    return (square > other ? (square - 1.0) + other : (other - 1.0) + square) + rest;
+}
+
+// All of them. Where together they miss the circle, a few are moved by a unit in the last place: a transform and its
+// inverse, which are applied millions of times, would else stretch what they turn a little every time.
+inline std::vector<Pair<double>> roots_of_unity(int64_t n) {
+    constexpr int MOST_MOVED = 4;
+    std::vector<Pair<double>> roots(n, Pair<double>{1.0, 0.0});
+    double beyond = 0.0;
+    for (int64_t k = 1; 2 * k < n; ++k) {
+        roots[k] = root_of_unity(k, n);
+        beyond += beyond_circle(roots[k].re, roots[k].im);
+    }
+    for (int moved = 0; moved < MOST_MOVED; ++moved) {
+        double least = 0.5 * std::fabs(beyond), change = 0.0;
+        double *best = nullptr, better = 0.0;
+        for (int64_t k = 1; 2 * k < n; ++k)
+            for (double* part : {&roots[k].re, &roots[k].im})
+                for (double way : {-2.0, 2.0}) {
+                    const double next = std::nextafter(*part, way), other = (next - *part) * (next + *part);
+                    if (std::fabs(beyond + other) < least)
+                        least = std::fabs(beyond + other), change = other, best = part, better = next;
+                }
+        if (!best) break;
+        *best = better;
+        beyond += change;
+    }
+    for (int64_t k = 1; k < n; ++k)
+        if (2 * k > n) roots[k] = {roots[n - k].re, -roots[n - k].im};
+    if (n % 2 == 0) roots[n / 2] = {-1.0, 0.0};
+    return roots;
+}
+
 inline int64_t power_modulo(int64_t base, int64_t exponent, int64_t p) {
     int64_t result = 1;
     for (int64_t k = 0; k < exponent; ++k) result = result * base % p;
@@ -61,9 +98,8 @@ class Rader;
 template <class A>
 class Fourier {
   public:
-    explicit Fourier(int64_t n) : n(n), factors(factors_of(n)), first(n), second(n) {
+    explicit Fourier(int64_t n) : n(n), factors(factors_of(n)), roots(roots_of_unity(n)), first(n), second(n) {
         int64_t largest = 1;
-        for (int64_t k = 0; k < n; ++k) roots.push_back(root_of_unity(k, n));
         for (int64_t p : factors) {
             if (p > LARGEST_SUMMED) rader.push_back(std::make_unique<Rader<A>>(p));
             largest = std::max(largest, p);
@@ -101,7 +137,7 @@ class Fourier {
   private:
     const int64_t n;
     const std::vector<int64_t> factors;
-    std::vector<Pair<double>> roots;
+    const std::vector<Pair<double>> roots;
     std::vector<std::unique_ptr<Rader<A>>> rader;
     Room<Pair<A>> first, second, column{0};
 

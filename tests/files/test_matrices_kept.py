@@ -1,0 +1,227 @@
+"""States that are matrices, in data sets, records, configuration files and on the command line."""
+
+import json
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.cli import main
+from coadjoint.files.configuration import ConfigurationError, load
+from coadjoint.files.export import rebuild
+from coadjoint.files.output import write_dataset
+from coadjoint.files.records import record_of, system_of
+from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Weights
+from served import state_of
+
+G = co.MatrixAlgebra
+SPHERE, TORUS = co.systems.sphere_euler(N=4), co.systems.torus_euler(N=3)
+WEIGHTS = np.add.outer(np.arange(1.0, 5.0), np.arange(1.0, 5.0))
+
+
+def own(kind, *more, **options):
+    g = G(kind, *more) if isinstance(kind, str) else kind
+    return co.MatrixSystem(g, Weights(np.full((g.N, g.N), 0.5) + 0.1 * np.eye(g.N)[::-1]), name="own", **options)
+
+
+OWN = {
+    "sphere": SPHERE,
+    "torus": TORUS,
+    "body": co.systems.matrix_body((1.0, 2.0, 4.0)),
+    "weights": co.MatrixSystem(G("gl", 4), Weights(WEIGHTS), np.diag([1.0, -0.5, 0.25, 0.0]), energy_sign=-1, powers=2),
+    "signature": co.MatrixSystem(G("so", 4, 1), Weights(WEIGHTS), name="lorentz"),
+    "unitary": co.MatrixSystem(G("u", 4), Weights(WEIGHTS), 1j * np.diag([1.0, 2.0, 0.5, 0.0]), name="u's, of 4"),
+    "sum": co.MatrixSystem(G.sum(G("so", 2), G("u", 2)), Weights(WEIGHTS), powers=1),
+    "solve": co.MatrixSystem(G("su", 4), DiagonalSolve(SPHERE.stream.main, SPHERE.stream.beside, -0.5)),
+    "circulants": co.MatrixSystem(G("su", 3), Circulants(2.0 * TORUS.stream.spectrum)),
+}
+
+
+def same(one, other):
+    W = state_of(one)
+    assert type(one) is type(other) and one.algebra == other.algebra and one.name == other.name
+    assert one.energy(W) == other.energy(W) and np.array_equal(one.vector_field(W), other.vector_field(W))
+    assert list(one.casimirs) == list(other.casimirs) and one.parameters == other.parameters
+    assert one.energy_sign == other.energy_sign and one.powers == other.powers
+
+
+@pytest.mark.parametrize("name", OWN)
+@pytest.mark.parametrize("members", [1, 3])
+def test_a_run_is_repeated_from_its_dataset(name, members):
+    system = OWN[name]
+    x0 = state_of(system) if members == 1 else np.array([state_of(system, m) for m in range(members)])
+    sol = co.integrate(system, x0, (0.25, 1.0), 0.125, co.IsospectralGauss(2), save_every=2)
+    dataset = sol.to_xarray()
+    parts = ("part",) if system.complex else ()
+    member = ("member",) if members > 1 else ()
+    assert dataset["x"].dims == ("time", *member, "row", "column", *parts)
+    assert dataset["x0"].dims == (*member, "row", "column", *parts) and "component" not in dataset.coords
+    x = dataset["x"].sel(part="real").values + 1j * dataset["x"].sel(part="imaginary").values if parts else dataset["x"]
+    assert np.array_equal(x, sol.x) and dataset.attrs["watch"] == 0
+    again = rebuild(dataset)
+    same(again.system, system)
+    assert np.array_equal(again.x, sol.x) and np.array_equal(again.energy, sol.energy)
+    assert all(np.array_equal(again.casimirs[key], values) for key, values in sol.casimirs.items())
+    same(system_of(json.loads(json.dumps(record_of(system)))), system)
+
+
+@pytest.mark.parametrize("suffix", ["nc", "zarr"])
+def test_files_hold_complex_matrices(suffix, tmp_path):
+    import xarray
+
+    sol = co.integrate(SPHERE, [state_of(SPHERE, m) for m in (1, 2)], (0.0, 1.0), 0.25)
+    path = tmp_path / f"run.{suffix}"
+    write_dataset(sol.to_xarray(), path)
+    with xarray.open_dataset(path) if suffix == "nc" else xarray.open_zarr(path) as read:
+        again = rebuild(read.load())
+    assert np.array_equal(again.x, sol.x) and again.x.dtype == np.complex128
+    assert again.drift() == sol.drift() and np.array_equal(again.spectrum(), sol.spectrum())
+
+
+def test_rows_of_numbers_are_repeated_as_such():
+    system = SPHERE.in_numbers
+    sol = co.integrate(system, SPHERE.to_vector(state_of(SPHERE)), (0.0, 1.0), 0.25)
+    dataset = sol.to_xarray()
+    assert sol.x.shape == (5, 32) and dataset["x"].dims == ("time", "component")
+    again = rebuild(dataset)
+    assert np.array_equal(again.x, sol.x) and again.system.shape == (32,)
+
+
+def stream(W):
+    return 2.0 * W
+
+
+def energy(W):
+    return np.sum(np.abs(W) ** 2)
+
+
+def test_functions_are_named_where_they_are_lost():
+    for system, lost in (
+        (co.MatrixSystem(G("so", 3), stream), ["stream: stream"]),
+        (co.MatrixSystem(G("so", 3), stream, energy=energy), ["stream: stream", "energy: energy"]),
+        (own("so", 3, exact=lambda x0, t: x0), ["exact solution: <lambda>"]),
+    ):
+        record = record_of(system)
+        assert record["not_stored"] == lost
+        if "exact" in lost[0]:
+            same(system_of(record), system)
+        else:
+            with pytest.raises(ValueError, match="functions are not stored"):
+                system_of(record)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda r: r["matrices"].update(kind="sq"), "system.matrices: .*kind"),
+        (lambda r: r["matrices"].update(N=1), r"system.matrices.N is 1"),
+        (lambda r: r["matrices"].update(kind="sum"), "a sum has blocks"),
+        (lambda r: r["matrices"].update(p=1), "none of the keys"),
+        (lambda r: r.update(matrices={"blocks": []}), "two MatrixAlgebras"),
+        (lambda r: r.update(matrices={"kind": "gl", "N": 4096, "q": 0}), "system"),
+        (lambda r: r.update(stream={}), "system.stream has no 'main'"),
+        (lambda r: r.update(stream={"weights": [[1.0]]}), "system.stream.weights"),
+        (lambda r: r["stream"]["weights"][0].__setitem__(1, 7.0), "system.stream: weights"),
+        (lambda r: r["stream"]["weights"][0].__setitem__(1, "x"), r"system.stream.weights\[0\]"),
+        (lambda r: r.update(linear=[[[1.0, 0.0], [0.0, 1.0]]]), "system.linear"),
+        (lambda r: r.update(energy_sign=0), "system: sign"),
+        (lambda r: r.update(powers=-1), "system.powers"),
+        (lambda r: r.update(color="red"), "none of the keys"),
+    ],
+)
+def test_damaged_records_are_refused_by_what_is_wrong(change, said):
+    record = json.loads(json.dumps(record_of(OWN["weights"])))
+    change(record)
+    with pytest.raises(ValueError, match=said):
+        system_of(record)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda d: d.assign(x0=d["x0"].isel(part=0, drop=True)), "dimension"),
+        (lambda d: d.assign(x0=d["x0"] + 1.0), r"no matrix of su\(4\)"),
+        (lambda d: d.assign(x0=d["x0"].isel(row=slice(0, 3))), "dimension"),
+        (lambda d: d.assign(x0=d["x0"].rename(row="line")), "x0 is over"),
+        (lambda d: d.assign(x0=d["x0"].isel(part=[0])), "1 parts|dimension"),
+        (lambda d: d.assign(x0=d["x0"] * np.nan), "finite"),
+        (lambda d: d.drop_vars("x0"), "no variable 'x0'"),
+    ],
+)
+def test_damaged_states_are_refused(change, said):
+    dataset = co.integrate(SPHERE, state_of(SPHERE), (0.0, 0.5), 0.25).to_xarray()
+    with pytest.raises(ValueError, match=said):
+        rebuild(change(dataset.drop_vars("part")))
+
+
+def written(tmp_path, x, system='{name = "sphere_euler", parameters = {N = 4}}', more=""):
+    path = tmp_path / "run.toml"
+    lines = [f"system = {system}", f"initial = {{x = {x}}}", "run = {t_span = [0, 1], step = 0.125}", more]
+    path.write_text("\n".join(lines))
+    return path
+
+
+def test_states_of_configuration_files(tmp_path, monkeypatch):
+    W = state_of(SPHERE)
+    np.save(tmp_path / "w.npy", W)
+    np.save(tmp_path / "crowd.npy", [W, 2 * W])
+    wanted = co.integrate(SPHERE, W, (0, 1), 0.125)
+    pairs = np.stack([W.real, W.imag], axis=-1).tolist()
+    monkeypatch.chdir(tmp_path.parent)  # names lead from the folder of the configuration
+    for x in ('"w.npy"', str(pairs), f'"{tmp_path}/w.npy"'):
+        configuration = load(written(tmp_path, x))
+        assert isinstance(configuration.method, co.IsospectralGauss)
+        assert np.array_equal(configuration.integrate().x, wanted.x)
+    crowd = load(written(tmp_path, '"crowd.npy"')).integrate()
+    assert np.array_equal(crowd.x[:, 0], wanted.x) and crowd.x.shape == (9, 2, 4, 4)
+    many = load(written(tmp_path, str([pairs, pairs])))
+    assert np.array_equal(many.integrate().x[:, 1], wanted.x)
+    body = co.systems.matrix_body((1.0, 2.0, 4.0))
+    X = state_of(body)
+    table = '{name = "matrix_body", parameters = {inertia = [1, 2, 4]}}'
+    found = load(written(tmp_path, str(X.tolist()), table, 'method = {name = "IsospectralGauss", stages = 2}'))
+    assert np.array_equal(found.integrate().x, co.integrate(body, X, (0, 1), 0.125, co.IsospectralGauss(2)).x)
+    # Vectors too.
+    np.save(tmp_path / "v.npy", [1.0, 0.2, 0.3])
+    assert load(written(tmp_path, '"v.npy"', '{name = "rigid_body"}')).integrate().x.shape == (9, 3)
+
+
+@pytest.mark.parametrize(
+    ("x", "more", "said"),
+    [
+        ('"none.npy"', "", "initial.x: 'none.npy' cannot be read"),
+        ('"run.txt"', "", "initial.x: must be a list of numbers"),
+        ('"run.npy"', "", "initial.x: 'run.npy'"),
+        ("[[1.0, 0.0], [0.0, 1.0]]", "", "initial.x: x0 has the shape"),
+        ('"ones.npy"', "", r"initial.x: x0 is no matrix of su\(4\)"),
+        ('"objects.npy"', "", "initial.x"),
+        ('"w.npy"', 'observe = {a = "x1"}', "observe.a: a polynomial is one of coordinates"),
+        ('"w.npy"', 'method = {name = "Splitting"}', "method: sphere_euler moves matrices"),
+    ],
+)
+def test_wrong_configurations(tmp_path, x, more, said):
+    (tmp_path / "run.npy").write_text("no array")
+    np.save(tmp_path / "ones.npy", np.ones((4, 4)))
+    np.save(tmp_path / "w.npy", state_of(SPHERE))
+    np.save(tmp_path / "objects.npy", np.array([None]), allow_pickle=True)
+    with pytest.raises(ConfigurationError, match=said) as refused:
+        load(written(tmp_path, x, more=more))
+    assert "\n" not in str(refused.value)
+
+
+def test_the_commands_take_matrices(tmp_path, capsys):
+    np.save(tmp_path / "w.npy", state_of(SPHERE))
+    path = written(tmp_path, '"w.npy"', more=f'output = {{file = "{tmp_path}/run.nc"}}')
+    assert main(["run", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "sphere_euler, IsospectralGauss(stages=1): 8 steps" in said and "over the saved points" in said
+    import xarray
+
+    with xarray.open_dataset(tmp_path / "run.nc") as dataset:
+        assert rebuild(dataset.load()).x.shape == (9, 4, 4)
+    table = '{name = "matrix_body", parameters = {inertia = [1, 2, 4]}}'
+    body = written(tmp_path, str(state_of(co.systems.matrix_body((1.0, 2.0, 4.0))).tolist()), table)
+    assert main(["certify", str(body), "--steps", "20"]) == 0
+    assert "Poisson bracket" in capsys.readouterr().out
+    assert main(["systems", "matrix_body"]) == 0
+    assert "so(5)" in capsys.readouterr().out
