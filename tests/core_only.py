@@ -8,7 +8,7 @@ from pathlib import Path
 import coadjoint
 
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
-CORE = {"coadjoint", "numpy", "scipy", "flint"}
+CORE = {"coadjoint", "numpy", "scipy", "flint", "threadpoolctl"}
 
 HIDE = f"""
 import sys

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.extras import need
 from coadjoint.kernels.description import codes
 from coadjoint.kernels.functions import CompiledFunction
-from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.loop import CompiledLoop, remembered
 from coadjoint.kernels.matrix_tables import stream_tables
 from coadjoint.kernels.step_tables import PLACE_OF_INNER, places_of, step_tables_of
 from coadjoint.kernels.stepping import STEP_LOOP
@@ -237,4 +237,5 @@ def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> Compil
     whole = [*places, len(tables), *map(ctypes.addressof, read), *matrices]
     found = step_tables_of(plain, "forced", followed, whole, representation, (*keep, *made, *read, *kept), numbers)
     held: dict[int, Any] = {PLACE_OF_INNER: inner, **dict(enumerate(tables, len(places) + 1))}
-    return CompiledLoop(STEP_LOOP, found.tables, found.keep, accounts=accounts, held=held)
+    memory = remembered(STEP_LOOP, found.tables)
+    return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=memory, accounts=accounts, held=held)

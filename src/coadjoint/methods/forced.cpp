@@ -29,6 +29,8 @@ struct Forced final : StepScheme {
           arguments(tables.kept.longest + 1), room(2 * tables.kept.longest + 2) {
         for (int64_t k = 0; k < tables.whole[5]; ++k)
             forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field, constants));
+        // What schemes of matrices remember are guesses, which forces between two steps leave good.
+        remembered = matrices ? tables.whole[3] : 0;
         work = 16 * work_of(tables.field) +
                (2 * tables.whole[5] + 2) *
                    (matrices ? matrices->work() : work_of_terms(tables.kept.terms, 0, tables.kept.terms.size));
@@ -39,7 +41,7 @@ struct Forced final : StepScheme {
         if (!evaluate(x, t)) return UNDEFINED;
         for (auto force = forces.begin(); force != forces.end(); ++force)
             if (const int64_t status = move(**force, x, dx, t, half, t)) return status;
-        const int64_t status = inner.take(x, group, t, h);
+        const int64_t status = inner.take(x, group, t, h, remembered ? memory : nullptr);
         evaluations += inner.evaluations;
         iterations += inner.iterations;
         residual = inner.residual;

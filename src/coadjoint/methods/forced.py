@@ -57,8 +57,9 @@ class Forced(Method):
     """A scheme on a system with forces, split symmetrically: of order two, or one where the scheme is of order one.
 
     A step is the half flows of the forces in their order, a step of the base for the Hamiltonian part, and the half
-    flows in the opposite order. Every step of the base begins anew. `integrate`, `prepare` and `stepper` take it by
-    themselves where a system has forces; it tells what is kept, and what breaks the rest.
+    flows in the opposite order. Every step of the base begins anew, but for the guesses of schemes of matrices.
+    `integrate`, `prepare` and `stepper` take it by themselves where a system has forces; it tells what is kept, and
+    what breaks the rest.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-// One step of another loop, of one member, as a part of a step: it begins anew, and what it leaves is finished.
+// One step of another loop, of one member, as a part of a step: what it leaves is finished.
 #pragma once
 
 #include <new>
@@ -30,24 +30,34 @@ class InnerStep {
         state.resize(reinterpret_cast<double*>(last.iterations) - none + 1);
     }
 
-    // Move a state, and a group element where there is one; return a status.
-    int64_t take(double* x, double* group, double t, double h) {
-        const Arrays arrays(extent, saved.data(), state.data());
+    // Move a state, and a group element where there is one; return a status. The step begins anew, unless there is a
+    // memory: what the loop remembers of the member since the step before.
+    int64_t take(double* x, double* group, double t, double h, double* memory = nullptr) {
+        Arrays arrays(extent, saved.data(), state.data());
+        if (memory) arrays.memory = memory;
+        // A loop clears what is remembered before its first step, and not before its second.
+        const int64_t before = memory && memory[0] == memory[0] ? 1 : 0;
+        if (before) {
+            arrays.status[0] = DONE;
+            arrays.evaluations[0] = arrays.iterations[0] = 0;
+            std::fill_n(arrays.errors, extent.size, 0.0);
+            std::fill_n(arrays.group_errors, extent.square, 0.0);
+        }
         std::copy_n(x, extent.size, arrays.momenta);
         std::copy_n(group, extent.square, arrays.groups);
         if (turning) prepare(x, group, arrays.groups);
-        const Schedule two{t, h, 2, 1, 0, 0, 0, nullptr};
+        const Schedule two{t - double(before) * h, h, 2 + before, 1, 0, 0, 0, nullptr};
         const Crew alone{&member, 0, 1, 0};
-        const int64_t wrong = loop(tables, &watch, &alone, &arrays, &two, 0, 1);
+        const int64_t wrong = loop(tables, &watch, &alone, &arrays, &two, before, before + 1);
         if (wrong == NO_MEMORY) throw std::bad_alloc();
         if (wrong < 0) throw Interrupted{};
         evaluations = arrays.evaluations[0];
         iterations = arrays.iterations[0];
         residual = arrays.residual[0];
         if (wrong) return arrays.status[0];
-        std::copy_n(arrays.x + extent.size, extent.size, x);
+        std::copy_n(arrays.x + (before + 1) * extent.size, extent.size, x);
         if (!turning) {
-            std::copy_n(arrays.group + extent.square, extent.square, group);
+            std::copy_n(arrays.group + (before + 1) * extent.square, extent.square, group);
             return DONE;
         }
         const Unshifted one{start.data(), plain.data(), arrays.group, turned.data(), 1, 0, 1, 1, 2, 1.0};
