@@ -6,7 +6,7 @@ import coadjoint as co
 
 BODY = co.systems.rigid_body((1.0, 2.0, 4.0))
 X = (0.3, -0.2, 0.5)
-FLUID = co.systems.sphere_euler(N=4)
+FLUID = co.systems.torus_euler(N=5)
 
 
 def serves(method, system):

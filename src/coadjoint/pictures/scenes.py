@@ -58,7 +58,6 @@ def decaying_turbulence(N: int = 128, seed: int = 1, end: float = 100.0, step: f
     >>> decaying_turbulence(N=12, end=2.0, step=0.1).x.shape
     (3, 12, 12)
     """
-    from coadjoint.methods.isospectral_gauss import IsospectralGauss
     from coadjoint.runs.integrate import integrate
     from coadjoint.systems.sphere_euler import sphere_euler
 
@@ -68,7 +67,6 @@ def decaying_turbulence(N: int = 128, seed: int = 1, end: float = 100.0, step: f
         s.random(seed, degrees=(3, 8)),
         (0.0, end),
         step,
-        IsospectralGauss(),
         save_every=max(1, round(1.0 / step)),
     )
 
