@@ -115,6 +115,7 @@ def test_fluids_with_forces_are_named_too():
     np.testing.assert_array_equal(state_by_name("fluid.toml", given, SimpleNamespace(system=BALL)), BALL.random(1))
 
 
+@pytest.mark.long
 def test_the_command_draws_what_the_file_describes(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "fluid.toml").write_text(FLUID.format(system="torus_euler", N=9, initial='kind = "random"\nseed = 1'))

@@ -12,6 +12,7 @@ from coadjoint.pictures.register import CannotShow, kinds
 from coadjoint.pictures.scenes import SCENES, Scene, decaying_turbulence
 from coadjoint.systems.matrices.scale_separation import large_scales
 from coadjoint.systems.telling import Picture
+from long import long_beyond
 
 
 @pytest.fixture(scope="module")
@@ -278,6 +279,18 @@ def test_what_is_no_fluid_is_refused_by_name(ball):
     ]:
         with pytest.raises(ValueError, match=said):
             ball.plot([Picture("vorticity", **options)])
+
+
+@pytest.mark.parametrize("size", long_beyond(1, [0.0, 0.3]))
+def test_small_matrices_rest_and_backward_spans_are_drawn(size):
+    for s in (co.systems.sphere_euler(N=2, rotation=0.5), co.systems.torus_euler(N=3)):
+        run = co.integrate(s, size * s.random(1, degrees=(1, 1)), (0.2, 0.0), 0.1, co.IsospectralGauss())
+        for kind in ("drift", "energy by scale", "field spectra", "eigenvalues"):
+            shown(run, kind).figure.draw_without_rendering()
+        assert [shown(run, Picture("vorticity", at=at)).get_title() for at in (0.0, 1.0)] == [
+            "vorticity at $t$ = 0.2",
+            "vorticity at $t$ = 0",
+        ]
 
 
 def test_large_crowds_of_matrices_are_not_copied(ball):

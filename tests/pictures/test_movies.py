@@ -219,6 +219,7 @@ def test_the_command_refuses_before_the_run(tmp_path, monkeypatch, capsys):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["body.toml", "fluid.toml"]
 
 
+@pytest.mark.long
 def test_a_crowd_shows_its_first_member(tmp_path):
     s = co.systems.sphere_euler(N=6)
     crowd = np.stack([s.random(seed, degrees=(2, 3)) for seed in (1, 2)])

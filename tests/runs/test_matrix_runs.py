@@ -8,6 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.analysis.poisson_defect import poisson_defect
+from long import long_where
 from served import state_of
 
 SPHERE = co.systems.sphere_euler(N=4)
@@ -21,8 +22,7 @@ def states(system, count):
     return np.array([state_of(system, seed) for seed in range(count)])
 
 
-@pytest.mark.parametrize("stages", [1, 2])
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize(("name", "stages"), [("sphere", 1), ("body", 2), ("general", 1), ("general", 2)])
 def test_members_alone_and_in_company_have_the_same_bits(name, stages):
     system, method = SYSTEMS[name], co.IsospectralGauss(stages)
     W = states(system, 5)
@@ -87,8 +87,10 @@ def test_without_a_scheme_matrices_take_their_own():
 
 
 def test_energy_that_depends_on_time():
+    masses = np.diag([1.0, 2.0, 3.0])
+
     def stream(W, t):
-        return (1.0 + 0.5 * np.cos(t)) * np.diag(np.array([1.0, 2.0, 3.0])) @ W @ np.diag(np.array([1.0, 2.0, 3.0]))
+        return (1.0 + 0.5 * np.cos(t)) * np.linalg.multi_dot([masses, W, masses])
 
     system = co.MatrixSystem(co.MatrixAlgebra("so", 3), stream)
     W, method = state_of(system), co.IsospectralGauss(3)
@@ -98,6 +100,9 @@ def test_energy_that_depends_on_time():
     for k in range(16):
         x = method.step(system, x, 2.0 + 0.125 * k, 0.125)
     assert np.abs(x - sol.x[-1]).max() < 1e-15
+    back = co.integrate(system, sol.x[-1], (4.0, 2.0), 0.125, method)
+    y = method.step(system, sol.x[-1], 4.0, -0.125)
+    assert np.abs(back.x[1] - y).max() < 1e-15 and np.abs(back.x[-1] - W).max() < 1e-14
     # H of (t) is a factor times the energy of the body, which is kept: it follows the factor.
     factor = (1.0 + 0.5 * np.cos(sol.t)) / (1.0 + 0.5 * np.cos(2.0))
     assert np.abs(sol.energy / sol.energy[0] - factor).max() < 1e-8
@@ -128,19 +133,19 @@ def watched_stream(limit):
     def stream(W):
         if np.abs(W).max() > limit and not np.isnan(W).any():
             raise TooLarge(f"beyond {limit}")
-        return [*W.T]
+        return dict(P=W)["P"].T
 
     return stream
 
 
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("threads", long_where([1], [1, 2]))
 def test_what_a_function_raises_comes_out_of_the_run(threads):
     # W' = [W^T, W] makes entries above the diagonal of a triangular matrix fall, and so others rise.
     system = co.MatrixSystem(co.MatrixAlgebra("gl", 3), watched_stream(2.0))
     W = np.array([[0.5, 1.9, 0.0], [0.0, -0.5, 1.9], [0.3, 0.0, 0.1]])
     with pytest.raises(TooLarge, match="beyond 2"):
-        co.integrate(system, [W, 0.1 * W], (0.0, 2.0), 0.01, threads=threads)
-    calm = co.integrate(system, 0.1 * W, (0.0, 2.0), 0.01)
+        co.integrate(system, [W, 0.1 * W], (0.0, 0.5), 0.05, threads=threads)
+    calm = co.integrate(system, 0.1 * W, (0.0, 0.5), 0.05)
     assert np.isfinite(calm.x).all()
 
 

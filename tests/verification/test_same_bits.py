@@ -95,6 +95,8 @@ def test_compiled_loop_agrees_with_forty_digits(scheme):
     """Systems that need no Python functions, so that every scheme reads them in multiprecision."""
     method = schemes()[scheme]
     for system, x0, _ in witnesses(method, "A3,7, full", "e(3), heavy top"):
+        if isinstance(system, co.MatrixSystem):
+            continue  # NumPy has no products of complex matrices in more digits; the plain reading is in float64
         with mpmath.workdps(40):
             exact = read_plainly(method, system, x0, 0.125, 2, mpmath.mpf)
         run = co.integrate(system, x0, (0.0, 0.25), 0.125, method)

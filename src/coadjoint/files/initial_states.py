@@ -39,9 +39,8 @@ def initial_state(system: Any, given: Any, folder: Path) -> Any:
     Examples
     --------
     >>> from coadjoint.systems.sphere_euler import sphere_euler
-    >>> initial_state(sphere_euler(N=2), [[[0, 1], [0, 0]], [[0, 0], [0, -1]]], Path())
-    array([[ 0.+1.j,  0.+0.j],
-           [ 0.+0.j, -0.-1.j]])
+    >>> initial_state(sphere_euler(N=2), [[[0, 1], [2, 0]], [[-2, 0], [0, -1]]], Path()).tolist()
+    [[1j, (2+0j)], [(-2+0j), -1j]]
     """
     if isinstance(given, str):
         return _from_file(folder / given, given)

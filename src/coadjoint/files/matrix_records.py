@@ -11,9 +11,10 @@ from coadjoint.algebra.matrix_states import LARGEST, SUM, MatrixAlgebra
 from coadjoint.files.record_entries import ENERGY, EXACT, STREAM, Entry, made_of
 from coadjoint.memory import check_room
 from coadjoint.systems.matrices.matrix_system import MOST_POWERS, MatrixSystem
-from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Weights
+from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Weights
+from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 
-KEYS = ("name", "matrices", "stream", "linear", "energy_sign", "powers", "not_stored")
+KEYS = ("name", "matrices", "layers", "stream", "second_stream", "linear", "energy_sign", "powers", "not_stored")
 
 
 def matrix_record(system: MatrixSystem) -> dict[str, Any]:
@@ -41,6 +42,13 @@ def matrix_record(system: MatrixSystem) -> dict[str, Any]:
         missing.append(f"{STREAM}{getattr(function, '__name__', type(function).__name__)}")
     else:
         record["stream"] = stream
+    if isinstance(system, TwoLayerSystem):
+        record["layers"] = 2
+        second = None if system.second_stream is None else _stream_record(system.second_stream)
+        if second is not None:
+            record["second_stream"] = second
+        elif system.second_stream is not None:
+            missing.append(f"{STREAM}{type(system.second_stream).__name__}")
     if system.linear is not None:
         record["linear"] = _matrix_record(system.linear)
     if system.energy_function is not None:
@@ -64,6 +72,11 @@ def matrix_system_of(record: Entry) -> MatrixSystem:
     stream = _stream_of(record["stream"], algebra.N)
     linear = _matrix_of(record["linear"], algebra) if "linear" in record else None
     sign, powers, name = record["energy_sign"].whole(-1, 1), record["powers"].whole(0, MOST_POWERS), record["name"]
+    if "layers" in record:
+        record["layers"].whole(2, 2)
+        second = _stream_of(record["second_stream"], algebra.N) if "second_stream" in record else None
+        with made_of(record):
+            return TwoLayerSystem(algebra, stream, second, energy_sign=sign, name=name.text(), powers=powers)
     with made_of(record):
         return MatrixSystem(algebra, stream, linear, energy_sign=sign, name=name.text(), powers=powers)
 
@@ -92,6 +105,8 @@ def _stream_record(stream: Any) -> dict[str, Any] | None:
         return {"weights": stream.weights.tolist()}
     if type(stream) is DiagonalSolve:
         return {"main": stream.main.tolist(), "beside": stream.beside.tolist(), "factor": float(stream.factor)}
+    if type(stream) is Inverse:
+        return {"inverse of": _stream_record(stream.of)}
     if type(stream) is Circulants:
         return {"spectrum": stream.spectrum.tolist()}
     return None
@@ -107,6 +122,12 @@ def _stream_of(record: Entry, N: int) -> Any:
         spectrum = _square(record.only("spectrum")["spectrum"], N)
         with made_of(record):
             return Circulants(spectrum)
+    if "inverse of" in table:
+        of = _stream_of(record.only("inverse of")["inverse of"], N)
+        with made_of(record):
+            if not isinstance(of, DiagonalSolve):
+                raise ValueError("the inverse is that of a stream with main and beside")
+            return Inverse(of)
     record.only("main", "beside", "factor")
     main, beside, factor = _square(record["main"], N), _square(record["beside"], N), record["factor"].number()
     with made_of(record):

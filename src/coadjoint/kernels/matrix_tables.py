@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import os
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
@@ -14,11 +13,7 @@ from coadjoint.kernels.description import codes
 from coadjoint.kernels.matrix_functions import MatrixFunction
 from coadjoint.kernels.step_tables import step_numbers
 from coadjoint.kernels.tables import Compiled
-from coadjoint.systems.kinds import shape_of
 from coadjoint.systems.matrices.function_stream import FunctionStream
-
-ONE_THREAD = 64  # up to this size BLAS takes one thread for a product
-THREADS_OF_BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 @cache
@@ -80,24 +75,6 @@ def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]
         function.address if function else 0,
     ]
     return whole, np.concatenate(numbers).tolist(), (function,) if function else ()
-
-
-def members_at_once(system: Any) -> int:
-    """Return how many members of a crowd are best taken at a time, each by a thread of its own.
-
-    Parameters
-    ----------
-    system : System
-        Whose states may be matrices: for the products of large ones BLAS takes threads itself.
-
-    Returns
-    -------
-    int
-        The number of cores; or 1 for large matrices, unless BLAS has been told to take one thread.
-    """
-    cores, shape = os.cpu_count() or 1, shape_of(system)
-    alone = len(shape) == 1 or shape[-1] <= ONE_THREAD or any(os.environ.get(name) == "1" for name in THREADS_OF_BLAS)
-    return cores if alone else 1
 
 
 def matrix_tables(

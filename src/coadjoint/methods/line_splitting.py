@@ -251,7 +251,7 @@ def torus_of(system: Any) -> MatrixSystem:
     """
     name = getattr(system, "name", short(system))
     served = isinstance(system, MatrixSystem) and isinstance(system.stream, Circulants)
-    if not served or system.algebra.kind not in ("u", "su") or len(system.shape) != 2:
+    if not served or system.algebra.kind not in ("u", "su") or len(system.shape) == 3:
         raise ValueError(
             f"LineSplitting moves fluids on the torus, but {name} is none: its stream is no factor for each mode of "
             "su(N); take IsospectralGauss for matrices, Splitting for vectors"

@@ -50,8 +50,7 @@ def suggested_scheme(system: System) -> Method:
         first = sorted(_serving(system), key=lambda method: not method.properties(cast(Any, system)).poisson)
     for method in first:
         try:
-            if not method.properties(system).poisson:
-                continue
+            method.properties(system)
             # Whether H has exact flows is found where they are counted.
             method.work(system, None)
         except (TypeError, ValueError):

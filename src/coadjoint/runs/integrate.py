@@ -66,8 +66,8 @@ def integrate(
         Name -> `Polynomial`, `Quadratic` or function of x: further quantities, evaluated at the saved points. Where
         states are matrices, functions of a matrix.
     threads : int, optional
-        Threads for the members of an ensemble; None is one for each core, and for matrices of more than 64 rows, whose
-        products BLAS shares out, one in all unless ``OPENBLAS_NUM_THREADS`` is 1.
+        Threads for the members of an ensemble; None is one for each core, and for matrices of more than 128 rows,
+        whose products BLAS shares out, one in all.
     progress : bool
         Show a progress bar.
 

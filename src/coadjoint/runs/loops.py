@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
+from coadjoint.kernels.blas_threads import rows_of
 from coadjoint.kernels.loop import CompiledLoop, Crew
 from coadjoint.methods.base import Method
 from coadjoint.runs.shifted_attitude import Unshift, plainly
@@ -57,6 +58,8 @@ class Loops(ABC):
         How many numbers a state has: the dimension of the system, and the accounts.
     memory : int
         How many numbers a member remembers from step to step.
+    rows : int
+        Of the matrices that move, or 0.
     turned : callable
         ``turned(start, times, saved, points)`` returns the group elements (points, members, d, d) of the run from
         those that the loops left. It does not keep the tables of the loops alive.
@@ -67,6 +70,7 @@ class Loops(ABC):
     accounts: tuple[tuple[str, str], ...] = ()
     size: int
     memory: int
+    rows: int = 0
     turned: Turned
     _plan: Plan | None = None
 
@@ -172,6 +176,7 @@ class SystemLoops(Loops):
         prepared = prepared or method.loop(system, h, representation)
         self.accounts = prepared.accounts
         plain = unforced(system)
+        self.rows = rows_of(system)
         self._matrices = plain if isinstance(plain, MatrixSystem) else None
         if self._matrices:
             count = (1 + len(followed)) * (2 if self.accounts else 1) - 1

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_flag, read_whole
-from coadjoint.kernels.matrix_tables import members_at_once
+from coadjoint.kernels.blas_threads import members_at_once, rows_of
 from coadjoint.methods.base import Method
 from coadjoint.methods.forced import serving
 from coadjoint.methods.splitting import Splitting
@@ -57,7 +57,8 @@ class PreparedRun:
     ) -> None:
         scheme = method
         if method is None:
-            scheme = suggested_scheme(system) if isinstance(system, MatrixSystem) else Splitting()
+            moved: Any = system.system if isinstance(system, ForcedSystem) else system
+            scheme = suggested_scheme(cast(System, moved)) if isinstance(moved, MatrixSystem) else Splitting()
         if not isinstance(scheme, Method):
             raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
         watching = read_flag(watch, "watch")
@@ -73,7 +74,7 @@ class PreparedRun:
         self._attitude, self._watching = attitude, watching and not isinstance(system, MatrixSystem)
         self._representations = representations_of(cast(Any, system), self._scheme, attitude)
         self._observe = check_observe({} if observe is None else observe)
-        self._threads = workers or members_at_once(system)
+        self._threads = workers or members_at_once(rows_of(system))
         self._made: dict[float, Loops | InputLoops] = {}
         self._observed: Observed | None = None
         self._making = threading.RLock()

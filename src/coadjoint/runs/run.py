@@ -15,6 +15,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
 from coadjoint.given import read_flag
 from coadjoint.kernels.arrays import NamedArrays
+from coadjoint.kernels.blas_threads import threads_of_blas
 from coadjoint.kernels.description import codes
 from coadjoint.kernels.loop import Crew, Stop
 from coadjoint.kernels.watching import schedule_of
@@ -96,11 +97,25 @@ class Run:
 
     def advance(self, progress: bool = False, until: int | None = None) -> None:
         """Take the steps up to number `until`, or all, one round after the other; an interrupt ends them."""
-        plan, order = self.plan, self.loops.order
+        order = self.loops.order
         first, last = self.state.number, self.times.steps if until is None else until
         began = time.perf_counter()
         if order is not None:
             self.state.arrays = self.state.arrays.take(order, 0)
+        with threads_of_blas(self.loops.rows, self.workers):
+            self._advance(first, last, progress)
+        self.seconds += time.perf_counter() - began
+        self.state.number = last
+        if order is not None:
+            place = np.argsort(order)
+            self.state.arrays = self.state.arrays.take(place, 0)
+            if last == self.times.steps:
+                self.saved = self.saved.take(place, 1)
+        new = np.flatnonzero((self.times.saved <= last) & ((self.times.saved > first) | (first == 0)))
+        self.loops.measure(self.times, self.start, self.saved, self.state["worst"], new)
+
+    def _advance(self, first: int, last: int, progress: bool) -> None:
+        plan = self.plan
         if self.workers == 1 and not progress:
             for crews in plan.rounds:
                 self.wrong += self._take(crews, first, last, None)
@@ -111,15 +126,6 @@ class Run:
                         self.wrong += self._take_in_chunks(crews, first, last, pool, bar)
                     else:
                         self.wrong += self._take(crews, first, last, pool)
-        self.seconds += time.perf_counter() - began
-        self.state.number = last
-        if order is not None:
-            place = np.argsort(order)
-            self.state.arrays = self.state.arrays.take(place, 0)
-            if last == self.times.steps:
-                self.saved = self.saved.take(place, 1)
-        new = np.flatnonzero((self.times.saved <= last) & ((self.times.saved > first) | (first == 0)))
-        self.loops.measure(self.times, self.start, self.saved, self.state["worst"], new)
 
     def _take(self, crews: list[Crew], done: int, target: int, pool: ThreadPoolExecutor | None) -> int:
         """Take the steps done + 1 to target of some crews; return how many members have failed."""

@@ -47,10 +47,12 @@ def field_spectra(drawn: Drawn, at: float = 1.0) -> Paint:
                 scales, values = found[name, j]
                 label = f"{name}, $t$ = {drawn.t[j]:.4g}"
                 axes.plot(scales, np.where(values > 0.0, values, np.nan), color=colour(place), label=label, **style)
-        top = max(float(values.max()) for _, values in found.values())
-        low = min(float(values[values > top * 10.0**-DECADES].min(initial=top)) for _, values in found.values())
-        axes.set(xscale="log", yscale="log", xlabel=ACROSS[surface_of(fluid)], ylim=(low / 2, top * 3))
+        axes.set(xscale="log", xlabel=ACROSS[surface_of(fluid)])
         axes.set(ylabel="energy and enstrophy", title="spectra of energy and enstrophy")
+        top = max(float(values.max()) for _, values in found.values())
+        if top > 0.0:  # a fluid at rest has no logarithms
+            seen = min(float(values[values > top * 10.0**-DECADES].min(initial=top)) for _, values in found.values())
+            axes.set(yscale="log", ylim=(seen / 2, top * 3))
         plain_axes(axes)
         key(axes)
 

@@ -34,7 +34,7 @@ def large_scales(P: Matrix, W: Matrix) -> Matrix:
     Examples
     --------
     >>> P, W = np.diag([1j, 2j, -3j]), np.array([[1j, 2, 0], [-2, 1j, 0], [0, 0, -2j]])
-    >>> np.abs(large_scales(P, W) - np.diag([1j, 1j, -2j])).max() < 1e-15
+    >>> bool(np.abs(large_scales(P, W) - np.diag([1j, 1j, -2j])).max() < 1e-15)
     True
     """
     _, V = np.linalg.eigh(-1j * P)

@@ -176,9 +176,8 @@ class Inverse:
     Examples
     --------
     >>> solve = DiagonalSolve(np.full((2, 2), 4.0), np.zeros((2, 2)))
-    >>> Inverse(solve)(np.array([[0.0, 1.0], [-1.0, 0.0]]))
-    array([[-0.,  4.],
-           [-4., -0.]])
+    >>> Inverse(solve)(np.array([[0.0, 1.0], [-1.0, 0.0]])).tolist()
+    [[0.0, 4.0], [-4.0, 0.0]]
     """
 
     of: DiagonalSolve

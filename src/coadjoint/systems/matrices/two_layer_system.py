@@ -163,7 +163,6 @@ class TwoLayerSystem(MatrixSystem):
         return np.asarray(np.linalg.eigvalsh(-1j * self.matrices(x)[..., 0, :, :]), dtype=np.float64)
 
     def structure_matrix(self, x: Any) -> Floats:
-        """Return J of a state, (n, n) for its n numbers: x' = J(x) grad H(x)."""
         check_room(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
         slopes = self.algebra.projected(self.from_vector(np.eye(self.dim)))[..., ::-1, :, :]
         return self.energy_sign * self.to_vector(self.bracket(slopes, self.matrices(x))).T
@@ -192,7 +191,6 @@ class TwoLayerSystem(MatrixSystem):
         return self.from_vector(rows)
 
     def read(self, given: Any, what: str = "x0") -> Floats:
-        """Return initial states as rows of numbers, one for a state and more for members; refuse others."""
         found = array_given(given, what, "iufc")
         if found.shape[-3:] != self.shape or found.ndim > 4:
             raise ValueError(
