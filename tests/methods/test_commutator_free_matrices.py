@@ -8,6 +8,7 @@ import coadjoint as co
 from coadjoint.methods.commutator_free import SCHEMES
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.matrices.streams import Weights
+from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.systems.torus_euler import torus_euler
 from torus import first_modes, last_modes
 
@@ -22,6 +23,11 @@ SYSTEMS = {
     "torus": torus_euler(N=5),
     "sphere": co.systems.sphere_euler(N=6),
     "body": body(5),
+    "two layers": TwoLayerSystem(
+        co.MatrixAlgebra("u", 4),
+        Weights(1 / (1 + np.add.outer(np.arange(4.0), np.arange(4.0)))),
+        Weights(np.add.outer(np.arange(4.0), np.arange(4.0)) / 4),
+    ),
     "u": co.MatrixSystem(co.MatrixAlgebra("u", 4), Weights(np.add.outer(np.arange(4.0), np.arange(4.0))), name="u"),
 }
 
@@ -30,7 +36,7 @@ def state(system, seed, size=1.0):
     rng = np.random.default_rng(seed)
     W = rng.standard_normal(system.shape) + 1j * system.complex * rng.standard_normal(system.shape)
     W = system.algebra.projected(W if system.complex else W.real)
-    return size * W / np.linalg.norm(W, 2)
+    return size * W / np.linalg.norm(W.reshape(-1, system.algebra.N), 2)
 
 
 def last(system, W, time, steps, method):

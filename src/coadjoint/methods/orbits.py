@@ -12,7 +12,6 @@ from coadjoint.methods.isospectral_stages import slope_along
 from coadjoint.systems.kinds import check_one_system
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 
 
 class Generator(NamedTuple):
@@ -52,7 +51,7 @@ class VectorOrbit:
 
 
 class MatrixOrbit:
-    """The orbit of a matrix: ``D W = [P, W]``, P the stream in place of the gradient. Changes are stacked."""
+    """The orbit of a matrix: ``D W = [P, W]``, P the stream in place of the gradient; or of two."""
 
     def __init__(self, system: MatrixSystem) -> None:
         self._system, self.bent_by = system, "formula" if system.linear_stream else "differences"
@@ -63,11 +62,13 @@ class MatrixOrbit:
 
     def bend(self, W: Any, dW: Any, t: Any) -> Any:
         """Return the changes of P."""
-        return slope_along(self._system, W, dW, t)
+        layers = len(self._system.shape) == 3  # whose streams are linear, without a constant
+        return self._system.stream_of(dW, t) if layers else slope_along(self._system, W, dW, t)
 
     def generator(self, P: Any, dP: Any) -> Generator:
         """Return D of a combination of streams, and of its changes where there are any."""
-        bracket, sizes = self._system.algebra.bracket, np.abs(P)
+        bracket = self._system.bracket
+        sizes = np.abs(P).reshape(-1, *self._system.algebra.shape).sum(axis=0)  # of all layers
         return Generator(
             lambda W: bracket(P, W),
             lambda W, dW: bracket(P, dW) + bracket(dP, W),
@@ -91,8 +92,6 @@ def orbit_of(system: Any, asked_by: str) -> VectorOrbit | MatrixOrbit:
         It is no single system, or has no Lie algebra.
     """
     check_one_system(system)
-    if isinstance(system, TwoLayerSystem):
-        raise ValueError(f"{asked_by} moves one matrix, and {system.name} has two layers; take IsospectralGauss")
     if isinstance(system, MatrixSystem):
         return MatrixOrbit(system)
     if system.algebra is None:

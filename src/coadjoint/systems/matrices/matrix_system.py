@@ -184,6 +184,10 @@ class MatrixSystem:
         """Return the system with forces; see `LiePoissonSystem.with_forces`."""
         return ForcedSystem(self, forces)
 
+    def bracket(self, Y: Matrix, X: Matrix) -> Matrix:
+        """Return the commutator of states (..., N, N)."""
+        return self.algebra.bracket(Y, X)
+
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
         """Return W' of matrices (..., N, N), or of rows of their numbers, in the same form."""
         W = self.matrices(x)

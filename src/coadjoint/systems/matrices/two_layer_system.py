@@ -148,7 +148,7 @@ class TwoLayerSystem(MatrixSystem):
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
         """Return x' of a state (2, N, N), or of its numbers, in the same form."""
         X = self.matrices(x)
-        found = self._bracket(self.stream_of(X), X)
+        found = self.bracket(self.stream_of(X), X)
         return self.to_vector(found) if np.shape(x)[-1] == self.dim else found
 
     def energy(self, x: Any, t: float = 0.0) -> Any:
@@ -165,14 +165,14 @@ class TwoLayerSystem(MatrixSystem):
     def structure_matrix(self, x: Any) -> Floats:
         check_room(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
         slopes = self.algebra.projected(self.from_vector(np.eye(self.dim)))[..., ::-1, :, :]
-        return self.energy_sign * self.to_vector(self._bracket(slopes, self.matrices(x))).T
+        return self.energy_sign * self.to_vector(self.bracket(slopes, self.matrices(x))).T
 
     def generic_rank(self) -> int:
         """Return the rank of J at a generic state: each Casimir of the algebra makes two of the layers."""
         return 2 * self.algebra.generic_rank()
 
-    def _bracket(self, Y: Matrix, X: Matrix) -> Matrix:
-        """Return the commutator of dual numbers."""
+    def bracket(self, Y: Matrix, X: Matrix) -> Matrix:
+        """Return the commutator of dual numbers, states (..., 2, N, N)."""
         bracket = self.algebra.bracket
         P, J, theta, W = Y[..., 0, :, :], Y[..., 1, :, :], X[..., 0, :, :], X[..., 1, :, :]
         return np.stack([bracket(P, theta), bracket(P, W) + bracket(J, theta)], axis=-3)
