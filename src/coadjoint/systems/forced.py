@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_list, read_number, read_numbers, title
+from coadjoint.given import array_given, read_list, read_number, read_numbers, title
 from coadjoint.systems.closed_form import solution_of
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.points import QUIET, point
@@ -162,11 +162,11 @@ class ForcedSystem:
         """
         y, t = self._numbers(x), read_number(t, "t")
         found = sum((force.field(self.system, y, t) for force in self.forces), start=self.system.vector_field(y, t))
-        return np.asarray(self.system.from_vector(found) if np.ndim(x) > 1 else found)
+        return np.asarray(self.system.from_vector(found) if array_given(x, "x", "iufc").ndim > 1 else found)
 
     def _numbers(self, x: Any) -> npt.NDArray[Any]:
         """Return a state as its numbers; those of a matrix are its entries."""
-        if np.ndim(x) > 1 and hasattr(self.system, "from_vector"):
+        if hasattr(self.system, "from_vector") and array_given(x, "x", "iufc").ndim > 1:
             x = self.system.read(x, "x")
         return point(read_numbers(x, "x"), self.dim)
 

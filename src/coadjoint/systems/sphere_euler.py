@@ -26,6 +26,7 @@ from coadjoint.systems.matrices.streams import DiagonalSolve
 from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.telling import Picture, Telling
 
+FASTEST = 1e100
 LARGEST = 4096
 Floats = npt.NDArray[np.float64]
 Matrix = npt.NDArray[np.complex128]
@@ -319,4 +320,7 @@ def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
     >>> s.shape, list(s.casimirs)[:2]
     ((16, 16), ['tr W^2', 'tr W^3'])
     """
-    return SphereEuler(read_whole(N, "N", 2, LARGEST), read_number(rotation, "rotation"))
+    turning = read_number(rotation, "rotation")
+    if abs(turning) > FASTEST:
+        raise ValueError(f"rotation is {turning:g}; give no more than {FASTEST:g}")
+    return SphereEuler(read_whole(N, "N", 2, LARGEST), turning)

@@ -42,9 +42,9 @@ def read_state(given: Any, what: str, number: bool = False) -> Any:
     """
     if isinstance(given, Mapping) and given.keys() == {"real", "imaginary"}:  # as records have it
         given = read_finite(given["real"], what) + 1j * read_finite(given["imaginary"], what)
-    if np.ndim(given) not in (2, 3):
-        return read_matrix(given, what, (0, 1) if number else (1,))
     matrix = array_given(given, what, "iufc")
+    if matrix.ndim not in (2, 3):
+        return read_matrix(given, what, (0, 1) if number else (1,))
     if matrix.shape[-2] != matrix.shape[-1] or not matrix.size or not np.isfinite(matrix).all():
         raise ValueError(f"{what} has the shape {matrix.shape}; a matrix must be (N, N), of finite numbers")
     rows = matrix.astype(complex if matrix.dtype.kind == "c" else float).tolist()
