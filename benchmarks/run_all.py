@@ -19,6 +19,7 @@ SECTIONS = {
     "one_trajectory": "One trajectory",
     "large_trajectories": "Large systems",
     "spins": "Spins",
+    "fluids": "Fluids",
     "ensembles": "Ensembles",
     "gauss_legendre": "Gauss-Legendre",
     "round_off": "Round-off",
