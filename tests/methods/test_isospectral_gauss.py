@@ -158,3 +158,28 @@ def test_the_order_is_twice_the_stages(stages: int) -> None:
         for k in (2, 4)
     ]
     assert abs(np.log2(errors[0] / errors[1]) - 2 * stages) < 0.3
+
+
+@pytest.mark.parametrize("stages", [2, 3])
+@pytest.mark.parametrize(("kind", "n"), [("gl", 3), ("so", 5), ("u", 5)])
+def test_slow_iterations_come_to_their_end(kind: str, n: int, stages: int) -> None:
+    """With complex eigenvalues corrections rise and fall while they shrink; none of the rises is the end."""
+    algebra, rng = co.MatrixAlgebra(kind, n), np.random.default_rng(n)
+    seen = 0
+    for share in (0.15, 0.2, 0.25, 0.3, 0.35, 0.4) * 3:
+        weights = rng.random((n, n))
+        system = co.MatrixSystem(algebra, Weights(weights + weights.T), name="random")
+        W = rng.standard_normal((n, n)) + 1j * system.complex * rng.standard_normal((n, n))
+        W = algebra.projected(W if system.complex else W.real)
+        W = W / np.abs(np.linalg.eigvals(W)).max()
+        h = turning(system, W, share)
+        try:
+            run = co.integrate(system, W, t_span=(0, 4 * h), step=h, method=co.IsospectralGauss(stages))
+        except co.IntegrationError:
+            continue
+        seen += 1
+        largest = np.abs(run.x).max() * n
+        for name, trace in system.casimirs.items():
+            values = np.array([trace(x) for x in run.x])
+            assert np.abs(values - values[0]).max() < 1e-13 * max(1.0, largest) ** int(name.partition("^")[2] or 1), (share, name)
+    assert seen > 4
