@@ -16,12 +16,20 @@ inline float conjugate(float value) { return value; }
 template <class R>
 std::complex<R> conjugate(const std::complex<R>& value) { return std::conj(value); }
 
-// A product without the tests for infinities that the library's own has.
+// Products and inverses without the tests for infinities that the library's own have.
 inline double times(double a, double b) { return a * b; }
 inline float times(float a, float b) { return a * b; }
 template <class R>
 std::complex<R> times(const std::complex<R>& a, const std::complex<R>& b) {
     return {a.real() * b.real() - a.imag() * b.imag(), a.real() * b.imag() + a.imag() * b.real()};
+}
+
+inline double inverse(double a) { return 1.0 / a; }
+inline float inverse(float a) { return 1.0f / a; }
+template <class R>
+std::complex<R> inverse(const std::complex<R>& a) {
+    const R square = a.real() * a.real() + a.imag() * a.imag();
+    return {a.real() / square, -a.imag() / square};
 }
 
 // to = factor (A - A*), or to += that; by blocks, which stay in the cache.

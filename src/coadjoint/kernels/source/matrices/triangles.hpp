@@ -61,8 +61,8 @@ class Triangles {
     void factor(T* A, int size) const {
         if (size <= LEAF) {
             for (int k = 0; k < size; ++k) {
-                const T inverse = T(1) / A[k + int64_t(k) * n];
-                for (int i = k + 1; i < size; ++i) A[i + int64_t(k) * n] *= inverse;
+                const T factor = inverse(A[k + int64_t(k) * n]);
+                for (int i = k + 1; i < size; ++i) A[i + int64_t(k) * n] = times(A[i + int64_t(k) * n], factor);
                 for (int j = k + 1; j < size; ++j) {
                     const T pivot = A[k + int64_t(j) * n];
                     for (int i = k + 1; i < size; ++i) A[i + int64_t(j) * n] -= times(A[i + int64_t(k) * n], pivot);
@@ -90,7 +90,7 @@ class Triangles {
             for (int j = 0; j < size; ++j)
                 for (int i = 0; i <= j; ++i) {
                     T& entry = H[i + int64_t(j) * n];
-                    entry = i == j ? (entry - conjugate(entry)) * T(0.5) : -conjugate(H[j + int64_t(i) * n]);
+                    entry = i == j ? times(entry - conjugate(entry), T(0.5)) : -conjugate(H[j + int64_t(i) * n]);
                 }
             return;
         }
