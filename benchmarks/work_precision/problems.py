@@ -47,13 +47,16 @@ def cross(a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
 
 
 def weighted_sum(terms: Sequence[tuple[float, Any]]) -> Any:
-    """Add weight * value without a product by 1, a sum with 0, or a negative weight beyond the first."""
+    """Add weight * value without a product by 1, a sum with 0, or a negative weight beyond the first.
+
+    Of no weights at all there is one product with 0, which every kind of number understands.
+    """
     total: Any = None
     for weight, value in sorted(((w, v) for w, v in terms if w), key=lambda term: term[0] < 0):
         size = abs(weight) if total is not None else weight
         value = value if size == 1.0 else size * value
         total = value if total is None else total + value if weight > 0 else total - value
-    return total
+    return 0.0 * terms[0][1] if total is None else total
 
 
 def scattered(*shape: int) -> np.ndarray:

@@ -110,7 +110,7 @@ def once(problem: Problem, solver: Solver, exact: np.ndarray, failed: list[str])
             continue
         run.error = float(relative_errors(found, exact[: solver.states]).max())
         run.energy = drift(Energy(problem), states, found)
-        run.casimirs = max(drift(casimir, states, found) for casimir in problem.system.casimirs.values())
+        run.casimirs = max((drift(C, states, found) for C in problem.system.casimirs.values()), default=0.0)
         runs.append((run, solve))
         if run.cpu[0] * len(states) > LIMIT:
             break
