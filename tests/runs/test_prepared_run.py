@@ -10,7 +10,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels.loop import Crew
-from coadjoint.runs import prepared_run, run
+from coadjoint.runs import crews_at_work, prepared_run, run
 from coadjoint.runs.solution import FEW_NUMBERS, PARTS, Solution
 
 BODY = co.systems.rigid_body((1, 2, 3))
@@ -82,7 +82,7 @@ def test_one_thread_starts_none(monkeypatch):
     def refused(*_):
         raise AssertionError("a thread for one member")
 
-    monkeypatch.setattr(run, "ThreadPoolExecutor", refused)
+    monkeypatch.setattr(crews_at_work, "ThreadPoolExecutor", refused)
     assert co.prepare(BODY, None, 0.1, threads=8).run(X, (0, 1)).x.shape == (11, 3)
     assert co.prepare(BODY, None, 0.1, threads=1).run([X, X], (0, 1)).x.shape == (11, 2, 3)
     with pytest.raises(AssertionError, match="a thread"):

@@ -21,6 +21,7 @@ class FlowTables(NamedTuple):
     a bond (else the same again), `body` its constants.
     direct[p] has the bit 1 where all blocks of such a part turn by the angle itself, and the bit 2 where it is made of
     bonds between triples of unit scale.
+    `step` is the step that `tau` belongs to; the loops scale it for steps of another length.
     """
 
     longest: int
@@ -41,6 +42,7 @@ class FlowTables(NamedTuple):
     body_column: NDArray[np.uint32]
     body: NDArray[np.float64]
     direct: NDArray[np.uint8]
+    step: float
 
 
 FLOW_LOOP = "flow_advance"

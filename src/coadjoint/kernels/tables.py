@@ -127,6 +127,7 @@ def flow_tables(program: Program, h: float, compensated: bool) -> Compiled:
         _marked(group, agree),
         compensated,
         *body_tables(program),
+        h,
     )
     return Compiled(tables, keep)
 

@@ -34,6 +34,9 @@ class Schedule(NamedTuple):
 
     Saved are the steps at the address `marks`, `marked` of them, ascending; where it is 0, every `save_every`-th and
     the last.
+
+    At the addresses `starts` and `lengths`, where they are not 0, each member has the start and the length of the one
+    step that it takes.
     """
 
     t0: float
@@ -44,6 +47,8 @@ class Schedule(NamedTuple):
     watching: bool
     marked: int
     marks: int
+    starts: int = 0
+    lengths: int = 0
 
 
 def schedule_of(
@@ -57,7 +62,19 @@ def schedule_of(
 ) -> bytes:
     """Return a `Schedule` as the loops take it; the marks must live as long."""
     marked, address_of_marks = (0, 0) if marks is None else (len(marks), marks.ctypes.data)
-    return packer(Schedule)(t0, h, steps, save_every, passed, watching, marked, address_of_marks)
+    return packer(Schedule)(t0, h, steps, save_every, passed, watching, marked, address_of_marks, 0, 0)
+
+
+AFTER_ONE = np.array([1], dtype=np.int64)
+
+
+def schedule_of_parts(starts: NDArray[np.float64], lengths: NDArray[np.float64]) -> bytes:
+    """Return a `Schedule` by which every member takes one step of its own and saves what comes of it.
+
+    The run does not end with it, so that no energy is asked for. The arrays must live as long.
+    """
+    places = (AFTER_ONE.ctypes.data, starts.ctypes.data, lengths.ctypes.data)
+    return packer(Schedule)(0.0, 0.0, 2, 1, 0, False, 1, *places)
 
 
 def values_along(watch: Any, points: NDArray[np.float64], times: NDArray[np.float64], out: NDArray[np.float64]) -> None:

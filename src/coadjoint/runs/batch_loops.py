@@ -14,7 +14,8 @@ from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.description import limit
 from coadjoint.kernels.loop import CompiledLoop, Crew
 from coadjoint.methods.base import Method
-from coadjoint.runs.loops import Loops, as_rows, shared_out, unit_row
+from coadjoint.runs.loops import Loops, as_rows, unit_row
+from coadjoint.runs.rows_of_crews import Pieces, Tables, shared_out
 from coadjoint.runs.shifted_attitude import Unshift, plainly
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
@@ -93,6 +94,10 @@ class BatchLoops(Loops):
             for places in shared_out(first, last, workers, limit("LARGEST_CROWD")):
                 crews.append(Crew(group.loop, group.tables, group.watch, *places, group.stride, first))
         return in_rounds(crews, workers)
+
+    def pieces(self, watch: Any) -> Pieces:
+        """Return the tables of each group, and its members."""
+        return [(Tables(own.loop, own.tables, watch, own.stride), own.members) for own in self.groups]
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop of any member."""

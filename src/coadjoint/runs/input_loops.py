@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +13,8 @@ from coadjoint.kernels.loop import Crew
 from coadjoint.methods.base import Method
 from coadjoint.runs.batch_loops import in_rounds
 from coadjoint.runs.inputs import Inputs
-from coadjoint.runs.loops import Loops, Plan, SystemLoops, shared_out
+from coadjoint.runs.loops import Loops, Plan, SystemLoops
+from coadjoint.runs.rows_of_crews import Pieces, Tables, shared_out
 from coadjoint.runs.start import Representation
 
 Floats = NDArray[np.float64]
@@ -66,7 +69,7 @@ class LoopsOfCall(Loops):
         base, tables = made.base, made.tables
         self._base, self._stride = base, 0
         self.names, self.accounts, self.turned = base.names, base.accounts, base.turned
-        self.size, self.memory = base.size, base.memory
+        self.size, self.memory, self.block = base.size, base.memory, base.block
         if values.ndim == 1:
             self._given = [tables.shared(values)]
         elif tables.apart:
@@ -91,6 +94,14 @@ class LoopsOfCall(Loops):
             places = shared_out(0, members, workers, limit("LARGEST_CROWD"))
             return [[Crew(loop, *self._given[0], *own, self._stride) for own in places]]
         return in_rounds([Crew(loop, *own, m, m + 1, base=m) for m, own in enumerate(self._given)], workers)
+
+    def pieces(self, watch: Any) -> Pieces:
+        """Return the tables of all members, or those of each."""
+        loop = self._base.prepared.name
+        if len(self._given) == 1:
+            found = Tables(loop, self._given[0][0], watch, self._stride)
+            return [(found, None)]
+        return [(Tables(loop, own[0], watch), np.array([m])) for m, own in enumerate(self._given)]
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop."""

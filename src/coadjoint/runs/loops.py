@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.blas_threads import rows_of
 from coadjoint.kernels.loop import CompiledLoop, Crew
 from coadjoint.methods.base import Method
+from coadjoint.runs.rows_of_crews import Pieces, Tables, shared_out
 from coadjoint.runs.shifted_attitude import Unshift, plainly
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
@@ -60,6 +60,8 @@ class Loops(ABC):
         How many numbers a member remembers from step to step.
     rows : int
         Of the matrices that move, or 0.
+    block : int
+        So many members with the same tables go side by side.
     turned : callable
         ``turned(start, times, saved, points)`` returns the group elements (points, members, d, d) of the run from
         those that the loops left. It does not keep the tables of the loops alive.
@@ -71,6 +73,7 @@ class Loops(ABC):
     size: int
     memory: int
     rows: int = 0
+    block: int = 1
     turned: Turned
     _plan: Plan | None = None
 
@@ -87,6 +90,10 @@ class Loops(ABC):
     @abstractmethod
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return the crews that are at work together, one round after the other."""
+
+    @abstractmethod
+    def pieces(self, watch: Any) -> Pieces:
+        """Return the tables of the members with another watch."""
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
         """Return whether `turned` might make elements that are not finite from those of the loops, which are."""
@@ -155,8 +162,6 @@ class SystemLoops(Loops):
         The loop.
     watch : Watch
         The invariants.
-    block : int
-        So many members go side by side.
     """
 
     def __init__(
@@ -196,6 +201,10 @@ class SystemLoops(Loops):
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return one round with a crew for each worker. Members that the kernels advance side by side share a crew."""
         return [[self.crew(*places) for places in shared_out(0, members, workers, self.block)]]
+
+    def pieces(self, watch: Any) -> Pieces:
+        """Return the tables that all members have."""
+        return [(Tables(*self._given[:2], watch), None)]
 
     def crew(self, first: int, last: int, base: int = 0) -> Crew:
         """Return the members first to last - 1 as a crew; `base` as for `Crew`."""
@@ -240,19 +249,6 @@ class SystemLoops(Loops):
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the given elements; for a shifted run unit elements, which `turned` multiplies by the given ones."""
         return unit_row(groups.shape[-1]) if self._shifted else as_rows(groups)
-
-
-def shared_out(first: int, last: int, workers: int, block: int) -> list[tuple[int, int]]:
-    """Return the members first to last - 1 as crews, one for each worker, which begin at multiples of `block`.
-
-    Examples
-    --------
-    >>> shared_out(0, 100, 2, 32)
-    [(0, 64), (64, 100)]
-    """
-    blocks = -(-(last - first) // block)
-    edges = pairwise(min(last, first + blocks * w // workers * block) for w in range(workers + 1))
-    return [(one, other) for one, other in edges if one < other]
 
 
 @lru_cache(maxsize=8)

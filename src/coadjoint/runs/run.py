@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -17,9 +16,10 @@ from coadjoint.given import read_flag
 from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.blas_threads import threads_of_blas
 from coadjoint.kernels.description import codes
-from coadjoint.kernels.loop import Crew, Stop
+from coadjoint.kernels.loop import Crew
 from coadjoint.kernels.watching import schedule_of
 from coadjoint.methods.base import Method
+from coadjoint.runs.crews_at_work import at_work, pool_of, what_failed
 from coadjoint.runs.loops import Loops
 from coadjoint.runs.observed import Observed
 from coadjoint.runs.room import check_room_of_run
@@ -120,7 +120,7 @@ class Run:
             for crews in plan.rounds:
                 self.wrong += self._take(crews, first, last, None)
         else:
-            with _pool(self.workers) as pool, _bar((last - first) * len(plan.rounds), progress) as bar:
+            with pool_of(self.workers) as pool, _bar((last - first) * len(plan.rounds), progress) as bar:
                 for crews in plan.rounds:
                     if progress:
                         self.wrong += self._take_in_chunks(crews, first, last, pool, bar)
@@ -129,22 +129,8 @@ class Run:
 
     def _take(self, crews: list[Crew], done: int, target: int, pool: ThreadPoolExecutor | None) -> int:
         """Take the steps done + 1 to target of some crews; return how many members have failed."""
-        stop, state = Stop(), self.state.arrays
-
-        def take(crew: Crew) -> int:
-            return crew.advance(self.plan.layout, self._schedule, self.saved, state, done, target, stop)
-
-        try:
-            wrong = sum(map(take, crews) if pool is None else pool.map(take, crews))
-        except BaseException as ended:
-            stop.say()
-            raised = self.loops.raised()
-            if raised is not None:
-                raise raised from None
-            raise ended
-        if wrong and (raised := self.loops.raised()) is not None:
-            raise raised
-        return wrong
+        given = self.plan.layout, self._schedule, self.saved, self.state.arrays, done, target
+        return at_work(crews, given, self.loops, pool)
 
     def _take_in_chunks(
         self, crews: list[Crew], done: int, last: int, pool: ThreadPoolExecutor | None, bar: Callable[[int], Any]
@@ -220,15 +206,7 @@ class Run:
         who = "" if self.start.single else f" for {count} of {len(self.start.momenta)} members (first: member {member})"
         found = int(self.state["status"][member])
         status = next(name for name, code in codes("Status").items() if code == found)
-        if status in self.method.failures:
-            what = self.method.failures[status]
-        elif status == "NOT_CONVERGED":
-            or_of = ", or of a force," if self.loops.accounts else ""
-            what = f"the iteration of {self.method}{or_of} did not converge (last correction {residual:.3g})"
-        elif status == "PARALLEL":
-            what = "a tangent vector became what the others are, to half of its digits"
-        else:
-            what = "a number overflowed"
+        what = what_failed(status, self.method, self.loops, residual)
         message = f"in step {step}, at t = {when:g}, {what}{who}; take a smaller step than {abs(self.times.h):g}"
         if status == "PARALLEL":
             message += ", or make the vectors orthonormal more often: give a smaller renormalize_every"
@@ -236,16 +214,6 @@ class Run:
 
     def _solution(self, kept: int, observed: Observed | None) -> Solution:
         return Solution(self, kept, observed)
-
-
-@contextmanager
-def _pool(workers: int) -> Iterator[ThreadPoolExecutor | None]:
-    """A pool of threads, or None where one thread does the work."""
-    if workers == 1:
-        yield None
-    else:
-        with ThreadPoolExecutor(workers) as pool:
-            yield pool
 
 
 def read_progress(progress: Any) -> bool:

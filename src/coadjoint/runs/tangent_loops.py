@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from coadjoint.kernels.loop import CompiledLoop, Crew
 from coadjoint.methods.base import Method
 from coadjoint.runs.batch_loops import in_rounds
 from coadjoint.runs.loops import Loops, SystemLoops, as_rows
+from coadjoint.runs.rows_of_crews import Pieces
 from coadjoint.runs.shifted_attitude import plainly
 from coadjoint.systems.kinds import System
 
@@ -49,6 +51,10 @@ class EachItsOwn(Loops):
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return rounds of crews of one member each."""
         return in_rounds([own.crew(m, m + 1, m) for m, own in enumerate(self._members)], workers)
+
+    def pieces(self, watch: Any) -> Pieces:
+        """Return the tables of each member."""
+        return [(own.pieces(watch)[0][0], np.array([m])) for m, own in enumerate(self._members)]
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop of any member."""

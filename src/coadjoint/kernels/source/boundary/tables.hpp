@@ -51,11 +51,12 @@ TABLE(Forms, FORMS_FIELDS)
 TABLE(Action, ACTION_FIELDS)
 
 // called[k] is the free body that share k calls, else -1. Body b has six entries of body_column and fifteen of body.
+// `tau` belongs to steps of the length `step`; those of another length are scaled to it.
 #define FLOW_FIELDS(_)                                                                                               \
     _(integer, longest) _(integers, only) _(bytes, bent) _(constants, frequency) _(indices, part) _(numbers, tau)      \
     _(numbers, moment) _(indices, section) _(indices, share) _(Terms, terms) _(addresses, addresses)                 \
     _(Action, state) _(Action, group) _(flag, compensated) _(integers, called) _(indices, body_column)               \
-    _(constants, body) _(bytes, direct)
+    _(constants, body) _(bytes, direct) _(number, step)
 TABLE(FlowTables, FLOW_FIELDS)
 
 #define WATCH_FIELDS(_)                                                                                              \
@@ -70,10 +71,19 @@ TABLE(Extent, EXTENT_FIELDS)
 
 // The saved steps are the `marked` steps at `marks`, ascending; without marks every save_every-th from 0 on, and the
 // last. The first `passed` of them were taken before, and a run that goes on has no room for them.
+// With `starts` and `lengths` every member takes one step of its own: from that time, of that length.
 #define SCHEDULE_FIELDS(_)                                                                                           \
     _(number, t0) _(number, h) _(integer, steps) _(integer, save_every) _(integer, passed) _(flag, watching)  \
-    _(integer, marked) _(integers, marks)
+    _(integer, marked) _(integers, marks) _(numbers, starts) _(numbers, lengths)
 TABLE(Schedule, SCHEDULE_FIELDS)
+
+// How long the steps of a member are, and when its step k begins.
+inline double length_of(const Schedule& schedule, int64_t member) {
+    return schedule.lengths ? schedule.lengths[member] : schedule.h;
+}
+inline double start_of(const Schedule& schedule, int64_t member, int64_t k) {
+    return schedule.starts ? schedule.starts[member] : schedule.t0 + double(k - 1) * schedule.h;
+}
 
 #define FIELD_FIELDS(_)                                                                                              \
     _(integer, size) _(number, sign) _(indices, first) _(indices, column) _(indices, state) _(constants, constant)     \

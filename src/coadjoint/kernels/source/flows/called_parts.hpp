@@ -55,8 +55,8 @@ struct CalledBody {
     }
 
     // The quaternion of the turn along the principal axes.
-    template <class R>
-    Quaternion<R> turn(const R* z, double tau) const {
+    template <class R, class T>
+    Quaternion<R> turn(const R* z, const T& tau) const {
         return bond ? spherical_turn<A, R>(moments[0], z, tau) : body_turn<A, R>(moments, z, tau);
     }
 
@@ -146,8 +146,8 @@ INLINE void turns_of(const Quaternion<A>& q, const Turns<A>& turns) {
 }
 
 // The turns that a share calls, over the time tau.
-template <class A, class C>
-NOINLINE void called_turns(const FlowTables& tables, const C& constants, int64_t body, double tau, const A* x,
+template <class A, class C, class T>
+NOINLINE void called_turns(const FlowTables& tables, const C& constants, int64_t body, const T& tau, const A* x,
                            const Turns<A>& turns) {
     const CalledBody<A> own(tables, constants, body, x);
     Quaternion<A> along = own.turn(own.momentum, tau), q{along.whole, {}};

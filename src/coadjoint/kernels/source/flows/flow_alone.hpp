@@ -16,9 +16,13 @@ struct Finisher {
     const Schedule& schedule;
     Room<A> scratch;
     AngleRoom<A> angles;
+    Pace<A> pace;
 
-    Finisher(const FlowTables& tables, const Schedule& schedule, int64_t size)
-        : tables(tables), schedule(schedule), scratch(3 * size), angles(tables.longest) {}
+    Finisher(const FlowTables& tables, const Schedule& schedule, int64_t size, int64_t member)
+        : tables(tables), schedule(schedule), scratch(3 * size), angles(tables.longest) {
+        for (int lane = 0; lane < Numbers<A>::lanes; ++lane) pace.set(tables, schedule, member, lane);
+        if (pace.other) angles.pace = &pace;
+    }
 
     void operator()(A* x, A* dx, const A& t) {
         sweep<care, false>(tables, Shared{}, tables.section[2], tables.section[3], Vectors<A>{x, dx, 1, scratch.at},
@@ -36,7 +40,10 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
     Room<GroupRows> elements(2 * d * rows), finished(2 * d * rows), group_scratch(3 * d * rows);
     AngleRoom<double> angles(tables.longest);
     angles.even = even_terms(tables.terms, tables.longest);
-    Finisher<care, Side> finisher(tables, schedule, size);
+    Pace<double> pace;
+    pace.set(tables, schedule, member, 0);
+    if (pace.other) angles.pace = &pace;
+    Finisher<care, Side> finisher(tables, schedule, size, member);
     MemberRecorder<Side, Shared, Finisher<care, Side>> recorder(loop.watch, arrays, schedule, Shared{}, finisher);
     recorder.begin(member, Shared{}, loop.k0);
     double *x = momenta.at, *dx = momenta.at + size;
@@ -59,7 +66,7 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
         if constexpr (carry) {
             std::copy_n(x, 2 * size, copies.at);
             std::copy_n(elements.at, 2 * d * rows, finished.at);
-            const double t = schedule.t0 + double(k - 1) * schedule.h;
+            const double t = start_of(schedule, member, k);
             const Vectors<GroupRows> copy{finished.at, finished.at + d * rows, rows, group_scratch.at};
             sweep<care, true>(tables, Shared{}, tables.section[2], tables.section[3],
                               Vectors<double>{copies.at, copies.at + size, 1, scratch.at}, copy, t, schedule.h, angles);
@@ -73,22 +80,28 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
         }
     };
     FlowsOfRows flows_of(tables, carry);
-    const std::vector<ElementaryFlow> opening = flows_of(tables.section[0], tables.section[loop.k0 == 0]),
-                                      repeated = flows_of(tables.section[1], tables.section[loop.k1 > 1 ? 2 : 1]);
+    std::vector<ElementaryFlow> opening, repeated;
+    if (!pace.other) {  // they hold the angles of the tables
+        opening = flows_of(tables.section[0], tables.section[loop.k0 == 0]);
+        repeated = flows_of(tables.section[1], tables.section[loop.k1 > 1 ? 2 : 1]);
+    }
     int64_t failed = 0;
     const int64_t work = work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.hearing.after(work);
-        const double t = schedule.t0 + double(k - 1) * schedule.h;
+        const double t = start_of(schedule, member, k);
         const std::vector<ElementaryFlow>& flows = k == 1 ? opening : repeated;
         for (const ElementaryFlow& flow : flows)
             if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
                 apply_flow<care, carry>(flow, momentum, group);
             else
-                apply_row<care, carry>(tables, Shared{}, flow.row, momentum, group, t, schedule.h, angles);
-        if (flows.empty())
-            for (uint32_t r = tables.section[k == 1 ? 0 : 1], last = tables.section[k == 1 ? 1 : 2]; r < last; ++r)
-                apply_row<care, carry>(tables, Shared{}, r, momentum, group, t, schedule.h, angles);
+                apply_row<care, carry, false>(tables, Shared{}, flow.row, momentum, group, t, schedule.h, angles);
+        const uint32_t first = tables.section[k == 1 ? 0 : 1], last = tables.section[k == 1 ? 1 : 2];
+        if (__builtin_expect(pace.other, 0))
+            sweep<care, carry>(tables, Shared{}, first, last, momentum, group, t, schedule.h, angles);
+        else if (flows.empty())
+            for (uint32_t r = first; r < last; ++r)
+                apply_row<care, carry, false>(tables, Shared{}, r, momentum, group, t, schedule.h, angles);
         if (!finite(size, x)) {
             failed = k;
             break;

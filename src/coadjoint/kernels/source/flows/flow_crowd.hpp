@@ -18,6 +18,7 @@ struct FlowCrowd {
     int64_t going[Numbers<A>::lanes], left = 0, evaluations = 0;
     CrowdRecorder<A, C> recorder;
     Vectors<A> momentum, group;
+    Pace<A> pace;
 
     FlowCrowd(const FlowLoop& loop, const C& constants, const int64_t* members, int64_t count, Room<A>& scratch)
         : loop(loop), constants(constants), members(members), count(count), size(loop.arrays.size),
@@ -26,6 +27,8 @@ struct FlowCrowd {
           momentum{momenta.at, momenta.at + size, 1, scratch.at},
           group{elements.at, elements.at + square, loop.tables.group.size, scratch.at} {
         for (int64_t lane = 0; lane < count; ++lane) left += going[lane] = loop.arrays.status[members[lane]] == DONE;
+        for (int lane = 0; lane < Numbers<A>::lanes; ++lane)
+            pace.set(loop.tables, loop.schedule, members[std::min<int64_t>(lane, count - 1)], lane);
         read_lanes(momentum.at, loop.arrays.momenta, size, members, count);
         read_lanes(momentum.errors, loop.arrays.errors, size, members, count);
         read_lanes(group.at, loop.arrays.groups, square, members, count);
@@ -92,21 +95,32 @@ void follow_together(const FlowLoop& loop, const ConstantsFrom& constants_from, 
     int used = 0;
     for (int64_t place = first; place < last; place += lanes)
         crowds[used++].emplace(loop, constants_from(place), members + place, std::min(lanes, last - place), scratch);
+    const bool paced = crowds[0]->pace.other;
     const int64_t work = used * lanes * work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.hearing.after(work);
         const A t(schedule.t0 + double(k - 1) * schedule.h);
         const uint32_t from = tables.section[k == 1 ? 0 : 1], to = tables.section[k == 1 ? 1 : 2];
         for (uint32_t r = from; r < to; ++r)
-            for (int b = 0; b < used; ++b)
-                apply_row<care, carry>(tables, crowds[b]->constants, r, crowds[b]->momentum, crowds[b]->group, t,
-                                       schedule.h, angles);
+            for (int b = 0; b < used; ++b) {
+                Own& crowd = *crowds[b];
+                if (__builtin_expect(paced, 0)) {
+                    angles.pace = &crowd.pace;
+                    sweep<care, carry>(tables, crowd.constants, r, r + 1, crowd.momentum, crowd.group,
+                                       schedule.starts ? crowd.pace.start : t, schedule.h, angles);
+                } else {
+                    apply_row<care, carry, false>(tables, crowd.constants, r, crowd.momentum, crowd.group, t,
+                                                  schedule.h, angles);
+                }
+            }
         int64_t left = 0;
         for (int b = 0; b < used; ++b) {
             crowds[b]->evaluations += to - from;
             crowds[b]->stop_where_not(finite(size, crowds[b]->momentum.at), k);
+            if (paced) angles.pace = &crowds[b]->pace;
+            const A& start = schedule.starts ? crowds[b]->pace.start : t;
             crowds[b]->recorder.after(
-                k, [&](bool saving) { return crowds[b]->finished(k, saving, t, copies.at, scratch.at, angles); });
+                k, [&](bool saving) { return crowds[b]->finished(k, saving, start, copies.at, scratch.at, angles); });
             left += crowds[b]->left;
         }
         if (left == 0) break;

@@ -44,9 +44,24 @@ NOINLINE void even_rows(const Terms& terms, int64_t k, const A* x, A* out) {
     }
 }
 
+// A step of another length than that of the tables: every angle is `scale` times as large.
+template <class A>
+struct Pace {
+    A start, length, scale;
+    bool other = false;  // whether it is of another length; not where it only might be, so that bits have no company
+    void set(const FlowTables& tables, const Schedule& schedule, int64_t member, int lane) {
+        const double own = length_of(schedule, member);
+        set_lane(start, lane, start_of(schedule, member, 1));
+        set_lane(length, lane, own);
+        set_lane(scale, lane, own / tables.step);
+        other = schedule.lengths || own != tables.step;
+    }
+};
+
 // Room for the angles of a part and for the calls of user functions, and what is known of the terms.
 template <class A>
 struct AngleRoom {
+    const Pace<A>* pace = nullptr;  // of a step of another length
     Room<A> theta, turned, arguments;
     std::vector<double> calls;
     std::vector<bool> even;
@@ -55,8 +70,8 @@ struct AngleRoom {
 };
 
 // The turns of a part whose shares are called.
-template <class A, class C>
-Turns<A> turns_of_part(const FlowTables& tables, const C& constants, uint32_t part, double tau, const A* x,
+template <class A, class C, class T>
+Turns<A> turns_of_part(const FlowTables& tables, const C& constants, uint32_t part, const T& tau, const A* x,
                        AngleRoom<A>& room) {
     const Turns<A> turns{room.theta.at, room.turned.at, room.arguments.at, (tables.direct[part] & DIRECT) != 0};
     for (uint32_t k = tables.share[part], first = tables.terms.row[k]; k < tables.share[part + 1]; ++k) {
@@ -75,8 +90,9 @@ bool goes_together(const FlowTables& tables, uint32_t part) {
 
 inline bool is_called(const FlowTables& tables, uint32_t part) { return tables.called[tables.share[part]] >= 0; }
 
-// Apply row r: angles from its share, then the action on the momentum and on the group element.
-template <Care care, bool carry, class A, class G, class C>
+// Apply row r: angles from its share, then the action on the momentum and on the group element. Without `paced` the step
+// is that of the tables.
+template <Care care, bool carry, bool paced = true, class A, class G, class C>
 INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, const Vectors<A>& x,
                       const Vectors<G>& group, const A& t, double h, AngleRoom<A>& room) {
     const Terms& terms = tables.terms;
@@ -84,15 +100,20 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
     const int64_t row = tables.only[part];
     const double tau = tables.tau[r];
     const bool single = row >= 0;
+    const Pace<A>* pace = paced ? room.pace : nullptr;
     A lone(0.0);
     if (__builtin_expect(single, 1)) {
         lone = linear_row(terms, constants, row, x.at);
+        if (pace) lone = lone * pace->scale;
     } else {
         const uint32_t low = tables.share[part], high = tables.share[part + 1];
         if (tables.called[low] >= 0) {
-            const bool together = goes_together<care>(tables, part);
+            const bool together = goes_together<care>(tables, part) && !pace;
             Turns<A> turns{};
-            if (carry || !together) turns = turns_of_part(tables, constants, part, tau, x.at, room);
+            if (pace)
+                turns = turns_of_part(tables, constants, part, tau * pace->scale, x.at, room);
+            else if (carry || !together)
+                turns = turns_of_part(tables, constants, part, tau, x.at, room);
             if (together)
                 turn_bonds(tables, constants, part, tau, x.at);
             else
@@ -100,13 +121,15 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
             if constexpr (carry) act_called<CORRECTED>(tables.group, constants, part, turns, group, tables.group.size);
             return;
         }
-        const A moment = t + A(tables.moment[r] * h);
+        const A moment = t + (pace ? A(tables.moment[r]) * pace->length : A(tables.moment[r] * h));
         for (uint32_t k = low; k < high; ++k)
             if (!room.even.empty() && room.even[k])
                 even_rows(terms, k, x.at, room.theta.at + (terms.row[k] - terms.row[low]));
             else
                 gradient_rows(terms, constants, tables.addresses, k, x.at, moment, room.theta.at, terms.row[low],
                               room.arguments.at, room.calls.data());
+        for (uint32_t angle = 0; pace && angle < terms.row[high] - terms.row[low]; ++angle)
+            room.theta.at[angle] = room.theta.at[angle] * pace->scale;
     }
     Turned<A> turned;
     act<care, false>(tables.state, constants, part, tau, single, lone, room.theta.at, turned, x);

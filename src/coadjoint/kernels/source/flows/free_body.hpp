@@ -200,8 +200,8 @@ template <class A>
 INLINE A value_of(const Dual<A>& a) { return a.value; }
 
 // The quaternion of the turn of a body with three equal moments: about the momentum, by the angle moment tau |z|.
-template <class A, class R>
-INLINE Quaternion<R> spherical_turn(const A& moment, const R* momentum, double tau) {
+template <class A, class R, class T>
+INLINE Quaternion<R> spherical_turn(const A& moment, const R* momentum, const T& tau) {
     const A size = larger(absolute(value_of(momentum[0])),
                           larger(absolute(value_of(momentum[1])), absolute(value_of(momentum[2]))));
     const A power = leading_power(size), inverse = inverse_power(power);
@@ -214,9 +214,9 @@ INLINE Quaternion<R> spherical_turn(const A& moment, const R* momentum, double t
 }
 
 // The quaternion of the turn over the time tau from the momentum z along the principal axes; no numbers where the time
-// is more than MOST_PIECES pieces. R is A, or A with its derivatives by z.
-template <class A, class R>
-INLINE Quaternion<R> body_turn(const A* moments, const R* momentum, double tau) {
+// is more than MOST_PIECES pieces. R is A, or A with its derivatives by z; T is A, or a number for all lanes.
+template <class A, class R, class T>
+INLINE Quaternion<R> body_turn(const A* moments, const R* momentum, const T& tau) {
     R z[3];
     const A size = larger(absolute(value_of(momentum[0])),
                           larger(absolute(value_of(momentum[1])), absolute(value_of(momentum[2]))));

@@ -71,7 +71,7 @@ class MemberRecorder {
         if constexpr (!Finish::nothing) {
             A t(schedule.t0);
             for (int lane = 0; lane < lanes; ++lane)
-                set_lane(t, lane, schedule.t0 + double(step[std::min<int64_t>(lane, waiting - 1)] - 1) * schedule.h);
+                set_lane(t, lane, start_of(schedule, member, step[std::min<int64_t>(lane, waiting - 1)]));
             finish(states.at, errors.at, t);
             const auto sound = finite(size, states.at);
             for (good = 0; good < waiting && at(sound, int(good));) ++good;

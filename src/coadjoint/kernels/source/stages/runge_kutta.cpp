@@ -17,8 +17,11 @@ static void follow(const RungeKuttaLoop& loop, const Crew& crew) {
     const bool iterated = tables.solver >= STRUCTURE && !tables.direct;
     // Stages fill lanes as well as members do, and fit better into registers.
     const bool side_by_side = tables.solver == IMPLICIT && tables.stages >= 4 && tables.field.size > 3;
-    const bool narrow = fits(tables) && !iterated && !side_by_side;
+    // Lanes have one length.
+    const bool narrow = fits(tables) && !iterated && !side_by_side && !loop.schedule.lengths;
     int64_t place = first;
+    for (; place < last && stride && loop.schedule.lengths; ++place)
+        follow_alone<double>(loop, *single_of(tables, Own{stride, place}), members[place]);
     for (; place < last && (stride || (narrow && last - place >= FEWEST)); place += CROWD) {
         const int64_t count = std::min<int64_t>(CROWD, last - place);
         if (stride)

@@ -47,13 +47,13 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member) {
     MemberRecorder<Side, Shared, AlreadyFinished> recorder(loop.watch, arrays, schedule, Shared{}, nothing);
     recorder.begin(member, Shared{}, loop.k0);
     const int64_t work = work_of_step(loop);
+    const double h = length_of(schedule, member);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.hearing.after(work);
-        const double start = schedule.t0 + double(k - 1) * schedule.h;
+        const double start = start_of(schedule, member, k);
         bool found = true;
         for (int64_t part = 0; part < loop.tables.substeps && found; ++part) {
-            found = one.solve(start + loop.tables.moment[part] * schedule.h, loop.tables.fraction[part] * schedule.h,
-                              part);
+            found = one.solve(start + loop.tables.moment[part] * h, loop.tables.fraction[part] * h, part);
             if (found) one.add();
         }
         if (!found) {

@@ -75,14 +75,14 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
         std::copy_n(arrays.errors + member * n, n, dx);
         recorder.begin(member, constants, loop.k0);
         double *g = arrays.groups + member * square, *dg = arrays.group_errors + member * square;
+        const double h = length_of(schedule, member);
         for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
-            const double start = schedule.t0 + double(k - 1) * schedule.h;
+            const double start = start_of(schedule, member, k);
             int64_t status = DONE;
             for (int64_t part = 0; part < tables.substeps && status == DONE; ++part) {
                 loop.hearing.after(watched + scheme->work);
                 scheme->evaluations = scheme->iterations = 0;
-                status = scheme->step(x, dx, g, dg, start + tables.moment[part] * schedule.h,
-                                      tables.fraction[part] * schedule.h);
+                status = scheme->step(x, dx, g, dg, start + tables.moment[part] * h, tables.fraction[part] * h);
                 arrays.evaluations[member] += scheme->evaluations;
                 arrays.iterations[member] += scheme->iterations;
             }

@@ -27,7 +27,7 @@ static void follow_member(const FlowTangentLoop& loop, int64_t member) {
     double *x = momenta.at, *dx = momenta.at + size;
     std::copy_n(arrays.momenta + member * size, size, x);
     std::copy_n(arrays.errors + member * size, size, dx);
-    Finisher<care, Side> finisher(tables, schedule, size);
+    Finisher<care, Side> finisher(tables, schedule, size, member);
     MemberRecorder<Side, Shared, Finisher<care, Side>> recorder(loop.watch, arrays, schedule, Shared{}, finisher);
     recorder.begin(member, Shared{}, loop.k0);
     const int64_t work = (1 + 4 * bundle.rows) * work_of_step(without_tangents(loop));

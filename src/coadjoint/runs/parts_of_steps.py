@@ -1,0 +1,159 @@
+"""States between two steps: a part of a step of the same scheme, for any number of states at once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError
+from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
+from coadjoint.kernels.blas_threads import threads_of_blas
+from coadjoint.kernels.description import codes
+from coadjoint.kernels.structures import pointed
+from coadjoint.kernels.watching import schedule_of_parts
+from coadjoint.methods.base import Method
+from coadjoint.runs.crews_at_work import at_work, pool_of, what_failed
+from coadjoint.runs.loops import Loops
+from coadjoint.runs.rows_of_crews import rows_of_pieces
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
+
+Floats = NDArray[np.float64]
+
+MOST_NUMBERS = 2**20
+"""Numbers of the arrays that are worked with at a time."""
+FEW_ROWS = 256
+"""Up to so many rows one thread takes in less time than others need to begin."""
+
+
+class PartsOfSteps:
+    """Steps of any lengths by the scheme of a run, one for each of many states side by side.
+
+    A step of the length theta h has all that the scheme has: its order, the invariants that it keeps, the group element
+    beside the momentum. So a part of a step from a saved state is as good as the run. It begins anew: compensated sums
+    owe nothing, and iterations have no earlier ones to go by. The bits of a row depend on nothing but that row.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
+        What moves.
+    method : Method
+        The scheme, for messages.
+    loops : Loops
+        Its compiled loops, for steps in one direction.
+    workers : int
+        How many threads.
+
+    Raises
+    ------
+    ValueError
+        A force is a noise: what it does in a part of a step is not known from what it does in the whole.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> body, method = co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(order=4)
+    >>> parts = PartsOfSteps(body, method, co.prepare(body, method, 0.1).loops(0.1))
+    >>> x, none = np.array([[1.0, 0.2, 0.1]] * 2), np.empty((2, 0))
+    >>> some, _ = parts.take(x, none, np.zeros(2), np.array([0.1, 0.05]))
+    >>> bool((some[0] == co.integrate(body, x[0], (0, 0.1), 0.1, method).x[-1]).all())
+    True
+    """
+
+    def __init__(self, system: Any, method: Method, loops: Loops, workers: int = 1) -> None:
+        from coadjoint.kernels.tables import invariants_table
+
+        moved = system[0] if isinstance(system, Batch) else system
+        if isinstance(moved, ForcedSystem):
+            noises = [label for label, force in zip(moved.labels, moved.forces, strict=True) if force.random]
+            if noises:
+                raise ValueError(
+                    f"{noises[0]} of {moved.name} is a noise, drawn once for a step: there is no state between two "
+                    "steps; ask for times that are whole numbers of steps from the start"
+                )
+        self.method, self.loops, self.workers = method, loops, workers
+        self._nothing = pointed(invariants_table([], moved.dim).tables)
+
+    def take(
+        self,
+        momenta: Floats,
+        groups: Floats,
+        times: Floats,
+        lengths: Floats,
+        owners: NDArray[np.int64] | None = None,
+    ) -> tuple[Floats, Floats]:
+        """Return the states after one step each.
+
+        Parameters
+        ----------
+        momenta : ndarray, shape (m, size)
+            States, as a run saves them: with the accounts of forces behind the coordinates. A row with a number that is
+            not finite, of a member that has failed, is not moved.
+        groups : ndarray, shape (m, d*d) or (m, 0)
+            Group elements, as the loops hold them: transposed, and without what was taken off the Hamiltonian.
+        times, lengths : ndarray, shape (m,)
+            When the step of each row begins, and how long it is; negative is backward.
+        owners : ndarray of int, shape (m,), optional
+            The member that each row belongs to, where members differ in their tables; row i belongs to member i
+            by default.
+
+        Returns
+        -------
+        momenta, groups : ndarray
+            As they were given; NaN in rows that are not moved.
+
+        Raises
+        ------
+        IntegrationError
+            A step failed, which the whole one did not.
+        """
+        moved, turned = np.full(momenta.shape, np.nan), np.full(groups.shape, np.nan)
+        owners = np.arange(len(momenta)) if owners is None else owners
+        sound = np.flatnonzero(np.isfinite(momenta).all(axis=1))
+        numbers = 4 * momenta.shape[1] + 4 * groups.shape[1] + self.loops.memory + 8
+        chunk = max(1, MOST_NUMBERS // numbers)
+        with pool_of(self.workers if len(sound) > FEW_ROWS else 1) as pool:
+            for first in range(0, len(sound), chunk):
+                some = sound[first : first + chunk]
+                moved[some], turned[some] = self._take(
+                    momenta[some], groups[some], times[some], lengths[some], owners[some], pool
+                )
+        return moved, turned
+
+    def _take(
+        self, momenta: Floats, groups: Floats, times: Floats, lengths: Floats, owners: NDArray[np.int64], pool: Any
+    ) -> tuple[Floats, Floats]:
+        loops = self.loops
+        rows, own, crews = rows_of_pieces(
+            loops.pieces(self._nothing), owners, 1 if pool is None else self.workers, loops.block
+        )
+        layout = Layout(Extent(len(rows), 1, momenta.shape[1], groups.shape[1], 0, loops.memory))
+        saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
+        state["momenta"][:], state["groups"][:] = momenta[rows], groups[rows]
+        starts, steps = times[rows].astype(np.float64), np.where(own, lengths[rows], 0.0)
+        schedule = schedule_of_parts(starts, steps)
+        with threads_of_blas(loops.rows, 1 if pool is None else self.workers):
+            at_work(crews, (layout, schedule, saved, state, 0, 1), loops, pool)
+        failed = np.flatnonzero((state["status"] != codes("Status")["DONE"]) & own)
+        if len(failed):
+            raise self._failure(int(failed[0]), rows, owners, starts, steps, state)
+        moved, turned = np.empty(momenta.shape), np.empty(groups.shape)
+        moved[rows[own]], turned[rows[own]] = saved["x"][0][own], saved["group"][0][own]
+        return moved, turned
+
+    def _failure(
+        self, place: int, rows: Any, owners: Any, starts: Floats, steps: Floats, state: NamedArrays
+    ) -> IntegrationError:
+        found, residual = int(state["status"][place]), float(state["residual"][place])
+        status = next(name for name, code in codes("Status").items() if code == found)
+        what = what_failed(status, self.method, self.loops, residual)
+        return IntegrationError(
+            f"in a part of a step, of length {steps[place]:g} from t = {starts[place]:g}, {what} for member "
+            f"{owners[rows[place]]}; take a smaller step",
+            step=0,
+            time=float(starts[place]),
+            residual=residual,
+        )
