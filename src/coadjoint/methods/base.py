@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,16 @@ if TYPE_CHECKING:
 
 Representation = NDArray[np.float64] | str | None
 
+
+class Finer(NamedTuple):
+    """A scheme and a number of steps that are more accurate than others, and how much of their error is left."""
+
+    method: Method
+    steps: int
+    left: float
+
+
+FEW_STEPS = 20  # of so few the error need not follow the order; a finer run has more
 BYTES_PER_CONSTANT = 450  # while flows are read from both orders of a bracket
 LONGEST = 200  # characters of a parameter in a message
 
@@ -369,6 +380,24 @@ class Method(ABC):
             Name -> `Polynomial` or `Quadratic`.
         """
         return None
+
+    def finer(self, steps: int, times: float) -> Finer:
+        """Return how a run is made more accurate than one of so many steps: what the error of that one is told by.
+
+        Parameters
+        ----------
+        steps : int
+            Of the run; at least 1.
+        times : float
+            How many times as many there shall be, or how much shorter they are where the scheme takes its own.
+
+        Returns
+        -------
+        Finer
+            Its `left` is the part of the error that is left by the order.
+        """
+        count = math.ceil(times * (steps + FEW_STEPS))
+        return Finer(self, count, (steps / count) ** self.order)
 
     def with_compensation(self) -> Method | None:
         """Return the same scheme with compensated sums, where that was left open; else None."""

@@ -110,6 +110,7 @@ def integrate(
             f"integrate was given {given} of step and accuracy; give step=, or accuracy= to have the step chosen"
         )
     progress = read_progress(progress)
+    choice = None
     if accuracy is not None:
         check_system(system)
         if isinstance(system, Batch):
@@ -120,4 +121,4 @@ def integrate(
         method, step = choice.method, choice.step
     assert step is not None
     ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads)
-    return ready.run(x0, t_span, save_every, progress=progress)
+    return ready.run(x0, t_span, save_every, progress=progress).chosen_by(choice)

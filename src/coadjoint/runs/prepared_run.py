@@ -167,16 +167,20 @@ class PreparedRun:
 
         `values` is what `values_of` returned, where the run was prepared with inputs.
         """
+        run = self.begun(times, start, values)
+        observed = self._observed_at(start.momenta[0]) if self._observe else None
+        run.advance(progress)
+        return run.solution(observed)
+
+    def begun(self, times: Times, start: Start, values: NDArray[np.float64] | None = None) -> Run:
+        """Return the run of `follow` before its first step."""
         workers = min(len(start.momenta), self._threads)
         system: Any = self.system
         loops = self.loops(times.h)
         if isinstance(loops, InputLoops):
             assert values is not None
             loops, system = loops.at(values), partial(self.system_at, values)
-        run = Run(system, self.method, loops, times, start, self._watching, workers)
-        observed = self._observed_at(start.momenta[0]) if self._observe else None
-        run.advance(progress)
-        return run.solution(observed)
+        return Run(system, self.method, loops, times, start, self._watching, workers)
 
     def loops(self, h: float) -> Loops | InputLoops:
         """Return the loops of a step or of its negative; those of each direction are made when first needed."""

@@ -1,0 +1,114 @@
+"""The estimated error of a run: what it is compared with, whose it is, and when there is none."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.analysis import error_at_end as module
+from coadjoint.analysis.error_at_end import error_at_end
+from coadjoint.methods.properties import Properties
+from coadjoint.methods.step_method import StepMethod
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+X0 = (1.0, 0.2, 0.5)
+
+
+def test_it_is_refused_without_an_accuracy():
+    with pytest.raises(TypeError, match="give integrate accuracy= in place of step="):
+        _ = co.integrate(BODY, X0, (0, 1), 0.1).error_estimate
+
+
+@pytest.mark.parametrize("span", [(0.0, 60.0), (2.0, -58.0)])
+@pytest.mark.parametrize("method", [None, co.Splitting(order=2), co.Splitting(order=4), co.GaussLegendre(2)])
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-5])
+def test_truncation_is_told_to_a_few_percent(accuracy, method, span):
+    """The error of the finer run is known by the order, of which the next term is a fraction of the error."""
+    sol = co.integrate(BODY, X0, span, accuracy=accuracy, method=method, save_every=7)
+    error = np.linalg.norm(sol.x[-1] - BODY.exact(X0, span[1] - span[0])) / np.linalg.norm(X0)
+    assert sol.error_estimate == pytest.approx(error, rel=0.1)
+    assert sol.error_estimate <= accuracy
+
+
+@pytest.mark.parametrize("time", [20.0, -20.0])
+def test_relative_to_the_largest_momentum_on_the_way(time):
+    """x2 = exp(-t): of what dies the error is told in parts of the start, of what grows in parts of the end."""
+    dying = co.LiePoissonSystem(
+        co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}}), co.Quadratic([0.0, 0.0], linear=[1.0, 0.0]), sign=1
+    )
+    assert dying.vector_field((0.0, 1.0))[1] == -1.0
+    sol = co.integrate(dying, (0.0, 1.0), (0, time), accuracy=1e-6, method=co.GaussLegendre(2))
+    error = abs(sol.x[-1, 1] - np.exp(-time)) / max(1.0, np.exp(-time))
+    assert sol.error_estimate == pytest.approx(max(error, UNIT_ROUNDOFF), rel=0.1)
+    assert np.ptp(sol.x) > 0.99
+
+
+def test_members_are_told_apart_and_do_not_feel_each_other(monkeypatch):
+    states = np.random.default_rng(3).normal(size=(6, 3))
+    sol = co.integrate(BODY, states, (0, 60), accuracy=1e-7, threads=2)
+    errors = np.array(
+        [np.linalg.norm(sol.x[-1, k] - BODY.exact(x, 60.0)) / np.linalg.norm(x) for k, x in enumerate(states)]
+    )
+    assert sol.error_estimate.shape == (6,)
+    level = np.maximum(errors, sol.choice.roundoff)
+    assert np.all(errors / 10 <= sol.error_estimate) and np.all(sol.error_estimate <= 10 * level)
+    monkeypatch.setattr(module, "NUMBERS", 3 * 256)  # one member at a time
+    assert np.array_equal(error_at_end(sol), sol.error_estimate)
+
+
+def test_it_does_not_depend_on_how_one_looked():
+    runs = [
+        co.integrate(BODY, X0, (0, 60), accuracy=1e-9, **options)
+        for options in ({}, {"watch": False}, {"save_every": 10**6}, {"attitude": True, "method": None})
+    ]
+    told = [run.error_estimate for run in runs[:3]]
+    assert told[0] == told[1] == told[2]
+    assert 0.0 < runs[3].error_estimate <= 1e-9
+
+
+def test_round_off_is_said_and_not_zero():
+    """At rest, and where every step is exact, at least the rounding of a state is left."""
+    for x0 in ((0.0, 0.0, 0.0), (0.0, 0.0, 2.0)):
+        assert co.integrate(BODY, x0, (0, 40), accuracy=1e-6).error_estimate == UNIT_ROUNDOFF
+    spinning = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.0, 0.0, 0.0], linear=[0.0, 0.0, 1.0]))
+    assert UNIT_ROUNDOFF <= co.integrate(spinning, X0, (0, 40), accuracy=1e-9).error_estimate < 1e-13
+    assert co.integrate(BODY, X0, (3, 3), accuracy=1e-6).error_estimate == 0.0
+
+
+def test_a_copy_has_it_too():
+    sol = co.integrate(BODY, X0, (0, 20), accuracy=1e-6)
+    late = pickle.loads(pickle.dumps(sol))
+    told = sol.error_estimate
+    assert late.error_estimate == told == copy.deepcopy(sol).error_estimate
+    assert late.choice == sol.choice and sol.choice.method == sol.method
+
+
+class Overflowing(StepMethod):
+    order, explicit, symmetric = 1, True, False
+
+    def properties(self, system):
+        return Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+    def step(self, system, x, t, h):
+        return x * 1e300
+
+
+class Frail(co.ExplicitRungeKutta):
+    limit = 0.0
+
+    def finer(self, steps, times):
+        found = super().finer(steps, times)
+        return found._replace(method=Overflowing()) if times < self.limit else found
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore::UserWarning")
+@pytest.mark.parametrize("limit, finite", [(1.6, True), (3.0, True), (9.0, False)])
+def test_a_finer_run_that_fails_gives_way_to_the_next(monkeypatch, limit, finite):
+    """Those of fewer steps than `limit` times the run's overflow."""
+    monkeypatch.setattr(Frail, "limit", limit)
+    sol = co.integrate(BODY, X0, (0, 5), accuracy=1e-4, method=Frail("rk4"))
+    error = np.linalg.norm(sol.x[-1] - BODY.exact(X0, 5.0)) / np.linalg.norm(X0)
+    assert sol.error_estimate == (pytest.approx(error, rel=0.1) if finite else np.inf)
