@@ -8,7 +8,7 @@ from typing import Any, cast
 from coadjoint.methods.base import Method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.run import read_progress
-from coadjoint.runs.solution import Solution
+from coadjoint.runs.solution import Solution, with_choice
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_system
@@ -121,4 +121,4 @@ def integrate(
         method, step = choice.method, choice.step
     assert step is not None
     ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads)
-    return ready.run(x0, t_span, save_every, progress=progress).chosen_by(choice)
+    return with_choice(ready.run(x0, t_span, save_every, progress=progress), choice)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import FrozenInstanceError, dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,6 +134,7 @@ class Solution:
     watched: bool
     observed: Mapping[str, NDArray[np.float64]]
     choice: Any
+    _error: NDArray[np.float64] | None
     _saved: NamedArrays
     _state: NamedArrays
     _kept: int
@@ -152,6 +153,7 @@ class Solution:
             watched=run.watching,
             observed={},
             choice=None,
+            _error=None,
             _saved=run.saved,
             _state=state if state.numbers.size <= FEW_NUMBERS else state.only(REPORTED),
             _kept=kept,
@@ -180,7 +182,7 @@ class Solution:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all parts, for copies and for `pickle`."""
-        return {name: getattr(self, name) for name in PARTS} | {"_error": self.__dict__.get("_error")}
+        return {name: getattr(self, name) for name in PARTS}
 
     def _series(self, name: str) -> NDArray[Any]:
         return self._saved[name][: self._kept]
@@ -335,11 +337,6 @@ class Solution:
         """
         return self._deviations(0)
 
-    def chosen_by(self, choice: Any) -> Self:
-        """Note the choice that scheme and step come from; None where they were given."""
-        self.__dict__["choice"] = choice
-        return self
-
     @property
     def error_estimate(self) -> Any:
         """How far the momentum at the end is from the motion, relative to its largest size on the way.
@@ -367,11 +364,11 @@ class Solution:
         >>> sol.error_estimate <= 1e-6
         True
         """
-        if self.__dict__.get("_error") is None:
+        found = self._error
+        if found is None:
             from coadjoint.analysis.error_at_end import error_at_end
 
-            self.__dict__["_error"] = error_at_end(self)
-        found = self.__dict__["_error"]
+            found = self.__dict__["_error"] = error_at_end(self)
         return float(found[0]) if self.failed is None else found
 
     def _deviations(self, first: int) -> dict[str, Drift]:
@@ -548,13 +545,19 @@ class Solution:
         return target
 
 
+def with_choice(solution: Solution, choice: Any) -> Solution:
+    """Return the solution with the choice that its scheme and step come from; None where they were given."""
+    solution.__dict__["choice"] = choice
+    return solution
+
+
 def check_solution(solution: Any) -> None:
     """Refuse what is no solution of a run, before it fails somewhere else."""
     if not isinstance(solution, Solution):
         raise TypeError(f"solution is {short(solution)}; it must be a Solution, from co.integrate")
 
 
-PARTS = ("method", "watched", "observed", "choice") + tuple(
+PARTS = ("method", "watched", "observed", "choice", "_error") + tuple(
     name for name, value in vars(Solution).items() if isinstance(value, cached_property)
 )
 """What a copy of a solution has."""
