@@ -56,6 +56,7 @@ def calls_of(system: co.LiePoissonSystem, method: Any, steps: int) -> dict[str, 
     crowd = 0.5 * rng.standard_normal((MEMBERS, system.dim))
     calls: dict[str, Callable[[int], Any]] = {
         "alone": lambda k: alone.run(states[k % 256], span, steps).x,
+        "end": lambda k: alone.end(states[k % 256], span),
         "inputs": lambda k: steered.run(states[k % 256], span, steps, linear=linear[k % 256]).x,
         "crowd": lambda k: many.run(crowd, span, steps).x,
         "crowd, one input": lambda k: steered_many.run(crowd, span, steps, linear=linear[k % 256]).x,
@@ -81,7 +82,7 @@ def main() -> None:
     parser.add_argument("--calls", type=int, default=256)
     parser.add_argument("--only", nargs="*", default=list(CASES))
     given = parser.parse_args()
-    columns = ["inputs", "attitude", "attitude from g"]
+    columns = ["end", "inputs", "attitude", "attitude from g"]
     crowds = ["crowd", "crowd, one input", "crowd, an input each"]
     print(f"| system | steps | alone, us | {' | '.join(f'+ {c}' for c in columns)} | {' | '.join(crowds)} |")
     print(f"|---|---|---|{'---|' * len(columns + crowds)}")

@@ -36,12 +36,12 @@ class Ready:
     def __init__(self, problem: Problem, step: float, method: Any) -> None:
         self.steps = max(1, round(problem.span / step))
         self.step = problem.span / self.steps
-        self.run = co.prepare(problem.system, method, self.step, watch=False, threads=1).run
+        self.end = co.prepare(problem.system, method, self.step, watch=False, threads=1).end
 
     def __call__(self, x0: np.ndarray, span: float) -> np.ndarray:
         steps = max(1, round(span / self.step))
         try:
-            return self.run(x0, (0.0, steps * self.step), save_every=steps).x[-1]
+            return self.end(x0, (0.0, steps * self.step))
         except co.IntegrationError as reason:
             raise Failed(str(reason)) from reason
 

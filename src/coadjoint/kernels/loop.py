@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any
@@ -17,9 +17,9 @@ from coadjoint.kernels.library import kernels, listening_kernels
 from coadjoint.kernels.structures import pointed
 from coadjoint.program.parts import Parts
 
-# Tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop.
-ARGUMENTS = [ctypes.c_void_p] * 3 + [ctypes.c_int64] * 3 + [ctypes.c_void_p] * 4 + [ctypes.c_int64] * 2
-ARGUMENTS += [ctypes.c_void_p]
+# What a loop takes: tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop. All are
+# given as what they are in C. To have them converted, by declared types, takes half as long as a short call.
+number: Any = ctypes.c_int64
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,8 @@ class Crew:
     ) -> None:
         self.count = last - first
         members = np.arange(base, last)
-        self._places = members.ctypes.data, first - base, last - base, stride
+        places = number(first - base), number(last - base), number(stride)
+        self._places = ctypes.c_void_p(members.ctypes.data), *places
         self._loop, self._members = _loop(loop), members
         self._read(pointed(tables), pointed(watch))
 
@@ -134,19 +135,37 @@ class Crew:
         MemoryError
             There is none for what the loop works with.
         """
-        wrong = self._advance(layout.address, schedule, saved.address, state.address, k0, k1, stop.address)
-        if wrong >= 0:
-            return wrong
-        if wrong == codes("Outcome")["NO_MEMORY"]:
-            raise MemoryError("there is no memory for the working arrays of the loop")
-        raise KeyboardInterrupt
+        wrong: int = self._advance(
+            layout.address, schedule, saved.address, state.address, number(k0), number(k1), stop.address
+        )
+        return wrong if wrong >= 0 else _ended(wrong)
+
+    def repeated(
+        self, layout: Layout, schedule: bytes, saved: NamedArrays, state: NamedArrays, steps: int, stop: Stop
+    ) -> Callable[[], int]:
+        """Return what takes the steps 1 to `steps`, for many calls with the same arrays; as `advance` does it."""
+        arrays = layout.address, schedule, saved.address, state.address
+        take = partial(self._advance, *arrays, number(0), number(steps), stop.address)
+
+        def taken() -> int:
+            wrong: int = take()
+            return wrong if wrong >= 0 else _ended(wrong)
+
+        return taken
 
 
 @cache
 def _loop(name: str) -> Any:
     found = getattr(listening_kernels(), name)
-    found.argtypes, found.restype = ARGUMENTS, ctypes.c_int64
+    found.restype = number
     return found
+
+
+def _ended(outcome: int) -> int:
+    """Raise what a loop says that did not take all of its steps."""
+    if outcome == codes("Outcome")["NO_MEMORY"]:
+        raise MemoryError("there is no memory for the working arrays of the loop")
+    raise KeyboardInterrupt
 
 
 def remembered(loop: str, tables: Any) -> int:

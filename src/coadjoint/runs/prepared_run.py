@@ -17,6 +17,7 @@ from coadjoint.methods.forced import serving
 from coadjoint.methods.splitting import Splitting
 from coadjoint.methods.suggested import suggested_scheme
 from coadjoint.runs.batch_loops import BatchLoops
+from coadjoint.runs.end_of_run import EVERY, EndOfRun
 from coadjoint.runs.input_loops import InputLoops
 from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops import Loops, SystemLoops
@@ -78,6 +79,8 @@ class PreparedRun:
         self._made: dict[float, Loops | InputLoops] = {}
         self._observed: Observed | None = None
         self._making = threading.RLock()
+        # Taken out while a call works in it: another thread finds another one, or none.
+        self._ends: list[EndOfRun] = []
 
     def __repr__(self) -> str:
         return f"<prepared run of {self.system!r} by {self.method}, step {self.step:g}>"
@@ -127,6 +130,56 @@ class PreparedRun:
         times = times_between(span_of(t_span), self.step, save_every)
         values = self.values_of(inputs)
         return self.follow(times, self.start(x0, attitude, values), progress, values)
+
+    def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
+        """Return the state at the end of a run alone, in a fifth of the time that the call of `run` takes.
+
+        For shooting, maps and control loops of few steps: beside its steps a call takes about 3 us. It has the bits of
+        ``run(x0, t_span).x[-1]``, and fails where that fails. Ensembles, batches and matrices, and what was
+        prepared with an attitude or with inputs, are run as `run` does it.
+
+        Parameters
+        ----------
+        x0 : array_like, shape (n,) or (members, n)
+            Initial momentum, as in `run`; an array of float64 is read fastest.
+        t_span : (float, float)
+            Start and end; backward where the end lies before the start. A whole number of steps. The same tuple again
+            is not read again.
+
+        Returns
+        -------
+        ndarray
+            Of the shape of x0.
+
+        Raises
+        ------
+        ValueError, TypeError
+            For wrong input, before the first step.
+        IntegrationError
+            As in `integrate`.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> ready = co.prepare(co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(order=4), step=0.05)
+        >>> x, span = ready.end((0.1, 1.0, 0.1), (0.0, 5.0)), (0.0, 0.1)
+        >>> bool((x == ready.run((0.1, 1.0, 0.1), (0.0, 5.0)).x[-1]).all())
+        True
+        >>> for _ in range(1000):
+        ...     x = ready.end(x, span)
+        """
+        try:
+            own = self._ends.pop()
+        except IndexError:
+            own = EndOfRun(self)
+        found = own(x0, t_span)
+        self._ends.append(own)
+        return self.run(x0, t_span, EVERY).x[-1] if found is None else found
+
+    @property
+    def carries(self) -> bool:
+        """Whether a group element is carried."""
+        return self._representations[0] is not None
 
     def values_of(self, inputs: Mapping[str, Any]) -> NDArray[np.float64] | None:
         """Return what a run with inputs needs of them, (m,) or (members, m); None where none were prepared."""

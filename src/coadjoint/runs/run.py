@@ -102,7 +102,10 @@ class Run:
         began = time.perf_counter()
         if order is not None:
             self.state.arrays = self.state.arrays.take(order, 0)
-        with threads_of_blas(self.loops.rows, self.workers):
+        if self.loops.rows:
+            with threads_of_blas(self.loops.rows, self.workers):
+                self._advance(first, last, progress)
+        else:
             self._advance(first, last, progress)
         self.seconds += time.perf_counter() - began
         self.state.number = last
@@ -111,8 +114,9 @@ class Run:
             self.state.arrays = self.state.arrays.take(place, 0)
             if last == self.times.steps:
                 self.saved = self.saved.take(place, 1)
-        new = np.flatnonzero((self.times.saved <= last) & ((self.times.saved > first) | (first == 0)))
-        self.loops.measure(self.times, self.start, self.saved, self.state["worst"], new)
+        if self.loops.rows:
+            new = np.flatnonzero((self.times.saved <= last) & ((self.times.saved > first) | (first == 0)))
+            self.loops.measure(self.times, self.start, self.saved, self.state["worst"], new)
 
     def _advance(self, first: int, last: int, progress: bool) -> None:
         plan = self.plan

@@ -1,0 +1,112 @@
+"""The state at the end of a run and nothing else: what a call of a few steps costs beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.given import are_finite
+from coadjoint.kernels.arrays import Layout, NamedArrays
+from coadjoint.kernels.loop import Crew, Stop
+from coadjoint.kernels.watching import schedule_of
+from coadjoint.runs.loops import SystemLoops
+from coadjoint.runs.room import check_room_of_run
+from coadjoint.runs.start import momenta_of
+from coadjoint.runs.times import Times, span_of, times_between
+
+if TYPE_CHECKING:
+    from coadjoint.runs.prepared_run import PreparedRun
+
+FLOAT64 = np.dtype(np.float64)
+EVERY = 2**53
+"""Saves the start and the end alone."""
+LARGEST = 2**16
+"""So many numbers are kept from call to call at most. Beside the steps of a larger run its arrays take no time."""
+
+
+class EndOfRun:
+    """Arrays in which one call after the other works. Calls at the same time have one of these each.
+
+    Parameters
+    ----------
+    ready : PreparedRun
+        What runs.
+    """
+
+    _loops: SystemLoops
+    _layout: Layout
+    _crew: Crew | None
+    _saved: NamedArrays
+    _state: NamedArrays
+    _clear: Callable[[float], None]
+    _momentum: NDArray[np.float64]
+    _end: NDArray[np.float64]
+
+    def __init__(self, ready: PreparedRun) -> None:
+        self._ready = ready
+        self._shape = (ready.system.dim,)
+        self._stop = Stop()
+        self._span: Any = None
+        self._h: float | None = None
+        self._take: Callable[[], int] | None = None
+
+    def __call__(self, x0: Any, t_span: Any) -> NDArray[np.float64] | None:
+        """Return the state at the end; None where a whole run is needed, as it is to say what is wrong."""
+        if t_span is not self._span:
+            self._aim(t_span)
+        if self._take is None:
+            return None
+        x: NDArray[np.float64] = x0
+        if type(x) is not np.ndarray or x.dtype is not FLOAT64 or x.shape != self._shape:
+            momenta, single = momenta_of(self._ready.system, x0)
+            if not single:
+                return None
+            x = momenta[0]
+        if not are_finite(x):
+            return None
+        self._clear(0.0)
+        self._momentum[:] = x
+        try:
+            wrong = self._take()
+        except BaseException as ended:
+            raised = self._loops.raised()
+            raise ended if raised is None else raised from None
+        if wrong:
+            # A run in place of this call fails too, and says where. What a function has raised it raises there.
+            self._loops.raised()
+            return None
+        return self._end.copy()
+
+    def _aim(self, t_span: Any) -> None:
+        """Make the call ready for other times."""
+        self._span = self._take = None
+        times = times_between(span_of(t_span), self._ready.step, EVERY)
+        if times.h != self._h:
+            self._make(times)
+        if self._crew is not None and times.steps:
+            schedule = schedule_of(*times[:4], False)
+            arrays = self._saved, self._state
+            self._take = self._crew.repeated(self._layout, schedule, *arrays, times.steps, self._stop)
+        if type(t_span) is tuple and all(type(end) in (float, int) for end in t_span):
+            self._span = t_span
+
+    def _make(self, times: Times) -> None:
+        """Make the arrays for steps of this size, where they serve a run of one vector."""
+        ready, self._crew, self._h = self._ready, None, times.h
+        found = ready.loops(times.h)
+        if not isinstance(found, SystemLoops) or found.rows or ready.carries:
+            return
+        plan = found.plan(1, 2, 0, 1)
+        check_room_of_run(plan.layout, Times(times.t0, times.h, 1, 1), 1)
+        if plan.layout.saved.size + plan.layout.state.size > LARGEST:
+            return
+        self._loops, self._layout = found, plan.layout
+        self._saved, self._state = NamedArrays(plan.layout.saved), NamedArrays(plan.layout.state)
+        ((self._crew,),) = plan.rounds
+        # Behind the coordinates stand accounts, which begin at zero.
+        dim = self._shape[0]
+        self._clear = self._state["momenta"].fill
+        self._momentum, self._end = self._state["momenta"][0, :dim], self._saved["x"][1, 0, :dim]

@@ -1,0 +1,177 @@
+"""The end of a run alone: the bits of a run, its refusals and failures, in any thread and inside of itself."""
+
+import dataclasses
+import threading
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.runs import prepared_run
+from coadjoint.runs.end_of_run import EndOfRun
+from methods.own_schemes import Failing, Interpreted
+from random_runs.cases import case_of
+
+pytestmark = pytest.mark.filterwarnings("ignore:the steps of:RuntimeWarning")
+BODY = co.systems.rigid_body((1, 2, 3))
+X = np.array([0.1, 1.0, 0.2])
+
+
+def no_run(*given):
+    raise AssertionError("a whole run was taken")
+
+
+def test_random_runs_end_where_runs_do():
+    ended = 0
+    for seed in range(60):
+        case, _ = case_of(seed)
+        try:
+            ready = co.prepare(case.systems[0], case.method, case.step, watch=case.watch, threads=1)
+        except ValueError:  # the scheme does not serve the system, and says so
+            continue
+        for x0 in (case.x0[0], case.x0[-1], case.x0):
+            try:
+                expected = ready.run(x0, case.t_span, 10**6).x[-1]
+            except co.IntegrationError as reason:
+                with pytest.raises(co.IntegrationError) as failure:
+                    ready.end(x0, case.t_span)
+                assert str(failure.value) == str(reason) and failure.value.step == reason.step
+            else:
+                assert ready.end(x0, case.t_span).tobytes() == expected.tobytes()
+                ended += 1
+    assert ended > 100
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(3), co.Taylor(6), Interpreted()], ids=str)
+def test_nothing_is_left_of_the_call_before(method, monkeypatch):
+    """Compensation, guesses of stages, and the invariants of the start are those of the call."""
+    ready = co.prepare(BODY, method, 0.1)
+    calls = [(x, span) for x in (X, 2.0 * X, -X) for span in ((0.0, 1.0), (1.0, 0.0), (0, 0.1), (2.0, 3.0), (0.0, 1.0))]
+    expected = [ready.run(*call).x[-1] for call in calls]
+    monkeypatch.setattr(prepared_run.PreparedRun, "follow", no_run)
+    found = [ready.end(*call) for call in calls]
+    assert all(np.array_equal(*pair) for pair in zip(found, expected, strict=True))
+    # Arrays that were returned are not written to again.
+    assert len({each.ctypes.data for each in found}) == len(calls)
+
+
+def test_states_of_any_kind():
+    ready = co.prepare(BODY, None, 0.1)
+    expected = ready.end(X, (0, 1))
+    for x0 in ([0.1, 1.0, 0.2], (0.1, 1.0, 0.2), np.array([0.1, 9.0, 1.0, 9.0, 0.2])[::2], X.astype(">f8")):
+        assert np.array_equal(ready.end(x0, [0, 1]), expected)
+    assert np.array_equal(ready.end([0, 1, 0], (0, 1)), ready.end(np.array([0.0, 1.0, 0.0]), (0, 1)))
+    assert np.array_equal(ready.end(X, (1.5, 1.5)), X)
+    assert np.array_equal(ready.end([X, 2 * X], (0, 1))[0], expected)
+
+
+def test_times_that_are_changed_where_they_stand_are_read_again():
+    ready = co.prepare(BODY, None, 0.1)
+    expected = [ready.run(X, (0.0, end)).x[-1] for end in (1.0, 2.0)]
+    span, ends = [0.0, 1.0], (np.array(0.0), np.array(1.0))
+    for given, end in ((span, span), (ends, ends[1])):
+        assert np.array_equal(ready.end(X, given), expected[0])
+        end[-1 if end is span else ()] = 2.0
+        assert np.array_equal(ready.end(X, given), expected[1])
+
+
+def test_what_is_refused_is_refused_as_a_run_does():
+    ready = co.prepare(BODY, None, 0.1)
+    wrong = [
+        (X, (0, 0.25)),
+        (X, (0, np.nan)),
+        (X, (0, 1, 2)),
+        (X[:2], (0, 1)),
+        (np.array([0.1, np.nan, 0.2]), (0, 1)),
+        (np.array([0.1, -np.inf, np.inf]), (0, 1)),
+        (np.array([True, False, True]), (0, 1)),
+        ("x", (0, 1)),
+    ]
+    for call in wrong:
+        with pytest.raises((ValueError, TypeError)) as expected:
+            ready.run(*call)
+        for _ in range(2):
+            with pytest.raises(expected.type) as found:
+                ready.end(*call)
+            assert str(found.value) == str(expected.value)
+        assert np.array_equal(ready.end(X, (0, 1)), ready.run(X, (0, 1)).x[-1])
+
+
+def test_whatever_else_is_prepared_ends_too():
+    fluid = co.systems.sphere_euler(5)
+    W = fluid.from_modes({(1, 0): 1.0, (2, 1): 0.5 + 0.1j})
+    pushed = BODY.with_forces(co.forces.LinearDamping(0.1))
+    steered = co.prepare(BODY, None, 0.1, inputs=True)
+    for ready, x0 in [
+        (co.prepare(fluid, None, 0.1), W),
+        (co.prepare(pushed, co.Splitting(), 0.1), X),
+        (co.prepare(BODY, None, 0.1, attitude=True), X),
+        (co.prepare(co.batch([BODY, co.systems.rigid_body((1, 2, 4))]), None, 0.1), X),
+        (steered, X),
+    ]:
+        for span in ((0, 1), (1, 0)):
+            if ready.system is pushed and span == (1, 0):
+                continue
+            for _ in range(2):
+                assert np.array_equal(ready.end(x0, span), ready.run(x0, span).x[-1])
+
+
+def test_a_function_that_raises_is_heard():
+    ready = co.prepare(BODY, Failing(), 0.1)
+    for _ in range(2):
+        assert np.array_equal(ready.end(X, (0, 0.3)), ready.run(X, (0, 0.3)).x[-1])
+        with pytest.raises(LookupError, match=r"nothing is known at t = 0\.6"):
+            ready.end(X, (0, 1))
+
+
+def test_a_call_inside_of_a_call_has_arrays_of_its_own(monkeypatch):
+    busy, real = [], EndOfRun.__call__
+
+    def alone(own, *given):
+        assert own not in busy
+        busy.append(own)
+        found = real(own, *given)
+        busy.remove(own)
+        return found
+
+    monkeypatch.setattr(EndOfRun, "__call__", alone)
+
+    @dataclasses.dataclass(frozen=True)
+    class Nested(Interpreted):
+        compiles = False
+
+        def step(self, system, x, t, h):
+            slope = super().step(system, x, t, h) - x
+            return x + 0.5 * slope + (0.01 * inner.end(x, (t - 2.0, t - 2.0 + h)) if t > -1.0 else 0.0)
+
+    inner = co.prepare(BODY, Nested(), 0.125)
+    expected = inner.run(X, (0.0, 0.5)).x[-1]
+    for _ in range(2):
+        assert np.array_equal(inner.end(X, (0.0, 0.5)), expected)
+
+
+def test_threads_share_one():
+    ready = co.prepare(BODY, co.GaussLegendre(2), 0.01, threads=1)
+    calls = [(X * k, (0.0, 0.01 * steps)) for steps in (1, 7, 3000) for k in (0.5, 1.0, 2.0)]
+    expected, wrong = [ready.run(*call).x[-1] for call in calls], []
+
+    def work(turn):
+        for call in np.random.default_rng(turn).permutation(np.tile(np.arange(len(calls)), 20)):
+            if not np.array_equal(ready.end(*calls[call]), expected[call]):
+                wrong.append(call)
+
+    workers = [threading.Thread(target=work, args=(turn,)) for turn in range(4)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert wrong == []
+
+
+def test_arrays_of_large_states_are_not_kept(monkeypatch):
+    monkeypatch.setattr("coadjoint.runs.end_of_run.LARGEST", 8)
+    ready = co.prepare(BODY, None, 0.1)
+    assert np.array_equal(ready.end(X, (0, 1)), ready.run(X, (0, 1)).x[-1])
+    monkeypatch.setattr(prepared_run.PreparedRun, "follow", no_run)
+    with pytest.raises(AssertionError, match="whole run"):
+        ready.end(X, (0, 1))
