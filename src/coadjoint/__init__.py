@@ -51,6 +51,8 @@ _HOME = {
     "Splitting": "coadjoint.methods.splitting",
     "TwoLayerSystem": "coadjoint.systems.matrices.two_layer_system",
     "Taylor": "coadjoint.methods.taylor",
+    "Event": "coadjoint.runs.events",
+    "Events": "coadjoint.runs.events",
     "PreparedRun": "coadjoint.runs.prepared_run",
     "Solution": "coadjoint.runs.solution",
     "integrate": "coadjoint.runs.integrate",
@@ -127,6 +129,8 @@ if TYPE_CHECKING:
     from coadjoint.methods.spherical_midpoint import SphericalMidpoint as SphericalMidpoint
     from coadjoint.methods.splitting import Splitting as Splitting
     from coadjoint.methods.taylor import Taylor as Taylor
+    from coadjoint.runs.events import Event as Event
+    from coadjoint.runs.events import Events as Events
     from coadjoint.runs.integrate import integrate as integrate
     from coadjoint.runs.prepared_run import PreparedRun as PreparedRun
     from coadjoint.runs.prepared_run import prepare as prepare

@@ -16,11 +16,13 @@ from coadjoint.files.configuration_parts import ConfigurationError, method_of_fi
 from coadjoint.files.initial_states import initial_state
 from coadjoint.files.polynomials import read_polynomial
 from coadjoint.files.states_by_name import check_named, state_by_name
+from coadjoint.files.written_events import event_of_file
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import Method
 from coadjoint.methods.forced import check_serves, serving
 from coadjoint.methods.splitting import Splitting
 from coadjoint.methods.suggested import suggested_scheme
+from coadjoint.runs.events import Event
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import times_of
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -50,7 +52,7 @@ class Configuration:
     ----------
     path : str
         The file, for messages.
-    system, x0, t_span, step, method, save_every, attitude, watch, observe, threads
+    system, x0, t_span, step, method, save_every, attitude, watch, observe, events, threads
         As for `coadjoint.integrate`.
     output, figure, movie : str or None
         Where the file wants the results; relative to the current directory.
@@ -83,6 +85,7 @@ class Configuration:
     attitude: Any = False
     watch: bool = True
     observe: Mapping[str, Polynomial] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
     threads: int | None = None
     output: str | None = None
     figure: str | None = None
@@ -123,6 +126,7 @@ class Configuration:
                 attitude=self.attitude,
                 watch=self.watch,
                 observe=self.observe,
+                events=self.events,
                 threads=self.threads,
                 progress=progress,
             )
@@ -276,6 +280,10 @@ def _configuration(name: str, text: str, file: File) -> Configuration:
             if isinstance(system, MatrixSystem):
                 raise ValueError(f"a polynomial is one of coordinates; the states of {system.name} are matrices")
             observe[key] = read_polynomial(written, system.dim)
+    events = []
+    for key, table in file.events.items():
+        with section(name, f"events.{key}"):
+            events.append(event_of_file(key, table.model_dump(), system))
     return Configuration(
         path=name,
         system=system,
@@ -287,6 +295,7 @@ def _configuration(name: str, text: str, file: File) -> Configuration:
         attitude=file.initial.attitude,
         watch=file.run.watch,
         observe=observe,
+        events=tuple(events),
         threads=file.run.threads,
         output=file.output.file,
         figure=file.output.figure,

@@ -165,6 +165,15 @@ class RunTable(Table):
     threads: Whole | None = None
 
 
+class EventTable(Table):
+    """An event that is looked for."""
+
+    g: int | Written
+    direction: int = 0
+    count: Whole | None = None
+    terminal: bool = False
+
+
 class OutputTable(Table):
     """Where the results go."""
 
@@ -187,6 +196,7 @@ class File(Table):
     method: dict[str, Any] | None = None
     run: RunTable
     observe: dict[Name, Written] = {}
+    events: dict[Name, EventTable] = {}
     output: OutputTable = OutputTable()
 
 

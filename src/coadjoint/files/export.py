@@ -15,6 +15,7 @@ from coadjoint.extras import need
 from coadjoint.files.record_entries import Entry, made_of, parsed
 from coadjoint.files.records import record_of, safe_name, system_of
 from coadjoint.files.state_arrays import DIMENSIONS, PARTS, in_parts, state_dimensions, state_of
+from coadjoint.files.written_events import events_of, variables_of, written_events
 from coadjoint.methods import registry
 from coadjoint.runs.times import times_of
 from coadjoint.systems.batch import Batch
@@ -35,8 +36,7 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     ``column``, and where they are complex over ``part``, real and imaginary), ``energy``, ``casimir_<name>``,
     ``observed_<name>``, ``attitude`` over ``row`` and ``column``; ``drift`` over ``invariant`` and ``tenth`` of the
     run, and in its place with forces ``change``, ``balance``, and ``work`` over ``account``; ``x0`` and ``attitude0``,
-    the initial state; ``failed`` for an ensemble. Original names are in the attribute
-    ``long_name``. Attributes: version, system and method (JSON), step, times, and what cannot be stored (functions).
+    XX Attributes: version, system and method (JSON), step, times, and what cannot be stored (functions).
 
     Parameters
     ----------
@@ -94,6 +94,8 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
             solution.failed,
             {"long_name": "whether the member failed; its later states are NaN"},
         )
+    if solution.events is not None:
+        variables |= variables_of(solution.events)
     coordinates: dict[str, Any] = {"time": solution.t}
     if of_state == ("component",):
         algebra = system[0].algebra if isinstance(system, Batch) else system.algebra
@@ -134,6 +136,7 @@ def _labels(kind: str, series: Mapping[str, Any]) -> Iterable[tuple[str, tuple[s
 def _attributes(solution: Solution) -> dict[str, Any]:
     record = record_of(solution.system)
     missing = [*record.get("not_stored", []), *(f"observed: {name}" for name in solution.observed)]
+    times = times_of(solution.asked_span, solution.step, 1)
     attributes: dict[str, Any] = {
         "coadjoint_version": __version__,
         "system": json.dumps(record),
@@ -145,12 +148,17 @@ def _attributes(solution: Solution) -> dict[str, Any]:
         "save_every": solution.save_every,
         "watch": int(solution.watched),
         "attitude_carried": solution.carried or "none",
-        "t_span": json.dumps(solution.t_span),
-        "steps": solution.stats.steps,
+        "t_span": json.dumps(solution.asked_span),
+        "steps": times.steps,
         "evaluations": solution.stats.evaluations,
         "iterations": solution.stats.iterations,
         "seconds": solution.stats.seconds,
     }
+    if solution.events is not None:
+        attributes["events"], functions = written_events(solution.events.asked, solution.events.names)
+        missing += [f"event: {name}" for name in functions]
+        if any(event.terminal for event in solution.events.asked) and functions:
+            attributes["events_not_stored"] = ", ".join(functions)
     if missing:
         attributes["not_stored"] = "functions are not stored: " + ", ".join(missing)
     return attributes
@@ -233,8 +241,14 @@ def solution_inputs(dataset: xarray.Dataset) -> dict[str, Any]:
     initial: dict[str, Any] = {"none": False, "coadjoint": "coadjoint"}
     if carried not in (*initial, "representation"):
         raise given["attitude_carried"].wrong("'none', 'coadjoint' or 'representation'")
+    if "events_not_stored" in attributes:
+        raise ValueError(
+            f"the run may have been ended by an event, and {attributes['events_not_stored']} is a function, which was "
+            "not stored; run the script that made it"
+        )
+    system = _system(dataset, system_of(parsed(attributes["system"], "system"), _numbers(dataset["x0"])))
     return {
-        "system": _system(dataset, system_of(parsed(attributes["system"], "system"), _numbers(dataset["x0"]))),
+        "system": system,
         "x0": x0,
         "t_span": (start, end),
         "step": step,
@@ -242,6 +256,7 @@ def solution_inputs(dataset: xarray.Dataset) -> dict[str, Any]:
         "save_every": save_every,
         "watch": given["watch"].flag(),
         "attitude": initial[carried] if carried in initial else state_of(dataset, "attitude0", DIMENSIONS[1:2]),
+        "events": events_of(Entry(attributes["events"], "events"), system) if "events" in attributes else (),
     }
 
 
@@ -267,7 +282,7 @@ def rebuild(dataset: xarray.Dataset) -> Solution:
     Returns
     -------
     Solution
-        Without observed quantities and Casimirs that are functions.
+        Without observed quantities, and without Casimirs and events that are functions.
 
     Raises
     ------

@@ -58,7 +58,8 @@ WRITTEN: Mapping[str, Mapping[str, int]] = {
 """Codes that Python writes as well: of each list all, of the limits those that the plain reading needs."""
 
 USED: Mapping[str, Iterable[str]] = {
-    "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED"),
+    "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED", "ENDED"),
+    "Crossing": ("RISING", "FALLING", "NEAR", "UNDEFINED"),
     "Outcome": ("INTERRUPTED", "NO_MEMORY"),
     "StreamKind": ("TRIDIAGONAL", "CIRCULANT", "WEIGHTS", "MULTIPLIED", "BY_FUNCTION"),
     "Solver": ("EXPLICIT", "ITERATED", "IMPLICIT", "STRUCTURE", "GRADIENT"),

@@ -6,6 +6,8 @@ import ctypes
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from coadjoint.algebra.logarithmic import Forms
 from coadjoint.extras import need
 from coadjoint.kernels.structures import pointed
@@ -65,5 +67,41 @@ class TabledFunction:
         self.address: int = -ctypes.addressof(self._table)
 
 
-Kept = tuple[CompiledFunction | TabledFunction, ...]
+CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.POINTER(ctypes.c_double))
+
+
+class CalledFunction:
+    """A function of (y, t) that is called in Python, some microseconds at a time.
+
+    Parameters
+    ----------
+    function : callable
+        Takes an array of `size` numbers and a time, and returns a number.
+    size : int
+        Number of coordinates that it reads.
+    """
+
+    def __init__(self, function: Callable[..., Any], size: int) -> None:
+        self._raised: BaseException | None = None
+        block = ctypes.c_double * size
+
+        def call(y: int, t: float, out: Any) -> None:
+            out[0] = float("nan")
+            try:
+                if self._raised is None:
+                    out[0] = function(np.frombuffer(memoryview(block.from_address(y))).copy(), t)
+            except BaseException as error:
+                # NaN says that something is wrong, and what was raised is raised again where the run is.
+                self._raised = error
+
+        self._callback = CALLBACK(call)
+        self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
+
+    def raised(self) -> BaseException | None:
+        """Return what the function raised, once, if it did."""
+        found, self._raised = self._raised, None
+        return found
+
+
+Kept = tuple[CompiledFunction | TabledFunction | CalledFunction, ...]
 """The owners of what stands at addresses: they must live as long as the addresses are in use."""

@@ -13,7 +13,7 @@ from coadjoint.algebra.logarithmic import LogarithmicInvariant
 from coadjoint.kernels.bodies import body_tables
 from coadjoint.kernels.description import limit
 from coadjoint.kernels.flow import FlowTables
-from coadjoint.kernels.functions import CompiledFunction, Kept, TabledFunction
+from coadjoint.kernels.functions import CalledFunction, CompiledFunction, Kept, TabledFunction
 from coadjoint.kernels.watching import Watch
 from coadjoint.program.actions import Action, empty_action
 from coadjoint.program.blocks import Kind
@@ -58,7 +58,7 @@ def addresses_of(
         The owners of the machine code.
     """
     addresses = np.zeros(count, dtype=np.int64)
-    keep: list[CompiledFunction | TabledFunction] = []
+    keep: list[CompiledFunction | TabledFunction | CalledFunction] = []
     if not functions:
         return addresses, ()
     for k, term in functions.items():
@@ -67,6 +67,10 @@ def addresses_of(
             addresses[k] = keep[-1].address
             continue
         size = len(term.coordinates)
+        if which == "value" and getattr(term.value, "called_in_python", False):
+            keep.append(CalledFunction(term.value, size))
+            addresses[k] = keep[-1].address
+            continue
         function = getattr(term, which)
         results = size ** ORDERS[which]
         compiled = CompiledFunction(

@@ -37,6 +37,7 @@ class Schedule(NamedTuple):
 
     At the addresses `starts` and `lengths`, where they are not 0, each member has the start and the length of the one
     step that it takes.
+    `events` is the address of `EventTables`, or 0.
     """
 
     t0: float
@@ -49,6 +50,7 @@ class Schedule(NamedTuple):
     marks: int
     starts: int = 0
     lengths: int = 0
+    events: int = 0
 
 
 def schedule_of(
@@ -59,10 +61,11 @@ def schedule_of(
     watching: bool,
     passed: int = 0,
     marks: NDArray[np.int64] | None = None,
+    events: int = 0,
 ) -> bytes:
-    """Return a `Schedule` as the loops take it; the marks must live as long."""
+    """Return a `Schedule` as the loops take it; marks and events must live as long."""
     marked, address_of_marks = (0, 0) if marks is None else (len(marks), marks.ctypes.data)
-    return packer(Schedule)(t0, h, steps, save_every, passed, watching, marked, address_of_marks, 0, 0)
+    return packer(Schedule)(t0, h, steps, save_every, passed, watching, marked, address_of_marks, 0, 0, events)
 
 
 AFTER_ONE = np.array([1], dtype=np.int64)
@@ -74,7 +77,7 @@ def schedule_of_parts(starts: NDArray[np.float64], lengths: NDArray[np.float64])
     The run does not end with it, so that no energy is asked for. The arrays must live as long.
     """
     places = (AFTER_ONE.ctypes.data, starts.ctypes.data, lengths.ctypes.data)
-    return packer(Schedule)(0.0, 0.0, 2, 1, 0, False, 1, *places)
+    return packer(Schedule)(0.0, 0.0, 2, 1, 0, False, 1, *places, 0)
 
 
 def values_along(watch: Any, points: NDArray[np.float64], times: NDArray[np.float64], out: NDArray[np.float64]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
@@ -15,6 +14,7 @@ from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.style import coordinate
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.coordinate_names import coordinate_names
 from coadjoint.systems.kinds import shape_of
 from coadjoint.systems.points import QUIET
 from coadjoint.systems.ready_made import telling_of
@@ -143,15 +143,7 @@ class Drawn:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the coordinates as plain text: those of the system, those of the basis, or x1, x2, ..."""
-        n = self.n
-        told = () if self.telling is None else self.telling.names(n)
-        if told:
-            return told
-        basis = getattr(self.system.algebra, "basis", ())
-        if len(basis) != n:
-            return tuple(f"x{i + 1}" for i in range(n))
-        # e1, e2, ... are names of basis elements where nobody has named them; x_i is the coordinate of e_i.
-        return tuple(re.sub(r"^e(?=\d)", "x", name) for name in basis)
+        return coordinate_names(self.family, self.n)
 
     def label(self, i: int) -> str:
         """Return the name of a coordinate as mathematical text."""

@@ -108,6 +108,9 @@ class BatchLoops(Loops):
         """Those of the members."""
         return [unshift for unshift in self._unshifts if unshift is not None]
 
+    def unshift_of(self, member: int) -> Unshift | None:
+        return self._unshifts[member]
+
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         rows, shifted = np.array(as_rows(groups)), [unshift is not None for unshift in self._unshifts]
         rows[shifted] = unit_row(groups.shape[-1])

@@ -13,7 +13,7 @@ from coadjoint.kernels.loop import Crew
 from coadjoint.methods.base import Method
 from coadjoint.runs.batch_loops import in_rounds
 from coadjoint.runs.inputs import Inputs
-from coadjoint.runs.loops import Loops, Plan, SystemLoops
+from coadjoint.runs.loops import Loops, Plan, SystemLoops, values_of_watch
 from coadjoint.runs.rows_of_crews import Pieces, Tables, shared_out
 from coadjoint.runs.start import Representation
 
@@ -102,6 +102,9 @@ class LoopsOfCall(Loops):
             found = Tables(loop, self._given[0][0], watch, self._stride)
             return [(found, None)]
         return [(Tables(loop, own[0], watch), np.array([m])) for m, own in enumerate(self._given)]
+
+    def values_at(self, state: Floats, t: float, last: Floats) -> Floats:
+        return values_of_watch(self._given[0][1], state, t, last)
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop."""

@@ -29,6 +29,7 @@ def integrate(
     observe: Mapping[str, Any] | None = None,
     threads: int | None = None,
     progress: bool = False,
+    events: Any = None,
 ) -> Solution:
     """Integrate a system at a constant step, given or chosen for a wanted accuracy.
 
@@ -70,6 +71,9 @@ def integrate(
         whose products BLAS shares out, one in all.
     progress : bool
         Show a progress bar.
+    events : Event or sequence of Event, optional
+        Zeros of functions of the state that are looked for; ``sol.events`` has them. A terminal one ends the run, and
+        where there is one member, the last point of the solution is that of the event.
 
     Returns
     -------
@@ -121,4 +125,4 @@ def integrate(
         method, step = choice.method, choice.step
     assert step is not None
     ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads)
-    return with_choice(ready.run(x0, t_span, save_every, progress=progress), choice)
+    return with_choice(ready.run(x0, t_span, save_every, progress=progress, events=events), choice)

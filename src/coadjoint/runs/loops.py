@@ -109,6 +109,26 @@ class Loops(ABC):
         """What `turned` takes back, for each system where a Casimir was taken off."""
         return [self.turned] if isinstance(self.turned, Unshift) else []
 
+    def unshift_of(self, member: int) -> Unshift | None:
+        """Return what `turned` takes back for a member, or None where nothing was taken off."""
+        return self.turned if isinstance(self.turned, Unshift) else None
+
+    def turned_at(
+        self, start: Start, members: NDArray[np.int64], elapsed: NDArray[np.float64], held: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return group elements (m, d, d) of members at times since their starts, from those of the loops (m, d*d)."""
+        d = start.groups.shape[1]
+        found = np.array(np.swapaxes(held.reshape(-1, d, d), 1, 2))
+        for row, member in enumerate(members.tolist()):
+            unshift = self.unshift_of(member)
+            if unshift is not None:
+                found[row] = unshift.at(start, member, float(elapsed[row]), held[row])
+        return found
+
+    def values_at(self, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the invariants of the only member at a state; multivalued ones are those next to the `last` ones."""
+        raise TypeError(f"{type(self).__name__} has many members")
+
     def measure(
         self, times: Times, start: Start, saved: NamedArrays, worst: NDArray[Any], points: NDArray[np.int64]
     ) -> None:
@@ -224,6 +244,11 @@ class SystemLoops(Loops):
             with np.errstate(invalid="ignore"):  # infinities of members that are about to fail
                 worst[:, tenth] = np.fmax(worst[:, tenth], np.abs(found - first))
 
+    def values_at(self, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self._matrices is not None:
+            return self._values(state[None], t)[0]
+        return values_of_watch(self.watch, state, t, last)
+
     def _values(self, states: NDArray[np.float64], t: float) -> NDArray[np.float64]:
         system = self._matrices
         assert system is not None
@@ -249,6 +274,18 @@ class SystemLoops(Loops):
     def started(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the given elements; for a shifted run unit elements, which `turned` multiplies by the given ones."""
         return unit_row(groups.shape[-1]) if self._shifted else as_rows(groups)
+
+
+def values_of_watch(watch: Any, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the invariants of a watch at a state; multivalued ones are those next to the `last` ones."""
+    from coadjoint.kernels.watching import values_along
+
+    found = np.empty((1, 1, len(last)))
+    values_along(watch, state[None, None], np.array([t]), found)
+    period = getattr(watch, "source", watch).period
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turns = np.where(period > 0.0, np.floor((last - found[0, 0]) / period + 0.5), 0.0)
+    return np.asarray(found[0, 0] + period * turns)
 
 
 @lru_cache(maxsize=8)

@@ -17,11 +17,15 @@ from coadjoint.methods.forced import serving
 from coadjoint.methods.splitting import Splitting
 from coadjoint.methods.suggested import suggested_scheme
 from coadjoint.runs.batch_loops import BatchLoops
+from coadjoint.runs.crossings import WatchedEvents
 from coadjoint.runs.end_of_run import EVERY, EndOfRun
+from coadjoint.runs.event_run import EventRun
+from coadjoint.runs.events import Event, read_events
 from coadjoint.runs.input_loops import InputLoops
 from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops import Loops, SystemLoops
 from coadjoint.runs.observed import Observed, check_observe
+from coadjoint.runs.parts_of_steps import PartsOfSteps
 from coadjoint.runs.run import Run, read_progress
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start, momenta_of, representations_of, with_group
@@ -78,6 +82,7 @@ class PreparedRun:
         self._threads = workers or members_at_once(rows_of(system))
         self._made: dict[float, Loops | InputLoops] = {}
         self._observed: Observed | None = None
+        self._events: WatchedEvents | None = None
         self._making = threading.RLock()
         # Taken out while a call works in it: another thread finds another one, or none.
         self._ends: list[EndOfRun] = []
@@ -93,6 +98,7 @@ class PreparedRun:
         *,
         attitude: Any = None,
         progress: bool = False,
+        events: Any = None,
         **inputs: Any,
     ) -> Solution:
         """Integrate from an initial state; the same bits as `integrate`.
@@ -109,6 +115,8 @@ class PreparedRun:
             The initial group element of this run, in place of the one that was prepared.
         progress : bool
             Show a progress bar.
+        events : Event or sequence of Event, optional
+            What is looked for, as in `integrate`.
         **inputs : array_like
             The inputs of this run, by the names that they were prepared with: coefficients of the linear term of H, in
             the shape of their coordinates, or torques, (n,); or with an axis of members before it. What is not given is
@@ -128,8 +136,8 @@ class PreparedRun:
         """
         progress = read_progress(progress)
         times = times_between(span_of(t_span), self.step, save_every)
-        values = self.values_of(inputs)
-        return self.follow(times, self.start(x0, attitude, values), progress, values)
+        values, looked_for = self.values_of(inputs), read_events(events)
+        return self.follow(times, self.start(x0, attitude, values), progress, values, looked_for)
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
         """Return the state at the end of a run alone, in a fifth of the time that the call of `run` takes.
@@ -214,7 +222,12 @@ class PreparedRun:
         return with_group(self.system, momenta, single, representation, initial)
 
     def follow(
-        self, times: Times, start: Start, progress: bool = False, values: NDArray[np.float64] | None = None
+        self,
+        times: Times,
+        start: Start,
+        progress: bool = False,
+        values: NDArray[np.float64] | None = None,
+        events: tuple[Event, ...] = (),
     ) -> Solution:
         """Take the steps of `times`, whose step is the prepared one or its negative, from a checked state.
 
@@ -222,7 +235,11 @@ class PreparedRun:
         """
         run = self.begun(times, start, values)
         observed = self._observed_at(start.momenta[0]) if self._observe else None
-        run.advance(progress)
+        if events:
+            parts = PartsOfSteps(self.system, self.method, run.loops, run.workers)
+            EventRun(run, self._watched(events, start.momenta[0], times.t0), parts).advance(progress)
+        else:
+            run.advance(progress)
         return run.solution(observed)
 
     def begun(self, times: Times, start: Start, values: NDArray[np.float64] | None = None) -> Run:
@@ -234,6 +251,13 @@ class PreparedRun:
             assert values is not None
             loops, system = loops.at(values), partial(self.system_at, values)
         return Run(system, self.method, loops, times, start, self._watching, workers)
+
+    def _watched(self, events: tuple[Event, ...], x0: NDArray[np.float64], t0: float) -> WatchedEvents:
+        """Return events compiled; those of the last run are kept."""
+        with self._making:
+            if self._events is None or self._events.events != events:
+                self._events = WatchedEvents(self.system, events, x0, t0)
+            return self._events
 
     def loops(self, h: float) -> Loops | InputLoops:
         """Return the loops of a step or of its negative; those of each direction are made when first needed."""

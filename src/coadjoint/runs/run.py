@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
@@ -20,6 +21,7 @@ from coadjoint.kernels.loop import Crew
 from coadjoint.kernels.watching import schedule_of
 from coadjoint.methods.base import Method
 from coadjoint.runs.crews_at_work import at_work, pool_of, what_failed
+from coadjoint.runs.events import Ending, Events
 from coadjoint.runs.loops import Loops
 from coadjoint.runs.observed import Observed
 from coadjoint.runs.room import check_room_of_run
@@ -60,6 +62,10 @@ class Run:
     ----------
     state : RunState
         After the last step that was taken.
+    events : Events or None
+        What was found of those that were looked for.
+    ending : Ending or None
+        How the run of a single member was ended by one.
     """
 
     def __init__(
@@ -94,6 +100,26 @@ class Run:
         self._schedule = schedule_of(*times[:4], watching, *times[4:])
         self.seconds = 0.0
         self.wrong = 0
+        self.events: Events | None = None
+        self.ending: Ending | None = None
+
+    def look_for(self, events: int) -> None:
+        """Let the loops look for events, at the address of their tables; these must live as long as the run."""
+        self._schedule = schedule_of(*self.times[:4], self.watching, *self.times[4:], events=events)
+
+    def close(self, last: NDArray[np.int64]) -> None:
+        """Forget what was saved of members after their last steps, where events have ended them before the others."""
+        order, status = self.loops.order, codes("Status")
+        if order is not None and self.state.number < self.times.steps:
+            self.saved = self.saved.take(np.argsort(order), 1)
+        numbers, state = self.times.saved, self.state["status"]
+        ended = state == status["ENDED"]
+        for name in ("x", "group", "values"):
+            self.saved[name][numbers[:, None] > last] = np.nan
+        state[ended] = status["DONE"]
+        energy = self.saved["values"][..., 0]
+        undefined = ~np.isfinite(energy) & (numbers[:, None] <= last) & (state == status["DONE"])
+        self.wrong = int(np.count_nonzero((state != status["DONE"]) | undefined.any(axis=0)))
 
     def advance(self, progress: bool = False, until: int | None = None) -> None:
         """Take the steps up to number `until`, or all, one round after the other; an interrupt ends them."""
@@ -124,7 +150,7 @@ class Run:
             for crews in plan.rounds:
                 self.wrong += self._take(crews, first, last, None)
         else:
-            with pool_of(self.workers) as pool, _bar((last - first) * len(plan.rounds), progress) as bar:
+            with pool_of(self.workers) as pool, progress_bar((last - first) * len(plan.rounds), progress) as bar:
                 for crews in plan.rounds:
                     if progress:
                         self.wrong += self._take_in_chunks(crews, first, last, pool, bar)
@@ -153,7 +179,7 @@ class Run:
 
     def solution(self, observed: Observed | None) -> Solution:
         """Return what was saved, or raise the failure with it."""
-        kept = self.times.points
+        kept = self.times.points if self.ending is None else self.ending.points
         if not self.wrong:
             whole = self._solution(kept, observed)
             if self.start.representation is not None and self.loops.attitude_may_overflow(self.start, self.times):
@@ -228,7 +254,7 @@ def read_progress(progress: Any) -> bool:
     return shown
 
 
-class _bar:
+class progress_bar:
     """A progress bar over the steps, or nothing."""
 
     def __init__(self, steps: int, shown: bool) -> None:

@@ -84,6 +84,14 @@ class Unshift:
         self.fill(found, start, times, saved.place_of("group"), 0, len(start.groups))
         return found
 
+    def at(self, start: Start, member: int, elapsed: float, held: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the group element (d, d) of a member a time after its start, from what the loops have then, (d*d,)."""
+        own = start._replace(momenta=start.momenta[member : member + 1], groups=start.groups[member : member + 1])
+        saved, found = np.array(held), np.empty((1, *own.groups.shape))
+        once = Times(0.0, elapsed, 1, 1, marks=np.array([1], dtype=np.int64))
+        self.fill(found, own, once, saved.ctypes.data, 0, 1)
+        return found[0, 0]
+
     def fill(self, out: NDArray[np.float64], start: Start, times: Times, held: int, first: int, last: int) -> None:
         """Fill in the members `first` to `last` - 1 of `out` from what stands at the address `held`."""
         schedule = schedule_of(*times[:4], False, *times[4:])

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from coadjoint.kernels.arrays import NamedArrays
+    from coadjoint.runs.events import Ending, Events
     from coadjoint.runs.loops import Turned
     from coadjoint.runs.observed import Observed
     from coadjoint.runs.run import Run
@@ -105,6 +106,8 @@ class Solution:
         Group element, if one was carried.
     observed : dict
         Name -> array: what `observe` asked for.
+    events : Events or None
+        What was found of the events that were looked for.
     stats : Statistics
         Steps, evaluations, iterations, seconds.
     failed : ndarray of bool, shape (members,), or None
@@ -135,6 +138,8 @@ class Solution:
     observed: Mapping[str, NDArray[np.float64]]
     choice: Any
     _error: NDArray[np.float64] | None
+    events: Events | None
+    _ending: Ending | None
     _saved: NamedArrays
     _state: NamedArrays
     _kept: int
@@ -154,6 +159,8 @@ class Solution:
             observed={},
             choice=None,
             _error=None,
+            events=run.events,
+            _ending=run.ending,
             _saved=run.saved,
             _state=state if state.numbers.size <= FEW_NUMBERS else state.only(REPORTED),
             _kept=kept,
@@ -199,7 +206,10 @@ class Solution:
     @cached_property
     def t(self) -> NDArray[np.float64]:
         """The saved times."""
-        return self._times.at(self._times.saved[: self._kept])
+        found = self._times.at(self._times.saved[: self._kept])
+        if self._ending is not None:
+            found[-1] = self._ending.t
+        return found
 
     @cached_property
     def x(self) -> NDArray[np.float64]:
@@ -240,13 +250,15 @@ class Solution:
         if self._start.representation is None:
             return None
         found = self._turned(self._start, self._times, self._saved, self._kept)
+        if self._ending is not None:
+            found[-1] = self._ending.attitude
         return found[:, 0] if self._start.single else found
 
     @cached_property
     def stats(self) -> Statistics:
         """The work done."""
         return Statistics(
-            steps=int(self._times.steps),
+            steps=int(self._times.steps if self._ending is None else self._ending.steps),
             evaluations=int(self._state["evaluations"].sum()),
             iterations=int(self._state["iterations"].sum()),
             seconds=self._seconds,
@@ -260,6 +272,11 @@ class Solution:
     @cached_property
     def t_span(self) -> tuple[float, float]:
         """Start and end."""
+        return self._times.t0, self._times.end if self._ending is None else self._ending.t
+
+    @cached_property
+    def asked_span(self) -> tuple[float, float]:
+        """Start and end as they were asked for: `t_span`, unless an event has ended the run."""
         return self._times.t0, self._times.end
 
     @cached_property
@@ -557,7 +574,7 @@ def check_solution(solution: Any) -> None:
         raise TypeError(f"solution is {short(solution)}; it must be a Solution, from co.integrate")
 
 
-PARTS = ("method", "watched", "observed", "choice", "_error") + tuple(
+PARTS = ("method", "watched", "observed", "events", "choice", "_error") + tuple(
     name for name, value in vars(Solution).items() if isinstance(value, cached_property)
 )
 """What a copy of a solution has."""

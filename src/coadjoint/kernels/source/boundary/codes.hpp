@@ -11,13 +11,21 @@ namespace coadjoint {
     LIST(DECLARE_CODE)    \
     constexpr char Name##_codes[] = "codes " #Name ":" LIST(DESCRIBE_CODE) "\n";
 
-// How a step ended. UNDEFINED: its scheme does not define it. PARALLEL: one tangent vector is what others are.
-#define STATUSES(_) _(DONE, 0) _(NOT_CONVERGED, 1) _(OVERFLOWED, 2) _(UNDEFINED, 3) _(PARALLEL, 4)
+// How a step ended. UNDEFINED: its scheme does not define it. PARALLEL: one tangent vector is what others are. ENDED: an
+// event has ended the run of the member before.
+#define STATUSES(_) _(DONE, 0) _(NOT_CONVERGED, 1) _(OVERFLOWED, 2) _(UNDEFINED, 3) _(PARALLEL, 4) _(ENDED, 5)
 CODES(Status, STATUSES)
 
 // What a loop returns in place of a count, where it did not take all steps.
 #define OUTCOMES(_) _(INTERRUPTED, -1) _(NO_MEMORY, -2)
 CODES(Outcome, OUTCOMES)
+
+// What is noted of an event in a step: that its function g rises through zero, or falls; that it may have gone through
+// zero and back; or that it is no number.
+namespace crossings {
+#define CROSSINGS(_) _(NONE, 0) _(RISING, 1) _(FALLING, 2) _(NEAR, 3) _(UNDEFINED, 4)
+CODES(Crossing, CROSSINGS)
+}  // namespace crossings
 
 // Terms of a scalar function.
 #define TERM_KINDS(_) _(LINEAR, 0) _(POLYNOMIAL, 1) _(FUNCTION, 2)

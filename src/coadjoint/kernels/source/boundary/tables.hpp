@@ -64,6 +64,16 @@ TABLE(FlowTables, FLOW_FIELDS)
     _(constants, period) _(integer, longest)
 TABLE(Watch, WATCH_FIELDS)
 
+// Functions whose zeros are looked for, and what is noted of them. Of every event: its `direction`, and for each member
+// how many crossings are `left` until it ends its run (0: it does not). Of every member: the last step of its run,
+// `limit`; its finished states one and two steps ago, `before`, and the last three `values` of the events. Of each step
+// that is noted, `noted` so far of at most `capacity`: in `found` its member, its number, and a code for each event; in
+// `places` the state before it, and the values of the events before and after it.
+#define EVENT_FIELDS(_)                                                                                              \
+    _(Watch, watch) _(integers, direction) _(integers, left) _(integers, limit) _(numbers, before) _(numbers, values) \
+    _(integer, capacity) _(integers, noted) _(integers, found) _(numbers, places)
+TABLE(EventTables, EVENT_FIELDS)
+
 #define EXTENT_FIELDS(_)                                                                                             \
     _(integer, members) _(integer, points) _(integer, size) _(integer, square) _(integer, invariants)               \
     _(integer, remembered)
@@ -72,9 +82,10 @@ TABLE(Extent, EXTENT_FIELDS)
 // The saved steps are the `marked` steps at `marks`, ascending; without marks every save_every-th from 0 on, and the
 // last. The first `passed` of them were taken before, and a run that goes on has no room for them.
 // With `starts` and `lengths` every member takes one step of its own: from that time, of that length.
+// `events` is the address of `EventTables`, or zero.
 #define SCHEDULE_FIELDS(_)                                                                                           \
     _(number, t0) _(number, h) _(integer, steps) _(integer, save_every) _(integer, passed) _(flag, watching)  \
-    _(integer, marked) _(integers, marks) _(numbers, starts) _(numbers, lengths)
+    _(integer, marked) _(integers, marks) _(numbers, starts) _(numbers, lengths) _(integer, events)
 TABLE(Schedule, SCHEDULE_FIELDS)
 
 // How long the steps of a member are, and when its step k begins.

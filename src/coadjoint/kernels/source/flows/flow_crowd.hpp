@@ -38,7 +38,7 @@ struct FlowCrowd {
     ~FlowCrowd() {
         for (int64_t lane = 0; lane < count; ++lane) {
             const int64_t member = members[lane];
-            if (going[lane]) loop.arrays.evaluations[member] += evaluations;
+            if (loop.arrays.status[member] == DONE) loop.arrays.evaluations[member] += evaluations;
             write_lane(momentum.at, loop.arrays.momenta, size, member, int(lane));
             write_lane(momentum.errors, loop.arrays.errors, size, member, int(lane));
             write_lane(group.at, loop.arrays.groups, square, member, int(lane));

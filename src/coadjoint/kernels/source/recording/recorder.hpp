@@ -2,6 +2,9 @@
 // `MemberRecorder` where it follows one member, `CrowdRecorder` where it follows many side by side.
 #pragma once
 
+#include <memory>
+
+#include "recording/crossings.hpp"
 #include "recording/saved_steps.hpp"
 #include "recording/watching.hpp"
 
@@ -23,7 +26,13 @@ class MemberRecorder {
                    Finish& finish)
         : watch(watch), arrays(arrays), schedule(schedule), constants(constants), finish(finish), size(arrays.size),
           saved(schedule, 0), states(gathers ? size : 0), errors(gathers ? size : 0), arguments(watch.longest + 1),
-          room(2 * watch.longest + 2) {}
+          room(2 * watch.longest + 2) {
+        if (schedule.events) crossings = std::make_unique<LookedFor>(schedule, arrays);
+    }
+
+    ~MemberRecorder() {
+        if (crossings) crossings->own.end();
+    }
 
     // Record a member that has its own constants, from the step after k0 on.
     void begin(int64_t who, const C& own, int64_t k0) {
@@ -31,6 +40,7 @@ class MemberRecorder {
         constants = own;
         saved = SavedSteps(schedule, k0);
         forget();
+        if (crossings) crossings->begin(member, k0);
     }
 
     // Look at the state after step k, if it is to be looked at. `group(k, to)` fills in the finished group element, and
@@ -42,9 +52,10 @@ class MemberRecorder {
             if (!group(k, group_at(place))) return k;
             slot[waiting] = place;
             saving = true;
-        } else if (!schedule.watching) {
+        } else if (!schedule.watching && !crossings) {
             return 0;
         }
+        if (crossings && arrays.square) group(k, crossings->groups.data() + waiting * arrays.square);
         if constexpr (!gathers) {
             note(1, &k, x);
             return 0;
@@ -100,14 +111,55 @@ class MemberRecorder {
     int64_t member = 0, step[lanes], slot[lanes], waiting = 0;
     bool saving = false;
 
+    // Events are looked for one step after the other.
+    struct LookedFor {
+        Crossings<double> own;
+        std::vector<double> x, groups;
+        LookedFor(const Schedule& schedule, const Arrays& arrays)
+            : own(schedule, arrays), x(arrays.size), groups(lanes * arrays.square) {}
+        // The lanes may still hold steps of the member before, for which this is called again.
+        void begin(int64_t member, int64_t k0) {
+            if (begun) own.end();
+            begun = true;
+            own.begin(&member, 1, k0);
+        }
+        bool begun = false;
+    };
+    std::unique_ptr<LookedFor> crossings;
+
     void forget() {
         std::fill_n(slot, lanes, -1);
         saving = false;
     }
 
     INLINE void note(int64_t count, const int64_t* steps, const A* x) {
+        if (__builtin_expect(crossings != nullptr, 0)) {
+            count = look_for_events(count, steps, x);
+            if (count == 0) return forget();
+        }
         note_steps(watch, constants, arrays, schedule, member, count, steps, saving, slot, x, arguments.at, room.data());
         if (saving) forget();
+    }
+
+    // Look for events among steps, and leave those that are to be noted: until the run of the member ends, and where
+    // not all are watched those that are saved.
+    NOINLINE int64_t look_for_events(int64_t count, const int64_t* steps, const A* x) {
+        const int64_t square = arrays.square;
+        int64_t good = 0;
+        for (int64_t lane = 0; lane < count; ++lane) {
+            for (int64_t i = 0; i < size; ++i) crossings->x[i] = lane_of(x[i], int(lane));
+            crossings->own.after(steps[lane], crossings->x.data(), crossings->groups.data() + lane * square);
+            if (!crossings->own.goes_on(member, steps[lane])) {
+                if (slot[lane] >= 0) std::fill_n(group_at(slot[lane]), square, NAN);
+                continue;
+            }
+            if (!schedule.watching && slot[lane] < 0) continue;
+            if constexpr (gathers)
+                for (int64_t i = 0; i < size; ++i) set_lane(states.at[i], int(good), crossings->x[i]);
+            step[good] = steps[lane];
+            slot[good++] = slot[lane];
+        }
+        return good;
     }
 
     double* group_at(int64_t place) const { return arrays.group + (place * arrays.members + member) * arrays.square; }
@@ -125,7 +177,7 @@ template <class A, class C>
 class CrowdRecorder {
   public:
     CrowdRecorder(const Watch& watch, const Arrays& arrays, const Schedule& schedule, int64_t k0, const C& constants,
-                  const int64_t* members, const int64_t* going, int64_t count)
+                  const int64_t* members, int64_t* going, int64_t count)
         : watch(watch), arrays(arrays), schedule(schedule), constants(constants), members(members), going(going),
           count(count), saved(schedule, k0), first(watch.size), last(watch.size), worst(watch.size),
           arguments(watch.longest + 1), room(2 * watch.longest + 2) {
@@ -133,9 +185,13 @@ class CrowdRecorder {
             set_lane(first.at[i], lane, arrays.first[members[lane] * watch.size + i]);
             set_lane(last.at[i], lane, arrays.last[members[lane] * watch.size + i]);
         });
+        if (!schedule.events) return;
+        crossings = std::make_unique<Crossings<A>>(schedule, arrays);
+        crossings->begin(members, count, k0);
     }
 
     ~CrowdRecorder() {
+        if (crossings) crossings->end();
         keep_worst();
         each([&](int64_t lane, int64_t i) { arrays.last[members[lane] * watch.size + i] = lane_of(last.at[i], lane); });
     }
@@ -143,9 +199,11 @@ class CrowdRecorder {
     // Look at the states after step k, if they are to be looked at: `finished(saving)` gives them.
     template <class Finish>
     INLINE void after(int64_t k, const Finish& finished) {
-        if (!schedule.watching && k != saved.next) return;
+        if (!schedule.watching && !crossings && k != saved.next) return;
         const int64_t slot = k == saved.next ? saved.take() : -1;
-        const FinishedRows<A> rows = finished(slot >= 0);
+        const FinishedRows<A> rows = finished(slot >= 0 || crossings);
+        if (crossings && crossings->after(k, rows.x, rows.group, going)) let_go(k);
+        if (crossings && !schedule.watching && slot < 0) return;
         note(k, slot, rows.x);
         if (slot >= 0) save(slot, rows);
     }
@@ -164,12 +222,22 @@ class CrowdRecorder {
     const Arrays& arrays;
     const Schedule& schedule;
     const C& constants;
-    const int64_t *members, *going;
+    const int64_t* members;
+    int64_t* going;
     const int64_t count;
     SavedSteps saved;
     Room<A> first, last, worst, arguments;
     std::vector<double> room;
     int64_t tenth = -1;
+    std::unique_ptr<Crossings<A>> crossings;
+
+    // Note nothing more of lanes whose runs have been ended by events before step k.
+    void let_go(int64_t k) {
+        keep_worst();
+        for (int64_t lane = 0; lane < count; ++lane)
+            if (going[lane]) going[lane] = crossings->goes_on(members[lane], k);
+        crossings->find_next_end(going);
+    }
 
     void note(int64_t k, int64_t slot, const A* x) {
         if (int64_t now = tenth_of(schedule, k); now != tenth) {

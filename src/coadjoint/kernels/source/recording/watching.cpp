@@ -62,7 +62,7 @@ int64_t wrong(const Watch& watch, const Arrays& arrays, const Crew& crew, bool e
     for (int64_t place = crew.first; place < crew.last; ++place) {
         Hearing::of_this_call().after(ended ? 4 * arrays.points : 1);
         const int64_t member = crew.members[place];
-        bool sound = arrays.status[member] == DONE;
+        bool sound = arrays.status[member] == DONE || arrays.status[member] == ENDED;
         for (int64_t point = 0; ended && sound && point < arrays.points; ++point)
             sound = std::isfinite(arrays.values[(point * arrays.members + member) * watch.size]);
         found += !sound;

@@ -46,7 +46,7 @@ class InnerStep {
         std::copy_n(x, extent.size, arrays.momenta);
         std::copy_n(group, extent.square, arrays.groups);
         if (turning) prepare(x, group, arrays.groups);
-        const Schedule two{t - double(before) * h, h, 2 + before, 1, 0, 0, 0, nullptr};
+        const Schedule two{t - double(before) * h, h, 2 + before, 1, 0, 0, 0, nullptr, nullptr, nullptr, 0};
         const Crew alone{&member, 0, 1, 0};
         const int64_t wrong = loop(tables, &watch, &alone, &arrays, &two, before, before + 1);
         if (wrong == NO_MEMORY) throw std::bad_alloc();

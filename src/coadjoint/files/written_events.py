@@ -1,0 +1,105 @@
+"""Events as files have them: read from a configuration, written beside a solution, and read again from there."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.files.polynomials import read_polynomial
+from coadjoint.files.record_entries import Entry, made_of
+from coadjoint.files.state_arrays import in_parts, state_dimensions
+from coadjoint.runs.events import Event, Events
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.coordinate_names import coordinate_names
+from coadjoint.systems.kinds import unforced
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+
+
+def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
+    """Return the event of a table.
+
+    Parameters
+    ----------
+    name : str
+        What it is called.
+    table : mapping
+        ``g``: the number or the name of a coordinate, or a polynomial as `read_polynomial` takes it; beside it
+        ``direction``, ``count`` and ``terminal`` as for `Event`.
+    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
+        What moves.
+
+    Returns
+    -------
+    Event
+
+    Raises
+    ------
+    TypeError, ValueError
+        A value is wrong, or states are matrices.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.rigid_body import rigid_body
+    >>> event_of_file("far", {"g": "x1^2 - 0.25", "direction": 1}, rigid_body((1, 2, 3))).g
+    -0.25 + x1^2
+    """
+    moved = unforced(system[0] if isinstance(system, Batch) else system)
+    if isinstance(moved, MatrixSystem):
+        raise ValueError(f"an event of a file is about coordinates; the states of {moved.name} are matrices")
+    options = dict(table)
+    g = options.pop("g")
+    if isinstance(g, str) and g not in coordinate_names(moved, moved.dim):
+        g = read_polynomial(g, moved.dim)
+    elif isinstance(g, list):
+        g = read_polynomial(g, moved.dim)
+    return Event(g, name=name, **options)
+
+
+def written_events(events: Sequence[Event], names: Sequence[str]) -> tuple[str, list[str]]:
+    """Return events as JSON, and the names of those whose functions cannot be written.
+
+    Examples
+    --------
+    >>> written_events([Event("x2", terminal=True), Event(abs)], ["x2", "mine"])
+    ('{"x2": {"g": "x2", "direction": 0, "count": null, "terminal": true}}', ['mine'])
+    """
+    tables, missing = {}, []
+    for event, name in zip(events, names, strict=True):
+        g: Any = str(event.g) if isinstance(event.g, Polynomial) else event.g
+        if not isinstance(g, int | str):
+            missing.append(name)
+            continue
+        tables[name] = {"g": g, "direction": event.direction, "count": event.count, "terminal": event.terminal}
+    return json.dumps(tables), missing
+
+
+def variables_of(events: Events) -> dict[str, Any]:
+    """Return crossings as variables of a dataset, over ``crossing``."""
+    over = ("crossing",)
+    found: dict[str, Any] = {
+        "event_time": (over, events.t, {"long_name": "time of a crossing"}),
+        "event_x": ((*over, *state_dimensions(events.x, 1)), in_parts(events.x), {"long_name": "momentum there"}),
+        "event_which": (over, events.which, {"long_name": "number of the event"}),
+        "event_member": (over, events.member, {"long_name": "member that crosses"}),
+        "event_direction": (over, events.direction, {"long_name": "1 where g rises, -1 where it falls"}),
+    }
+    if events.attitude is not None:
+        found["event_attitude"] = ((*over, "row", "column"), events.attitude, {"long_name": "group element there"})
+    return found
+
+
+def events_of(entry: Entry, system: Any) -> tuple[Event, ...]:
+    """Return the events that `written_events` has written.
+
+    Raises
+    ------
+    ValueError
+        The text is damaged.
+    """
+    found = []
+    with made_of(entry):
+        for name, table in json.loads(entry.text()).items():
+            found.append(event_of_file(name, table, system))
+    return tuple(found)

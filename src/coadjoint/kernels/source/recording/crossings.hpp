@@ -1,0 +1,181 @@
+// Where functions of the state change sign along a run, and where they may have done so twice in one step.
+#pragma once
+
+#include <utility>
+
+#include "recording/watching.hpp"
+
+namespace coadjoint {
+
+// What belongs to a step is noted with the state before it, so that the place is found later without another run. The
+// states are finished, and looked at one step after the other; the lanes are members.
+template <class A>
+class Crossings {
+  public:
+    Crossings(const Schedule& schedule, const Arrays& arrays)
+        : events(*reinterpret_cast<const EventTables*>(schedule.events)), schedule(schedule), arrays(arrays), size(arrays.size),
+          width(arrays.size + arrays.square), count(events.watch.size), states(2 * width), values(DEPTH * count),
+          arguments(events.watch.longest + 1), room(2 * events.watch.longest + 2), before(states.at),
+          earlier(states.at + width) {}
+
+    // Follow the members of some lanes from the step after k0 on. Another one fills what is left of the lanes.
+    void begin(const int64_t* who, int64_t lanes_used, int64_t k0) {
+        used = lanes_used;
+        for (int64_t lane = 0; lane < lanes; ++lane) member[lane] = who[std::min(lane, used - 1)];
+        find_next_end(nullptr);
+        if (k0 > 0) return exchange([](A& held, int64_t lane, double& kept) { set_lane(held, int(lane), kept); });
+        for (int64_t lane = 0; lane < lanes; ++lane) {
+            for (int64_t i = 0; i < size; ++i)
+                set_lane(before[i], int(lane), arrays.momenta[member[lane] * size + i]);
+            for (int64_t i = 0; i < arrays.square; ++i)
+                set_lane(before[size + i], int(lane), arrays.groups[member[lane] * arrays.square + i]);
+        }
+        measure(before, schedule.t0);
+    }
+
+    // Keep what the next call goes on from.
+    void end() {
+        exchange([this](A& held, int64_t lane, double& kept) {
+            if (lane < used) kept = lane_of(held, int(lane));
+        });
+    }
+
+    // Look at the states after step k; return whether a member has come to its end, then or before. Lanes that are not `going` are
+    // left out, where that is given.
+    INLINE bool after(int64_t k, const A* x, const A* group, const int64_t* going = nullptr) {
+        for (int64_t e = 0; e < count; ++e)
+            for (int64_t age = DEPTH - 1; age > 0; --age) value(age, e) = value(age - 1, e);
+        measure(x, schedule.t0 + double(k) * schedule.h);
+        bool ended = k > next_end;
+        if (__builtin_expect(k < DEPTH || k == schedule.steps || !quiet(), 0))
+            for (int64_t lane = 0; lane < used; ++lane)
+                if (!going || going[lane]) ended |= inspect(k, int(lane));
+        std::copy_n(x, size, earlier);
+        if (group) std::copy_n(group, arrays.square, earlier + size);
+        std::swap(before, earlier);
+        return ended;
+    }
+
+    // When the next of the lanes that are going comes to its end, as far as that is known.
+    void find_next_end(const int64_t* going) {
+        next_end = std::numeric_limits<int64_t>::max();
+        for (int64_t lane = 0; lane < used; ++lane)
+            if (!going || going[lane]) next_end = std::min(next_end, events.limit[member[lane]]);
+    }
+
+    // Whether a member goes on after step k.
+    bool goes_on(int64_t who, int64_t k) const { return k <= events.limit[who]; }
+
+  private:
+    static constexpr int64_t lanes = Numbers<A>::lanes, DEPTH = 4;
+    const EventTables& events;
+    const Schedule& schedule;
+    const Arrays& arrays;
+    const int64_t size, width, count;
+    Room<A> states, values, arguments;
+    std::vector<double> room;
+    A *before, *earlier;  // the finished states one and two steps ago
+    int64_t member[lanes], used = 0, next_end = 0;
+
+    // The value of event e `age` steps ago.
+    INLINE A& value(int64_t age, int64_t e) { return values.at[age * count + e]; }
+
+    void measure(const A* x, double time) {
+        const A t(time);
+        for (int64_t e = 0; e < count; ++e)
+            value(0, e) = value_of(events.watch, Shared{}, e, x, t, arguments.at, room.data());
+    }
+
+    // Whether surely nothing is to be noted of any lane.
+    INLINE bool quiet() {
+        for (int64_t e = 0; e < count; ++e) {
+            const A now = value(0, e), last = value(1, e);
+            if (!all(last * now > A(0.0))) return false;
+            if (any((absolute(now) > absolute(last)) & (absolute(value(3, e)) > absolute(value(2, e))))) return false;
+        }
+        return true;
+    }
+
+    // What a lane is when a call ends, for the next one.
+    template <class Move>
+    void exchange(Move move) {
+        for (int64_t lane = 0; lane < lanes; ++lane) {
+            double* kept = events.before + 2 * member[lane] * width;
+            for (int64_t i = 0; i < width; ++i) move(before[i], lane, kept[i]);
+            for (int64_t i = 0; i < width; ++i) move(earlier[i], lane, kept[width + i]);
+            kept = events.values + member[lane] * (DEPTH - 1) * count;
+            for (int64_t i = 0; i < (DEPTH - 1) * count; ++i) move(values.at[i], lane, kept[i]);
+        }
+    }
+
+    // Note what there is to be noted of a lane at step k, and say whether its member has come to its end.
+    NOINLINE bool inspect(int64_t k, int lane) {
+        if (!goes_on(member[lane], k)) return false;
+        // Whether g has come near zero in the step before is known now; of the last step it never is.
+        if (k >= 2)
+            note(k - 1, lane, earlier, 2, [&](int64_t e) {
+                return near(k < 3 ? NAN : at_age(3, e, lane), at_age(2, e, lane), at_age(1, e, lane),
+                            at_age(0, e, lane));
+            });
+        bool ended = false;
+        note(k, lane, before, 1, [&](int64_t e) {
+            const int64_t found = crossing(events.direction[e], at_age(1, e, lane), at_age(0, e, lane));
+            if (found == crossings::NONE && k == schedule.steps)
+                return near(k < 2 ? NAN : at_age(2, e, lane), at_age(1, e, lane), at_age(0, e, lane), NAN);
+            int64_t& left = events.left[member[lane] * count + e];
+            if (found != crossings::NONE && found != crossings::UNDEFINED && left > 0) ended |= --left == 0;
+            return found;
+        });
+        if (ended) events.limit[member[lane]] = k - 1;
+        return ended;
+    }
+
+    double at_age(int64_t age, int64_t e, int lane) { return lane_of(value(age, e), lane); }
+
+    // How g went through zero, or to it, between two values.
+    static int64_t crossing(int64_t direction, double last, double now) {
+        if (now != now) return crossings::UNDEFINED;
+        if (last < 0.0 && now >= 0.0 && direction >= 0) return crossings::RISING;
+        if (last > 0.0 && now <= 0.0 && direction <= 0) return crossings::FALLING;
+        return crossings::NONE;
+    }
+
+    // Whether g may have gone through zero and back between `from` and `to`. Where g bends away from zero, it stays
+    // above the lines through the values beside that step; these meet zero before they meet each other, or nearly so.
+    static int64_t near(double before, double from, double to, double after) {
+        if (!(from * to > 0.0)) return crossings::NONE;
+        const double a = std::fabs(from), b = std::fabs(to);
+        const double down = before == before ? (from > 0.0 ? before : -before) - a : INFINITY;
+        const double up = after == after ? (to > 0.0 ? after : -after) - b : INFINITY;
+        return down > 0.0 && up > 0.0 && a / down + b / up <= ROOM ? crossings::NEAR : crossings::NONE;
+    }
+    static constexpr double ROOM = 2.0;  // 1 where g bends alike on the three steps
+
+    template <class Code>
+    void note(int64_t k, int lane, const A* state, int64_t age, Code code_of) {
+        int64_t place = -1;
+        for (int64_t e = 0; e < count; ++e) {
+            const int64_t code = code_of(e);
+            if (code == crossings::NONE) continue;
+            if (place < 0) place = take(k, lane, state, age);
+            if (place < events.capacity) events.found[place * (2 + count) + 2 + e] = code;
+        }
+    }
+
+    // Several threads write to the same arrays, each to places of its own.
+    int64_t take(int64_t k, int lane, const A* state, int64_t age) {
+        const int64_t place = __atomic_fetch_add(events.noted, 1, __ATOMIC_RELAXED);
+        if (place >= events.capacity) return place;
+        int64_t* found = events.found + place * (2 + count);
+        *found++ = member[lane];
+        *found++ = k;
+        std::fill_n(found, count, int64_t(crossings::NONE));
+        double* to = events.places + place * (width + 2 * count);
+        for (int64_t i = 0; i < width; ++i) *to++ = lane_of(state[i], lane);
+        for (int64_t e = 0; e < count; ++e) *to++ = at_age(age, e, lane);
+        for (int64_t e = 0; e < count; ++e) *to++ = at_age(age - 1, e, lane);
+        return place;
+    }
+};
+
+}  // namespace coadjoint

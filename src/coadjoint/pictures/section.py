@@ -1,0 +1,83 @@
+"""Crossings of a surface, drawn as dots: two components of the states, a colour for each member."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint.extras import need
+from coadjoint.given import read_choice, read_list, read_whole
+from coadjoint.pictures.style import COLOURS, coordinate, plain_axes
+from coadjoint.runs.events import Events
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FEW = 2000
+"""Crossings that are drawn as dots of a size that is seen; more are drawn finer."""
+
+
+def draw_crossings(events: Events, components: Any = None, axes: Any = None) -> Figure:
+    """Draw crossings.
+
+    Parameters
+    ----------
+    events : Events
+        What was found.
+    components : (int or str, int or str), optional
+        Which coordinates are drawn, to the right and upwards; by default the two that vary most.
+    axes : matplotlib.axes.Axes, optional
+        Where to draw.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Not shown, not saved.
+
+    Raises
+    ------
+    TypeError, ValueError
+        There are no crossings, states are matrices, or there is no such coordinate.
+    """
+    need("pictures", "matplotlib")
+    from matplotlib.figure import Figure
+
+    names = events.coordinates
+    if len(names) < 2:
+        raise TypeError("crossings are drawn by two coordinates of vectors; plot what you take of these states")
+    if not len(events):
+        raise ValueError("there are no crossings to draw; take a longer run, or another event")
+    across, up = _places(events, components)
+    if axes is None:
+        axes = Figure(figsize=(5.2, 4.8), layout="constrained").add_subplot()
+    plain_axes(axes)
+    size = 2.0 if len(events) <= FEW else max(0.15, 2.0 * (FEW / len(events)) ** 0.5)
+    for i, colour in enumerate(COLOURS):
+        own = events.member % len(COLOURS) == i
+        if own.any():
+            x = events.x[own]
+            style = {"linestyle": "none", "marker": "o", "markersize": size, "markeredgewidth": 0.0}
+            axes.plot(x[:, across], x[:, up], color=colour, rasterized=True, **style)
+    axes.set(xlabel=coordinate(names[across]), ylabel=coordinate(names[up]))
+    axes.set_title(f"{len(events)} crossings of {', '.join(events.names)}")
+    found: Figure = axes.figure
+    return found
+
+
+def _places(events: Events, components: Any) -> tuple[int, int]:
+    names = events.coordinates
+    if components is None:
+        most = np.argsort(-np.std(events.x, axis=0), kind="stable")[:2]
+        across, up = sorted(most.tolist())
+        return across, up
+    chosen = read_list(components, "components", "give two numbers or names of coordinates")
+    if len(chosen) != 2:
+        raise ValueError(f"components has {len(chosen)} entries; give two numbers or names of coordinates")
+    across, up = (
+        names.index(read_choice(one, "coordinate", names))
+        if isinstance(one, str)
+        else read_whole(one, "a coordinate", 0, len(names) - 1)
+        for one in chosen
+    )
+    return across, up

@@ -1,0 +1,253 @@
+"""Where events lie: from the steps that the loops have noted to times and states between grid points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.invariant import Invariant
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.errors import IntegrationError
+from coadjoint.given import read_choice, read_whole
+from coadjoint.kernels.description import codes
+from coadjoint.kernels.events import Noted
+from coadjoint.runs.events import Event
+from coadjoint.runs.parts_of_steps import PartsOfSteps
+from coadjoint.runs.root_search import lowest, roots
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.coordinate_names import coordinate_names
+from coadjoint.systems.kinds import System, unforced
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.user_functions import takes_time
+from coadjoint.wording import short
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+
+class Crossings(NamedTuple):
+    """Crossings that were found, m of them: member, step, time, state, group element, event and direction of each."""
+
+    members: Whole
+    steps: Whole
+    t: Floats
+    states: Floats
+    groups: Floats
+    which: Whole
+    direction: Whole
+
+    def chosen(self, places: Any) -> Crossings:
+        """Return some of them."""
+        return Crossings(*(array[places] for array in self))
+
+
+class WatchedEvents:
+    """Events on a system, compiled, and how they are located.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
+        What moves.
+    events : sequence of Event
+        What is looked for.
+    x0, t0 : ndarray of shape (n,), and float
+        A state and a time; there a function must return a number.
+
+    Attributes
+    ----------
+    names, coordinates : tuple of str
+        Of the events, and of the coordinates where states are no matrices.
+    compiled : Compiled
+        Their functions as a `Watch`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No such coordinate, a polynomial of another dimension, or a function that returns no number or does not compile.
+    """
+
+    def __init__(self, system: System | Batch, events: Sequence[Event], x0: Floats, t0: float) -> None:
+        from coadjoint.kernels.tables import invariants_table
+
+        moved: Any = unforced(system[0] if isinstance(system, Batch) else system)
+        self.system, self.events = system, tuple(events)
+        known = self.coordinates = () if isinstance(moved, MatrixSystem) else coordinate_names(moved, moved.dim)
+        self.names = names_of(self.events, known)
+        functions = [
+            (f"the event {name}", _function_of(event, name, moved, known, x0, t0))
+            for event, name in zip(self.events, self.names, strict=True)
+        ]
+        self.compiled = invariants_table(functions, moved.dim)
+        self.direction = np.array([event.direction for event in self.events], dtype=np.int64)
+        self.until = np.array([event.until for event in self.events], dtype=np.int64)
+
+    def values(self, states: Floats, t: Floats) -> Floats:
+        """Return the values (m, E) of all events at the states (m, n) and times (m,)."""
+        from coadjoint.kernels.watching import values_along
+
+        out = np.empty((len(t), 1, len(self.events)))
+        values_along(self.compiled.tables, states[:, None], t, out)
+        return out[:, 0]
+
+    def located(self, noted: Noted, parts: PartsOfSteps, t0: float, h: float) -> Crossings:
+        """Return the crossings in the steps that were noted, ordered by member and time.
+
+        Parameters
+        ----------
+        noted : Noted
+            What the loops have noted.
+        parts : PartsOfSteps
+            Takes parts of steps.
+        t0, h : float
+            Of the run.
+
+        Raises
+        ------
+        IntegrationError
+            An event has no value at a grid point.
+        """
+        for kept in self.compiled.keep:
+            if (raised := getattr(kept, "raised", lambda: None)()) is not None:
+                raise raised
+        crossing = codes("Crossing")
+        self._check(noted, t0, h)
+        search = _Search(self, noted, parts, t0, h)
+        rows, events = np.nonzero((noted.codes == crossing["RISING"]) | (noted.codes == crossing["FALLING"]))
+        sure = search.between(rows, events, np.zeros(len(rows)), noted.before, np.ones(len(rows)), noted.after)
+        maybe = search.pairs(*np.nonzero(noted.codes == crossing["NEAR"]))
+        rows, events, theta, rising = (np.concatenate(both) for both in zip(sure, *maybe, strict=True))
+        wanted = (self.direction[events] == 0) | (self.direction[events] == rising)
+        rows, events, theta, rising = rows[wanted], events[wanted], theta[wanted], rising[wanted]
+        # Of two at the same time the event that was named first comes first.
+        order = np.lexsort((events, theta, rows))
+        rows, events, theta, rising = rows[order], events[order], theta[order], rising[order]
+        states, groups = search.part(rows, theta)
+        steps = noted.steps[rows]
+        return Crossings(noted.members[rows], steps, t0 + (steps - 1 + theta) * h, states, groups, events, rising)
+
+    def _check(self, noted: Noted, t0: float, h: float) -> None:
+        wrong = np.argwhere(noted.codes == codes("Crossing")["UNDEFINED"])
+        if len(wrong):
+            row, event = wrong[0].tolist()
+            step = int(noted.steps[row])
+            raise IntegrationError(
+                f"the event {self.names[event]} is not a number at t = {t0 + step * h:g}, for member "
+                f"{noted.members[row]}; its function is undefined there",
+                step=step,
+                time=t0 + step * h,
+                residual=float("nan"),
+            )
+
+
+class _Search:
+    """Values of events within the steps that were noted."""
+
+    def __init__(self, watched: WatchedEvents, noted: Noted, parts: PartsOfSteps, t0: float, h: float) -> None:
+        self.watched, self.noted, self.parts, self.h = watched, noted, parts, h
+        self.begin: Floats = np.asarray(t0 + (noted.steps - 1) * h, dtype=np.float64)
+        # Times are not told apart more finely than they can be written.
+        self.least = np.maximum(2.0**-52, 0.5 * np.spacing(np.abs(self.begin) + abs(h)) / abs(h))
+
+    def part(self, rows: Whole, theta: Floats) -> tuple[Floats, Floats]:
+        """Return states and group elements within steps, theta from their start."""
+        noted = self.noted
+        return self.parts.take(
+            noted.states[rows], noted.groups[rows], self.begin[rows], theta * self.h, noted.members[rows]
+        )
+
+    def values(self, rows: Whole, events: Whole, theta: Floats) -> Floats:
+        """Return one event for each row."""
+        noted, none = self.noted, np.empty((len(rows), 0))
+        states, _ = self.parts.take(noted.states[rows], none, self.begin[rows], theta * self.h, noted.members[rows])
+        return self.watched.values(states, self.begin[rows] + theta * self.h)[np.arange(len(rows)), events]
+
+    def between(
+        self, rows: Whole, events: Whole, low: Floats, before: Floats, high: Floats, after: Floats
+    ) -> tuple[Whole, Whole, Floats, Whole]:
+        """Return the roots between two points of a step, at which the values of all events are known."""
+        places = (rows, events) if before.ndim > 1 else slice(None)
+        first, last = before[places], after[places]
+        theta = roots(
+            lambda which, t: self.values(rows[which], events[which], low[which] + t * (high - low)[which]),
+            first,
+            last,
+            self.least[rows] / np.maximum(high - low, 2.0**-52),
+        )
+        return rows, events, low + theta * (high - low), np.where(first < 0.0, 1, -1)
+
+    def pairs(self, rows: Whole, events: Whole) -> list[tuple[Whole, Whole, Floats, Whole]]:
+        """Return the crossings in steps where g may go through zero and back."""
+        first, last = self.noted.before[rows, events], self.noted.after[rows, events]
+        side = np.sign(first)
+        theta, value = lowest(lambda which, t: side[which] * self.values(rows[which], events[which], t), len(rows))
+        there = value <= 0.0
+        rows, events, side, theta = rows[there], events[there], side[there], theta[there]
+        middle, zero, one = side * value[there], np.zeros(len(rows)), np.ones(len(rows))
+        left = self.between(rows, events, zero, first[there], theta, middle)
+        # One that only touches zero was counted when it came there.
+        through = middle != 0.0
+        right = self.between(*(a[through] for a in (rows, events, theta, middle, one, last[there])))
+        return [left, right]
+
+
+def names_of(events: Sequence[Event], known: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of events: those that were given, those of coordinates, or their numbers.
+
+    Examples
+    --------
+    >>> names_of([Event(1), Event(lambda x: x[0], name="mine"), Event("x1")], ("x1", "x2"))
+    ('x2', 'mine', 'x1')
+    """
+    names: list[str] = []
+    for k, event in enumerate(events):
+        name = event.name
+        if name is None and isinstance(event.g, str):
+            name = event.g
+        elif name is None and isinstance(event.g, int | np.integer) and 0 <= event.g < len(known):
+            name = known[event.g]
+        if event.name is None and (name is None or name in names):
+            name = f"event {k}"
+        if name in names:
+            raise ValueError(f"two events have the name {short(name)}; give each a name= of its own")
+        names.append(str(name))
+    return tuple(names)
+
+
+def _function_of(event: Event, name: str, moved: Any, known: Sequence[str], x0: Floats, t0: float) -> Any:
+    """Return what the kernels compile of an event."""
+    g, n = event.g, moved.dim
+    start: Any = moved.states(x0) if isinstance(moved, MatrixSystem) else x0
+    if isinstance(moved, MatrixSystem) and not callable(g):
+        raise TypeError(
+            f"the event {name} is about coordinates, and the states of {moved.name} are matrices; give a function of "
+            "a matrix"
+        )
+    if isinstance(g, str | int | np.integer):
+        i = known.index(read_choice(g, "coordinate", known)) if isinstance(g, str) else read_whole(g, "g", 0, n - 1)
+        return Quadratic(0.0, linear=np.eye(1, n, i)[0])
+    if isinstance(g, Polynomial | Quadratic):
+        return g
+    timed = takes_time(g, name)
+    value = g(start, t0) if timed else g(start)
+    if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
+        raise TypeError(f"the event {name} returns {short(value)} at the start; it must return one real number")
+    if isinstance(moved, MatrixSystem):
+        return Invariant(OfMatrices(g, moved, timed))
+    return Invariant(g)
+
+
+class OfMatrices:
+    """A function of matrices as one of their rows of numbers, called in Python."""
+
+    called_in_python = True
+
+    def __init__(self, function: Callable[..., Any], system: MatrixSystem, timed: bool) -> None:
+        self._function, self._system, self._timed = function, system, timed
+
+    def __call__(self, x: Any, t: float = 0.0) -> float:
+        W = self._system.states(x)
+        return float(self._function(W, t) if self._timed else self._function(W))

@@ -1,0 +1,230 @@
+"""Events of a run: what is looked for, and what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.given import read_choice, read_flag, read_title, read_whole
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.user_functions import takes_time
+from coadjoint.wording import short
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_EVENTS = 64
+PER_CROSSING = ("t", "x", "which", "member", "direction")
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """A function g of state and time whose zeros are looked for along a run.
+
+    Choose it for Poincare sections, periods, turning points, and to end a run where something has happened.
+
+    Parameters
+    ----------
+    g : int, str, Polynomial, Quadratic, or callable
+        A coordinate by its number from 0 or by its name; a polynomial of the coordinates; or a pure function of x or of
+        (x, t) that returns a number.
+    direction : {0, 1, -1}
+        1: g rises through zero in the direction in which the run goes; -1: it falls; 0: both.
+    count : int, optional
+        No more than so many crossings of a member are of interest, the first ones; None is all.
+    terminal : bool
+        Whether the run of a member ends at its last crossing of interest: at number `count`, or at the first one.
+    name : str, optional
+        What it is called in ``sol.events``; by default the coordinate, or ``event 0``, ``event 1``, ...
+
+    Raises
+    ------
+    TypeError, ValueError
+        A value is none of these.
+
+    Notes
+    -----
+    A step has a crossing if g has another sign after it than before. A state with g = 0 belongs to the step that ends
+    there: the start of a run is no crossing, its end is one. Two crossings within one step are looked for where the
+    values of g at four grid points in a row leave room for them. None is missed if g bends away from zero on that step
+    and on both neighbours; a step that is too long for that may hide a pair.
+
+    Examples
+    --------
+    The middle axis of a body flips again and again:
+
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> flip = co.Event("x2", direction=1, name="flip")
+    >>> sol = co.integrate(body, (0.01, 1.0, 0.01), t_span=(0, 100), step=0.05, events=flip)
+    >>> sol.events["flip"].t.round(9)
+    array([59.443351869])
+    """
+
+    g: int | str | Polynomial | Quadratic | Callable[..., Any]
+    direction: int = 0
+    count: int | None = None
+    terminal: bool = False
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        keep = object.__setattr__
+        if isinstance(self.g, bool) or not (
+            isinstance(self.g, int | np.integer | str | Polynomial | Quadratic) or callable(self.g)
+        ):
+            raise TypeError(
+                f"g of an event is {short(self.g)}; give a coordinate by number or name, a Polynomial, or a function "
+                "of x or (x, t)"
+            )
+        if isinstance(self.direction, bool) or self.direction not in (0, 1, -1):
+            raise ValueError(f"direction of an event is {short(self.direction)}; it must be 1, -1, or 0 for both")
+        keep(self, "direction", int(self.direction))
+        if self.count is not None:
+            keep(self, "count", read_whole(self.count, "count of an event"))
+        keep(self, "terminal", read_flag(self.terminal, "terminal"))
+        if self.name is not None:
+            keep(self, "name", read_title(self.name, "name of an event"))
+        if callable(self.g) and not isinstance(self.g, Polynomial | Quadratic):
+            takes_time(self.g, "g of an event")
+
+    @property
+    def until(self) -> int:
+        """At which crossing it ends the run of a member; 0 where it does not."""
+        return (self.count or 1) if self.terminal else 0
+
+
+def read_events(given: Any) -> tuple[Event, ...]:
+    """Return events from one, or from a sequence of them.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Something else, too many, or two of one name.
+
+    Examples
+    --------
+    >>> len(read_events([Event(0), Event("x2", direction=1)]))
+    2
+    """
+    if given is None:
+        return ()
+    listed = (given,) if isinstance(given, Event) else given
+    if not isinstance(listed, Sequence) or isinstance(listed, str) or not all(isinstance(e, Event) for e in listed):
+        raise TypeError(f"events is {short(given)}; give an Event, such as co.Event('x1'), or a list of them")
+    if len(listed) > MOST_EVENTS:
+        raise ValueError(f"{len(listed)} events were given; a run looks for at most {MOST_EVENTS}")
+    return tuple(listed)
+
+
+class Events:
+    """What a run has found of its events: m crossings, ordered by member, those of each as the run came to them.
+
+    Attributes
+    ----------
+    t : ndarray, shape (m,)
+        The times.
+    x : ndarray, shape (m, n)
+        The states: a part of a step of the same scheme, so that what it keeps it keeps here as well.
+    which : ndarray of int, shape (m,)
+        The number of the event.
+    member : ndarray of int, shape (m,)
+        The member of the ensemble, 0 where there is only one.
+    direction : ndarray of int, shape (m,)
+        1 where g rises, -1 where it falls.
+    attitude : ndarray, shape (m, d, d), or None
+        Group elements, if they were carried.
+    names : tuple of str
+        Of the events.
+    coordinates : tuple of str
+        Names of the coordinates, for pictures; none where states are matrices.
+    asked : tuple of Event
+        What was looked for.
+
+    Notes
+    -----
+    ``events["name"]`` are the crossings of one event, and ``events.of(member)`` those of one member.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> sol = co.integrate(body, (0.01, 1.0, 0.01), (0, 70), 0.05, events=[co.Event("x2"), co.Event("x1")])
+    >>> sol.events.names, sol.events["x2"].direction
+    (('x2', 'x1'), array([-1,  1]))
+    """
+
+    def __init__(
+        self,
+        names: tuple[str, ...],
+        t: NDArray[np.float64],
+        x: NDArray[Any],
+        which: NDArray[np.int64],
+        member: NDArray[np.int64],
+        direction: NDArray[np.int64],
+        attitude: NDArray[np.float64] | None = None,
+        coordinates: tuple[str, ...] = (),
+        asked: tuple[Event, ...] = (),
+    ) -> None:
+        self.names, self.t, self.x, self.which, self.member = names, t, x, which, member
+        self.direction, self.attitude, self.coordinates = direction, attitude, coordinates
+        self.asked = asked
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def __iter__(self) -> Iterator[Any]:
+        raise TypeError("events are arrays: t, x, which, member, direction; take one event by its name, events['name']")
+
+    def __repr__(self) -> str:
+        found = ", ".join(f"{name}: {np.count_nonzero(self.which == k)}" for k, name in enumerate(self.names))
+        return f"<crossings of {found}>"
+
+    def chosen(self, places: NDArray[Any]) -> Events:
+        """Return some of the crossings, by a mask or by their places."""
+        attitude = None if self.attitude is None else self.attitude[places]
+        t, x, which, member, direction = (getattr(self, name)[places] for name in PER_CROSSING)
+        return Events(self.names, t, x, which, member, direction, attitude, self.coordinates, self.asked)
+
+    def __getitem__(self, name: str | int) -> Events:
+        """Return the crossings of an event, by its name or number."""
+        if isinstance(name, str):
+            k = self.names.index(read_choice(name, "event", self.names))
+        else:
+            k = read_whole(name, "number of an event", 0, len(self.names) - 1)
+        return self.chosen(self.which == k)
+
+    def of(self, member: int) -> Events:
+        """Return the crossings of a member."""
+        return self.chosen(self.member == read_whole(member, "member", 0))
+
+    def plot(self, components: tuple[Any, Any] | None = None, axes: Any = None) -> Figure:
+        """Return a figure of the crossings: two components of the states, members by colours.
+
+        Parameters
+        ----------
+        components : (int or str, int or str), optional
+            Which are drawn, to the right and upwards.
+        axes : Axes, optional
+            Where to draw.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from coadjoint.pictures.section import draw_crossings
+
+        return draw_crossings(self, components, axes)
+
+
+class Ending(NamedTuple):
+    """How an event ended the run of one member: the number of saved points, its step, its time, and the attitude."""
+
+    points: int
+    steps: int
+    t: float
+    attitude: NDArray[np.float64] | None

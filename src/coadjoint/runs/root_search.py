@@ -1,0 +1,116 @@
+"""Roots and extrema of many functions of one number at once, between 0 and 1."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Values = Callable[[NDArray[np.int64], Floats], Floats]
+
+MOST_ROUNDS = 200
+"""Bisection from 1 to the smallest float takes fewer than six times as many; a root needs about seven."""
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+NARROW = 2.0**-26
+"""Closer to an extremum values no longer tell points apart."""
+
+
+def roots(values: Values, before: Floats, after: Floats, least: Floats) -> Floats:
+    """Return where m functions go through zero, by inverse quadratic interpolation and bisection.
+
+    Each is bracketed and found by itself, so that its root does not depend on the others.
+
+    Parameters
+    ----------
+    values : callable
+        ``values(which, theta)`` returns those of the functions `which` at theta, one for each.
+    before, after : ndarray, shape (m,)
+        The values at 0 and at 1, of different signs; `after` may be zero.
+    least : ndarray, shape (m,)
+        Points closer than this are not told apart.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+
+    Notes
+    -----
+    T. R. Chandrupatla, Adv. Eng. Softw. 28 (1997) 145-149; the first point is where a straight line goes through zero.
+
+    Examples
+    --------
+    >>> one = np.array([1.0])
+    >>> float(roots(lambda which, theta: theta**3 - 0.125, -0.125 * one, 0.875 * one, 2.0**-50 * one)[0])
+    0.5
+    """
+    found = np.ones(len(before))
+    which = np.flatnonzero(after != 0.0)
+    a, b, fa, fb = np.ones(len(which)), np.zeros(len(which)), after[which], before[which]
+    t = np.clip(fa / (fa - fb), 0.01, 0.99)
+    for _ in range(MOST_ROUNDS):
+        if not len(which):
+            break
+        middle = a + t * (b - a)
+        fm = values(which, middle)
+        same = np.sign(fm) == np.sign(fa)
+        c, fc = np.where(same, a, b), np.where(same, fa, fb)
+        b, fb = np.where(same, b, a), np.where(same, fb, fa)
+        a, fa = middle, fm
+        best = np.where(np.abs(fa) < np.abs(fb), a, b)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            least_t = least[which] / np.abs(b - a)
+            done = (least_t > 0.5) | (fa == 0.0) | ~np.isfinite(fm)
+            xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
+            curved = fa / (fb - fa) * (fc / (fb - fc)) + (c - a) / (b - a) * (fa / (fc - fa)) * (fb / (fc - fb))
+            good = (phi * phi < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
+            t = np.clip(np.where(good, curved, 0.5), least_t, 1.0 - least_t)
+        found[which] = np.where(fa == 0.0, a, best)
+        if done.any():
+            go = ~done
+            which, a, b, fa, fb, t = which[go], a[go], b[go], fa[go], fb[go], t[go]
+    return found
+
+
+def lowest(values: Values, count: int) -> tuple[Floats, Floats]:
+    """Return where functions that are positive at 0 and at 1 are smallest, or a point where they are not positive.
+
+    By golden sections: right for a function with one minimum.
+
+    Parameters
+    ----------
+    values : callable
+        As for `roots`.
+    count : int
+        How many functions there are.
+
+    Returns
+    -------
+    theta, value : ndarray, shape (count,)
+
+    Examples
+    --------
+    >>> theta, value = lowest(lambda which, theta: (theta - 0.25) ** 2 + 1.0, 1)
+    >>> abs(float(theta[0]) - 0.25) < 1e-6, float(value[0])
+    (True, 1.0)
+    """
+    where, least = np.ones(count), np.full(count, np.inf)
+    which = np.arange(count)
+    low, high = np.zeros(count), np.ones(count)
+    left, right = high - GOLDEN, low + GOLDEN
+    at_left, at_right = values(which, left), values(which, right)
+    while len(which):
+        lower = at_left < at_right
+        where[which], least[which] = np.where(lower, left, right), np.where(lower, at_left, at_right)
+        go = (least[which] > 0.0) & (high - low > NARROW)
+        which, low, high, lower = which[go], low[go], high[go], lower[go]
+        left, right, at_left, at_right = left[go], right[go], at_left[go], at_right[go]
+        if not len(which):
+            break
+        low, high = np.where(lower, low, left), np.where(lower, right, high)
+        new = np.where(lower, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
+        found = values(which, new)
+        left, right = np.where(lower, new, right), np.where(lower, left, new)
+        at_left, at_right = np.where(lower, found, at_right), np.where(lower, at_left, found)
+    return where, least

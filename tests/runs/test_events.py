@@ -1,0 +1,280 @@
+"""Events: found where they are, once each, without a change of the run, and located to the accuracy of the scheme."""
+
+import numpy as np
+import pytest
+from scipy.special import ellipk
+
+import coadjoint as co
+
+U = 2.0**-53
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+FLIPPING = (0.1, 1.0, 0.1)
+METHODS = [
+    co.Splitting(order=2),
+    co.Splitting(order=4, compensated=True),
+    co.GaussLegendre(stages=2),
+    co.ExplicitRungeKutta("rk4"),
+    co.Taylor(order=12),
+]
+NAMES = [str(method) for method in METHODS]
+
+
+def period(x0, inertia):
+    """Period of a free body by a complete elliptic integral (Landau and Lifshitz, Mechanics, section 37)."""
+    one, two, three = inertia
+    twice_energy, square = sum(x * x / i for x, i in zip(x0, inertia, strict=True)), float(np.dot(x0, x0))
+    if square < twice_energy * two:
+        one, three = three, one
+    rate = np.sqrt((three - two) * (square - twice_energy * one) / (one * two * three))
+    m = (two - one) * (twice_energy * three - square) / ((three - two) * (square - twice_energy * one))
+    return 4.0 * ellipk(m) / rate
+
+
+def harmonic(frequency=1.0, sign=1):
+    """(x1, x2) turns at a constant rate: the solvable algebra of the plane's motions, closed form."""
+    g = co.LieAlgebra.from_brackets(3, {(2, 0): {1: 1.0}, (2, 1): {0: -1.0}})
+    return co.LiePoissonSystem(g, co.Quadratic(0.0, linear=[0.0, 0.0, frequency]), sign=sign)
+
+
+def angle_of(system, x0):
+    """Return the angular velocity of (x1, x2)."""
+    x1, x2, _ = system.vector_field(np.asarray(x0, dtype=float))
+    return (x0[0] * x2 - x0[1] * x1) / (x0[0] ** 2 + x0[1] ** 2)
+
+
+@pytest.mark.parametrize("x0", [FLIPPING, (1.0, 0.2, 0.1), (0.1, 0.2, 1.0)])
+def test_the_period_of_a_free_body_over_a_thousand_periods(x0):
+    T = period(x0, (1, 2, 3))
+    h, steps = 0.1, int(1001.0 * T / 0.1)
+    sol = co.integrate(
+        BODY, x0, (0, steps * h), h, co.Taylor(order=24), save_every=steps, events=co.Event("x2", direction=1)
+    )
+    t = sol.events.t
+    assert len(t) >= 1000
+    # A relative error of some u a step makes times that wander; the mean period is a thousandth of that.
+    assert abs((t[-1] - t[0]) / (len(t) - 1) - T) < 1e-12
+
+
+@pytest.mark.parametrize("method", METHODS[:4], ids=NAMES[:4])
+def test_times_have_the_order_of_the_scheme(method):
+    x0, T = FLIPPING, period(FLIPPING, (1, 2, 3))
+    errors = []
+    for h in (1 / 4, 1 / 8, 1 / 16):
+        t = co.integrate(BODY, x0, (0, 96), h, method, events=co.Event(1, direction=1)).events.t
+        errors.append(abs(t[1] - t[0] - T))
+    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert slopes[-1] > method.order - 0.5
+
+
+@pytest.mark.parametrize("method", METHODS, ids=NAMES)
+def test_looking_changes_no_bit_of_the_run(method):
+    events = [co.Event("x2"), co.Event(lambda x: x[0] - x[2]), co.Event(co.Polynomial({(1, 1, 0): 1}))]
+    x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 11)[:, None]
+    for start in (x0, x0[3]):
+        plain = co.integrate(BODY, start, (0, 20), 0.125, method, save_every=3)
+        seen = co.integrate(BODY, start, (0, 20), 0.125, method, save_every=3, events=events)
+        assert np.array_equal(plain.x, seen.x) and np.array_equal(plain.energy, seen.energy)
+        assert np.array_equal(plain.drift()["energy"].tenths, seen.drift()["energy"].tenths)
+        assert len(seen.events) > 1
+
+
+@pytest.mark.parametrize("method", METHODS, ids=NAMES)
+def test_an_ensemble_finds_what_each_member_finds_alone(method):
+    x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 37)[:, None]
+    events = [co.Event("x2"), co.Event("x1", direction=-1)]
+    options = {"t_span": (0, 20), "step": 0.125, "method": method, "events": events}
+    several = co.integrate(BODY, x0, **options)
+    for threads, every, watch in ((1, 1, True), (2, 7, False)):
+        again = co.integrate(BODY, x0, threads=threads, save_every=every, watch=watch, **options)
+        for name in ("t", "x", "which", "member", "direction"):
+            assert np.array_equal(getattr(again.events, name), getattr(several.events, name)), name
+    for m in (0, 1, 17, 36):
+        alone, own = co.integrate(BODY, x0[m], **options).events, several.events.of(m)
+        assert np.array_equal(alone.t, own.t) and np.array_equal(alone.x, own.x)
+        assert np.array_equal(alone.which, own.which)
+
+
+def test_found_where_a_dense_grid_has_them():
+    """Random algebras: every crossing that a run with a hundredth of the step has, and no other."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        g = (co.algebras.so(3), co.algebras.se(3), co.algebras.get("A4,8"), co.algebras.so(4))[seed % 4]
+        M = rng.standard_normal((g.dim, g.dim))
+        system = co.LiePoissonSystem(g, co.Quadratic(0.2 * (M @ M.T) + np.eye(g.dim)), sign=1)
+        x0, w = 0.5 * rng.standard_normal(g.dim), rng.standard_normal(g.dim)
+        event = co.Event(co.Quadratic(0.0, linear=w))
+        found = co.integrate(system, x0, (0, 4), 0.125, co.GaussLegendre(4), events=event).events
+        dense = co.integrate(system, x0, (0, 4), 0.125 / 64, co.GaussLegendre(4))
+        g_at = dense.x @ w
+        assert len(found) == np.count_nonzero(np.sign(g_at[1:]) != np.sign(g_at[:-1])), seed
+        assert abs(found.x @ w).max(initial=0.0) < 64 * U * max(1.0, abs(dense.x).max()) * abs(w).sum()
+
+
+def test_casimirs_are_kept_at_events():
+    sol = co.integrate(BODY, FLIPPING, (0, 200), 0.25, co.Splitting(order=2), events=co.Event("x2"))
+    radius = (sol.events.x**2).sum(axis=1)
+    # A step turns a few times, and each turn rounds; a run of 800 steps wanders.
+    assert abs(radius - radius[0]).max() < 800 * 4 * U
+    assert abs(sol.events.x[:, 1]).max() < 16 * U
+
+
+def test_two_in_one_step_and_grazing():
+    """x1 = cos(t): between g = cos(t) - c and its largest value lie two crossings, found with steps wider than that."""
+    system, x0 = harmonic(), np.array([1.0, 0.0, 0.0])
+    rate = abs(angle_of(system, x0))
+    assert rate == 1.0
+    h = 0.5
+    for width in (0.2, 1e-2, 1e-4, 1e-6):
+        c = np.cos(width)
+        event = co.Event(co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -c}))
+        start = np.array([np.cos(1.1), np.sin(1.1), 0.0]) if False else np.array([np.cos(2.3), -np.sin(2.3), 0.0])
+        sol = co.integrate(system, start, (0, 10), h, events=event)
+        turn = np.sign(angle_of(system, start))
+        # The angle is -2.3 + turn * t; the crossings are where it is +-width modulo 2 pi.
+        angles = -2.3 + turn * np.linspace(0, 10, 2)
+        want = []
+        for k in range(-3, 4):
+            for side in (-width, width):
+                t = (2 * np.pi * k + side + 2.3) * turn
+                if 0 < t <= 10:
+                    want.append(t)
+        want = np.sort(want)
+        assert len(sol.events) == len(want), (width, angles)
+        # Near a maximum g is flat: its error of some u moves a crossing by u / width.
+        assert abs(sol.events.t - want).max() < 64 * U / np.sin(width) + 64 * U * 10
+        assert sol.events.direction.tolist() == [1, -1] * (len(want) // 2)
+    event = co.Event(co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -1.0 - 1e-9}))
+    assert len(co.integrate(system, start, (0, 10), h, events=event).events) == 0
+
+
+def test_at_the_start_and_at_the_end():
+    system = harmonic()
+    turn = np.sign(angle_of(system, (1.0, 0.0, 0.0)))
+    sol = co.integrate(system, (0.0, 1.0, 0.0), (0, 6), 0.5, events=co.Event("x1"))
+    assert abs(sol.events.t - np.pi).max() < 32 * U and len(sol.events) == 1
+    # g(t) = t - 2: the grid point belongs to the step that ends there.
+    for end in (2.0, 3.0):
+        sol = co.integrate(system, (1.0, 0.0, 0.0), (0, end), 0.5, events=co.Event(lambda x, t: t - 2.0))
+        assert sol.events.t.tolist() == [2.0]
+    assert len(co.integrate(system, (1.0, 0.0, 0.0), (2, 3), 0.5, events=co.Event(lambda x, t: t - 2.0)).events) == 0
+    assert turn in (-1, 1)
+
+
+def test_backward():
+    there = co.integrate(BODY, FLIPPING, (0, 48), 0.125, co.GaussLegendre(3), events=co.Event("x2"))
+    back = co.integrate(BODY, there.x[-1], (48, 0), 0.125, co.GaussLegendre(3), events=co.Event("x2"))
+    assert len(there.events) == len(back.events) > 1
+    assert np.all(np.diff(back.events.t) < 0)
+    assert abs(back.events.t[::-1] - there.events.t).max() < 1e-12
+    # A direction is that in which the run goes.
+    assert (back.events.direction[::-1] == -there.events.direction).all()
+    falling = co.integrate(BODY, there.x[-1], (48, 0), 0.125, co.GaussLegendre(3), events=co.Event("x2", -1))
+    assert np.array_equal(falling.events.t, back.events.t[back.events.direction < 0])
+
+
+@pytest.mark.parametrize("method", METHODS, ids=NAMES)
+@pytest.mark.parametrize("save_every", [1, 7, 1000])
+def test_a_terminal_event_ends_the_run(method, save_every):
+    options = {"step": 0.125, "method": method, "save_every": save_every}
+    whole = co.integrate(BODY, FLIPPING, (0, 40), events=co.Event("x2"), **options)
+    ended = co.integrate(BODY, FLIPPING, (0, 40), events=co.Event("x2", count=2, terminal=True), **options)
+    assert np.array_equal(ended.events.t, whole.events.t[:2])
+    assert ended.t[-1] == ended.t_span[1] == whole.events.t[1]
+    assert np.array_equal(ended.x[-1], whole.events.x[1])
+    before = whole.t < ended.t[-1]
+    assert np.array_equal(ended.t[:-1], whole.t[before]) and np.array_equal(ended.x[:-1], whole.x[before])
+    assert abs(ended.energy[-1] - BODY.energy(ended.x[-1])) < 8 * U
+    steps = int(ended.t[-1] // 0.125)
+    assert ended.stats.steps == steps + 1
+    same = co.integrate(BODY, FLIPPING, (0, steps * 0.125), 0.125, method)
+    assert ended.drift()["energy"] == same.drift()["energy"]
+
+
+@pytest.mark.parametrize("method", METHODS, ids=NAMES)
+def test_terminal_in_an_ensemble(method):
+    x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 37)[:, None]
+    options = {"t_span": (0, 40), "step": 0.125, "method": method}
+    sol = co.integrate(BODY, x0, events=co.Event("x2", terminal=True), **options)
+    assert not sol.failed.any() and np.array_equal(sol.events.member, np.arange(37))
+    plain = co.integrate(BODY, x0, **options)
+    for m in (0, 20, 36):
+        alone = co.integrate(BODY, x0[m], events=co.Event("x2", terminal=True), **options)
+        assert sol.events.t[m] == alone.t[-1] and np.array_equal(sol.events.x[m], alone.x[-1])
+        going = sol.t < alone.t[-1]
+        assert np.array_equal(sol.x[going, m], plain.x[going, m]) and np.isnan(sol.x[~going, m]).all()
+        assert sol.drift()["energy"].members[m] == alone.drift()["energy"]
+
+
+def test_a_pair_in_one_step_ends_a_run():
+    system, start, h = harmonic(), np.array([np.cos(2.3), -np.sin(2.3), 0.0]), 0.5
+    c = np.cos(1e-3)
+    event = co.Event(co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -c}), terminal=True, count=2)
+    sol = co.integrate(system, start, (0, 30), h, events=event)
+    turn = np.sign(angle_of(system, start))
+    first = (2.3 if turn > 0 else 2 * np.pi - 2.3) + 1e-3
+    assert abs(sol.t[-1] - first) < 1e-9 and len(sol.events) == 2
+    assert np.isfinite(sol.x).all() and sol.t[-2] < first <= sol.t[-2] + h
+    several = co.integrate(system, np.array([start, -start, start]), (0, 30), h, events=event)
+    assert np.array_equal(several.events.of(2).t, sol.events.t)
+
+
+def test_attitude_at_events():
+    for method in (co.Splitting(order=4), co.GaussLegendre(3)):
+        for attitude in (True, "coadjoint"):
+            sol = co.integrate(
+                BODY, FLIPPING, (0, 20), 0.125, method, attitude=attitude, events=[co.Event("x2"), co.Event("x3")]
+            )
+            kept = np.einsum("kij,kj->ki", sol.events.attitude, sol.events.x)
+            assert abs(kept - FLIPPING).max() < 2000 * U
+            ended = co.integrate(
+                BODY, FLIPPING, (0, 20), 0.125, method, attitude=attitude, events=co.Event("x2", terminal=True)
+            )
+            k = int(np.flatnonzero(sol.events.which == 0)[0])
+            assert np.array_equal(ended.attitude[-1], sol.events.attitude[k])
+
+
+def test_count_keeps_the_first_ones():
+    whole = co.integrate(BODY, FLIPPING, (0, 40), 0.125, events=[co.Event("x2"), co.Event("x1")]).events
+    some = co.integrate(BODY, FLIPPING, (0, 40), 0.125, events=[co.Event("x2", count=2), co.Event("x1")]).events
+    assert np.array_equal(some["x2"].t, whole["x2"].t[:2]) and np.array_equal(some["x1"].t, whole["x1"].t)
+
+
+def test_a_batch_and_a_driven_system():
+    bodies = co.batch([co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.5, 2.75, 2.875)])
+    sol = co.integrate(bodies, FLIPPING, (0, 20), 0.125, events=co.Event("x2"))
+    for m in range(3):
+        alone = co.integrate(bodies[m], FLIPPING, (0, 20), 0.125, events=co.Event("x2"))
+        assert np.array_equal(sol.events.of(m).t, alone.events.t)
+    damped = BODY.with_forces(co.forces.LinearDamping(0.1))
+    sol = co.integrate(damped, FLIPPING, (0, 20), 0.125, events=co.Event(lambda x, t: x[1] - 0.01 * t))
+    assert len(sol.events) and abs(sol.events.x[:, 1] - 0.01 * sol.events.t).max() < 16 * U
+
+
+RATES = np.add.outer(np.arange(4.0), np.arange(4.0))
+
+
+def test_functions_of_matrices():
+    s = co.MatrixSystem(co.MatrixAlgebra("so", 4), lambda W: W * RATES)
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((4, 4))
+    event = co.Event(lambda W: W[0, 1])
+    sol = co.integrate(s, A - A.T, (0, 10), 0.0625, events=event)
+    plain = co.integrate(s, A - A.T, (0, 10), 0.0625)
+    assert np.array_equal(sol.x, plain.x)
+    signs = np.sign(plain.x[:, 0, 1])
+    assert len(sol.events) >= np.count_nonzero(signs[1:] != signs[:-1]) > 0
+    assert abs(sol.events.x[:, 0, 1]).max() < 64 * U * abs(A).max()
+
+
+def test_what_is_wrong_is_refused():
+    for wrong, error in (("y9", ValueError), (3, ValueError), (None, TypeError), (True, TypeError)):
+        with pytest.raises(error):
+            co.integrate(BODY, FLIPPING, (0, 1), 0.125, events=co.Event(wrong))
+    with pytest.raises(ValueError, match="direction"):
+        co.Event("x1", direction=2)
+    with pytest.raises(ValueError, match="two events have the name"):
+        co.integrate(BODY, FLIPPING, (0, 1), 0.125, events=[co.Event(0, name="a"), co.Event(1, name="a")])
+    with pytest.raises(TypeError, match="give an Event"):
+        co.integrate(BODY, FLIPPING, (0, 1), 0.125, events="x1")
+    with pytest.raises(co.IntegrationError, match="not a number at t = "):
+        co.integrate(BODY, FLIPPING, (0, 20), 0.125, events=co.Event(lambda x: np.sqrt(x[1])))
