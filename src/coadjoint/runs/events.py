@@ -63,7 +63,7 @@ class Event:
     >>> flip = co.Event("x2", direction=1, name="flip")
     >>> sol = co.integrate(body, (0.01, 1.0, 0.01), t_span=(0, 100), step=0.05, events=flip)
     >>> sol.events["flip"].t.round(9)
-    array([59.443351869])
+    array([59.44335187])
     """
 
     g: int | str | Polynomial | Quadratic | Callable[..., Any]
