@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from coadjoint.given import read_choice, read_flag
 
 KINDS_OF_CASIMIRS = ("all", "polynomial", "quadratic", "none")
-KINDS_OF_ATTITUDE = ("every representation", "coadjoint", "integrated", "none")
+KINDS_OF_ATTITUDE = ("every representation", "coadjoint", "group", "integrated", "none")
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,8 @@ class Properties:
         ``"all"``, ``"polynomial"`` (those that are polynomials), ``"quadratic"`` (of degree at most two) or ``"none"``.
     attitude : str
         ``"every representation"``; ``"coadjoint"``, with representations that are orthogonal for a fixed form and
-        contain the coadjoint one; ``"integrated"``, as a differential equation of which nothing is kept; or ``"none"``.
+        contain the coadjoint one; ``"group"``, in the group of every representation, the spatial momentum as
+        accurately as the scheme; ``"integrated"``, as a differential equation of which nothing is kept; or ``"none"``.
     broken_by : tuple of str
         Forces of the system that break what the scheme keeps of the Hamiltonian part, as "energy: LinearDamping".
 

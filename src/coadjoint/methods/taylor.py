@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.given import read_flag, read_whole
-from coadjoint.methods.base import Method
+from coadjoint.memory import check_room
+from coadjoint.methods.base import Method, Representation
 from coadjoint.methods.compiled_step import CompiledStepMethod
 from coadjoint.methods.power_series import Dual, expand
 from coadjoint.methods.projection import (
@@ -22,14 +23,19 @@ from coadjoint.methods.projection import (
     restored_invariants,
 )
 from coadjoint.methods.properties import Properties
-from coadjoint.methods.work import Operations
+from coadjoint.methods.work import Operations, Work, work_of_operations
 from coadjoint.program.numbers import Number
 from coadjoint.systems.hamiltonian import HamiltonianLike
 from coadjoint.systems.kinds import System, check_vectors
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+
 MOST = 64
 LANES = 8
+# The terms that the series of a group element takes, mostly, and those that it may take beyond the order.
+TERMS_OF_GROUP, MORE_TERMS = 16, 40
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,11 @@ class Taylor(CompiledStepMethod):
     It serves every Hamiltonian that is a polynomial, of any degree, on every algebra. With ``projected`` the energy and
     the polynomial Casimirs have the values of the start of the run after every step, up to rounding, however long the
     run: y = z + sum_a lambda_a grad C_a(z), with C_a(y) = C_a(start).
+
+    A group element goes along in every representation, as accurate as the momentum. Over a step the gradient of H is a
+    polynomial of the time, and the group equation with that polynomial is solved up to rounding. So the element stays
+    in its group: rotations stay orthogonal. The spatial momentum is kept as well as the series is accurate; take
+    `Splitting` where it is to be kept up to rounding.
 
     Parameters
     ----------
@@ -76,6 +87,7 @@ class Taylor(CompiledStepMethod):
     projected: bool = True
 
     symmetric = False
+    failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "the group element turns too far in a step for its series"}
     # The series of all coordinates and of all products are in memory at once.
     largest: ClassVar[float] = 10_000
 
@@ -89,7 +101,7 @@ class Taylor(CompiledStepMethod):
         return not self.projected
 
     def properties(self, system: System) -> Properties:
-        """Return what is kept: with `projected` the energy, and the Casimirs that are polynomials.
+        """Return what is kept: the group, and with `projected` the energy and the Casimirs that are polynomials.
 
         Raises
         ------
@@ -107,7 +119,7 @@ class Taylor(CompiledStepMethod):
                 "polynomial, or take GaussLegendre or Splitting"
             )
         casimirs = casimirs_restored(system) if self.projected else "none"
-        return Properties(poisson=False, energy=self.projected, casimirs=casimirs, attitude="none")
+        return Properties(poisson=False, energy=self.projected, casimirs=casimirs, attitude="group")
 
     @classmethod
     def examples(cls) -> Sequence[Method]:
@@ -126,6 +138,36 @@ class Taylor(CompiledStepMethod):
     def restored(self, system: System) -> Mapping[str, Any] | None:
         """Return the Casimirs that are polynomials, or None without projection."""
         return polynomial_casimirs(system) if self.projected else None
+
+    def loop_of_substeps(
+        self, system: System, h: float, representation: Representation, fractions: Sequence[float]
+    ) -> CompiledLoop:
+        """Return the loop over steps, with the series of the group element where one is carried along."""
+        if representation is not None:
+            size = system.dim if isinstance(representation, str) else representation.shape[1]
+            # Of every order the matrix of the group equation and a coefficient of the element, and of orders beyond.
+            check_room(
+                8 * (2 * self.order + MORE_TERMS) * size**2, f"the series of group elements of {size} x {size} numbers"
+            )
+        return super().loop_of_substeps(system, h, representation, fractions)
+
+    def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
+        """Return the work of the products of series, those of the group element among them."""
+        found = self.operations(system)
+        if group is not None:
+            found = found._replace(vectors=found.vectors + self._vectors_of_group(system, group))
+        return work_of_operations(found, substeps)
+
+    def _vectors_of_group(self, system: System, group: Representation) -> float:
+        """Return how many vectors of rows of a group element are multiplied in a step."""
+        assert system.algebra is not None
+        if isinstance(group, str):
+            i, j, k, _ = system.algebra.triples
+            size, entries = system.dim, len(np.unique(np.concatenate([i, j]) * system.dim + np.concatenate([k, k])))
+        else:
+            size, entries = group.shape[1], np.count_nonzero(np.any(group != 0.0, axis=0))
+        blocks, terms = -(-size // LANES), max(self.order, TERMS_OF_GROUP)
+        return float(blocks * (entries * self.order * (terms - 0.5 * self.order) + size**2))
 
     def operations(self, system: System) -> Operations:
         """Return the work of a step: products of series, sparse sums for each coefficient, and the projection."""

@@ -37,10 +37,8 @@ struct SeriesField {
             written_out = each * vectors(pairs) + vectors(single) <= apart;
         }
         products.add(written_out ? pairs : rows);
-        if (written_out)
-            linear.add(single);
-        else
-            gradient.add(gradients);
+        if (written_out) linear.add(single);
+        gradient.add(gradients);
         for (Sums<W>* sums : {&products, &linear, &gradient, &factors}) sums->finish();
     }
 

@@ -1,0 +1,239 @@
+"""The group element of Taylor series: beside forty digits, closed forms and other schemes; in the group for ever."""
+
+from __future__ import annotations
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import coadjoint as co
+from coadjoint.algebra.representation import invariant_form
+from coadjoint.methods.power_series import PowerSeries, expand
+from coadjoint.rounding import UNIT_ROUNDOFF
+from moments import moments
+
+ALGEBRAS = {
+    "so(3)": co.algebras.so(3),
+    "sl(2)": co.algebras.sl(2),
+    "A3,7": co.algebras.A3_7(0.7),
+    "A5,3": co.algebras.get("A5,3"),
+    "e(3)": co.algebras.e(3),
+    "so(4)": co.algebras.so(4),
+    "so(2,2)": co.algebras.get("so(2,2)"),
+    "su(3)": co.algebras.su(3),
+    "moments": moments(),
+    "so(5)": co.algebras.so(5),
+}
+
+
+def full(n):
+    B = np.random.default_rng(n).uniform(-0.5, 0.5, (n, n))
+    return np.diag(np.linspace(0.6, 1.4, n)) + 0.2 * (B + B.T)
+
+
+def polynomial(n, degree):
+    """Return a polynomial with some monomials of every degree up to the given one."""
+    rng = np.random.default_rng(n)
+    monomials = {tuple(2 * (k == i) for k in range(n)): 0.5 + 0.125 * i for i in range(n)}
+    for d in range(1, degree + 1):
+        for _ in range(3):
+            exponents = np.bincount(rng.integers(0, n, d), minlength=n)
+            monomials[tuple(exponents.tolist())] = float(np.round(rng.uniform(-0.25, 0.25), 3))
+    return co.Polynomial(monomials)
+
+
+def system_on(name, degree=2, sign=-1):
+    algebra = ALGEBRAS[name]
+    n = algebra.dim
+    if degree > 2:
+        return co.LiePoissonSystem(algebra, polynomial(n, degree), sign=sign)
+    H = co.Quadratic(full(n), linear=np.linspace(-0.3, 0.4, n))
+    return co.LiePoissonSystem(algebra, H, sign=sign)
+
+
+def start_of(system):
+    x = np.random.default_rng(system.dim).uniform(-1.0, 1.0, system.dim)
+    return x / np.linalg.norm(x)
+
+
+def matrices_of(system, attitude):
+    if attitude is True:
+        return system.representation
+    return np.stack([system.algebra.coadjoint(e) for e in np.eye(system.dim)])
+
+
+def attitudes(system):
+    return ["coadjoint", True] if system.representation is not None else ["coadjoint"]
+
+
+def element_of_the_series(system, attitude, x, h, order):
+    """Return the flow of g' = -sign g rho(u) in 40 digits, u the gradient of H on the series as far as it is known."""
+    rho, n = matrices_of(system, attitude), system.dim
+    with mpmath.workdps(40):
+        point = np.array([mpmath.mpf(v) for v in x], dtype=object)
+        # The products in a gradient of higher degree stop one order before the coordinates.
+        terms = [point, *expand(system.vector_field, point, mpmath.mpf(h), order)]
+        known = order + 1 if system.hamiltonian.terms()[0].form is not None else order
+        along = np.empty(n, dtype=object)
+        along[:] = [PowerSeries([term[i] for term in terms[:known]]) for i in range(n)]
+        u = [getattr(f, "coefficients", [f]) for f in system.hamiltonian.gradient(along)]
+        zero = mpmath.matrix(rho.shape[1], rho.shape[1])
+        A = [
+            sum((u[i][k] * mpmath.matrix(-system.sign * rho[i]) for i in range(n) if k < len(u[i])), zero)
+            for k in range(known)
+        ]
+        P = [mpmath.eye(rho.shape[1])]
+        while len(P) < 8 or max(mpmath.norm(term, "inf") for term in P[-known:]) > 1e-30:
+            k = len(P) - 1
+            P.append(sum((P[k - i] * A[i] for i in range(min(known, k + 1))), zero) * mpmath.mpf(h) / (k + 1))
+        return np.array(sum(P[1:], P[0]).tolist(), dtype=float)
+
+
+@pytest.mark.parametrize(
+    ("name", "degree"), [(name, d) for name, g in ALGEBRAS.items() for d in (2, 3, 4) if d == 2 or g.dim <= 6]
+)
+def test_one_step_is_the_flow_of_the_polynomial_that_the_gradient_is(name, degree):
+    """In 40 digits. Entries are rounded some d times; those of what grows and shrinks again by the growth."""
+    system = system_on(name, degree, sign=-1 if degree % 2 else 1)
+    x = start_of(system)
+    for attitude in attitudes(system):
+        for order, h in ((1, 0.25), (4, -0.5), (7, 0.75)):
+            method = co.Taylor(order, projected=False)
+            found = co.integrate(system, x, (0, h), abs(h), method, attitude=attitude).attitude[-1]
+            exact = element_of_the_series(system, attitude, x, h, order)
+            assert np.max(np.abs(exact - np.eye(len(exact)))) > 1e-3
+            assert np.max(np.abs(found - exact)) < 32 * len(exact) * UNIT_ROUNDOFF * np.max(np.abs(exact))
+
+
+@pytest.mark.parametrize("name", ALGEBRAS)
+@pytest.mark.parametrize("projected", [True, False])
+def test_order_by_slope_and_beside_a_splitting_of_order_ten(name, projected):
+    """The error falls with the order, and is like that of the momentum; of the coadjoint matrix, and of the own one."""
+    system = system_on(name)
+    x, span = start_of(system), (0.0, -1.5)
+    for attitude in attitudes(system):
+        fine = co.integrate(system, x, span, 2**-7, co.Splitting(order=10), attitude=attitude)
+        size = np.max(np.abs(fine.attitude[-1]))
+        for order in (3, 6):
+            errors = []
+            for h in (1 / 8, 1 / 16):
+                run = co.integrate(system, x, span, h, co.Taylor(order, projected), attitude=attitude)
+                of_x = np.max(np.abs(run.x[-1] - fine.x[-1]))
+                errors.append(np.max(np.abs(run.attitude[-1] - fine.attitude[-1])))
+            coarse, error = errors
+            # The next term of the error has the step once more, and a constant that may be some times larger.
+            assert np.log2(coarse / error) > order - 0.6
+            assert error < 16 * size * of_x
+        converged = co.integrate(system, x, span, 1 / 16, co.Taylor(20, projected), attitude=attitude)
+        bound = 16 * system.dim * UNIT_ROUNDOFF * np.sqrt(1.5 * 128) * size * np.linalg.norm(fine.attitude[-1])
+        assert np.max(np.abs(converged.attitude[-1] - fine.attitude[-1])) < bound
+
+
+def test_closed_forms():
+    """A free body over twenty times its period, and one that is nearly a sphere, which turns 60 times in a step."""
+    bodies = (((1, 2, 3), (0.3, 1.0, -0.5), 100.0, 0.5), ((1, 1.001, 1.002), (30.0, 10.0, 5.0), 48.0, 12.0))
+    for inertia, x0, t, h in bodies:
+        body = co.systems.rigid_body(inertia=inertia)
+        _, A = body.exact(x0, t, attitude=True)
+        run = co.integrate(body, x0, (0, t), h, co.Taylor(24), attitude=True)
+        # the angle is |x| t, which is known to its rounding, of which there is one in a step
+        assert np.max(np.abs(run.attitude[-1] - A)) < 64 * UNIT_ROUNDOFF * np.linalg.norm(x0) * t
+        assert np.max(np.abs(run.attitude[-1] @ run.x[-1] - x0)) < 64 * UNIT_ROUNDOFF * np.linalg.norm(x0) * t / h
+
+
+@pytest.mark.parametrize("name", ["so(3)", "A3,7", "A5,3", "sl(2)", "e(3)"])
+@pytest.mark.parametrize("order", [1, 5])
+def test_a_linear_hamiltonian_is_one_exponential(name, order):
+    """A constant gradient: whatever the order, over a step that turns far, in parts."""
+    algebra = ALGEBRAS[name]
+    n = algebra.dim
+    u = np.linspace(-1.0, 1.5, n)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(np.zeros(n), linear=u), sign=1)
+    for h in (0.5, -3.0, 7.0):
+        for attitude in attitudes(system):
+            D = -h * np.einsum("i,iab->ab", u, matrices_of(system, attitude))
+            method = co.Taylor(order, projected=False)
+            found = co.integrate(system, np.zeros(n), (0, h), abs(h), method, attitude=attitude).attitude[-1]
+            # The parts of the step are products of so many matrices, which may grow and shrink again.
+            assert np.max(np.abs(found - expm(D))) < 64 * n * UNIT_ROUNDOFF * np.max(expm(np.abs(D)))
+
+
+@pytest.mark.parametrize("name", ["so(3)", "so(4)", "so(2,2)", "su(3)", "sl(2)", "so(5)"])
+@pytest.mark.parametrize("order", [2, 6])
+def test_the_element_stays_in_its_group(name, order):
+    """The bilinear form of a representation, though the series is far from the motion; by rounding at random."""
+    system = system_on(name)
+    x = start_of(system)
+    steps = 40 if name in ("so(2,2)", "sl(2)") else 4000  # elements of these grow
+    for attitude in attitudes(system):
+        form = invariant_form(matrices_of(system, attitude))
+        run = co.integrate(system, x, (0, 0.25 * steps), 0.25, co.Taylor(order), attitude=attitude, save_every=steps)
+        g = run.attitude[-1]
+        inverse = np.linalg.inv(form)
+        size = np.linalg.norm(g, 2) ** 2 * np.linalg.cond(form)
+        bound = 4 * len(form) * UNIT_ROUNDOFF * np.sqrt(steps) * size * np.max(np.abs(inverse))
+        assert np.max(np.abs(g @ inverse @ g.T - inverse)) < bound
+
+
+@pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "A3,7", "su(3)"])
+def test_matrices_and_the_coadjoint_matrix_are_one_group_element(name):
+    """g^(-1) rho(e_i) g = sum_j K_ij rho(e_j) up to rounding, though the series is far from the motion."""
+    system = system_on(name)
+    x = start_of(system)
+    step = 0.05 if name == "A3,7" else 0.25
+    span, method = (0, 40 * step), co.Taylor(3)
+    g, K = (co.integrate(system, x, span, step, method, attitude=a).attitude[-1] for a in (True, "coadjoint"))
+    rho = system.representation
+    moved = np.linalg.solve(g, rho @ g)
+    size = np.linalg.cond(g) ** 2 * np.linalg.norm(K) * np.linalg.norm(rho)
+    assert np.max(np.abs(moved - np.einsum("ij,jab->iab", K, rho))) < 40 * 4 * len(g) * UNIT_ROUNDOFF * size
+
+
+def test_the_spatial_momentum_is_as_accurate_as_the_series():
+    system = system_on("so(4)")
+    x = start_of(system)
+    lost = []
+    for h in (0.25, 0.125):
+        run = co.integrate(system, x, (0, 10), h, co.Taylor(5), attitude="coadjoint")
+        lost.append(np.max(np.abs(run.attitude @ run.x[..., None] - x[:, None])))
+    assert 1e-9 < lost[1] < lost[0] / 2**4.5
+
+
+@pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "su(3)", "so(5)"])
+def test_the_momentum_has_the_bits_that_it_has_alone(name):
+    """And the element the same bits in a crowd, over threads, in pieces, and looked at."""
+    system = system_on(name)
+    x = np.array([start_of(system), 0.7 * start_of(system)[::-1], -start_of(system)])
+    plain = co.integrate(system, x, (0, 5), 0.25, co.Taylor(7))
+    for attitude in attitudes(system):
+        run = co.integrate(system, x, (0, 5), 0.25, co.Taylor(7), attitude=attitude)
+        assert np.array_equal(run.x, plain.x)
+        seldom = co.integrate(system, x[::-1], (0, 5), 0.25, co.Taylor(7), attitude=attitude, save_every=20, threads=2)
+        assert np.array_equal(seldom.attitude[-1], run.attitude[-1][::-1])
+        for m, one in enumerate(x):
+            alone = co.integrate(system, one, (0, 5), 0.25, co.Taylor(7), attitude=attitude)
+            assert np.array_equal(alone.attitude, run.attitude[:, m])
+
+
+def test_elements_that_cannot_be_followed():
+    growing = co.LiePoissonSystem(co.algebras.A3_7(2.0), co.Quadratic(np.zeros(3), linear=[0, 0, 3.0]))
+    with pytest.raises(co.IntegrationError, match="a number overflowed"):
+        co.integrate(growing, (0, 0, 1), (0, -400), 1.0, co.Taylor(4), attitude="coadjoint")
+    sphere = co.systems.rigid_body(inertia=(1, 1, 1))
+    with pytest.raises(co.IntegrationError, match="the group element turns too far"):
+        co.integrate(sphere, (1, 1, 1), (0, 1e6), 1e6, co.Taylor(4), attitude=True)
+    states = np.array([[1.0, 1.0, 1.0], [1e9, 0.0, 0.0]])
+    with pytest.raises(co.IntegrationError, match="1 of 2 members"):
+        co.integrate(sphere, states, (0, 3), 1.0, co.Taylor(4), attitude=True)
+
+
+def test_it_is_offered_where_an_attitude_is_asked_for():
+    system = system_on("so(4)")
+    x = start_of(system)
+    plain, carried = (co.choose(system, x, (0, 20), 1e-9, attitude=attitude) for attitude in (False, True))
+    assert isinstance(carried.method, co.Taylor) and carried.cost > plain.cost
+    run = co.integrate(system, x, (0, 20), accuracy=1e-9, attitude=True)
+    fine = co.integrate(system, x, (0, 20), 2**-6, co.Splitting(order=10), attitude=True)
+    # Entries of 4 x 4 rotations move by twice what those of the momentum do, and along with them.
+    assert np.max(np.abs(run.attitude[-1] - fine.attitude[-1])) < 4e-9
