@@ -85,7 +85,7 @@ def test_compensated_where_rounding_asks_for_it():
 
 
 def test_what_a_scheme_cannot_carry_leaves_it_out():
-    """The rotation matrices of so(4) are carried by splittings and Taylor series, those of so(3) by Gauss methods too."""
+    """Gauss methods carry no rotation matrices of so(4), but splittings and Taylor series do."""
     x0 = np.linspace(0.2, 1.0, 6)
     unable = [co.GaussLegendre(4), co.GaussLegendre(8), co.RadauEnergy(2)]
     with pytest.raises(ValueError, match="would not keep the spatial momentum"):

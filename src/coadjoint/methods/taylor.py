@@ -146,9 +146,8 @@ class Taylor(CompiledStepMethod):
         if representation is not None:
             size = system.dim if isinstance(representation, str) else representation.shape[1]
             # Of every order the matrix of the group equation and a coefficient of the element, and of orders beyond.
-            check_room(
-                8 * (2 * self.order + MORE_TERMS) * size**2, f"the series of group elements of {size} x {size} numbers"
-            )
+            need = 8 * (2 * self.order + MORE_TERMS) * size**2
+            check_room(need, f"the series of group elements of {size} x {size} numbers")
         return super().loop_of_substeps(system, h, representation, fractions)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
@@ -161,11 +160,11 @@ class Taylor(CompiledStepMethod):
     def _vectors_of_group(self, system: System, group: Representation) -> float:
         """Return how many vectors of rows of a group element are multiplied in a step."""
         assert system.algebra is not None
-        if isinstance(group, str):
+        if isinstance(group, np.ndarray):
+            size, entries = group.shape[1], int(np.count_nonzero(np.any(group != 0.0, axis=0)))
+        else:
             i, j, k, _ = system.algebra.triples
             size, entries = system.dim, len(np.unique(np.concatenate([i, j]) * system.dim + np.concatenate([k, k])))
-        else:
-            size, entries = group.shape[1], np.count_nonzero(np.any(group != 0.0, axis=0))
         blocks, terms = -(-size // LANES), max(self.order, TERMS_OF_GROUP)
         return float(blocks * (entries * self.order * (terms - 0.5 * self.order) + size**2))
 
