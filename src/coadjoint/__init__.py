@@ -54,9 +54,11 @@ _HOME = {
     "Event": "coadjoint.runs.events",
     "Events": "coadjoint.runs.events",
     "PreparedRun": "coadjoint.runs.prepared_run",
+    "Section": "coadjoint.runs.section",
     "Solution": "coadjoint.runs.solution",
     "integrate": "coadjoint.runs.integrate",
     "prepare": "coadjoint.runs.prepared_run",
+    "section": "coadjoint.runs.section",
     "stepper": "coadjoint.runs.stepper",
     "Choice": "coadjoint.choosing.accuracy",
     "choose": "coadjoint.choosing.accuracy",
@@ -134,6 +136,8 @@ if TYPE_CHECKING:
     from coadjoint.runs.integrate import integrate as integrate
     from coadjoint.runs.prepared_run import PreparedRun as PreparedRun
     from coadjoint.runs.prepared_run import prepare as prepare
+    from coadjoint.runs.section import Section as Section
+    from coadjoint.runs.section import section as section
     from coadjoint.runs.solution import Solution as Solution
     from coadjoint.runs.stepper import stepper as stepper
     from coadjoint.systems import forces as forces

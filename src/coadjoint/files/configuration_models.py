@@ -277,8 +277,12 @@ def _reason(kind: str, message: str, given: Any, context: Mapping[str, Any], pla
 
 def _table_at(place: list[int | str]) -> type[BaseModel]:
     table: type[BaseModel] = File
-    for key in place:
+    keys = iter(place)
+    for key in keys:
         annotation: Any = table.model_fields[str(key)].annotation
+        if typing.get_origin(annotation) is dict:  # of tables by name
+            next(keys)
+            annotation = typing.get_args(annotation)[1]
         options = typing.get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)
         table = next(option for option in options if isinstance(option, type) and issubclass(option, BaseModel))
     return table

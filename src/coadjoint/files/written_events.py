@@ -10,6 +10,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.files.polynomials import read_polynomial
 from coadjoint.files.record_entries import Entry, made_of
 from coadjoint.files.state_arrays import in_parts, state_dimensions
+from coadjoint.given import read_whole
 from coadjoint.runs.events import Event, Events
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinate_names import coordinate_names
@@ -54,6 +55,8 @@ def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
         g = read_polynomial(g, moved.dim)
     elif isinstance(g, list):
         g = read_polynomial(g, moved.dim)
+    elif not isinstance(g, str):
+        g = read_whole(g, "g", 0, moved.dim - 1)
     return Event(g, name=name, **options)
 
 

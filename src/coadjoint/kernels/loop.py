@@ -118,6 +118,15 @@ class Crew:
         other._read(tables, watch)
         return other
 
+    def among(self, members: Any) -> Crew:
+        """Return a crew of other members, ascending, that reads the same; its constants must not differ by member."""
+        other: Crew = object.__new__(Crew)
+        other._loop, other._members, other.count = self._loop, np.array(members, dtype=np.int64), len(members)
+        address = ctypes.c_void_p(other._members.ctypes.data)
+        other._places = address, number(0), number(other.count), number(0)
+        other._read(*self._given)
+        return other
+
     def advance(
         self, layout: Layout, schedule: Any, saved: NamedArrays, state: NamedArrays, k0: int, k1: int, stop: Stop
     ) -> int:

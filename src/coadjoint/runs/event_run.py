@@ -12,6 +12,7 @@ from coadjoint.kernels.events import EventArrays
 from coadjoint.memory import check_room
 from coadjoint.runs.crossings import Crossings, WatchedEvents
 from coadjoint.runs.events import Ending, Events
+from coadjoint.runs.loops import Plan
 from coadjoint.runs.parts_of_steps import PartsOfSteps
 from coadjoint.runs.run import Run, progress_bar
 from coadjoint.systems.kinds import unforced
@@ -59,6 +60,7 @@ class EventRun:
         self._order = np.arange(members) if order is None else order
         self._seen = np.zeros((members, count), dtype=np.int64)
         self._pieces: list[Crossings] = []
+        self._abreast = members
         run.look_for(self.arrays.address)
 
     @property
@@ -78,8 +80,10 @@ class EventRun:
                 until = min(steps, first + chunk)
                 self._take(until)
                 bar(until - first)
-                if until == steps or not (run.state["status"] == codes("Status")["DONE"]).any():
+                going = np.flatnonzero(run.state["status"] == codes("Status")["DONE"])
+                if until == steps or not len(going):
                     break
+                self._move_up(going)
                 chunk = min(4 * chunk, self._most)
         run.close(self.last)
         self._tell()
@@ -111,6 +115,15 @@ class EventRun:
         t = float(found.t[-1])
         run.saved["values"][points, 0] = run.loops.values_at(found.states[-1], t, run.state["last"][0])
         run.ending = Ending(points + 1, last + 1, t, None if attitude is None else attitude[-1])
+
+    def _move_up(self, going: NDArray[np.int64]) -> None:
+        """Let the members that are going fill the lanes, where half of those that did have ended."""
+        if 2 * len(going) > self._abreast:
+            return
+        rounds = self.run.loops.rounds_among(going, self.run.workers)
+        if rounds is not None:
+            plan = self.run.plan
+            self.run.plan, self._abreast = Plan(plan.key, plan.layout, rounds), len(going)
 
     def _take(self, until: int) -> None:
         run, ending = self.run, bool(self.watched.until.any())

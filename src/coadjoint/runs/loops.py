@@ -91,6 +91,10 @@ class Loops(ABC):
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return the crews that are at work together, one round after the other."""
 
+    def rounds_among(self, members: NDArray[np.int64], workers: int) -> list[list[Crew]] | None:
+        """Return the crews of some members, ascending, side by side; None where that is not possible."""
+        return None
+
     @abstractmethod
     def pieces(self, watch: Any) -> Pieces:
         """Return the tables of the members with another watch."""
@@ -221,6 +225,10 @@ class SystemLoops(Loops):
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return one round with a crew for each worker. Members that the kernels advance side by side share a crew."""
         return [[self.crew(*places) for places in shared_out(0, members, workers, self.block)]]
+
+    def rounds_among(self, members: NDArray[np.int64], workers: int) -> list[list[Crew]] | None:
+        own = self.crew(0, 1)
+        return [[own.among(members[slice(*places)]) for places in shared_out(0, len(members), workers, self.block)]]
 
     def pieces(self, watch: Any) -> Pieces:
         """Return the tables that all members have."""

@@ -1,0 +1,159 @@
+"""Poincare sections: where the motions of an ensemble go through a surface."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.given import read_whole
+from coadjoint.methods.base import Method
+from coadjoint.runs.events import Event, Events
+from coadjoint.runs.integrate import integrate
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.kinds import System
+from coadjoint.wording import short
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+NEVER = 2**53
+"""Saves the start and the end alone."""
+
+
+class Section:
+    """Crossings of a surface by the members of an ensemble, c at most for each.
+
+    Attributes
+    ----------
+    events : Events
+        All of them, one after the other.
+    counts : ndarray of int, shape (members,)
+        How many each member has.
+    t : ndarray, shape (members, c)
+        The times; NaN where a member has fewer.
+    x : ndarray, shape (members, c, n)
+        The states; NaN as well.
+
+    Notes
+    -----
+    `section` makes it. The two arrays are made when they are asked for.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> found = co.section(body, [(0.1, 1.0, 0.1), (0.2, 1.0, 0.1)], co.Event("x2", 1), (0, 100), 0.1)
+    >>> found.counts, found.x.shape
+    (array([2, 3]), (2, 3, 3))
+    """
+
+    def __init__(self, events: Events, members: int) -> None:
+        self.events = events
+        self.counts: NDArray[np.int64] = np.bincount(events.member, minlength=members)
+
+    def __repr__(self) -> str:
+        return f"<section: {len(self.events)} crossings of {self.events.names[0]} by {len(self.counts)} members>"
+
+    @property
+    def t(self) -> NDArray[np.float64]:
+        """The times."""
+        return self._side_by_side(self.events.t)
+
+    @property
+    def x(self) -> NDArray[Any]:
+        """The states."""
+        return self._side_by_side(self.events.x)
+
+    def _side_by_side(self, values: NDArray[Any]) -> NDArray[Any]:
+        counts, member = self.counts, self.events.member
+        found = np.full((len(counts), counts.max(initial=0), *values.shape[1:]), np.nan, dtype=values.dtype)
+        found[member, np.arange(len(member)) - (np.cumsum(counts) - counts)[member]] = values
+        return found
+
+    def plot(self, components: Any = None, axes: Any = None) -> Figure:
+        """Return a figure: two components of the states, a colour for each member.
+
+        Parameters
+        ----------
+        components : (int or str, int or str), optional
+            Which are drawn, to the right and upwards; by default the two that vary most.
+        axes : Axes, optional
+            Where to draw.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Not shown, not saved.
+        """
+        return self.events.plot(components, axes)
+
+
+def section(
+    system: System | ForcedSystem | Batch,
+    x0s: Any,
+    event: Event,
+    t_span: tuple[float, float],
+    step: float | None = None,
+    method: Method | None = None,
+    *,
+    crossings: int | None = None,
+    accuracy: float | None = None,
+    threads: int | None = None,
+    progress: bool = False,
+) -> Section:
+    """Return where motions go through a surface: a Poincare section of an ensemble.
+
+    Nothing else is saved or watched, so that millions of crossings take seconds.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
+        What moves.
+    x0s : array_like, shape (members, n) or (n,)
+        Initial momenta. A start on the surface is no crossing.
+    event : Event
+        The surface g = 0, and the direction in which it is crossed.
+    t_span : (float, float)
+        The time in which crossings are looked for, a whole number of steps.
+    step, method, accuracy
+        As for `integrate`.
+    crossings : int, optional
+        A member ends at its crossing of this number; None is all until the end of `t_span`.
+    threads : int, optional
+        Threads for the members; None is one for each core.
+    progress : bool
+        Show a progress bar.
+
+    Returns
+    -------
+    Section
+
+    Raises
+    ------
+    ValueError, TypeError
+        For wrong input, before the first step.
+    IntegrationError
+        As in `integrate`.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> top = co.systems.kovalevskaya_top()
+    >>> starts = np.array([[x, 0.3, 0.5, 0.0, 0.6, 0.8] for x in (0.2, 0.4, 0.6)])
+    >>> found = co.section(top, starts, co.Event(1, direction=1), (0, 1000), 0.1, co.Splitting(order=4), crossings=20)
+    >>> found.x.shape, bool(abs(found.x[..., 1]).max() < 1e-15)
+    ((3, 20, 6), True)
+    """
+    if not isinstance(event, Event):
+        raise TypeError(f"event is {short(event)}; give an Event, such as co.Event('x1', direction=1)")
+    if crossings is not None:
+        event = replace(event, count=read_whole(crossings, "crossings"), terminal=True)
+    options: Any = {"accuracy": accuracy, "threads": threads, "progress": progress, "events": event}
+    sol = integrate(system, x0s, t_span, step, method, save_every=NEVER, watch=False, **options)
+    assert sol.events is not None
+    return Section(sol.events, 1 if sol.failed is None else len(sol.failed))

@@ -1,0 +1,80 @@
+"""Events in files: a configuration has them, and a dataset repeats the run with them."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.files.configuration import load
+from coadjoint.files.configuration_parts import ConfigurationError
+from coadjoint.files.export import rebuild
+
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+X0 = (0.1, 1.0, 0.1)
+LINES = """
+system = {name = "rigid_body", parameters = {inertia = [1, 2, 3]}}
+initial = {x = [0.1, 1.0, 0.1]}
+method = {name = "Splitting", order = 4}
+run = {t_span = [0, 40], step = 0.125}
+[events.flip]
+g = "x2"
+[events.far]
+g = "x1^2 - 0.125"
+direction = 1
+terminal = true
+count = 2
+"""
+
+
+def written(tmp_path, lines):
+    path = tmp_path / "body.toml"
+    path.write_text(lines)
+    return load(path)
+
+
+def test_a_configuration_has_events(tmp_path):
+    sol = written(tmp_path, LINES).integrate()
+    far = co.Polynomial({(2, 0, 0): 1, (0, 0, 0): -0.125})
+    events = [co.Event("x2", name="flip"), co.Event(far, 1, 2, True, "far")]
+    same = co.integrate(BODY, X0, (0, 40), 0.125, co.Splitting(order=4), events=events)
+    assert sol.events.names == ("flip", "far")
+    assert np.array_equal(sol.events.t, same.events.t) and np.array_equal(sol.x, same.x)
+    assert len(sol.events["far"]) == 2 and sol.t[-1] == sol.events["far"].t[-1]
+
+
+@pytest.mark.parametrize(
+    "old, new, said",
+    [
+        ('g = "x2"', 'g = "y2"', "events.flip"),
+        ('g = "x2"', "g = 3", "events.flip"),
+        ("direction = 1", "direction = 2", "events.far"),
+        ("count = 2", "count = 0", "events.far.count"),
+        ("terminal = true", "terminall = true", "events.far.terminall: unknown key; did you mean 'terminal'"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path, old, new, said):
+    with pytest.raises(ConfigurationError, match=said):
+        written(tmp_path, LINES.replace(old, new)).integrate()
+
+
+@pytest.mark.parametrize("attitude", [False, True])
+def test_a_dataset_repeats_the_run(attitude):
+    events = [co.Event("x2"), co.Event(co.Polynomial({(2, 0, 0): 1, (0, 0, 0): -0.125}), count=2, terminal=True)]
+    sol = co.integrate(BODY, X0, (0, 40), 0.125, attitude=attitude, events=events)
+    dataset = sol.to_xarray()
+    again = rebuild(dataset)
+    assert np.array_equal(again.t, sol.t) and np.array_equal(again.x, sol.x) and again.t_span == sol.t_span
+    for name in ("t", "x", "which", "direction"):
+        assert np.array_equal(getattr(again.events, name), getattr(sol.events, name))
+    assert np.array_equal(dataset["event_time"], sol.events.t) and np.array_equal(dataset["event_x"], sol.events.x)
+    assert ("event_attitude" in dataset) == attitude
+
+
+def test_events_that_are_functions():
+    """They are not stored; where one may have ended the run, that is no longer the same run."""
+    options = {"t_span": (0, 40), "step": 0.125}
+    seen = co.integrate(BODY, X0, events=co.Event(lambda x: x[1], name="mine"), **options)
+    assert "event: mine" in seen.to_xarray().attrs["not_stored"]
+    assert np.array_equal(rebuild(seen.to_xarray()).x, seen.x)
+    ended = co.integrate(BODY, X0, events=co.Event(lambda x: x[1], name="mine", terminal=True), **options)
+    with pytest.raises(ValueError, match="may have been ended by an event, and mine is a function"):
+        rebuild(ended.to_xarray())

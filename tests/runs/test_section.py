@@ -1,0 +1,60 @@
+"""Poincare sections: the crossings of each member are those that it has alone, and the curves are the known ones."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+U = 2.0**-53
+
+
+def starts(members, seed=1):
+    rng = np.random.default_rng(seed)
+    axis = rng.normal(size=(members, 3))
+    return np.hstack([rng.normal(size=(members, 3)), axis / np.linalg.norm(axis, axis=1)[:, None]])
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(order=12)], ids=str)
+def test_members_end_at_their_number_of_crossings(method):
+    top, x0 = co.systems.kovalevskaya_top(), starts(40)
+    found = co.section(top, x0, co.Event(1, direction=1), (0, 400), 0.125, method, crossings=7)
+    assert (found.counts == 7).sum() > 30 and found.x.shape == (40, 7, 6)
+    sol = co.integrate(top, x0, (0, 400), 0.125, method, save_every=3200, events=co.Event(1, direction=1, count=7))
+    assert np.array_equal(found.events.t, sol.events.t) and np.array_equal(found.events.x, sol.events.x)
+    for m in (0, 11, 39):
+        alone = co.section(top, x0[m], co.Event(1, direction=1), (0, 400), 0.125, method, crossings=7)
+        assert np.array_equal(alone.events.x, found.events.of(m).x)
+    there = np.isfinite(found.t)
+    assert np.array_equal(there.sum(axis=1), found.counts)
+    assert np.all(np.diff(found.t, axis=1)[there[:, 1:]] > 0) and np.isnan(found.x[~there]).all()
+
+
+def test_integrals_are_kept_on_the_section():
+    """The integral of Kovalevskaya is none of the scheme: its error is that of the step, as along the run."""
+    top = co.systems.kovalevskaya_top()
+    found = co.section(top, starts(12), co.Event(1, direction=1), (0, 200), 0.0625, co.Splitting(order=4))
+    x = found.events.x
+    for name, casimir in top.casimirs.items():
+        at_start = np.array([casimir(x0) for x0 in starts(12)])[found.events.member]
+        values = np.array([casimir(one) for one in x])
+        # 3200 steps of some twelve turns, each of which rounds.
+        assert abs(values - at_start).max() < 3200 * 12 * U * max(1.0, abs(at_start).max()), name
+    assert abs(x[:, 1]).max() < 64 * U * abs(x).max()
+
+
+def test_drawn_and_refused():
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    found = co.section(body, [(0.1, 1.0, 0.1), (0.2, 1.0, 0.1)], co.Event("x2"), (0, 100), 0.125)
+    figure = found.plot()
+    (axes,) = figure.axes
+    assert axes.get_xlabel() == "$x_{1}$" and axes.get_ylabel() == "$x_{3}$"
+    assert sum(len(line.get_xdata()) for line in axes.lines) == len(found.events)
+    assert found.plot(components=("x3", 0)).axes[0].get_xlabel() == "$x_{3}$"
+    with pytest.raises(ValueError, match="coordinate"):
+        found.plot(components=("x3", "x9"))
+    with pytest.raises(ValueError, match="no crossings"):
+        co.section(body, (1.0, 0.2, 0.1), co.Event(0), (0, 1), 0.125).plot()
+    with pytest.raises(TypeError, match="give an Event"):
+        co.section(body, (1.0, 0.2, 0.1), "x2", (0, 1), 0.125)
+    with pytest.raises(ValueError, match="crossings"):
+        co.section(body, (1.0, 0.2, 0.1), co.Event(0), (0, 1), 0.125, crossings=0)
