@@ -5,6 +5,7 @@ import pytest
 from scipy.special import ellipk
 
 import coadjoint as co
+from coadjoint.runs import event_run
 
 U = 2.0**-53
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
@@ -92,6 +93,29 @@ def test_an_ensemble_finds_what_each_member_finds_alone(method):
         alone, own = co.integrate(BODY, x0[m], **options).events, several.events.of(m)
         assert np.array_equal(alone.t, own.t) and np.array_equal(alone.x, own.x)
         assert np.array_equal(alone.which, own.which)
+
+
+@pytest.mark.parametrize("method", METHODS, ids=NAMES)
+def test_the_calls_of_a_run_do_not_show(method, monkeypatch):
+    """However few steps a loop takes before it is called again, the events are the same."""
+    x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 5)[:, None]
+    # x1 is largest between two flips, so that there are pairs within a step.
+    top = co.integrate(BODY, x0[1], (0, 50), 1 / 64, method).x[:, 0].max()
+    near = co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -float(top) * (1 - 1e-5)})
+    events = [co.Event("x2", count=2, terminal=True), co.Event("x2"), co.Event(near, name="near")]
+    for start, only in ((x0, None), (x0[1], 1)):
+        options = {"t_span": (0, 50), "step": 0.5, "method": method, "events": events}
+        whole = co.integrate(BODY, start, **options)
+        assert only is None or method.order < 4 or len(whole.events["near"]) >= 2
+        for most in (1, 2, 3):
+            with monkeypatch.context() as patched:
+                patched.setattr(event_run, "FIRST_CHUNK", most)
+                patched.setattr(event_run, "MOST_STEPS", most)
+                again = co.integrate(BODY, start, **options)
+            for name in ("t", "x", "which", "member", "direction"):
+                assert np.array_equal(getattr(again.events, name), getattr(whole.events, name)), name
+            assert np.array_equal(again.x, whole.x, equal_nan=True) and np.array_equal(again.t, whole.t)
+            assert np.array_equal(again.drift()["energy"].tenths, whole.drift()["energy"].tenths)
 
 
 def test_found_where_a_dense_grid_has_them():

@@ -47,10 +47,13 @@ class Noted(NamedTuple):
 
     def in_order_of(self, members: NDArray[np.int64]) -> Noted:
         """Return the rows in the order of other numbers of their members, and of steps."""
-        order = np.lexsort((self.steps, members))
-        members, steps, codes = members[order], self.steps[order], self.codes[order]
-        states, groups = self.states[order], self.groups[order]
-        return Noted(members, steps, codes, states, groups, self.before[order], self.after[order])
+        return self._replace(members=members).chosen(np.lexsort((self.steps, members)))
+
+    def chosen(self, places: NDArray[Any]) -> Noted:
+        """Return some of the rows, by a mask or by their places."""
+        members, steps, codes = self.members[places], self.steps[places], self.codes[places]
+        states, groups = self.states[places], self.groups[places]
+        return Noted(members, steps, codes, states, groups, self.before[places], self.after[places])
 
 
 class EventArrays:
@@ -109,7 +112,7 @@ class EventArrays:
         count, size, width = self._count, self._size, self._size + self._square
         rows = int(self.tables.noted[0])
         self.tables.noted[0] = 0
-        found, places = self.tables.found[:rows], self.tables.places[:rows]
+        found, places = self.tables.found[:rows].copy(), self.tables.places[:rows].copy()
         return Noted(
             found[:, 0],
             found[:, 1],

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.description import codes
-from coadjoint.kernels.events import EventArrays
+from coadjoint.kernels.events import EventArrays, Noted
 from coadjoint.memory import check_room
 from coadjoint.runs.crossings import Crossings, WatchedEvents
 from coadjoint.runs.events import Ending, Events
 from coadjoint.runs.loops import Plan
 from coadjoint.runs.parts_of_steps import PartsOfSteps
 from coadjoint.runs.run import Run, progress_bar
+from coadjoint.runs.state import RunState
 from coadjoint.systems.kinds import unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
@@ -49,19 +50,24 @@ class EventRun:
         members, extent = len(run.start.momenta), run.plan.layout.extent
         count = len(watched.events)
         fixed, each = EventArrays.bytes_of(members, count, extent.size, extent.square)
-        chunk = min(run.times.steps, MOST_STEPS, max(1, BYTES_OF_A_CHUNK // each))
-        check_room(fixed + each * chunk, f"looking for {count} event{'s' * (count > 1)} of {members} members")
-        self._most = max(chunk, 1)
+        chunk = min(run.times.steps, MOST_STEPS, max(1, BYTES_OF_A_CHUNK // each)) + 1
+        kept = 16 * run.plan.layout.state.size if watched.until.any() else 0
+        check_room(3 * fixed + kept + each * chunk, f"looking for {count} event{'s' * (count > 1)} of {members} members")
+        self._most = max(chunk - 1, 1)
         left = np.tile(watched.until, (members, 1))
         self.arrays = EventArrays(
-            watched.compiled.tables, watched.direction, left, extent.size, extent.square, self._most
+            watched.compiled.tables, watched.direction, left, extent.size, extent.square, chunk
         )
         order = run.loops.order
         self._order = np.arange(members) if order is None else order
         self._seen = np.zeros((members, count), dtype=np.int64)
         self._pieces: list[Crossings] = []
         self._abreast = members
+        self._held: Noted | None = None  # what was noted of a step that is not over
+        self._kept: tuple[RunState, list[NDArray[Any]]] | None = None  # the state before it
         run.look_for(self.arrays.address)
+        if watched.until.any():
+            self._kept = run.state.copy(), self.arrays.copy()
 
     @property
     def last(self) -> NDArray[np.int64]:
@@ -73,15 +79,15 @@ class EventRun:
     def advance(self, progress: bool = False) -> None:
         """Take the steps until all members have ended."""
         run, chunk = self.run, min(FIRST_CHUNK, self._most)
-        steps = run.times.steps
+        steps, first = run.times.steps, 0
         with progress_bar(steps, progress) as bar:
             while True:
-                first = run.state.number
                 until = min(steps, first + chunk)
                 self._take(until)
                 bar(until - first)
+                first = until
                 going = np.flatnonzero(run.state["status"] == codes("Status")["DONE"])
-                if until == steps or not len(going):
+                if until == steps or not (len(going) or (self._held is not None and len(self._held.steps))):
                     break
                 self._move_up(going)
                 chunk = min(4 * chunk, self._most)
@@ -118,7 +124,7 @@ class EventRun:
 
     def _move_up(self, going: NDArray[np.int64]) -> None:
         """Let the members that are going fill the lanes, where half of those that did have ended."""
-        if 2 * len(going) > self._abreast:
+        if not 0 < 2 * len(going) <= self._abreast:
             return
         rounds = self.run.loops.rounds_among(going, self.run.workers)
         if rounds is not None:
@@ -126,26 +132,40 @@ class EventRun:
             self.run.plan, self._abreast = Plan(plan.key, plan.layout, rounds), len(going)
 
     def _take(self, until: int) -> None:
-        run, ending = self.run, bool(self.watched.until.any())
-        kept = (run.state.copy(), self.arrays.copy()) if ending else None
-        run.advance(until=until)
-        noted = self.arrays.take()
-        noted = noted.in_order_of(self._order[noted.members])  # threads note in any order
-        found = self.watched.located(noted, self.parts, run.times.t0, run.times.h)
+        """Take the steps to number `until`, and find the events in them."""
+        kept = self._kept
+        noted = self._noted(until)
+        found = self.watched.located(noted, self.parts, self.run.times.t0, self.run.times.h)
         # The same step may have been noted for one event when it ended, and for another after the next one.
-        found = found.chosen(np.lexsort((found.which, found.t * np.sign(run.times.h), found.members)))
+        found = found.chosen(np.lexsort((found.which, found.t * np.sign(self.run.times.h), found.members)))
         last = self._count(found)
         if kept is not None and (last < self._limits()).any():
             # A pair within a step has ended a member before the loops could know: they take these steps again.
-            run.state, place = kept[0], np.minimum(self._limits(), last)
+            ends = np.minimum(self._limits(), last)
+            self.run.state, self._held = kept[0].copy(), None
             self.arrays.put_back(kept[1])
-            self._set_limits(place)
-            run.advance(until=until)
-            self.arrays.take()
-            self._set_limits(place)
-        if kept is not None:
-            self._leave()
+            self.arrays.limit[:] = ends[self._order]
+            self._noted(until)
         self._end()
+
+    def _noted(self, until: int) -> Noted:
+        """Return what the loops note of the steps to number `until`, which they know after one more."""
+        run, rows = self.run, [] if self._held is None else [self._held]
+        for target in (until, min(until + 1, run.times.steps)):
+            # The first steps of a run begin it, even where there are none.
+            if run.state.number < target or target == 0:
+                run.advance(until=target)
+            rows.append(self._rows())
+            if target == until and self.watched.until.any():
+                self._kept = run.state.copy(), self.arrays.copy()
+        noted = Noted(*(np.concatenate(arrays) for arrays in zip(*rows, strict=True)))
+        noted = noted.in_order_of(noted.members)  # threads note in any order
+        self._held = noted.chosen(noted.steps > until)
+        return noted.chosen(noted.steps <= until)
+
+    def _rows(self) -> Noted:
+        noted = self.arrays.take()
+        return noted._replace(members=self._order[noted.members])
 
     def _count(self, found: Crossings) -> NDArray[np.int64]:
         """Keep what is of interest; return the last whole step of each member before it ends."""
@@ -168,14 +188,6 @@ class EventRun:
         found = np.empty_like(self.arrays.limit)
         found[self._order] = self.arrays.limit
         return found
-
-    def _set_limits(self, limits: NDArray[np.int64]) -> None:
-        self.arrays.limit[:] = limits[self._order]
-
-    def _leave(self) -> None:
-        """Tell the loops how many crossings are left until a member ends: they have not seen pairs."""
-        left = np.where(self.watched.until > 0, self.watched.until - self._seen, 0)
-        self.arrays.tables.left[:] = left[self._order]
 
     def _end(self) -> None:
         """Let the loops leave out members that have ended, whatever became of them afterwards."""

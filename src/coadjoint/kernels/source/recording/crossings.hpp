@@ -35,7 +35,7 @@ class Crossings {
 
     // Keep what the next call goes on from.
     void end() {
-        exchange([this](A& held, int64_t lane, double& kept) {
+        if (used > 0) exchange([this](A& held, int64_t lane, double& kept) {
             if (lane < used) kept = lane_of(held, int(lane));
         });
     }
@@ -117,17 +117,30 @@ class Crossings {
                 return near(k < 3 ? NAN : at_age(3, e, lane), at_age(2, e, lane), at_age(1, e, lane),
                             at_age(0, e, lane));
             });
-        bool ended = false;
+        // Nor is it ever known of the step in which the run of the member ends.
+        const bool ended = ends(lane), last = ended || k == schedule.steps;
         note(k, lane, before, 1, [&](int64_t e) {
-            const int64_t found = crossing(events.direction[e], at_age(1, e, lane), at_age(0, e, lane));
-            if (found == crossings::NONE && k == schedule.steps)
-                return near(k < 2 ? NAN : at_age(2, e, lane), at_age(1, e, lane), at_age(0, e, lane), NAN);
-            int64_t& left = events.left[member[lane] * count + e];
-            if (found != crossings::NONE && found != crossings::UNDEFINED && left > 0) ended |= --left == 0;
-            return found;
+            const int64_t found = crossing_of(e, lane);
+            if (found != crossings::NONE || !last) return found;
+            return near(k < 2 ? NAN : at_age(2, e, lane), at_age(1, e, lane), at_age(0, e, lane), NAN);
         });
         if (ended) events.limit[member[lane]] = k - 1;
         return ended;
+    }
+
+    // Count the crossings of the newest step; return whether one of them ends the run of the member.
+    bool ends(int lane) {
+        bool ended = false;
+        for (int64_t e = 0; e < count; ++e) {
+            int64_t& left = events.left[member[lane] * count + e];
+            const int64_t found = left > 0 ? crossing_of(e, lane) : crossings::NONE;
+            if (found == crossings::RISING || found == crossings::FALLING) ended |= --left == 0;
+        }
+        return ended;
+    }
+
+    int64_t crossing_of(int64_t e, int lane) {
+        return crossing(events.direction[e], at_age(1, e, lane), at_age(0, e, lane));
     }
 
     double at_age(int64_t age, int64_t e, int lane) { return lane_of(value(age, e), lane); }
