@@ -52,7 +52,7 @@ class EventRun:
         fixed, each = EventArrays.bytes_of(members, count, extent.size, extent.square)
         chunk = min(run.times.steps, MOST_STEPS, max(1, BYTES_OF_A_CHUNK // each)) + 1
         kept = 16 * run.plan.layout.state.size if watched.until.any() else 0
-        check_room(3 * fixed + kept + each * chunk, f"looking for {count} event{'s' * (count > 1)} of {members} members")
+        check_room(3 * fixed + kept + each * chunk, f"looking for events of {members} members")
         self._most = max(chunk - 1, 1)
         left = np.tile(watched.until, (members, 1))
         self.arrays = EventArrays(
