@@ -55,9 +55,7 @@ class EventRun:
         check_room(3 * fixed + kept + each * chunk, f"looking for events of {members} members")
         self._most = max(chunk - 1, 1)
         left = np.tile(watched.until, (members, 1))
-        self.arrays = EventArrays(
-            watched.compiled.tables, watched.direction, left, extent.size, extent.square, chunk
-        )
+        self.arrays = EventArrays(watched.compiled.tables, watched.direction, left, extent.size, extent.square, chunk)
         order = run.loops.order
         self._order = np.arange(members) if order is None else order
         self._seen = np.zeros((members, count), dtype=np.int64)
