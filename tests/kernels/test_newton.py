@@ -145,3 +145,20 @@ def test_a_hundred_thousand_coordinates():
         lengths = np.linalg.norm(run.x[-1].reshape(spins, 3), axis=1)
         assert np.max(np.abs(lengths - 1)) < 64 * U
         assert run.drift()["energy"] < 6 * 4 * U * 3 * spins
+
+
+@pytest.mark.parametrize("algebra", [co.algebras.so(3), co.algebras.e(3), co.algebras.su(3)], ids=repr)
+@pytest.mark.parametrize("stages", [16, 20])
+@pytest.mark.parametrize("span", [(0, 3), (3, 0)])
+def test_many_stages_of_a_large_rotation_carry_the_group_element(algebra, stages, span):
+    """Six turns in a step: the momentum is solved for, so the group element is."""
+    direction = np.linspace(1.0, 2.0, algebra.dim)
+    fast = 36.0 * direction / np.linalg.norm(direction)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(0.1 * direction, linear=fast))
+    x0 = np.cos(np.arange(algebra.dim))
+    run = co.integrate(system, x0, span, 1.0, co.GaussLegendre(stages), attitude="coadjoint")
+    assert np.array_equal(run.x, co.integrate(system, x0, span, 1.0, co.GaussLegendre(stages)).x)
+    # Each step rounds a product of the element with vectors of size |x|, and what a solution of stages amplifies.
+    returned = np.einsum("kij,kj->ki", run.attitude, run.x)
+    size = np.abs(run.attitude).max() * np.abs(run.x).max()
+    assert np.abs(returned - x0).max() <= 64 * U * algebra.dim * stages * size

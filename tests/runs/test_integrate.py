@@ -253,6 +253,24 @@ def test_a_multivalued_casimir_is_unwrapped(a):
     assert np.array_equal(coarse.casimirs["log C"], sol.casimirs["log C"][::50])
 
 
+@pytest.mark.parametrize(
+    "method", [co.ExplicitRungeKutta("runge2"), co.RadauEnergy(stages=2), co.Taylor(order=3, projected=False)], ids=repr
+)
+@pytest.mark.parametrize("members", [1, 9])
+def test_turns_between_saved_points_are_counted(method, members):
+    """A scheme that loses the Casimir: its branch is followed from step to step, and not from look to look."""
+    s = co.LiePoissonSystem(co.algebras.get("A3,7", a=0.005), co.Quadratic([0.01, 0.02, 1.0]))
+    x0 = np.array([(1.0, 0.0, 3.0)] * members) * np.linspace(1, 1.2, members)[:, None]
+    watched = co.integrate(s, x0, (0, 10), 0.125, method, save_every=70)
+    others = co.integrate(s, x0, (0, 10), 0.125, method, save_every=70, watch=False)
+    values = others.casimirs["log C"]
+    assert np.array_equal(watched.casimirs["log C"], values)
+    assert np.ptp(values, axis=0).max() > 0.5 * s.casimirs["log C"].period  # what a look alone cannot tell
+    # What is not looked at is not judged.
+    for key, each in {"log C": values, "energy": others.energy}.items():
+        assert others.drift()[key] == np.abs(each - each[0]).max()
+
+
 def test_observables():
     s, x0 = e3_and_start()
     height = co.Polynomial({(1, 0, 0, 0, 0, 1): 2.0, (0, 1, 0, 0, 0, 0): 1})

@@ -39,6 +39,7 @@ class MemberRecorder {
         member = who;
         constants = own;
         saved = SavedSteps(schedule, k0);
+        noting = schedule.watching || has_turns<A>(watch, constants);
         forget();
         if (crossings) crossings->begin(member, k0);
     }
@@ -52,7 +53,7 @@ class MemberRecorder {
             if (!group(k, group_at(place))) return k;
             slot[waiting] = place;
             saving = true;
-        } else if (!schedule.watching && !crossings) {
+        } else if (!noting && !crossings) {
             return 0;
         }
         if (crossings && arrays.square) group(k, crossings->groups.data() + waiting * arrays.square);
@@ -109,7 +110,7 @@ class MemberRecorder {
     Room<A> states, errors, arguments;
     std::vector<double> room;
     int64_t member = 0, step[lanes], slot[lanes], waiting = 0;
-    bool saving = false;
+    bool saving = false, noting = false;
 
     // Events are looked for one step after the other.
     struct LookedFor {
@@ -153,7 +154,7 @@ class MemberRecorder {
                 if (slot[lane] >= 0) std::fill_n(group_at(slot[lane]), square, NAN);
                 continue;
             }
-            if (!schedule.watching && slot[lane] < 0) continue;
+            if (!noting && slot[lane] < 0) continue;
             if constexpr (gathers)
                 for (int64_t i = 0; i < size; ++i) set_lane(states.at[i], int(good), crossings->x[i]);
             step[good] = steps[lane];
@@ -179,8 +180,9 @@ class CrowdRecorder {
     CrowdRecorder(const Watch& watch, const Arrays& arrays, const Schedule& schedule, int64_t k0, const C& constants,
                   const int64_t* members, int64_t* going, int64_t count)
         : watch(watch), arrays(arrays), schedule(schedule), constants(constants), members(members), going(going),
-          count(count), saved(schedule, k0), first(watch.size), last(watch.size), worst(watch.size),
-          arguments(watch.longest + 1), room(2 * watch.longest + 2) {
+          count(count), saved(schedule, k0), noting(schedule.watching || has_turns<A>(watch, constants)),
+          first(watch.size), last(watch.size), worst(watch.size), arguments(watch.longest + 1),
+          room(2 * watch.longest + 2) {
         each([&](int64_t lane, int64_t i) {
             set_lane(first.at[i], lane, arrays.first[members[lane] * watch.size + i]);
             set_lane(last.at[i], lane, arrays.last[members[lane] * watch.size + i]);
@@ -199,11 +201,11 @@ class CrowdRecorder {
     // Look at the states after step k, if they are to be looked at: `finished(saving)` gives them.
     template <class Finish>
     INLINE void after(int64_t k, const Finish& finished) {
-        if (!schedule.watching && !crossings && k != saved.next) return;
+        if (!noting && !crossings && k != saved.next) return;
         const int64_t slot = k == saved.next ? saved.take() : -1;
         const FinishedRows<A> rows = finished(slot >= 0 || crossings);
         if (crossings && crossings->after(k, rows.x, rows.group, going)) let_go(k);
-        if (crossings && !schedule.watching && slot < 0) return;
+        if (!noting && slot < 0) return;
         note(k, slot, rows.x);
         if (slot >= 0) save(slot, rows);
     }
@@ -226,6 +228,7 @@ class CrowdRecorder {
     int64_t* going;
     const int64_t count;
     SavedSteps saved;
+    const bool noting;
     Room<A> first, last, worst, arguments;
     std::vector<double> room;
     int64_t tenth = -1;
@@ -239,20 +242,24 @@ class CrowdRecorder {
         crossings->find_next_end(going);
     }
 
+    // Of a step that is neither saved nor watched only the turns are counted.
     void note(int64_t k, int64_t slot, const A* x) {
-        if (int64_t now = tenth_of(schedule, k); now != tenth) {
+        const bool looked = schedule.watching || slot >= 0;
+        if (int64_t now = tenth_of(schedule, k); looked && now != tenth) {
             keep_worst();
             tenth = now;
             each([&](int64_t lane, int64_t i) { set_lane(worst.at[i], lane, worst_of(lane, i)); });
         }
         const A t(schedule.t0 + double(k) * schedule.h);
         for (int64_t i = 0; i < watch.size; ++i) {
-            A now = value_of(watch, constants, i, x, t, arguments.at, room.data());
             const A period = constants.template number_at<A>(watch.period, i);
+            if (!looked && all(period <= A(0.0))) continue;
+            A now = value_of(watch, constants, i, x, t, arguments.at, room.data());
             for (int64_t lane = 0; lane < count; ++lane)
                 if (double whole = lane_of(period, lane); whole > 0.0)
                     set_lane(now, int(lane), unwrapped(lane_of(now, lane), lane_of(last.at[i], lane), whole));
             last.at[i] = now;
+            if (!looked) continue;
             const A deviation = absolute(now - first.at[i]);
             worst.at[i] = select(deviation <= worst.at[i], worst.at[i], deviation);
             if (slot < 0) continue;

@@ -49,7 +49,7 @@ void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, c
             const double value =
                 crew.stride ? value_of(watch, Own{crew.stride, place}, i, x, schedule.t0, y.data(), room.data())
                             : value_of(watch, Shared{}, i, x, schedule.t0, y.data(), room.data());
-            note_value(arrays, watch.size, i, 0.0, member, 0, slot, 0, value);
+            note_value(arrays, watch.size, i, 0.0, member, 0, slot, 0, true, value);
         }
         if (slot < 0) continue;
         save_state(arrays, member, slot, arrays.size, x, 0);

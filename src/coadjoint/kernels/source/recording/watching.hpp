@@ -35,15 +35,24 @@ INLINE double unwrapped(double now, double last, double period) {
     return now + period * std::floor((last - now) / period + 0.5);
 }
 
-// Note the value of invariant i of a member at step k.
+// Whether some invariant has turns, which are counted at every step, watched or not.
+template <class A, class C>
+bool has_turns(const Watch& watch, const C& constants) {
+    for (int64_t i = 0; i < watch.size; ++i)
+        if (!all(constants.template number_at<A>(watch.period, i) <= A(0.0))) return true;
+    return false;
+}
+
+// Note the value of invariant i of a member at step k; of a step that is not looked at its turns alone.
 INLINE void note_value(const Arrays& arrays, int64_t count, int64_t i, double period, int64_t member, int64_t k,
-                       int64_t slot, int64_t tenth, double now) {
+                       int64_t slot, int64_t tenth, bool looked, double now) {
     int64_t place = member * count + i;
     if (k == 0)
         arrays.first[place] = now;
     else if (period > 0.0)
         now = unwrapped(now, arrays.last[place], period);
     arrays.last[place] = now;
+    if (!looked) return;
     double deviation = std::fabs(now - arrays.first[place]);
     double& worst = arrays.worst[(member * TENTHS + tenth) * count + i];
     if (!(deviation <= worst)) worst = deviation;
@@ -69,8 +78,9 @@ void note_steps(const Watch& watch, const C& constants, const Arrays& arrays, co
     const int64_t tenth = tenth_of(schedule, step[0]);
     const bool together = !saving && step[0] > 0 && tenth == tenth_of(schedule, step[count - 1]);
     for (int64_t i = 0; i < watch.size; ++i) {
-        A now = value_of(watch, constants, i, x, t, y, room);
         A period = constants.template number_at<A>(watch.period, i);
+        if (!schedule.watching && !saving && all(period <= A(0.0))) continue;
+        A now = value_of(watch, constants, i, x, t, y, room);
         if (together && !(lane_of(period, 0) > 0.0)) {
             int64_t place = member * watch.size + i;
             A deviation = absolute(now - A(arrays.first[place]));
@@ -83,7 +93,7 @@ void note_steps(const Watch& watch, const C& constants, const Arrays& arrays, co
         }
         for (int64_t lane = 0; lane < count; ++lane)
             note_value(arrays, watch.size, i, lane_of(period, lane), member, step[lane], slots[lane],
-                       tenth_of(schedule, step[lane]), lane_of(now, lane));
+                       tenth_of(schedule, step[lane]), schedule.watching || slots[lane] >= 0, lane_of(now, lane));
     }
     if (!saving) return;
     for (int64_t lane = 0; lane < count; ++lane)

@@ -8,6 +8,7 @@
 namespace coadjoint {
 
 constexpr double STEPS_OF_NEWTON = 64;  // after which the function iteration is tried again
+constexpr int64_t LARGEST_FACTORED = 1024;  // unknowns of a column of the group element: half a second
 
 // Room for what few trajectories need.
 template <class A>
@@ -28,6 +29,7 @@ struct SingleStages : Stages<Layout, C> {
     using Base::p, Base::g, Base::mix, Base::forecast, Base::gradients, Base::frozen, Base::times, Base::lengths;
     using Base::room, Base::trusted, Base::iterations, Base::residual, Base::solve, Base::begin, Base::remember;
     using Base::taken, Base::evaluate_all, Base::settle_momentum, Base::settle_group, Base::evaluate_group;
+    using Base::matrices, Base::system, Base::pivots, Base::right, Base::group_direct;
 
     SingleStages(const RungeKuttaTables& tables, const C& constants) : Base(tables, constants) {}
 
@@ -62,7 +64,7 @@ struct SingleStages : Stages<Layout, C> {
         }
         if (!found || d == 0) return found;
         g.start_ahead(forecast.at + part * blocks * s);
-        return settle_group(true) || group_by_krylov();
+        return settle_group(true) || group_by_krylov() || group_by_factors();
     }
 
     // Factorize 1 - mix h scale times the Jacobian: at the base for all stages, or for every stage at its point.
@@ -185,7 +187,7 @@ struct SingleStages : Stages<Layout, C> {
         const bool found = tables.solver == STRUCTURE ? linear_in_gradient() : linear_in_structure();
         if (!found || d == 0) return found;
         g.start_at_base();
-        return settle_group(true) || group_by_krylov();
+        return settle_group(true) || group_by_krylov() || group_by_factors();
     }
 
     // The structure is frozen: linear by the gradient.
@@ -224,6 +226,19 @@ struct SingleStages : Stages<Layout, C> {
             });
         iterations = before;
         return found;
+    }
+
+    // Many stages of a large rotation have more eigenvalues than a restarted Krylov space follows.
+    NOINLINE bool group_by_factors() {
+        const int64_t size = s * d;
+        if (size > LARGEST_FACTORED) return false;
+        Hearing::of_this_call().after(size * size * size / 3);
+        matrices.clear(blocks * d * d);
+        system.clear(size * size);
+        pivots.clear(size);
+        right.clear(size * d);
+        g.start_at_base();
+        return group_direct(true);
     }
 };
 
