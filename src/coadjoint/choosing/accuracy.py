@@ -11,6 +11,7 @@ import numpy as np
 
 from coadjoint.choosing.candidates import Candidate, admitted
 from coadjoint.choosing.fitting import Fit, confirmed, fit
+from coadjoint.choosing.law import Law, law_of
 from coadjoint.choosing.pilot import Pilot
 from coadjoint.choosing.roundoff import least_roundoff
 from coadjoint.choosing.sampling import sample_of
@@ -32,9 +33,9 @@ ROUNDING_SHARE = 0.5
 LEAST = 2.0**-1000
 
 
-# High orders come first. Where they win, the others are given up after a short look.
+# High orders come first. The first two series say of all others how dear they are at the least.
 SCHEMES: tuple[Method, ...] = (
-    *(Taylor(p) for p in (16, 12, 20, 24, 8, 10, 14, 6)),
+    *(Taylor(p) for p in (16, 8, 20, 12, 24, 14, 10, 6)),
     *(GaussLegendre(s) for s in (8, 6, 12, 10, 4, 3, 2)),
     *(Splitting(order=p) for p in (10, 8, 6, 4, 2)),
 )
@@ -210,11 +211,18 @@ def _goal(candidate: Candidate, wanted: float) -> float:
 
 def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[Fit]:
     found: list[Fit] = []
-    for candidate in candidates:
+    law: Law | None = None
+    waiting = list(candidates)
+    while waiting:
+        candidate = waiting.pop(0)
         limit = min((each.cost for each in found), default=math.inf)
-        result = fit(pilot, candidate, _goal(candidate, wanted), limit)
+        goal = _goal(candidate, wanted)
+        if law is not None and law.least_cost(candidate, goal) > limit:
+            continue
+        result = fit(pilot, candidate, goal, limit)
         if result is not None:
             found.append(result)
+        law = law or law_of(found)
     return found
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 from coadjoint.choosing.pilot import Pilot, Trial
+from coadjoint.choosing.remembered import remembered
 from coadjoint.kernels.description import limit
 from coadjoint.methods.base import Method
 from coadjoint.methods.work import CROWD, Work, newton_work
@@ -23,9 +25,14 @@ class Candidate:
 
     system: System
     method: Method
-    work: Work
+    counted: Callable[[], Work]
     free: bool
     crowd: bool = False
+
+    @cached_property
+    def work(self) -> Work:
+        """What a step costs. Of flows it is counted when it is first asked for, since their parts must be found."""
+        return self.counted()
 
     @property
     def summed_exactly(self) -> bool:
@@ -66,7 +73,7 @@ class Candidate:
         if better is None:
             return None
         dearer = self.work.compensated
-        return replace(self, method=better, work=self.work if dearer is None else dearer())
+        return replace(self, method=better, counted=self.counted if dearer is None else dearer)
 
 
 def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, strict: bool) -> list[Candidate]:
@@ -109,6 +116,11 @@ def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, 
 
 def _candidate(system: System, method: Method, x0: Any, attitude: Any, free: bool) -> Candidate:
     start = start_of(system, method, x0, attitude)
-    method.properties(system)
     crowd = len(start.momenta) >= CROWD and system.dim <= limit("WIDEST")
-    return Candidate(system, method, method.work(system, start.representation), free, crowd)
+    carried = start.representation
+    if carried is not None:
+        method.properties(system)
+        return Candidate(system, method, partial(method.work, system, carried), free, crowd)
+    remembered(system, ("properties", method), partial(method.properties, system))
+    counted = partial(method.work, system, None)
+    return Candidate(system, method, partial(remembered, system, ("work", method), counted), free, crowd)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.choosing.growth import Growth
+from coadjoint.choosing.remembered import loops_of
 from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.loops import SystemLoops
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import with_group
 from coadjoint.runs.times import Times
@@ -29,6 +29,8 @@ PATIENCE = 3
 FEW = 12
 # A step of the reference is right when two of half its size agree with it so far.
 SETTLED = 2.0**-40
+# Radians, at the rate of the start, that one step of it hardly ever takes.
+AT_ONCE = 8.0
 # Steps of the reference in a window, in dimension 16 or less; in proportion fewer above, but at least POINTS / 5.
 WINDOW_STEPS = 240
 FEW_WINDOWS = 5.0
@@ -153,7 +155,7 @@ class Pilot:
             )
         rate = float(np.max(speeds / np.maximum(np.linalg.norm(self.momenta, axis=1), np.finfo(float).tiny)))
         h = abs(self.span)
-        while h * rate > 32.0:
+        while h * rate > AT_ONCE:
             h /= 2
         for _ in range(64):
             signed = math.copysign(h, self.span)
@@ -231,6 +233,6 @@ def short_run(
     """Return a run without attitude that watches nothing, whatever became of it: its `status` says."""
     start = with_group(system, momenta, False, None, False)
     times = Times(t0, time / steps, steps, save_every)
-    run = Run(system, method, SystemLoops(system, method, times.h, None, casimirs={}), times, start, False)
+    run = Run(system, method, loops_of(system, method, times.h), times, start, False)
     run.advance()
     return run

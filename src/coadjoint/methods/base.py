@@ -55,6 +55,9 @@ class Method(ABC):
     largest: ClassVar[float] = np.inf
     """The dimension up to which the scheme is considered where none was asked for."""
 
+    tables_of_any_step: ClassVar[bool] = False
+    """Whether what `loop` returns without a group element is the same for every step."""
+
     compensates: ClassVar[bool] = True
     """Whether what an update of the momentum rounds away is kept for the next one."""
 

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 class RungeKuttaMethod(SteppedMethod):
     """A tableau and a solver. A new scheme says what its coefficients are and how it finds its slopes."""
 
+    tables_of_any_step = True
+
     @property
     @abstractmethod
     def solver(self) -> str:

@@ -88,6 +88,7 @@ class Taylor(CompiledStepMethod):
 
     symmetric = False
     failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "the group element turns too far in a step for its series"}
+    tables_of_any_step = True
     # The series of all coordinates and of all products are in memory at once.
     largest: ClassVar[float] = 10_000
 

@@ -1,0 +1,61 @@
+"""What a choice finds out that depends on the system and not on the state: kept for the next one, as long as the system."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
+
+from coadjoint.methods.base import Method
+from coadjoint.runs.loops import SystemLoops
+from coadjoint.systems.kinds import System
+
+Found = TypeVar("Found")
+
+# Of larger systems nothing is kept: their tables take room, and beside their steps it takes no time to make them.
+LARGEST = 64
+# Of one system so much is kept; then all of it is forgotten.
+MOST = 256
+
+_KNOWN: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
+
+
+def remembered(system: System, key: Hashable, make: Callable[[], Found]) -> Found:
+    """Return what was made for a system under a key, or make it.
+
+    Parameters
+    ----------
+    system : System
+        What moves. It does not change, and neither does what is made for it.
+    key : hashable
+        Of one kind of things; what cannot be hashed is made each time.
+    make : callable
+        It makes what is wanted. What it raises is not kept.
+
+    Returns
+    -------
+    object
+        The same for several calls, which must not change it.
+    """
+    if system.dim > LARGEST:
+        return make()
+    try:
+        known = _KNOWN.setdefault(system, {})
+        found: Found = known[key]
+    except KeyError:
+        found = make()
+        if len(known) >= MOST:
+            known.clear()
+        known[key] = found
+    except TypeError:
+        return make()
+    return found
+
+
+def loops_of(system: System, method: Method, h: float) -> SystemLoops:
+    """Return the loops of a scheme that follow the energy alone; they are kept where they do not depend on the step."""
+
+    def made() -> SystemLoops:
+        return SystemLoops(system, method, h, None, casimirs={})
+
+    return remembered(system, ("loops", method), made) if method.tables_of_any_step else made()
