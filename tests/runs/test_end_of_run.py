@@ -75,6 +75,15 @@ def test_times_that_are_changed_where_they_stand_are_read_again():
         assert np.array_equal(ready.end(X, given), expected[1])
 
 
+def test_equal_times_are_the_same_times_where_their_bits_are(monkeypatch):
+    ready, spans, real = co.prepare(BODY, None, 0.5), [], EndOfRun._aim
+    monkeypatch.setattr(EndOfRun, "_aim", lambda own, span: spans.append(span) or real(own, span))
+    given = [(0.0, 1.0), tuple([0.0, 1.0]), (-0.0, 1.0), (0.0, 1.0), (0, 1.0), (0.0, 1.5), (np.array(0.0), 1.5)]
+    for span in given:
+        assert np.array_equal(ready.end(X, span), ready.run(X, span).x[-1])
+    assert list(map(str, spans)) == list(map(str, given[:1] + given[2:]))
+
+
 def test_what_is_refused_is_refused_as_a_run_does():
     ready = co.prepare(BODY, None, 0.1)
     wrong = [

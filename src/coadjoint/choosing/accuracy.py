@@ -219,7 +219,7 @@ def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[
         goal = _goal(candidate, wanted)
         if law is not None and law.least_cost(candidate, goal) > limit:
             continue
-        result = fit(pilot, candidate, goal, limit)
+        result = fit(pilot, candidate, goal, limit, None if law is None else law.guess(candidate, goal))
         if result is not None:
             found.append(result)
         law = law or law_of(found)

@@ -21,8 +21,9 @@ CLEARLY = 16.0
 LARGE = 0.05
 # Steps within this factor of what is wanted are near enough to extrapolate.
 NEAR = 1.3
-# A choice that costs so many times more than another is given up.
-MUCH_DEARER = 4.0
+# A choice that costs (1 + this / order) times as much as another is given up: the higher the order, the better is known
+# from a trial how many steps are needed.
+MUCH_DEARER = 6.0
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def _rounding(pilot: Pilot, candidate: Candidate, steps: int, windows: float) ->
     return roundoff(pilot, steps, candidate.flows, candidate.summed_exactly, windows)
 
 
-def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float) -> Fit | None:
+def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: float | None = None) -> Fit | None:
     """Return the number of steps with which a scheme is expected to reach an error at the end of the span.
 
     Parameters
@@ -63,14 +64,17 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float) -> Fit | 
         The truncation error wanted at the end.
     limit : float
         The cost of the best so far; a scheme that will be much dearer is given up.
+    guess : float, optional
+        How many steps over the span it may need.
 
     Returns
     -------
     Fit or None
     """
     order = candidate.method.order
-    # A first guess: the step of the reference, in proportion to the order.
-    steps = pilot.fitting(pilot.window / pilot.natural_step * REFERENCE.order / order)
+    # Without a better guess, the step of the reference in proportion to the order.
+    per_window = pilot.window / pilot.natural_step * REFERENCE.order / order if guess is None else guess / pilot.windows
+    steps = pilot.fitting(min(per_window, DEAREST_TRIAL))
     seen: set[int] = set()
     too_few, best = 0, None
     for _ in range(MOST_TRIALS):
@@ -87,7 +91,7 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float) -> Fit | 
             continue
         noise = CLEARLY * max(pilot.noise, _rounding(pilot, candidate, steps, 1.0))
         best = _extrapolated(pilot, candidate, goal, trial, noise)
-        if best.cost > MUCH_DEARER * limit and trial.error > noise:
+        if best.cost > (1.0 + MUCH_DEARER / order) * limit and trial.error > noise:
             return None
         aim = max(goal / candidate.growth(pilot, trial), noise)
         change: float = (max(trial.error, noise / 256) / aim) ** (1.0 / order)

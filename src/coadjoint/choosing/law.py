@@ -17,6 +17,7 @@ NEARLY = 1.35
 # Other schemes of order p needed no less than a quarter of the steps of the series of order p, where they came near to
 # the best. Their iterations of stages took no less than so many rounds, or their order where that is less.
 AHEAD = 4.0
+OFTEN_AHEAD = 2.5
 ROUNDS = 10.0
 APART = 4
 LEAST = 2.0**-1000
@@ -38,6 +39,11 @@ class Law:
         """Return the steps over the whole span that a series of this order needs for an error."""
         exponent = self._rate + (self._amount - math.log(goal)) / order
         return math.exp(min(exponent, 700.0))
+
+    def guess(self, candidate: Candidate, goal: float) -> float:
+        """Return about how many steps a scheme needs."""
+        steps = self.steps(candidate.method.order, goal)
+        return steps if isinstance(candidate.method, Taylor) else steps / OFTEN_AHEAD
 
     def least_cost(self, candidate: Candidate, goal: float) -> float:
         """Return what a scheme costs at the least that is to reach an error at the end."""

@@ -1,10 +1,10 @@
-"""What a choice finds out that depends on the system and not on the state: kept for the next one, as long as the system."""
+"""What a choice finds out that depends on the system and not on the state: kept for the next choices."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
+from functools import lru_cache
 from typing import Any, TypeVar
-from weakref import WeakKeyDictionary
 
 from coadjoint.methods.base import Method
 from coadjoint.runs.loops import SystemLoops
@@ -14,10 +14,14 @@ Found = TypeVar("Found")
 
 # Of larger systems nothing is kept: their tables take room, and beside their steps it takes no time to make them.
 LARGEST = 64
-# Of one system so much is kept; then all of it is forgotten.
+# Of one system so much is kept; then all of it is forgotten. Of the systems it is those that were asked for last.
 MOST = 256
+SYSTEMS = 16
 
-_KNOWN: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
+
+@lru_cache(maxsize=SYSTEMS)
+def _known_of(system: System) -> dict[Hashable, Any]:
+    return {}
 
 
 def remembered(system: System, key: Hashable, make: Callable[[], Found]) -> Found:
@@ -40,7 +44,7 @@ def remembered(system: System, key: Hashable, make: Callable[[], Found]) -> Foun
     if system.dim > LARGEST:
         return make()
     try:
-        known = _KNOWN.setdefault(system, {})
+        known = _known_of(system)
         found: Found = known[key]
     except KeyError:
         found = make()
