@@ -215,7 +215,8 @@ def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[
     waiting = list(candidates)
     while waiting:
         candidate = waiting.pop(0)
-        limit = min((each.cost for each in found), default=math.inf)
+        # What rounding spoils is no reason to leave others untried.
+        limit = min((each.cost for each in found if _rounded_well(each, wanted) is not None), default=math.inf)
         goal = _goal(candidate, wanted)
         if law is not None and law.least_cost(candidate, goal) > limit:
             continue
