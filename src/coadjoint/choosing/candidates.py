@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 from coadjoint.choosing.pilot import Pilot, Trial
@@ -25,14 +25,9 @@ class Candidate:
 
     system: System
     method: Method
-    counted: Callable[[], Work]
+    work: Work
     free: bool
     crowd: bool = False
-
-    @cached_property
-    def work(self) -> Work:
-        """What a step costs. Of flows it is counted when it is first asked for, since their parts must be found."""
-        return self.counted()
 
     @property
     def summed_exactly(self) -> bool:
@@ -73,7 +68,7 @@ class Candidate:
         if better is None:
             return None
         dearer = self.work.compensated
-        return replace(self, method=better, counted=self.counted if dearer is None else dearer)
+        return replace(self, method=better, work=self.work if dearer is None else dearer())
 
 
 def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, strict: bool) -> list[Candidate]:
@@ -117,10 +112,14 @@ def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, 
 def _candidate(system: System, method: Method, x0: Any, attitude: Any, free: bool) -> Candidate:
     start = start_of(system, method, x0, attitude)
     crowd = len(start.momenta) >= CROWD and system.dim <= limit("WIDEST")
-    carried = start.representation
-    if carried is not None:
-        method.properties(system)
-        return Candidate(system, method, partial(method.work, system, carried), free, crowd)
-    remembered(system, ("properties", method), partial(method.properties, system))
-    counted = partial(method.work, system, None)
-    return Candidate(system, method, partial(remembered, system, ("work", method), counted), free, crowd)
+    if start.representation is None:
+        work = remembered(system, ("work", method), partial(_work, system, method, None))
+    else:
+        work = _work(system, method, start.representation)
+    return Candidate(system, method, work, free, crowd)
+
+
+def _work(system: System, method: Method, representation: Any) -> Work:
+    """Return the work of a step, if the scheme serves the system."""
+    method.properties(system)
+    return method.work(system, representation)

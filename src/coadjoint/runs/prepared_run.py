@@ -285,9 +285,12 @@ class PreparedRun:
 
 def prepare(
     system: System | ForcedSystem | Batch,
-    method: Method | None,
-    step: float,
+    method: Method | None = None,
+    step: float | None = None,
     *,
+    accuracy: float | None = None,
+    x0: Any = None,
+    t_span: tuple[float, float] | None = None,
     attitude: Any = False,
     watch: bool = True,
     observe: Mapping[str, Any] | None = None,
@@ -305,8 +308,18 @@ def prepare(
         What moves.
     method : Method or None
         The scheme; `Splitting()` of order 2 if None, or of matrices what `suggested_scheme` says.
-    step : float
-        Size of a step, positive. Runs backward are made ready when the first one comes.
+    step : float, optional
+        Size of a step, positive. Runs backward are made ready when the first one comes. Either this or `accuracy`.
+    accuracy : float, optional
+        Wanted error, as in `integrate`: scheme (or that of `method` alone) and step are chosen once, for a sample of
+        states. Each run is checked: its first step is compared with two of half the size, which may differ from it by
+        twice what they do along the motions from the sample. A run that does not pass is chosen for by itself, which
+        takes some ms, and changes nothing for others. A motion that is calm at its start, and rougher later than those
+        from the sample ever are, is not foreseen.
+    x0 : array_like, shape (n,) or (members, n), optional
+        With `accuracy` the sample: states like those that will run.
+    t_span : (float, float), optional
+        With `accuracy` the longest run, and its direction.
     attitude : bool, "coadjoint", or array_like
         The group element carried beside the momentum; an array is the initial one of every run that does not give its
         own.
@@ -350,13 +363,38 @@ def prepare(
     >>> for k in range(3):
     ...     x = steered.run(x, t_span=(0.5 * k, 0.5 * k + 0.5), rotors=(0.0, -0.1 * k, 0.0)).x[-1]
 
-    So is the torque of thrusters:
+    Scheme and step are chosen once for states like those of a sample:
+
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> ready = co.prepare(body, accuracy=1e-9, x0=[(0.1, 1.0, 0.1), (1.0, 0.2, 0.3)], t_span=(0, 20))
+    >>> x0 = (0.4, 0.7, 0.5)
+    >>> bool(abs(ready.end(x0, (0.0, 20.0)) - body.exact(x0, 20.0)).max() < 1e-9)
+    True
+
+    The torque of thrusters is another one in each run:
 
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.Torque((0, 0, 0)))
     >>> pushed = co.prepare(body, None, step=0.125, inputs={"thrusters": "Torque"})
     >>> pushed.run((0.0, 0.0, 1.0), t_span=(0, 2), thrusters=(0.0, 0.0, -0.5)).x[-1]
     array([0., 0., 0.])
     """
+    if (step is None) == (accuracy is None):
+        given = "neither" if step is None else "both"
+        raise TypeError(
+            f"prepare was given {given} of step and accuracy; give step=, or accuracy= with x0= and t_span="
+        )
+    if step is None:
+        if x0 is None or t_span is None or not (inputs is None or inputs is False):
+            raise TypeError(
+                "accuracy= needs x0=, a sample of states, and t_span=, the longest run, and takes no inputs"
+            )
+        from coadjoint.choosing.sampled_run import SampledRun
+
+        chosen = SampledRun(system, x0, t_span, cast(float, accuracy), method, attitude, watch, observe, threads)
+        chosen.loops(chosen.signed_step).make_all()
+        return chosen
+    if x0 is not None or t_span is not None:
+        raise TypeError("prepare takes x0= and t_span= with accuracy=; a step serves all states and times")
     ready = PreparedRun(
         system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads, inputs=inputs
     )

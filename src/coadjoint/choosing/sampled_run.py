@@ -1,0 +1,189 @@
+"""A run made ready for an accuracy: chosen once for a sample of states, checked in each run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.choosing.accuracy import Choice, choose
+from coadjoint.choosing.sampling import sample_of
+from coadjoint.errors import IntegrationError
+from coadjoint.methods.base import Method
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.end_of_run import EVERY
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.solution import Solution, with_choice
+from coadjoint.runs.start import momenta_of
+from coadjoint.runs.times import span_of
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.kinds import System, check_system
+
+# The first step of a run may be so many times worse than the worst step of the sample.
+WORSE = 2.0
+# Steps of the sample that are looked at, of each state.
+LOOKED_AT = 64
+# Two halves of a step differ from the step by a few roundings, whatever its error.
+ROUNDED = 32 * UNIT_ROUNDOFF
+SLACK = 1.0 + 2.0**-40
+
+
+class SampledRun(PreparedRun):
+    """A prepared run whose scheme and step serve a sample of states; see `prepare` with ``accuracy=``.
+
+    It does not change, and what a run does depends on no run before it. A run is checked by its first step: two steps
+    of half the size may differ from it by no more than twice what they differ by anywhere along the motions from the
+    sample, relative to the state. A run that does not pass is chosen for by itself, as `integrate` does it.
+
+    Attributes
+    ----------
+    choice : Choice
+        What was chosen for the sample.
+    signed_step : float
+        The step, negative where it was prepared backward.
+    """
+
+    def __init__(
+        self,
+        system: Any,
+        sample: Any,
+        t_span: Any,
+        accuracy: float,
+        method: Method | None,
+        attitude: Any,
+        watch: bool,
+        observe: Mapping[str, Any] | None,
+        threads: int | None,
+    ) -> None:
+        check_system(system)
+        if isinstance(system, Batch):
+            raise TypeError("accuracy chooses the step for one system, and this is a batch; prepare a run of a member")
+        t0, t1 = span_of(t_span)
+        if t0 == t1:
+            raise ValueError(f"t_span is {[t0, t1]}; a run is prepared for a time that is longer than 0")
+        momenta, _ = momenta_of(system, sample)
+        picked = sample_of(cast(System, system), momenta, t0, t1 - t0)
+        self.choice: Choice = choose(cast(Any, system), picked, (t0, t1), accuracy, attitude=attitude, methods=method)
+        step = self.choice.step
+        super().__init__(
+            system, self.choice.method, step, attitude=attitude, watch=watch, observe=observe, threads=threads
+        )
+        self._asked = {"attitude": attitude, "watch": watch, "observe": observe, "threads": threads}
+        self._among, self._time, self.signed_step = method, t1 - t0, math.copysign(step, t1 - t0)
+        self._whole = PreparedRun(system, self.choice.method, step, watch=False, threads=1)
+        self._halves = PreparedRun(system, self.choice.method, 0.5 * step, watch=False, threads=1)
+        self._timed = bool(system.hamiltonian.timed)
+        self._once = 0.0, self.signed_step
+        self._allowed = max(ROUNDED, WORSE * self._worst_along(picked, t0))
+
+    def __repr__(self) -> str:
+        return f"<run of {self.system!r} prepared for the accuracy {self.choice.accuracy:g}: {self.method}>"
+
+    def run(
+        self,
+        x0: Any,
+        t_span: tuple[float, float],
+        save_every: int = 1,
+        *,
+        attitude: Any = None,
+        progress: bool = False,
+        events: Any = (),
+        **inputs: Any,
+    ) -> Solution:
+        """Integrate from an initial state to the accuracy that was asked for; as `PreparedRun.run`.
+
+        Parameters
+        ----------
+        x0, save_every, attitude, progress, events
+            As in `PreparedRun.run`; of a run that is chosen for by itself `save_every` counts the steps of that choice.
+        t_span : (float, float)
+            Start and end, in the direction and no longer than the run was prepared for. A whole number of steps.
+        **inputs : array_like
+            There are none.
+
+        Returns
+        -------
+        Solution
+            Its `choice` says what was chosen.
+
+        Raises
+        ------
+        ValueError, TypeError
+            For wrong input, before the first step; for an accuracy that is not reached from x0.
+        IntegrationError
+            As in `integrate`.
+        """
+        t0 = self._start_of(t_span)
+        given: dict[str, Any] = {"attitude": attitude, "progress": progress, "events": events, **inputs}
+        if not self.serves(x0, t0):
+            alone, choice = self._alone(x0, t_span)
+            return with_choice(alone.run(x0, t_span, save_every, **given), choice)
+        return with_choice(super().run(x0, t_span, save_every, **given), self.choice)
+
+    def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
+        """Return the state at the end alone, as `PreparedRun.end`; times as in `run`. To check takes 4 us."""
+        t0 = self._start_of(t_span)
+        if self.serves(x0, t0):
+            return super().end(x0, t_span)
+        return self._alone(x0, t_span)[0].run(x0, t_span, EVERY).x[-1]
+
+    def serves(self, x0: Any, t0: float = 0.0) -> bool:
+        """Return whether a run from a state, or from all of them, is like those of the sample.
+
+        Parameters
+        ----------
+        x0 : array_like, shape (n,) or (members, n)
+            Initial momentum.
+        t0 : float
+            When it starts.
+
+        Returns
+        -------
+        bool
+        """
+        once = (t0, t0 + self.signed_step) if self._timed else self._once
+        try:
+            apart, size = self._squares(x0, once)
+        except IntegrationError:
+            return False
+        return bool(np.all(apart <= self._allowed**2 * size))
+
+    def _squares(self, x0: Any, once: tuple[float, float]) -> tuple[Any, Any]:
+        """Return the squares of the difference between one step and two halves of it, and of the state after it."""
+        whole = self._whole.end(x0, once)
+        apart = whole - self._halves.end(x0, once)
+        if whole.ndim == 1:
+            return apart.dot(apart), whole.dot(whole)
+        return np.sum(apart * apart, axis=-1), np.sum(whole * whole, axis=-1)
+
+    def _worst_along(self, sample: NDArray[np.float64], t0: float) -> float:
+        """Return the largest difference along the motions from a sample, relative to the state."""
+        steps = max(1, round(self._time / self.signed_step))
+        along = self._whole.run(sample, (t0, t0 + self._time), max(1, steps // LOOKED_AT))
+        if self._timed:
+            found = [
+                self._squares(x, (t, t + self.signed_step)) for x, t in zip(along.x, along.t.tolist(), strict=True)
+            ]
+        else:
+            found = [self._squares(along.x.reshape(-1, along.x.shape[-1]), self._once)]
+        # A state at rest stays where it is.
+        return max(float(np.sqrt(np.max(a / np.where(size > 0.0, size, 1.0)))) for a, size in found)
+
+    def _start_of(self, t_span: Any) -> float:
+        """Return when a run starts, in the direction and within the time for which it was prepared."""
+        t0, t1 = span_of(t_span)
+        if not 0.0 <= (t1 - t0) / self._time <= SLACK:
+            raise ValueError(
+                f"t_span is {[t0, t1]}; the run was prepared for a time of {self._time:g}, and shorter ones in its "
+                "direction; prepare another one"
+            )
+        return t0
+
+    def _alone(self, x0: Any, t_span: tuple[float, float]) -> tuple[PreparedRun, Choice]:
+        """Return what runs a state that is not like those of the sample."""
+        given: Any = {"attitude": self._asked["attitude"], "methods": self._among}
+        choice = choose(self.system, x0, t_span, self.choice.accuracy, **given)
+        return PreparedRun(self.system, choice.method, choice.step, **cast(Any, self._asked)), choice

@@ -1,0 +1,114 @@
+"""Runs that are prepared for an accuracy: chosen once for a sample, checked by the first step of each."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.choosing import sampled_run
+
+BODY = co.systems.rigid_body((1, 2, 4))
+RNG = np.random.default_rng(1993)
+SPAN = (0.0, 40.0)
+
+
+def on_sphere(count):
+    found = RNG.standard_normal((count, 3))
+    return found / np.linalg.norm(found, axis=1)[:, None]
+
+
+SAMPLE = on_sphere(12)
+
+
+def no_choice(*given, **options):
+    raise AssertionError("another choice was made")
+
+
+@pytest.mark.parametrize("span", [SPAN, (40.0, 0.0), (1.0, 3.5)])
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-10])
+def test_states_like_those_of_the_sample_are_as_accurate(span, accuracy, monkeypatch):
+    ready = co.prepare(BODY, accuracy=accuracy, x0=SAMPLE, t_span=span)
+    monkeypatch.setattr(sampled_run, "choose", no_choice)
+    for x0 in on_sphere(20):
+        found, exact = ready.end(x0, span), BODY.exact(x0, span[1] - span[0])
+        assert np.linalg.norm(found - exact) <= accuracy
+        run = ready.run(x0, span)
+        assert np.array_equal(run.x[-1], found) and run.choice is ready.choice
+        alone = co.integrate(BODY, x0, span, ready.step, ready.method)
+        assert np.array_equal(alone.x[-1], found)
+    # Slower motions, which are no harder, and shorter ones, are served too.
+    shorter = span[0], span[0] + ready.signed_step
+    assert ready.serves(0.1 * SAMPLE) and ready.run(0.1 * SAMPLE, shorter).x.shape == (2, 12, 3)
+
+
+@pytest.mark.parametrize("method", [None, co.GaussLegendre(4), co.Splitting(order=6)], ids=str)
+def test_others_are_chosen_for_by_themselves(method):
+    """Nine times as fast: the step of the sample would be wrong by 9^p."""
+    ready = co.prepare(BODY, method, accuracy=1e-8, x0=SAMPLE, t_span=SPAN)
+    assert ready.serves(SAMPLE) and not ready.serves(1.5 * SAMPLE)
+    for x0 in 9.0 * on_sphere(3):
+        assert not ready.serves(x0)
+        found = ready.run(x0, SPAN, 10**9)
+        assert np.linalg.norm(found.x[-1] - BODY.exact(x0, 40.0)) <= 1e-8 * 9.0
+        once = co.integrate(BODY, x0, SPAN, accuracy=1e-8, method=method)
+        assert found.choice == once.choice != ready.choice
+        assert np.array_equal(found.x[-1], once.x[-1]) and np.array_equal(ready.end(x0, SPAN), once.x[-1])
+    mixed = np.array([SAMPLE[0], 9.0 * SAMPLE[1]])
+    ends = ready.run(mixed, SPAN, 10**9).x[-1]
+    assert np.max(np.abs(ends - [BODY.exact(x, 40.0) for x in mixed])) <= 9e-8
+    # What came between has changed nothing.
+    again = co.prepare(BODY, method, accuracy=1e-8, x0=SAMPLE, t_span=SPAN)
+    assert np.array_equal(ready.end(SAMPLE[0], SPAN), again.end(SAMPLE[0], SPAN))
+
+
+def test_a_state_at_rest_and_one_that_is_refused():
+    ready = co.prepare(BODY, accuracy=1e-8, x0=[SAMPLE[0], [0.0, 0.0, 0.0]], t_span=SPAN)
+    for x0 in ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
+        assert np.allclose(ready.end(x0, SPAN), x0, rtol=0.0, atol=1e-15)
+    for call in (ready.run, ready.end):
+        with pytest.raises(ValueError, match="NaN or infinity"):
+            call((0.0, np.nan, 1.0), SPAN)
+        with pytest.raises(ValueError, match=r"x0 has the shape \(2,\)"):
+            call((0.0, 1.0), SPAN)
+        for span in ((0.0, 41.0), (40.0, 0.0)):
+            with pytest.raises(ValueError, match="a time of 40, and shorter ones in its direction"):
+                call(SAMPLE[0], span)
+
+
+def test_a_clock_is_looked_at_where_it_is():
+    """The same body by a clock that runs ever faster: later steps are larger ones."""
+    quick = co.Hamiltonian(
+        lambda x, t: (1.0 + t) * (0.5 * x[0] ** 2 + 0.25 * x[1] ** 2 + 0.125 * x[2] ** 2),
+        lambda x, t: (1.0 + t) * x * np.array([1.0, 0.5, 0.25]),
+    )
+    system = co.LiePoissonSystem(co.algebras.so(3), quick, sign=-1)
+    ready = co.prepare(system, accuracy=1e-8, x0=SAMPLE[:3], t_span=(0, 4))
+    assert ready.serves(SAMPLE[4], 0.0) and ready.serves(SAMPLE[4], 3.0) and not ready.serves(SAMPLE[4], 30.0)
+    whole = (ready.step * (ready.step * k + 1.0) for k in range(3))
+    assert all(np.isfinite(list(whole)))
+    found = ready.end(SAMPLE[4], (0.0, 4.0))
+    assert np.linalg.norm(found - BODY.exact(SAMPLE[4], 4.0 + 8.0)) <= 1e-8
+
+
+def test_an_attitude_comes_along():
+    ready = co.prepare(BODY, accuracy=1e-8, x0=SAMPLE[:2], t_span=SPAN, attitude=True, threads=1)
+    run = ready.run(SAMPLE[0], SPAN, attitude=np.diag([1.0, -1.0, -1.0]))
+    once = co.integrate(BODY, SAMPLE[0], SPAN, ready.step, ready.method, attitude=np.diag([1.0, -1.0, -1.0]))
+    assert np.array_equal(run.attitude, once.attitude)
+
+
+@pytest.mark.parametrize(
+    ("given", "kind", "message"),
+    [
+        ({}, TypeError, "neither of step and accuracy"),
+        ({"step": 0.1, "accuracy": 1e-6}, TypeError, "both of step and accuracy"),
+        ({"accuracy": 1e-6}, TypeError, "needs x0=, a sample of states, and t_span="),
+        ({"accuracy": 1e-6, "x0": SAMPLE, "t_span": SPAN, "inputs": True}, TypeError, "takes no inputs"),
+        ({"step": 0.1, "x0": SAMPLE}, TypeError, "a step serves all states and times"),
+        ({"accuracy": 1e-6, "x0": SAMPLE, "t_span": (1, 1)}, ValueError, "a time that is longer than 0"),
+        ({"accuracy": 2.0, "x0": SAMPLE, "t_span": SPAN}, ValueError, "must lie between 0 and 1"),
+        ({"accuracy": 1e-17, "x0": SAMPLE, "t_span": SPAN}, ValueError, "is below what float64 reaches"),
+    ],
+)
+def test_what_is_refused(given, kind, message):
+    with pytest.raises(kind, match=message):
+        co.prepare(BODY, **given)
