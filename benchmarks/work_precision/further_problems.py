@@ -73,14 +73,14 @@ def sleeping_top() -> Problem:
 
 
 def kirchhoff_body() -> Problem:
-    """A body in a fluid, H = sum a_i L_i^2 / 2 + sum c_i p_i^2 / 2, in Clebsch's case: a hundred thousand steps.
+    """A body in a fluid, H = sum a_i L_i^2 / 2 + sum c_i p_i^2 / 2, in Clebsch's case.
 
     The sum of (c_2 - c_3) / a_1 and of what follows by turning the indices is 0, which makes it integrable.
     """
     m = (1.0, 0.5, 0.25, 2.0, 1.5, 0.5)
     algebra = co.algebras.get("e(3)")
     system = co.LiePoissonSystem(algebra, co.Quadratic(m), sign=-1, name="Kirchhoff body")
-    return Problem("Kirchhoff body", system, quadratic_field(algebra, m, -1.0), 0.5 * scattered(6), 5e4, 2.0)
+    return Problem("Kirchhoff body", system, quadratic_field(algebra, m, -1.0), 0.5 * scattered(6), 5e3, 3.0)
 
 
 def vlasov_moments() -> Problem:
@@ -156,5 +156,7 @@ def further_problems() -> dict[str, Problem]:
         "so5": five_dimensional_body(),
         "solvable": solvable(),
     }
+    # A hundred thousand steps of order 24.
+    found["long-body"] = replace(rigid_body(), name="rigid body, long", span=2e5)
     brief_ones = {"body": rigid_body(), **{name: found[name] for name in ("chain", "kirchhoff", "so5")}}
     return {**found, **{f"brief-{name}": brief(problem) for name, problem in brief_ones.items()}}

@@ -45,6 +45,7 @@ def test_others_are_chosen_for_by_themselves(method):
     """Nine times as fast: the step of the sample would be wrong by 9^p."""
     ready = co.prepare(BODY, method, accuracy=1e-8, x0=SAMPLE, t_span=SPAN)
     assert ready.serves(SAMPLE) and not ready.serves(1.5 * SAMPLE)
+    assert all(map(ready.serves, SAMPLE)) and not all(ready.serves(1.5 * x) for x in SAMPLE)
     for x0 in 9.0 * on_sphere(3):
         assert not ready.serves(x0)
         found = ready.run(x0, SPAN, 10**9)
@@ -64,6 +65,9 @@ def test_a_state_at_rest_and_one_that_is_refused():
     ready = co.prepare(BODY, accuracy=1e-8, x0=[SAMPLE[0], [0.0, 0.0, 0.0]], t_span=SPAN)
     for x0 in ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
         assert np.allclose(ready.end(x0, SPAN), x0, rtol=0.0, atol=1e-15)
+    # Nothing can be said where squares are no numbers any more.
+    for size in (0.0, 1e-200, 1e200):
+        assert ready.serves(size * SAMPLE[0]) == ready.serves(size * SAMPLE[:1]) == (size == 0.0)
     for call in (ready.run, ready.end):
         with pytest.raises(ValueError, match="NaN or infinity"):
             call((0.0, np.nan, 1.0), SPAN)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from operator import mul, sub
 from typing import Any, cast
 
 import numpy as np
@@ -29,6 +30,8 @@ LOOKED_AT = 64
 # Two halves of a step differ from the step by a few roundings, whatever its error.
 ROUNDED = 32 * UNIT_ROUNDOFF
 SLACK = 1.0 + 2.0**-40
+# Squares of lengths between these are compared.
+LEAST, LARGEST = 2.0**-900, 2.0**900
 
 
 class SampledRun(PreparedRun):
@@ -77,6 +80,7 @@ class SampledRun(PreparedRun):
         self._halves = PreparedRun(system, self.choice.method, 0.5 * step, watch=False, threads=1)
         self._timed = bool(system.hamiltonian.timed)
         self._once = 0.0, self.signed_step
+        self._read: tuple[Any, float] = None, t0
         self._allowed = max(ROUNDED, WORSE * self._worst_along(picked, t0))
 
     def __repr__(self) -> str:
@@ -124,7 +128,7 @@ class SampledRun(PreparedRun):
         return with_choice(super().run(x0, t_span, save_every, **given), self.choice)
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
-        """Return the state at the end alone, as `PreparedRun.end`; times as in `run`. To check takes 4 us."""
+        """Return the state at the end alone, as `PreparedRun.end`; times as in `run`. To check takes 5 us."""
         t0 = self._start_of(t_span)
         if self.serves(x0, t0):
             return super().end(x0, t_span)
@@ -146,40 +150,49 @@ class SampledRun(PreparedRun):
         """
         once = (t0, t0 + self.signed_step) if self._timed else self._once
         try:
-            apart, size = self._squares(x0, once)
+            whole, halves = self._whole.end(x0, once), self._halves.end(x0, once)
         except IntegrationError:
             return False
-        return bool(np.all(apart <= self._allowed**2 * size))
-
-    def _squares(self, x0: Any, once: tuple[float, float]) -> tuple[Any, Any]:
-        """Return the squares of the difference between one step and two halves of it, and of the state after it."""
-        whole = self._whole.end(x0, once)
-        apart = whole - self._halves.end(x0, once)
-        if whole.ndim == 1:
-            return apart.dot(apart), whole.dot(whole)
-        return np.sum(apart * apart, axis=-1), np.sum(whole * whole, axis=-1)
+        if whole.ndim > 1:
+            apart, size = _squares(whole, halves)
+            sound = (size > LEAST) & (size < LARGEST)
+            return bool(np.all((sound & (apart <= self._allowed**2 * size)) | ~np.any([whole, halves], axis=(0, 2))))
+        one, other = whole.tolist(), halves.tolist()
+        size = sum(map(mul, one, one))
+        if LEAST < size < LARGEST:
+            off = list(map(sub, one, other))
+            return bool(sum(map(mul, off, off)) <= self._allowed**2 * size)
+        # Of zero there is nothing to compare. Where squares leave the range of float64, the run is chosen for.
+        return not (any(one) or any(other))
 
     def _worst_along(self, sample: NDArray[np.float64], t0: float) -> float:
         """Return the largest difference along the motions from a sample, relative to the state."""
         steps = max(1, round(self._time / self.signed_step))
         along = self._whole.run(sample, (t0, t0 + self._time), max(1, steps // LOOKED_AT))
         if self._timed:
-            found = [
-                self._squares(x, (t, t + self.signed_step)) for x, t in zip(along.x, along.t.tolist(), strict=True)
-            ]
+            starts = zip(along.x, along.t.tolist(), strict=True)
+            pairs = [(x, (t, t + self.signed_step)) for x, t in starts]
         else:
-            found = [self._squares(along.x.reshape(-1, along.x.shape[-1]), self._once)]
-        # A state at rest stays where it is.
-        return max(float(np.sqrt(np.max(a / np.where(size > 0.0, size, 1.0)))) for a, size in found)
+            pairs = [(along.x.reshape(-1, along.x.shape[-1]), self._once)]
+        worst = 0.0
+        for states, once in pairs:
+            apart, size = _squares(self._whole.end(states, once), self._halves.end(states, once))
+            # A state at rest stays where it is.
+            worst = max(worst, float(np.max(apart / np.where(size > 0.0, size, 1.0))))
+        return math.sqrt(worst)
 
     def _start_of(self, t_span: Any) -> float:
         """Return when a run starts, in the direction and within the time for which it was prepared."""
+        if t_span is self._read[0]:
+            return self._read[1]
         t0, t1 = span_of(t_span)
         if not 0.0 <= (t1 - t0) / self._time <= SLACK:
             raise ValueError(
                 f"t_span is {[t0, t1]}; the run was prepared for a time of {self._time:g}, and shorter ones in its "
                 "direction; prepare another one"
             )
+        if type(t_span) is tuple and all(type(end) in (float, int) for end in t_span):
+            self._read = t_span, t0
         return t0
 
     def _alone(self, x0: Any, t_span: tuple[float, float]) -> tuple[PreparedRun, Choice]:
@@ -187,3 +200,9 @@ class SampledRun(PreparedRun):
         given: Any = {"attitude": self._asked["attitude"], "methods": self._among}
         choice = choose(self.system, x0, t_span, self.choice.accuracy, **given)
         return PreparedRun(self.system, choice.method, choice.step, **cast(Any, self._asked)), choice
+
+
+def _squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the squares of the differences of states, (members, n), and of the first ones."""
+    with np.errstate(over="ignore"):
+        return np.sum((one - other) ** 2, axis=-1), np.sum(one**2, axis=-1)
