@@ -22,6 +22,7 @@ from coadjoint.methods.base import Method
 from coadjoint.methods.forced import check_serves, serving
 from coadjoint.methods.splitting import Splitting
 from coadjoint.methods.suggested import suggested_scheme
+from coadjoint.runs.any_time import moments_of
 from coadjoint.runs.events import Event
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import times_of
@@ -52,7 +53,7 @@ class Configuration:
     ----------
     path : str
         The file, for messages.
-    system, x0, t_span, step, method, save_every, attitude, watch, observe, events, threads
+    system, x0, t_span, step, method, save_every, t_eval, attitude, watch, observe, events, threads
         As for `coadjoint.integrate`.
     output, figure, movie : str or None
         Where the file wants the results; relative to the current directory.
@@ -82,6 +83,7 @@ class Configuration:
     step: float
     method: Method
     save_every: int = 1
+    t_eval: Any = None
     attitude: Any = False
     watch: bool = True
     observe: Mapping[str, Polynomial] = field(default_factory=dict)
@@ -123,6 +125,7 @@ class Configuration:
                 self.step,
                 self.method,
                 save_every=self.save_every,
+                t_eval=self.t_eval,
                 attitude=self.attitude,
                 watch=self.watch,
                 observe=self.observe,
@@ -133,7 +136,8 @@ class Configuration:
 
     def _check_memory(self) -> None:
         """Refuse more saved states than there is memory for, before the first of them."""
-        points = times_of(self.t_span, self.step, self.save_every).points
+        every = times_of(self.t_span, self.step, self.save_every).points
+        points = every if self.t_eval is None else 2 * len(self.t_eval)
         start = start_of(self.system, serving(self.system, self.method), self.x0, self.attitude)
         numbers = self.system.dim + start.groups.shape[1] ** 2 + 1 + len(self.system.casimirs) + len(self.observe)
         needed, free = 8 * points * len(start.momenta) * numbers, available()
@@ -267,7 +271,9 @@ def _configuration(name: str, text: str, file: File) -> Configuration:
     with section(name, "method"):
         check_serves(system, method)
     with section(name, "run"):
-        times_of(file.run.t_span, file.run.step, file.run.save_every)
+        times = times_of(file.run.t_span, file.run.step, file.run.save_every)
+        if file.run.t_eval is not None:
+            moments_of(file.run.t_eval, times, file.run.save_every)
     x0 = state_by_name(name, file.initial, system)
     with section(name, "initial.x"):
         x0 = initial_state(system, file.initial.x, Path(name).parent) if x0 is None else x0
@@ -292,6 +298,7 @@ def _configuration(name: str, text: str, file: File) -> Configuration:
         step=file.run.step,
         method=method,
         save_every=file.run.save_every,
+        t_eval=file.run.t_eval,
         attitude=file.initial.attitude,
         watch=file.run.watch,
         observe=observe,

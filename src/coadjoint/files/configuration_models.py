@@ -161,6 +161,7 @@ class RunTable(Table):
     t_span: Annotated[Any, _numbers(1)]
     step: Annotated[float, Field(gt=0)]
     save_every: Whole = 1
+    t_eval: Annotated[Any, _numbers(1)] | None = None
     watch: bool = True
     threads: Whole | None = None
 

@@ -83,11 +83,11 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
         done = [values for of_force in solution.work.values() for values in of_force.values()]
         about = "what a force has changed of an invariant since the start"
         variables["work"] = ((*over_time, "account"), np.stack(done, axis=-1), {"long_name": about})
-    variables["x0"] = ((*member, *of_state), in_parts(solution.x[0]), {"long_name": "initial momentum"})
+    variables["x0"] = ((*member, *of_state), in_parts(solution.x0), {"long_name": "initial momentum"})
     if solution.attitude is not None:
         square = ("row", "column")
         variables["attitude"] = ((*over_time, *square), solution.attitude, {"long_name": "group element"})
-        variables["attitude0"] = ((*member, *square), solution.attitude[0], {"long_name": "initial group element"})
+        variables["attitude0"] = ((*member, *square), solution.attitude0, {"long_name": "initial group element"})
     if solution.failed is not None:
         variables["failed"] = (
             member,
@@ -146,6 +146,7 @@ def _attributes(solution: Solution) -> dict[str, Any]:
         "method_repr": repr(solution.method),
         "step": solution.step,
         "save_every": solution.save_every,
+        "between_steps": int(solution.t_eval is not None),
         "watch": int(solution.watched),
         "attitude_carried": solution.carried or "none",
         "t_span": json.dumps(solution.asked_span),
@@ -241,6 +242,7 @@ def solution_inputs(dataset: xarray.Dataset) -> dict[str, Any]:
     initial: dict[str, Any] = {"none": False, "coadjoint": "coadjoint"}
     if carried not in (*initial, "representation"):
         raise given["attitude_carried"].wrong("'none', 'coadjoint' or 'representation'")
+    between = Entry(attributes.get("between_steps", 0), "between_steps").flag()
     if "events_not_stored" in attributes:
         raise ValueError(
             f"the run may have been ended by an event, and {attributes['events_not_stored']} is a function, which was "
@@ -254,6 +256,7 @@ def solution_inputs(dataset: xarray.Dataset) -> dict[str, Any]:
         "step": step,
         "method": method,
         "save_every": save_every,
+        "t_eval": state_of(dataset, "time", (("time",),)) if between else None,
         "watch": given["watch"].flag(),
         "attitude": initial[carried] if carried in initial else state_of(dataset, "attitude0", DIMENSIONS[1:2]),
         "events": events_of(Entry(attributes["events"], "events"), system) if "events" in attributes else (),

@@ -21,7 +21,8 @@ MOST_PRODUCTS = 2e7
 class Unshifted(NamedTuple):
     """What of a run is turned: addresses of its arrays, of `members` members, and which members and points are meant.
 
-    X acts `rate` times as fast.
+    X acts `rate` times as fast. At the address `elapsed`, where it is not 0, stand the times since the start of each
+    point and member, in place of a schedule.
     """
 
     momenta: int
@@ -34,6 +35,7 @@ class Unshifted(NamedTuple):
     k0: int
     k1: int
     rate: float
+    elapsed: int = 0
 
 
 class Unshifting:
@@ -70,6 +72,7 @@ class Unshifting:
         first: int,
         last: int,
         schedule: bytes,
+        elapsed: NDArray[np.float64] | None = None,
     ) -> None:
         """Fill out (k, members, d, d) with the elements of the members `first` to `last` - 1.
 
@@ -86,12 +89,15 @@ class Unshifting:
             Members.
         schedule : bytes
             The steps of the run, from `schedule_of`.
+        elapsed : ndarray, shape (k, members), optional
+            Times since the start, in place of those of the steps.
         """
         x0, g0, whole = addressof(number_at(momenta)), addressof(number_at(initial)), addressof(number_at(out))
         points, members = out.shape[:2]
+        since = 0 if elapsed is None else addressof(number_at(elapsed))
         size = int(MOST_PRODUCTS / ((last - first) * self._products)) or 1
         for k in range(0, points, size):
             stop = min(k + size, points)
             # The table as plain bytes: a tenth of the time that a structure takes.
-            numbers = x0, g0, held, whole, members, first, last, k, stop, self._rate
+            numbers = x0, g0, held, whole, members, first, last, k, stop, self._rate, since
             self._unshift(self._address, self._packed(*numbers), schedule)

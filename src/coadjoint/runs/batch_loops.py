@@ -95,9 +95,9 @@ class BatchLoops(Loops):
                 crews.append(Crew(group.loop, group.tables, group.watch, *places, group.stride, first))
         return in_rounds(crews, workers)
 
-    def pieces(self, watch: Any) -> Pieces:
+    def pieces(self, watch: Any = None) -> Pieces:
         """Return the tables of each group, and its members."""
-        return [(Tables(own.loop, own.tables, watch, own.stride), own.members) for own in self.groups]
+        return [(Tables(own.loop, own.tables, watch or own.watch, own.stride), own.members) for own in self.groups]
 
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in the loop of any member."""

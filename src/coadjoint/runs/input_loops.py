@@ -95,13 +95,12 @@ class LoopsOfCall(Loops):
             return [[Crew(loop, *self._given[0], *own, self._stride) for own in places]]
         return in_rounds([Crew(loop, *own, m, m + 1, base=m) for m, own in enumerate(self._given)], workers)
 
-    def pieces(self, watch: Any) -> Pieces:
+    def pieces(self, watch: Any = None) -> Pieces:
         """Return the tables of all members, or those of each."""
         loop = self._base.prepared.name
         if len(self._given) == 1:
-            found = Tables(loop, self._given[0][0], watch, self._stride)
-            return [(found, None)]
-        return [(Tables(loop, own[0], watch), np.array([m])) for m, own in enumerate(self._given)]
+            return [(Tables(loop, self._given[0][0], watch or self._given[0][1], self._stride), None)]
+        return [(Tables(loop, own[0], watch or own[1]), np.array([m])) for m, own in enumerate(self._given)]
 
     def values_at(self, state: Floats, t: float, last: Floats) -> Floats:
         return values_of_watch(self._given[0][1], state, t, last)

@@ -24,6 +24,7 @@ def integrate(
     *,
     accuracy: float | None = None,
     save_every: int = 1,
+    t_eval: Any = None,
     attitude: Any = False,
     watch: bool = True,
     observe: Mapping[str, Any] | None = None,
@@ -57,6 +58,10 @@ def integrate(
         then chosen by `choose`, the same for the same inputs.
     save_every : int
         Keep every k-th step (the start and the end always); nothing else is held in memory.
+    t_eval : array_like, shape (k,), optional
+        Keep the states at these times instead: any within `t_span`, sorted in its direction. Between two steps a part
+        of a step of the same scheme leads there, so that the state is as good as at the steps: of the scheme's order,
+        with what the scheme keeps. The steps have the same bits as without.
     attitude : bool, "coadjoint", or array_like
         The group element carried beside the momentum: in the system's own representation (True, or an initial element
         of shape (d, d)), or the coadjoint matrix K with K x constant.
@@ -125,4 +130,5 @@ def integrate(
         method, step = choice.method, choice.step
     assert step is not None
     ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads)
-    return with_choice(ready.run(x0, t_span, save_every, progress=progress, events=events), choice)
+    sol = ready.run(x0, t_span, save_every, t_eval=t_eval, progress=progress, events=events)
+    return with_choice(sol, choice)

@@ -77,13 +77,17 @@ class Loops(ABC):
     turned: Turned
     _plan: Plan | None = None
 
+    @property
+    def followed(self) -> int:
+        """How many numbers are followed of a member."""
+        return len(self.names) * (2 if self.accounts else 1)
+
     def plan(self, members: int, points: int, square: int, workers: int) -> Plan:
         """Return the plan of a run; that of the last one is kept."""
         key = (members, points, square, workers)
         plan = self._plan
         if plan is None or plan.key != key:
-            followed = len(self.names) * (2 if self.accounts else 1)
-            extent = Extent(members, points, self.size, square, followed, self.memory)
+            extent = Extent(members, points, self.size, square, self.followed, self.memory)
             plan = self._plan = Plan(key, Layout(extent), self.rounds(members, workers))
         return plan
 
@@ -96,8 +100,8 @@ class Loops(ABC):
         return None
 
     @abstractmethod
-    def pieces(self, watch: Any) -> Pieces:
-        """Return the tables of the members with another watch."""
+    def pieces(self, watch: Any = None) -> Pieces:
+        """Return the tables of the members, with another watch where one is given."""
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
         """Return whether `turned` might make elements that are not finite from those of the loops, which are."""
@@ -152,6 +156,10 @@ class Loops(ABC):
             Those of the saved points that are new.
         """
         return
+
+    def measured_at(self, states: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return the invariants of states (m, size) at times (m,) that the loops do not follow; None where they do."""
+        return None
 
     @abstractmethod
     def raised(self) -> BaseException | None:
@@ -230,9 +238,9 @@ class SystemLoops(Loops):
         own = self.crew(0, 1)
         return [[own.among(members[slice(*places)]) for places in shared_out(0, len(members), workers, self.block)]]
 
-    def pieces(self, watch: Any) -> Pieces:
+    def pieces(self, watch: Any = None) -> Pieces:
         """Return the tables that all members have."""
-        return [(Tables(*self._given[:2], watch), None)]
+        return [(Tables(*self._given[:2], watch or self._given[2]), None)]
 
     def crew(self, first: int, last: int, base: int = 0) -> Crew:
         """Return the members first to last - 1 as a crew; `base` as for `Crew`."""
@@ -256,6 +264,12 @@ class SystemLoops(Loops):
         if self._matrices is not None:
             return self._values(state[None], t)[0]
         return values_of_watch(self.watch, state, t, last)
+
+    def measured_at(self, states: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return the energy and the invariants of matrices."""
+        if self._matrices is None:
+            return None
+        return np.concatenate([self._values(x[None], when) for x, when in zip(states, t.tolist(), strict=True)])
 
     def _values(self, states: NDArray[np.float64], t: float) -> NDArray[np.float64]:
         system = self._matrices

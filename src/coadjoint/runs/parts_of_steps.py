@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,27 @@ MOST_NUMBERS = 2**20
 """Numbers of the arrays that are worked with at a time."""
 FEW_ROWS = 256
 """Up to so many rows one thread takes in less time than others need to begin."""
+
+
+def check_no_noise(system: Any) -> None:
+    """Refuse a system with a random force: what it does in a part of a step is not known from the whole."""
+    moved = system[0] if isinstance(system, Batch) else system
+    if isinstance(moved, ForcedSystem):
+        noises = [label for label, force in zip(moved.labels, moved.forces, strict=True) if force.random]
+        if noises:
+            raise ValueError(
+                f"{noises[0]} of {moved.name} is a noise, drawn once for a step: there is no state between two steps; "
+                "ask for times that are whole numbers of steps from the start"
+            )
+
+
+class Taken(NamedTuple):
+    """What a step has made of each row: momenta and group elements; invariants after it, and before it."""
+
+    momenta: Floats
+    groups: Floats
+    values: Floats
+    before: Floats
 
 
 class PartsOfSteps:
@@ -66,16 +87,9 @@ class PartsOfSteps:
     def __init__(self, system: Any, method: Method, loops: Loops, workers: int = 1) -> None:
         from coadjoint.kernels.tables import invariants_table
 
-        moved = system[0] if isinstance(system, Batch) else system
-        if isinstance(moved, ForcedSystem):
-            noises = [label for label, force in zip(moved.labels, moved.forces, strict=True) if force.random]
-            if noises:
-                raise ValueError(
-                    f"{noises[0]} of {moved.name} is a noise, drawn once for a step: there is no state between two "
-                    "steps; ask for times that are whole numbers of steps from the start"
-                )
+        check_no_noise(system)
         self.method, self.loops, self.workers = method, loops, workers
-        self._nothing = pointed(invariants_table([], moved.dim).tables)
+        self._nothing = pointed(invariants_table([], system.dim).tables)
 
     def take(
         self,
@@ -110,39 +124,60 @@ class PartsOfSteps:
         IntegrationError
             A step failed, which the whole one did not.
         """
-        moved, turned = np.full(momenta.shape, np.nan), np.full(groups.shape, np.nan)
+        return self.taken(momenta, groups, times, lengths, owners)[:2]
+
+    def taken(
+        self,
+        momenta: Floats,
+        groups: Floats,
+        times: Floats,
+        lengths: Floats,
+        owners: NDArray[np.int64] | None = None,
+        watched: bool = False,
+    ) -> Taken:
+        """Return the same with the invariants that the run follows, where they are `watched`."""
+        count = self.loops.followed if watched else 0
+        widths = momenta.shape[1], groups.shape[1], count, count
+        found = Taken(*(np.full((len(momenta), width), np.nan) for width in widths))
         owners = np.arange(len(momenta)) if owners is None else owners
         sound = np.flatnonzero(np.isfinite(momenta).all(axis=1))
-        numbers = 4 * momenta.shape[1] + 4 * groups.shape[1] + self.loops.memory + 8
+        numbers = 4 * momenta.shape[1] + 4 * groups.shape[1] + self.loops.memory + 16 * count + 8
         chunk = max(1, MOST_NUMBERS // numbers)
         with pool_of(self.workers if len(sound) > FEW_ROWS else 1) as pool:
             for first in range(0, len(sound), chunk):
                 some = sound[first : first + chunk]
-                moved[some], turned[some] = self._take(
-                    momenta[some], groups[some], times[some], lengths[some], owners[some], pool
-                )
-        return moved, turned
+                given = momenta[some], groups[some], times[some], lengths[some], owners[some]
+                for every, own in zip(found, self._take(*given, watched, pool), strict=True):
+                    every[some] = own
+        return found
 
     def _take(
-        self, momenta: Floats, groups: Floats, times: Floats, lengths: Floats, owners: NDArray[np.int64], pool: Any
-    ) -> tuple[Floats, Floats]:
-        loops = self.loops
-        rows, own, crews = rows_of_pieces(
-            loops.pieces(self._nothing), owners, 1 if pool is None else self.workers, loops.block
-        )
-        layout = Layout(Extent(len(rows), 1, momenta.shape[1], groups.shape[1], 0, loops.memory))
+        self,
+        momenta: Floats,
+        groups: Floats,
+        times: Floats,
+        lengths: Floats,
+        owners: NDArray[np.int64],
+        watched: bool,
+        pool: Any,
+    ) -> list[Floats]:
+        loops, workers = self.loops, 1 if pool is None else self.workers
+        pieces = loops.pieces(None if watched else self._nothing)
+        rows, own, crews = rows_of_pieces(pieces, owners, workers, loops.block)
+        count = loops.followed if watched else 0
+        layout = Layout(Extent(len(rows), 1, momenta.shape[1], groups.shape[1], count, loops.memory))
         saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
         state["momenta"][:], state["groups"][:] = momenta[rows], groups[rows]
         starts, steps = times[rows].astype(np.float64), np.where(own, lengths[rows], 0.0)
         schedule = schedule_of_parts(starts, steps)
-        with threads_of_blas(loops.rows, 1 if pool is None else self.workers):
+        with threads_of_blas(loops.rows, workers):
             at_work(crews, (layout, schedule, saved, state, 0, 1), loops, pool)
         failed = np.flatnonzero((state["status"] != codes("Status")["DONE"]) & own)
         if len(failed):
             raise self._failure(int(failed[0]), rows, owners, starts, steps, state)
-        moved, turned = np.empty(momenta.shape), np.empty(groups.shape)
-        moved[rows[own]], turned[rows[own]] = saved["x"][0][own], saved["group"][0][own]
-        return moved, turned
+        place = np.empty(len(momenta), dtype=np.int64)
+        place[rows[own]] = np.flatnonzero(own)
+        return [array[place] for array in (saved["x"][0], saved["group"][0], saved["values"][0], state["first"])]
 
     def _failure(
         self, place: int, rows: Any, owners: Any, starts: Floats, steps: Floats, state: NamedArrays

@@ -16,6 +16,7 @@ from coadjoint.methods.base import Method
 from coadjoint.methods.forced import serving
 from coadjoint.methods.splitting import Splitting
 from coadjoint.methods.suggested import suggested_scheme
+from coadjoint.runs.any_time import Moments, check_parts, look, moments_of
 from coadjoint.runs.batch_loops import BatchLoops
 from coadjoint.runs.crossings import WatchedEvents
 from coadjoint.runs.end_of_run import EVERY, EndOfRun
@@ -96,6 +97,7 @@ class PreparedRun:
         t_span: tuple[float, float],
         save_every: int = 1,
         *,
+        t_eval: Any = None,
         attitude: Any = None,
         progress: bool = False,
         events: Any = None,
@@ -111,6 +113,8 @@ class PreparedRun:
             Start and end; backward where the end lies before the start. A whole number of steps.
         save_every : int
             Keep every k-th step, the start and the end.
+        t_eval : array_like, shape (k,), optional
+            Keep the states at these times instead, as in `integrate`.
         attitude : array_like, shape (d, d) or (members, d, d), optional
             The initial group element of this run, in place of the one that was prepared.
         progress : bool
@@ -136,8 +140,9 @@ class PreparedRun:
         """
         progress = read_progress(progress)
         times = times_between(span_of(t_span), self.step, save_every)
+        moments = None if t_eval is None else moments_of(t_eval, times, save_every)
         values, looked_for = self.values_of(inputs), read_events(events)
-        return self.follow(times, self.start(x0, attitude, values), progress, values, looked_for)
+        return self.follow(times, self.start(x0, attitude, values), progress, values, looked_for, moments)
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
         """Return the state at the end of a run alone, in a fifth of the time that the call of `run` takes.
@@ -228,11 +233,16 @@ class PreparedRun:
         progress: bool = False,
         values: NDArray[np.float64] | None = None,
         events: tuple[Event, ...] = (),
+        moments: Moments | None = None,
     ) -> Solution:
         """Take the steps of `times`, whose step is the prepared one or its negative, from a checked state.
 
-        `values` is what `values_of` returned, where the run was prepared with inputs.
+        `values` is what `values_of` returned, where the run was prepared with inputs. Moments are kept in place of
+        steps, where there are some.
         """
+        if moments is not None:
+            check_parts(self.system, moments, events)
+            times = times.marking(moments.marks)
         run = self.begun(times, start, values)
         observed = self._observed_at(start.momenta[0]) if self._observe else None
         if events:
@@ -240,6 +250,8 @@ class PreparedRun:
             EventRun(run, self._watched(events, start.momenta[0], times.t0), parts).advance(progress)
         else:
             run.advance(progress)
+        if moments is not None:
+            look(run, moments)
         return run.solution(observed)
 
     def begun(self, times: Times, start: Start, values: NDArray[np.float64] | None = None) -> Run:

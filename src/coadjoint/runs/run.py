@@ -66,7 +66,11 @@ class Run:
         What was found of those that were looked for.
     ending : Ending or None
         How the run of a single member was ended by one.
+    initial : ndarray or None
+        The invariants at the start, (members, invariants), where it is not the first of the saved points.
     """
+
+    initial: NDArray[np.float64] | None = None
 
     def __init__(
         self,
@@ -97,7 +101,7 @@ class Run:
             state.check_fits(self.plan.layout.state)
             self.state = state.copy()
             self.saved.numbers.fill(np.nan)
-        self._schedule = schedule_of(*times[:4], watching, *times[4:])
+        self._schedule = schedule_of(*times[:4], watching, *times[4:6])
         self.seconds = 0.0
         self.wrong = 0
         self.events: Events | None = None
@@ -105,7 +109,7 @@ class Run:
 
     def look_for(self, events: int) -> None:
         """Let the loops look for events, at the address of their tables; these must live as long as the run."""
-        self._schedule = schedule_of(*self.times[:4], self.watching, *self.times[4:], events=events)
+        self._schedule = schedule_of(*self.times[:4], self.watching, *self.times[4:6], events=events)
 
     def close(self, last: NDArray[np.int64]) -> None:
         """Forget what was saved of members after their last steps, where events have ended them before the others."""
@@ -176,6 +180,11 @@ class Run:
             chunk, done = max(1, min(int(pace * SECONDS_BETWEEN_LOOKS), 1000 * chunk)), target
             if done == last or wrong == sum(crew.count for crew in crews):
                 return wrong
+
+    @property
+    def moved(self) -> System | Batch:
+        """What moves; made where a function makes it."""
+        return self.system() if isinstance(self.system, partial) else self.system
 
     def solution(self, observed: Observed | None) -> Solution:
         """Return what was saved, or raise the failure with it."""

@@ -94,5 +94,8 @@ class Unshift:
 
     def fill(self, out: NDArray[np.float64], start: Start, times: Times, held: int, first: int, last: int) -> None:
         """Fill in the members `first` to `last` - 1 of `out` from what stands at the address `held`."""
-        schedule = schedule_of(*times[:4], False, *times[4:])
-        self._unshifting.fill(out, held, start.momenta, start.groups, first, last, schedule)
+        schedule = schedule_of(*times[:4], False, *times[4:6])
+        elapsed = None
+        if times.between is not None:
+            elapsed = np.repeat((times.between - times.t0)[: len(out), None], out.shape[1], axis=1)
+        self._unshifting.fill(out, held, start.momenta, start.groups, first, last, schedule, elapsed)

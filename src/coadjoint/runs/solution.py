@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from coadjoint.runs.observed import Observed
     from coadjoint.runs.run import Run
     from coadjoint.runs.start import Start
+    from coadjoint.runs.state_at import StateAt
     from coadjoint.runs.times import Times
 
 # What a solution needs of the state of a run. Only these are kept of a large state. To copy from a small one would
@@ -95,7 +96,7 @@ class Solution:
     Attributes
     ----------
     t : ndarray, shape (k,)
-        t0, every save_every-th step, and the last.
+        t0, every save_every-th step, and the last; or `t_eval`.
     x : ndarray, shape (k, n) or (k, members, n)
         Momentum.
     energy : ndarray, shape (k,) or (k, members)
@@ -148,6 +149,7 @@ class Solution:
     _start: Start
     _names: list[str]
     _accounts: tuple[tuple[str, str], ...]
+    _initial: NDArray[np.float64] | None
     _turned: Turned
     _system: System | Batch | partial[System | Batch]
 
@@ -171,6 +173,7 @@ class Solution:
             _accounts=loops.accounts,
             _turned=loops.turned,
             _system=run.system,
+            _initial=run.initial,
         )
         if observed is not None:
             # Behind the coordinates there may be accounts, which nothing that is observed reads.
@@ -206,7 +209,7 @@ class Solution:
     @cached_property
     def t(self) -> NDArray[np.float64]:
         """The saved times."""
-        found = self._times.at(self._times.saved[: self._kept])
+        found = self._times.seen[: self._kept]
         if self._ending is not None:
             found[-1] = self._ending.t
         return found
@@ -215,11 +218,36 @@ class Solution:
     def x(self) -> NDArray[np.float64]:
         """Momenta."""
         # Behind the coordinates there may be accounts of forces.
-        found = self._picked(self._series("x"))[..., : self._start.momenta.shape[1]]
+        return self._states(self._picked(self._series("x"))[..., : self._start.momenta.shape[1]])
+
+    def _states(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         plain = unforced(self._system)
         if isinstance(plain, MatrixSystem):
-            return plain.states(found)
-        return found.reshape(*found.shape[:-1], *self._start.shape)
+            return plain.states(rows)
+        return rows.reshape(*rows.shape[:-1], *self._start.shape)
+
+    @cached_property
+    def x0(self) -> NDArray[np.float64]:
+        """Momentum at the start, (n,) or (members, n), whether it was saved or not."""
+        return self._states(self._start.momenta[0] if self._start.single else self._start.momenta)
+
+    @cached_property
+    def attitude0(self) -> NDArray[np.float64] | None:
+        """Group element at the start, (d, d) or (members, d, d), if one was carried."""
+        if self._start.representation is None:
+            return None
+        return self._start.groups[0] if self._start.single else self._start.groups
+
+    @cached_property
+    def t_eval(self) -> NDArray[np.float64] | None:
+        """The times that were asked for; None where steps were saved."""
+        return None if self._times.between is None else self.t
+
+    @cached_property
+    def initial(self) -> Mapping[str, NDArray[np.float64]]:
+        """The energy and the Casimirs at the start: "energy" or name -> number, or (members,)."""
+        values = self._saved["values"][0] if self._initial is None else self._initial
+        return {name: values[0, i] if self._start.single else values[:, i] for i, name in enumerate(self._names)}
 
     @cached_property
     def energy(self) -> NDArray[np.float64]:
@@ -390,8 +418,7 @@ class Solution:
 
     def _deviations(self, first: int) -> dict[str, Drift]:
         # Balances begin where their invariants do.
-        series = {"energy": self.energy, **self.casimirs}
-        return {name: Drift(self._worst[..., first + i], values[0]) for i, (name, values) in enumerate(series.items())}
+        return {name: Drift(self._worst[..., first + i], value) for i, (name, value) in enumerate(self.initial.items())}
 
     def spectrum(self) -> NDArray[Any]:
         """Return the eigenvalues of the saved matrices of a `MatrixSystem`, which an isospectral scheme keeps.
@@ -461,6 +488,44 @@ class Solution:
             found = [modified_hamiltonian(member, self.method, order) for member in self.system]
             return np.stack([H(self.x[:, m], h) for m, H in enumerate(found)], axis=1)
         return np.asarray(modified_hamiltonian(self.system, self.method, order)(self.x, h))
+
+    def at(self, t: Any) -> StateAt:
+        """Return the states at any times within the run, as good as those at its steps.
+
+        From the saved point before a time whole steps are taken again, and then a part of a step of the same scheme: of
+        its order, and with what it keeps, where a polynomial through saved points has neither. Many times are better
+        asked for beforehand, by ``integrate(..., t_eval=times)``.
+
+        Parameters
+        ----------
+        t : float or array_like, shape (k,)
+            Times within the run, in any order.
+
+        Returns
+        -------
+        StateAt
+            A named tuple of ``t, x, energy, casimirs, attitude``, shaped as here at the saved points; without the first
+            axis where t is one time.
+
+        Raises
+        ------
+        ValueError
+            A time outside the run, too many steps from the saved points, a member that has failed, or a force that is a
+            noise, whose steps have no parts.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1)
+        >>> sol = co.integrate(body, x0, (0, 10), 0.1, co.GaussLegendre(3), save_every=20)
+        >>> bool(abs(sol.at(3.14159).x - body.exact(x0, 3.14159)).max() < 1e-10)
+        True
+        >>> sol.at([0.5, 9.99]).energy.shape
+        (2,)
+        """
+        from coadjoint.runs.state_at import state_at
+
+        return state_at(self, t)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return the run as a dataset whose attributes make it repeatable.

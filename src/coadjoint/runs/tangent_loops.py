@@ -52,7 +52,7 @@ class EachItsOwn(Loops):
         """Return rounds of crews of one member each."""
         return in_rounds([own.crew(m, m + 1, m) for m, own in enumerate(self._members)], workers)
 
-    def pieces(self, watch: Any) -> Pieces:
+    def pieces(self, watch: Any = None) -> Pieces:
         """Return the tables of each member."""
         return [(own.pieces(watch)[0][0], np.array([m])) for m, own in enumerate(self._members)]
 

@@ -16,7 +16,8 @@ from coadjoint.wording import short
 class Times(NamedTuple):
     """Start, signed step and number of steps, and which are saved: every `save_every`-th, or those in `marks`.
 
-    The first `passed` of the saved steps are left out: a run that goes on has taken them before.
+    The first `passed` of the saved steps are left out: a run that goes on has taken them before. Where states are saved
+    at the times `between`, the marks are the steps that were taken to them, whole or in part.
     """
 
     t0: float
@@ -25,6 +26,7 @@ class Times(NamedTuple):
     save_every: int
     passed: int = 0
     marks: NDArray[np.int64] | None = None
+    between: NDArray[np.float64] | None = None
 
     @property
     def end(self) -> float:
@@ -75,6 +77,11 @@ class Times(NamedTuple):
         if not 0 <= number <= self.steps:
             raise ValueError(f"the state is that after step {number}; a run of {self.steps} steps cannot go on from it")
         return every._replace(passed=int(np.searchsorted(every.saved, number, side="right")))
+
+    @property
+    def seen(self) -> NDArray[np.float64]:
+        """Times of what is saved."""
+        return self.at(self.saved) if self.between is None else self.between
 
     def at(self, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return t0 + j h."""

@@ -88,12 +88,13 @@ TABLE(Extent, EXTENT_FIELDS)
     _(integer, marked) _(integers, marks) _(numbers, starts) _(numbers, lengths) _(integer, events)
 TABLE(Schedule, SCHEDULE_FIELDS)
 
-// How long the steps of a member are, and when its step k begins.
+// How long the steps of a member are, and when its step k begins; step k + 1 begins where step k ends.
 inline double length_of(const Schedule& schedule, int64_t member) {
     return schedule.lengths ? schedule.lengths[member] : schedule.h;
 }
 inline double start_of(const Schedule& schedule, int64_t member, int64_t k) {
-    return schedule.starts ? schedule.starts[member] : schedule.t0 + double(k - 1) * schedule.h;
+    return schedule.starts ? schedule.starts[member] + double(k - 1) * schedule.lengths[member]
+                           : schedule.t0 + double(k - 1) * schedule.h;
 }
 
 #define FIELD_FIELDS(_)                                                                                              \
@@ -155,10 +156,11 @@ TABLE(RungeKuttaTangents, RUNGE_KUTTA_TANGENTS_FIELDS)
 TABLE(UnshiftTables, UNSHIFT_FIELDS)
 
 // Arrays of a run, (members, n), (members, d, d), (points, members, d*d) and (points, members, d, d); which members and
-// saved points are wanted. X acts `rate` times as fast.
+// saved points are wanted. X acts `rate` times as fast. Without the schedule, `elapsed` (points, members) are the times
+// since the start.
 #define UNSHIFTED_FIELDS(_)                                                                                          \
     _(numbers, momenta) _(numbers, initial) _(numbers, held) _(numbers, out) _(integer, members) _(integer, first)   \
-    _(integer, last) _(integer, k0) _(integer, k1) _(number, rate)
+    _(integer, last) _(integer, k0) _(integer, k1) _(number, rate) _(numbers, elapsed)
 TABLE(Unshifted, UNSHIFTED_FIELDS)
 
 }  // namespace coadjoint

@@ -297,15 +297,16 @@ EXPORT void unshift(const UnshiftTables* tables, const Unshifted* run, const Sch
             transpose(initial, before.data(), d);
         }
         for (int64_t k = run->k0; k < run->k1; ++k) {
-            const int64_t step = step_of(*schedule, k), here = (k * run->members + member) * square;
-            if (step == 0) {
+            const int64_t place = k * run->members + member, here = place * square;
+            const double elapsed = run->elapsed ? run->elapsed[place] : double(step_of(*schedule, k)) * schedule->h;
+            if (elapsed == 0.0) {
                 std::copy_n(initial, square, run->out + here);
                 continue;
             }
             const double* group = run->held + here;
             std::copy_n(group, square, moved.begin());
             for (Component& component : components) {
-                component.move_to(run->rate * (double(step) * schedule->h));
+                component.move_to(run->rate * elapsed);
                 component.apply(group, moved.data(), d);
             }
             if (!unit) {

@@ -250,7 +250,9 @@ class CrowdRecorder {
             tenth = now;
             each([&](int64_t lane, int64_t i) { set_lane(worst.at[i], lane, worst_of(lane, i)); });
         }
-        const A t(schedule.t0 + double(k) * schedule.h);
+        A t(schedule.t0 + double(k) * schedule.h);
+        for (int64_t lane = 0; schedule.starts && lane < lanes; ++lane)
+            set_lane(t, int(lane), start_of(schedule, members[std::min(lane, count - 1)], k + 1));
         for (int64_t i = 0; i < watch.size; ++i) {
             const A period = constants.template number_at<A>(watch.period, i);
             if (!looked && all(period <= A(0.0))) continue;

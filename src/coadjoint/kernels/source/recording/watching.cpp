@@ -45,10 +45,11 @@ void begin(const Watch& watch, const Arrays& arrays, const Schedule& schedule, c
         arrays.step[member] = arrays.evaluations[member] = arrays.iterations[member] = 0;
         arrays.residual[member] = NAN;
         const double* x = arrays.momenta + member * arrays.size;
+        const double t = start_of(schedule, member, 1);
         for (int64_t i = 0; i < watch.size; ++i) {
             const double value =
-                crew.stride ? value_of(watch, Own{crew.stride, place}, i, x, schedule.t0, y.data(), room.data())
-                            : value_of(watch, Shared{}, i, x, schedule.t0, y.data(), room.data());
+                crew.stride ? value_of(watch, Own{crew.stride, place}, i, x, t, y.data(), room.data())
+                            : value_of(watch, Shared{}, i, x, t, y.data(), room.data());
             note_value(arrays, watch.size, i, 0.0, member, 0, slot, 0, true, value);
         }
         if (slot < 0) continue;

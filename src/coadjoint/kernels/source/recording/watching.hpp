@@ -73,7 +73,7 @@ void note_steps(const Watch& watch, const C& constants, const Arrays& arrays, co
                 double* room) {
     A t(schedule.t0);
     for (int lane = 0; lane < Numbers<A>::lanes; ++lane)
-        set_lane(t, lane, schedule.t0 + double(step[lane < count ? lane : count - 1]) * schedule.h);
+        set_lane(t, lane, start_of(schedule, member, step[lane < count ? lane : count - 1] + 1));
     // Steps within a tenth share its largest deviation.
     const int64_t tenth = tenth_of(schedule, step[0]);
     const bool together = !saving && step[0] > 0 && tenth == tenth_of(schedule, step[count - 1]);

@@ -1,0 +1,176 @@
+"""States of a run at any times: at its steps, and between two of them by a part of a step of the same scheme."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.given import are_finite, read_numbers
+from coadjoint.kernels.arrays import Layout, NamedArrays
+from coadjoint.runs.parts_of_steps import PartsOfSteps, check_no_noise
+from coadjoint.runs.room import check_room_of_run
+from coadjoint.runs.times import Times
+
+if TYPE_CHECKING:
+    from coadjoint.runs.events import Event
+    from coadjoint.runs.run import Run
+
+Floats = NDArray[np.float64]
+
+ROUNDINGS = 4
+"""A time that is so many units in the last place of the ends of the run from a step is the time of the step."""
+ROWS = 2**16
+"""States that are looked at together."""
+
+
+class Moments(NamedTuple):
+    """Times within a run: the number of the step at or before each, and how far behind it the time lies."""
+
+    t: Floats
+    number: NDArray[np.int64]
+    length: Floats
+
+    @property
+    def marks(self) -> NDArray[np.int64]:
+        """The steps from which the moments are reached, and the start."""
+        return np.union1d(self.number, 0)
+
+    @property
+    def ends(self) -> NDArray[np.int64]:
+        """For each moment the number of the step that is taken to it, whole or in part."""
+        return self.number + (self.length != 0.0)
+
+
+def moments_of(t_eval: Any, times: Times, save_every: Any = 1) -> Moments:
+    """Return the moments that were asked for, checked.
+
+    Parameters
+    ----------
+    t_eval : array_like, shape (k,)
+        Times within the run, in its direction. The same time may come several times.
+    times : Times
+        Its steps.
+    save_every : int, optional
+        What was asked for beside them: nothing but 1, the default.
+
+    Returns
+    -------
+    Moments
+
+    Raises
+    ------
+    ValueError
+        Of another shape, empty, not finite, not in order, or outside the run: with the first time that is wrong; or
+        steps were asked for as well.
+
+    Examples
+    --------
+    >>> found = moments_of([0.0, 0.3, 0.5], Times(0.0, 0.25, 4, 1))
+    >>> found.number.tolist(), found.length.round(3).tolist()
+    ([0, 1, 2], [0.0, 0.05, 0.0])
+    """
+    if save_every != 1:
+        raise ValueError("the run was given save_every and t_eval; give one of them: what is to be kept")
+    given = read_numbers(t_eval, "t_eval")
+    if given.ndim != 1 or not len(given):
+        raise ValueError(f"t_eval has the shape {given.shape}; it must be a row of times, at least one")
+    if not are_finite(given):
+        raise ValueError("t_eval contains NaN or infinity; every time must be finite")
+    t = np.array(given, dtype=np.float64)
+    forward = times.h > 0.0
+    wrong = np.flatnonzero(np.diff(t) < 0.0 if forward else np.diff(t) > 0.0)
+    if len(wrong):
+        k = int(wrong[0]) + 1
+        raise ValueError(
+            f"t_eval[{k}] is {t[k]:g} and comes after {t[k - 1]:g}; times must be sorted in the direction of t_span"
+        )
+    near = ROUNDINGS * np.spacing(max(abs(times.t0), abs(times.end), abs(times.h)))
+    low, high = (times.t0, times.end) if forward else (times.end, times.t0)
+    outside = np.flatnonzero((t < low - near) | (t > high + near))
+    if len(outside):
+        k = int(outside[0])
+        raise ValueError(f"t_eval[{k}] is {t[k]:g}; it must lie within t_span, from {times.t0:g} to {times.end:g}")
+    steps = np.clip((t - times.t0) / times.h, 0, times.steps)
+    nearest = np.rint(steps).astype(np.int64)
+    at_step = np.abs(t - times.at(nearest)) <= near
+    before = np.minimum(np.floor(steps).astype(np.int64), max(times.steps - 1, 0))
+    # The quotient may be rounded up to a whole number from just below.
+    early = (t - times.at(before)) * (1.0 if forward else -1.0) < 0.0
+    number = np.where(at_step, nearest, before - early)
+    return Moments(t, number, np.where(at_step, 0.0, t - times.at(number)))
+
+
+def check_parts(system: Any, moments: Moments, events: Sequence[Event] = ()) -> None:
+    """Refuse moments between two steps where there is no state between them, or where the run may end before them."""
+    if any(event.until for event in events):
+        raise ValueError(
+            "t_eval was given with an event that ends the run, after which there would be no states; give one of them, "
+            "or let the event not be terminal"
+        )
+    if np.any(moments.length):
+        check_no_noise(system)
+
+
+def look(run: Run, moments: Moments) -> None:
+    """Put in place of the saved points of a run, the steps in `moments.marks`, its states at the moments.
+
+    Parameters
+    ----------
+    run : Run
+        After its last step. Its state does not change.
+    moments : Moments
+        The times.
+
+    Raises
+    ------
+    ValueError
+        There is no state between two steps, since a force is a noise, or what is asked for does not fit in memory.
+    IntegrationError
+        A part of a step failed.
+    """
+    marked, members = run.saved, len(run.start.momenta)
+    times = run.times.marking(moments.marks)._replace(marks=moments.ends, between=moments.t)
+    layout = Layout(run.plan.layout.extent._replace(points=len(moments.t)))
+    check_room_of_run(layout, times, members)
+    saved, place = NamedArrays(layout.saved), np.searchsorted(run.times.saved, moments.number)
+    names = ("x", "group", "values")
+    source, target = ([arrays[name] for name in names] for arrays in (marked, saved))
+    for to, given in zip(target, source, strict=True):
+        given.take(place, axis=0, out=to)
+    inside = np.flatnonzero(moments.length)
+    if len(inside):
+        parts = PartsOfSteps(run.moved, run.method, run.loops, run.workers)
+        # Of a member that has failed there is no part of the step that failed.
+        last = np.where(run.state["status"] == 0, run.times.steps + 1, run.state["step"])
+        chunk = max(1, ROWS // members)
+        for first in range(0, len(inside), chunk):
+            some = inside[first : first + chunk]
+            _fill(parts, run, moments, some, last, target)
+    run.initial = marked["values"][0]
+    run.saved, run.times = saved, times
+
+
+def _fill(
+    parts: PartsOfSteps, run: Run, moments: Moments, some: NDArray[np.int64], last: Any, target: list[Floats]
+) -> None:
+    """Take the states at some moments on from the steps before them."""
+    x, group, values = target
+    k, owners = (axis.ravel() for axis in np.meshgrid(some, np.arange(x.shape[1]), indexing="ij"))
+    going = moments.ends[k] < last[owners]
+    for array in target:
+        array[k[~going], owners[~going]] = np.nan
+    k, owners = k[going], owners[going]
+    if not len(k):
+        return
+    starts = run.times.at(moments.number[k])
+    found = parts.taken(x[k, owners], group[k, owners], starts, moments.length[k], owners, watched=True)
+    x[k, owners], group[k, owners] = found.momenta, found.groups
+    measured = run.loops.measured_at(found.momenta, moments.t[k])
+    if measured is None:
+        # What has several values was followed through the run, and goes on from there by whole periods.
+        turns = values[k, owners] - found.before
+        measured = np.where(turns == 0.0, found.values, found.values + turns)
+    values[k, owners] = measured

@@ -1,0 +1,147 @@
+"""The state of a solution at any time, from the saved point before it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.given import are_finite, read_numbers
+from coadjoint.runs.times import Times
+from coadjoint.wording import short
+
+if TYPE_CHECKING:
+    from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.solution import Solution
+
+Floats = NDArray[np.float64]
+
+MOST_STEPS = 10**7
+"""Steps that one call takes again."""
+
+_ready: WeakKeyDictionary[Any, PreparedRun] = WeakKeyDictionary()
+
+
+class StateAt(NamedTuple):
+    """States at given times, as `Solution` has them at its saved points; without the first axis for a single time.
+
+    Parameters
+    ----------
+    t : float or ndarray, shape (k,)
+        The times.
+    x : ndarray, shape (n,) or (k, n), or with an axis of members before the last
+        Momentum.
+    energy : float or ndarray
+        The Hamiltonian.
+    casimirs : mapping
+        Name -> values.
+    attitude : ndarray or None
+        The group element, if one was carried.
+    """
+
+    t: Any
+    x: Any
+    energy: Any
+    casimirs: Mapping[str, Any]
+    attitude: Any
+
+
+def state_at(solution: Solution, t: Any) -> StateAt:
+    """Return the states of a solution at times within its run; `Solution.at` says how.
+
+    Parameters
+    ----------
+    solution : Solution
+        The run.
+    t : float or array_like, shape (k,)
+        Times, in any order.
+
+    Returns
+    -------
+    StateAt
+
+    Raises
+    ------
+    ValueError
+        A time outside the run, too many steps from the saved points, a member that has failed, or a noise.
+    """
+    given = read_numbers(t, "t")
+    if given.ndim > 1 or not given.size:
+        raise ValueError(f"t has the shape {given.shape}; it must be a time, or a row of times")
+    if not are_finite(given):
+        raise ValueError(f"t is {short(t)}; every time must be finite")
+    if not np.isfinite(solution.x).all():
+        raise ValueError("members of the run have failed; integrate those alone that have not, to see them at any time")
+    wanted, way = np.atleast_1d(given), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
+    saved = way * solution.t
+    near = 4 * np.spacing(max(abs(solution.t_span[0]), abs(solution.t_span[1]), solution.step))
+    outside = np.flatnonzero((way * wanted < saved[0] - near) | (way * wanted > saved[-1] + near))
+    if len(outside):
+        raise ValueError(
+            f"t is {wanted[outside[0]]:g}; it must lie within what was saved, from {solution.t[0]:g} to "
+            f"{solution.t[-1]:g}"
+        )
+    before = np.clip(np.searchsorted(saved, way * wanted + near, side="right") - 1, 0, None)
+    ahead = np.maximum(way * wanted - saved[before], 0.0)
+    steps = np.ceil(np.where(ahead > near, ahead - near, 0.0) / solution.step).astype(np.int64)
+    pieces = np.unique(before)
+    last = [int(steps[before == j].max()) for j in pieces]
+    if sum(last) > MOST_STEPS:
+        raise ValueError(
+            f"the times lie {sum(last)} steps behind the saved points, and at most {MOST_STEPS} are taken again; "
+            "integrate with t_eval, or with a smaller save_every"
+        )
+    found: list[Any] = [None] * len(wanted)
+    for j, count in zip(pieces.tolist(), last, strict=True):
+        own = np.flatnonzero(before == j)
+        own = own[np.argsort(way * wanted[own], kind="stable")]
+        for place, state in zip(own.tolist(), _from_point(solution, j, count, wanted[own], way), strict=True):
+            found[place] = state
+    if given.ndim == 0:
+        return StateAt(float(given), *found[0])
+    x, energy, casimirs, attitude = zip(*found, strict=True)
+    names = casimirs[0]
+    return StateAt(
+        wanted,
+        np.stack(x),
+        np.stack(energy),
+        {name: np.stack([each[name] for each in casimirs]) for name in names},
+        None if attitude[0] is None else np.stack(attitude),
+    )
+
+
+def _from_point(solution: Solution, j: int, count: int, wanted: Floats, way: float) -> list[tuple[Any, ...]]:
+    """Return the states at times after saved point j, at most `count` steps after it, in their order."""
+    start = float(solution.t[j])
+    times = Times(start, way * solution.step, count, 1)
+    low, high = sorted((start, times.end))
+    t_eval = np.concatenate([[start], np.clip(wanted, low, high)])
+    element = None if solution.attitude is None else solution.attitude[j]
+    run = _prepared(solution).run(solution.x[j], (start, times.end), t_eval=t_eval, attitude=element)
+    # What has several values goes on from the value that was followed to the saved point, by whole periods.
+    turned = {name: solution.casimirs[name][j] - values[0] for name, values in run.casimirs.items()}
+    casimirs = {name: np.where(turned[name] == 0.0, own, own + turned[name]) for name, own in run.casimirs.items()}
+    return [
+        (
+            run.x[k],
+            run.energy[k],
+            {name: values[k] for name, values in casimirs.items()},
+            None if run.attitude is None else run.attitude[k],
+        )
+        for k in range(1, len(t_eval))
+    ]
+
+
+def _prepared(solution: Solution) -> PreparedRun:
+    """Return the run of a solution made ready again, once."""
+    from coadjoint.runs.prepared_run import PreparedRun
+
+    found = _ready.get(solution)
+    if found is None:
+        attitude: Any = {None: False, "coadjoint": "coadjoint"}.get(solution.carried, True)
+        found = PreparedRun(solution.system, solution.method, solution.step, attitude=attitude, watch=False)
+        _ready[solution] = found
+    return found

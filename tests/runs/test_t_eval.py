@@ -1,0 +1,193 @@
+"""States at any times: what is asked for is what is kept, the run itself has the bits that it always has."""
+
+import re
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+U = 2.0**-53
+BODY = co.systems.rigid_body((1, 2, 3))
+X = np.array([0.3, -0.2, 0.5])
+STEP = 0.125
+
+
+def random_times(start, end, count=40, seed=7):
+    inside = np.random.default_rng(seed).uniform(start, end, count)
+    found = np.sort(np.concatenate([inside, [start, end, 0.5 * (start + end)]]))
+    return found if end > start else found[::-1]
+
+
+@pytest.mark.parametrize("span", [(0.0, 4.0), (1.0, -3.0), (1e3, 1e3 + 4.0)])
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8), None], ids=str)
+@pytest.mark.parametrize("watch", [True, False])
+def test_at_the_steps_they_are_those_of_the_run(span, method, watch):
+    every = co.integrate(BODY, X, span, STEP, method, watch=watch, attitude=True)
+    # Times as one writes them, a rounding away from those of the steps.
+    times = np.linspace(*span, 33)[::3]
+    found = co.integrate(BODY, X, span, STEP, method, watch=watch, attitude=True, t_eval=times)
+    assert np.array_equal(found.t, times)
+    for name in ("x", "energy", "attitude"):
+        assert np.array_equal(getattr(found, name), getattr(every, name)[::3])
+    both = random_times(*span)
+    mixed = co.integrate(BODY, X, span, STEP, method, watch=watch, attitude=True, t_eval=np.append(both, both[-1]))
+    assert np.array_equal(mixed.x[[0, -2, -1]], every.x[[0, -1, -1]])
+    if watch:
+        assert mixed.drift() == every.drift()
+    assert mixed.stats.steps == every.stats.steps
+
+
+@pytest.mark.parametrize("end", [3.0, -3.0])
+def test_the_free_body_is_where_its_closed_form_is(end):
+    times = random_times(0.0, end)
+    method = co.Splitting(order=2, parts="free_body")
+    exact, g = BODY.exact(X, times, attitude=True)
+    found = co.integrate(BODY, X, (0.0, end), 0.25, method, attitude=True, t_eval=times)
+    # The flow is exact: what is left is the rounding of twelve steps, each of some hundred operations.
+    assert np.abs(found.x - exact).max() < 12 * 100 * U and np.abs(found.attitude - g).max() < 12 * 100 * U
+    start = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
+    turned = co.integrate(BODY, X, (0.0, end), 0.25, method, attitude=start, t_eval=times)
+    assert np.abs(turned.attitude - start @ g).max() < 12 * 100 * U
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Splitting(order=6), co.GaussLegendre(2)], ids=str)
+def test_what_is_kept_is_kept_between_steps_too(method):
+    algebra = co.algebras.so(4)
+    M = np.diag(np.linspace(0.5, 1.5, 6))
+    M[0, 3] = M[3, 0] = 0.1
+    system, x0 = co.LiePoissonSystem(algebra, co.Quadratic(M)), np.array([1.0, 0.5, -0.25, 0.75, -1.0, 0.375])
+    times = random_times(0.0, 20.0, 500)
+    found = co.integrate(system, x0, (0, 20), STEP, method, attitude=True, t_eval=times)
+    size = np.abs(x0).sum()
+    for values in found.casimirs.values():
+        # 160 steps and a part of one: each of some 30 flows, or of 30 iterations, is rounded at random.
+        assert np.abs(values - values[0]).max() < 30 * 161 * U * size**2
+    unit = found.attitude @ np.swapaxes(found.attitude, 1, 2)
+    assert np.abs(unit - np.eye(4)).max() < 30 * 161 * U * 4
+
+
+def test_ensembles_batches_threads_and_company():
+    rng = np.random.default_rng(4)
+    x, times = rng.standard_normal((37, 3)), random_times(0.0, 2.0)
+    for method in (co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8)):
+        crowd = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times, attitude=True, threads=1)
+        assert crowd.x.shape == (len(times), 37, 3) and crowd.attitude.shape == (len(times), 37, 3, 3)
+        several = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times, attitude=True, threads=3)
+        assert np.array_equal(crowd.x, several.x) and np.array_equal(crowd.attitude, several.attitude)
+        for m in (0, 31, 36):
+            alone = co.integrate(BODY, x[m], (0, 2), STEP, method, t_eval=times, attitude=True)
+            for name in ("x", "energy", "attitude"):
+                assert np.array_equal(getattr(alone, name), getattr(crowd, name)[:, m])
+            assert np.array_equal(alone.casimirs["|x|^2"], crowd.casimirs["|x|^2"][:, m])
+        bodies = [co.systems.rigid_body((1, 2, 2 + 0.125 * m)) for m in range(5)]
+        batch = co.integrate(co.batch(bodies), x[:5], (0, 2), STEP, method, t_eval=times, attitude=True)
+        for m, body in enumerate(bodies):
+            alone = co.integrate(body, x[m], (0, 2), STEP, method, t_eval=times, attitude=True)
+            for name in ("x", "energy", "attitude"):
+                assert np.array_equal(getattr(alone, name), getattr(batch, name)[:, m])
+        # Which other times are asked for is nothing to a state.
+        some = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times[5:9], attitude=True)
+        assert np.array_equal(some.x, crowd.x[5:9]) and np.array_equal(some.attitude, crowd.attitude[5:9])
+
+
+def test_inputs_observed_and_times_in_the_energy():
+    times = random_times(0.0, 2.0)
+    ready = co.prepare(BODY, co.Splitting(order=4), STEP, inputs=True, observe={"first": lambda x, t: x[0] + t})
+    field = (0.1, 0.0, -0.2)
+    found = ready.run(X, (0, 2), t_eval=times, linear=field)
+    assert np.array_equal(found.observed["first"], found.x[:, 0] + times)
+    plain = co.LiePoissonSystem(BODY.algebra, co.Quadratic(np.diag(1 / np.array([1, 2, 3])), field), sign=-1)
+    same = co.integrate(found.system, X, (0, 2), STEP, ready.method, t_eval=times)
+    assert np.array_equal(same.x, found.x) and np.array_equal(same.energy, found.energy)
+    assert np.abs(found.energy - [plain.energy(x) for x in found.x]).max() < 1e-14
+    pushed = co.Hamiltonian(lambda x, t: x[0] * t + 0.5 * x[1] ** 2, lambda x, t: np.array([t, x[1], 0.0]))
+    driven = co.LiePoissonSystem(co.algebras.so(3), pushed)
+    moved = co.integrate(driven, X, (0, 2), STEP, co.GaussLegendre(3), t_eval=times)
+    by_hand = [driven.energy(x, t) for x, t in zip(moved.x, times, strict=True)]
+    assert np.abs(moved.energy - by_hand).max() < 8 * U
+
+
+def test_accounts_of_forces_and_noise():
+    times = random_times(0.0, 2.0)
+    damped = BODY.with_forces(co.forces.LinearDamping(0.3))
+    found = co.integrate(damped, X, (0, 2), STEP, co.GaussLegendre(2), t_eval=times)
+    lost = found.energy - found.energy[0]
+    assert np.abs(lost - found.work["LinearDamping"]["energy"]).max() < 17 * 30 * U and lost[-1] < -0.01
+    spin = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 0, 1): -1.0}))
+    bath = spin.with_forces(co.forces.HeatBath(0.1, 0.5, seed=1))
+    with pytest.raises(ValueError, match=r"HeatBath of .* is a noise, drawn once for a step: there is no state"):
+        co.integrate(bath, X, (0, 2), STEP, t_eval=times)
+    every = co.integrate(bath, X, (0, 2), STEP)
+    assert np.array_equal(co.integrate(bath, X, (0, 2), STEP, t_eval=every.t[3:9]).x, every.x[3:9])
+
+
+def test_matrices():
+    fluid = co.systems.torus_euler(N=5)
+    rng = np.random.default_rng(2)
+    W = fluid.algebra.projected(rng.standard_normal((5, 5)) + 1j * rng.standard_normal((5, 5)))
+    times = random_times(0.0, 0.5, 10)
+    found = co.integrate(fluid, W, (0, 0.5), 1 / 64, t_eval=times)
+    assert found.x.shape == (len(times), 5, 5)
+    assert np.array_equal(found.energy, [fluid.energy(w) for w in found.x])
+    fine = co.integrate(fluid, W, (0, 0.5), 1 / 1024, co.IsospectralGauss(4), t_eval=times)
+    coarse = co.integrate(fluid, W, (0, 0.5), 1 / 32, t_eval=times)
+    error, larger = (np.abs(one.x - fine.x).max() for one in (found, coarse))
+    assert 3.0 < larger / error < 5.0  # of order two: 4 + O(h)
+
+
+def test_what_has_several_values_goes_on():
+    system = co.LiePoissonSystem(co.algebras.get("A5,17", s=0.5, p=0.3), co.Quadratic(np.linspace(0.5, 1.5, 5)))
+    x0, times = np.array([0.5, -0.25, 0.75, 0.3, 1.0]), random_times(0.0, 30.0, 200)
+    found = co.integrate(system, x0, (0, 30), 1 / 16, co.Splitting(order=2), t_eval=times)
+    every = co.integrate(system, x0, (0, 30), 1 / 16, co.Splitting(order=2))
+    assert any(np.ptp(values) < 1e-10 for values in found.casimirs.values())
+    for name, values in found.casimirs.items():
+        assert np.abs(values - every.casimirs[name][0]).max() <= 10 * every.drift()[name] + 1e-13
+
+
+def test_a_run_that_fails_keeps_what_came_before():
+    system = co.LiePoissonSystem(co.algebras.get("A2,1"), co.Polynomial({(0, 2): 1.0}))
+    x = np.array([[1.0, -1.0], [1e150, -1e150]])
+    times = np.linspace(0.0, 1.0, 21)
+    with pytest.raises(co.IntegrationError) as caught:
+        co.integrate(system, x, (0, 1), 0.25, co.ExplicitRungeKutta("rk4"), t_eval=times)
+    partial = caught.value.partial
+    assert partial.failed.tolist() == [False, True] and np.isfinite(partial.x[:, 0]).all()
+    assert np.isnan(partial.x[times > 0.0, 1]).all() and np.isfinite(partial.x[0, 1]).all()
+    with pytest.raises(co.IntegrationError) as caught:
+        co.integrate(system, x[1], (0, 1), 0.25, co.ExplicitRungeKutta("rk4"), t_eval=times)
+    assert caught.value.partial.t.tolist() == [0.0]
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        ([], "t_eval has the shape (0,); it must be a row of times"),
+        (0.5, "t_eval has the shape (); it must be a row of times"),
+        ([[0.5]], "t_eval has the shape (1, 1)"),
+        ([0.5, np.nan], "t_eval contains NaN or infinity"),
+        ([0.5, 0.25], "t_eval[1] is 0.25 and comes after 0.5; times must be sorted in the direction of t_span"),
+        ([-0.1, 0.25], "t_eval[0] is -0.1; it must lie within t_span, from 0 to 1"),
+        ([0.25, 1.001], "t_eval[1] is 1.001; it must lie within t_span, from 0 to 1"),
+    ],
+)
+def test_refusals(times, said):
+    with pytest.raises(ValueError, match=re.escape(said)):
+        co.integrate(BODY, X, (0, 1), STEP, t_eval=times)
+
+
+def test_more_refusals_and_empty_spans():
+    with pytest.raises(ValueError, match="save_every and t_eval; give one of them"):
+        co.integrate(BODY, X, (0, 1), STEP, save_every=2, t_eval=[0.5])
+    with pytest.raises(TypeError, match="t_eval"):
+        co.integrate(BODY, X, (0, 1), STEP, t_eval="now")
+    assert np.array_equal(co.integrate(BODY, X, (1, 1), STEP, t_eval=[1.0, 1.0]).x, [X, X])
+    with pytest.raises(ValueError, match=r"t_eval\[0\] is 0.6; it must lie within t_span, from 0.5 to 0"):
+        co.integrate(BODY, X, (0.5, 0), 0.25, t_eval=[0.6])
+
+
+def test_accuracy_holds_between_the_steps():
+    times = random_times(0.0, 20.0, 1000)
+    found = co.integrate(BODY, X, (0, 20), accuracy=1e-9, t_eval=times)
+    assert np.abs(found.x - BODY.exact(X, times)).max() < 1e-9 * np.abs(X).max()
