@@ -93,6 +93,31 @@ def differing(one: Left, other: Left, members: Any = slice(None), followed: bool
     return found
 
 
+def at_any_time(case: Case, rng: np.random.Generator, every: Left) -> Iterator[str]:
+    """Yield what is wrong with the states between the steps of a run that does not fail."""
+    steps = round(abs(case.t_span[1] - case.t_span[0]) / case.step)
+    way, count = (1.0 if case.t_span[1] >= case.t_span[0] else -1.0), len(case.x0)
+    numbers = np.sort(np.append(rng.integers(0, steps + 1, 3), [0, steps]))
+    inside = rng.integers(0, max(steps, 1), 5) + rng.uniform(0.05, 0.95, 5)
+    times = case.t_span[0] + way * case.step * np.sort(np.append(numbers, inside if steps else []))
+    at_steps = np.isin(times, case.t_span[0] + way * case.step * numbers)
+    given = {"t_eval": times, "save_every": 1}
+    looked = run(case, **given)
+    if looked.failure is not None:
+        # Between two steps there may be none, where a force is a noise; or the energy is no number there.
+        return
+    if differing(looked, run(case, threads=3, **given)):
+        yield "states at any time: other bits on threads"
+    for name, values in every.arrays.items():
+        if not name.startswith("*") and not (name.startswith("C ") and "log" in name):
+            if not same(looked.arrays[name][at_steps], values[numbers]):
+                yield f"states at any time: {name} has other bits at the steps"
+    for m in sorted({0, count - 1}):
+        names = differing(looked, run(case, m, **given), members=slice(m, m + 1))
+        if names:
+            yield f"states at any time: {', '.join(sorted(names))} of member {m} differ from those that it has alone"
+
+
 def differences(seed: int) -> Iterator[str]:
     """Yield what changes bits in the case of a seed, in a sentence each."""
     case, rng = case_of(seed)
@@ -128,6 +153,8 @@ def differences(seed: int) -> Iterator[str]:
         # A failure is seen where one looks, and what has strayed counts until then.
         within |= {n: v for n, v in every.arrays.items() if n.startswith("*")}
     yield from told("every step saved", Left(within, every.failure), failing=False, followed=not case.watch)
+    if whole.failure is None:
+        yield from at_any_time(case, rng, every)
     if case.attitude is not False and whole.failure is None:
         # A group element may overflow where the momentum does not.
         yield from told("without attitude", run(case, attitude=False), failing=False)

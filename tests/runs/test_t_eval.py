@@ -1,11 +1,13 @@
 """States at any times: what is asked for is what is kept, the run itself has the bits that it always has."""
 
+import copy
 import re
 
 import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.runs import state_at
 
 U = 2.0**-53
 BODY = co.systems.rigid_body((1, 2, 3))
@@ -13,8 +15,19 @@ X = np.array([0.3, -0.2, 0.5])
 STEP = 0.125
 
 
+def kind_of(method):
+    """Which group element a scheme carries."""
+    if isinstance(method, co.Taylor):
+        return False
+    return "coadjoint" if isinstance(method, co.GaussLegendre) else True
+
+
+def agree(one, other):
+    return one is None and other is None if one is None or other is None else np.array_equal(one, other)
+
+
 def random_times(start, end, count=40, seed=7):
-    inside = np.random.default_rng(seed).uniform(start, end, count)
+    inside = start + (end - start) * np.random.default_rng(seed).uniform(size=count)
     found = np.sort(np.concatenate([inside, [start, end, 0.5 * (start + end)]]))
     return found if end > start else found[::-1]
 
@@ -23,15 +36,16 @@ def random_times(start, end, count=40, seed=7):
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8), None], ids=str)
 @pytest.mark.parametrize("watch", [True, False])
 def test_at_the_steps_they_are_those_of_the_run(span, method, watch):
-    every = co.integrate(BODY, X, span, STEP, method, watch=watch, attitude=True)
+    kind = kind_of(method)
+    every = co.integrate(BODY, X, span, STEP, method, watch=watch, attitude=kind)
     # Times as one writes them, a rounding away from those of the steps.
     times = np.linspace(*span, 33)[::3]
-    found = co.integrate(BODY, X, span, STEP, method, watch=watch, attitude=True, t_eval=times)
+    found = co.integrate(BODY, X, span, STEP, method, watch=watch, attitude=kind, t_eval=times)
     assert np.array_equal(found.t, times)
-    for name in ("x", "energy", "attitude"):
-        assert np.array_equal(getattr(found, name), getattr(every, name)[::3])
+    assert np.array_equal(found.x, every.x[::3]) and np.array_equal(found.energy, every.energy[::3])
+    assert agree(found.attitude, every.attitude if every.attitude is None else every.attitude[::3])
     both = random_times(*span)
-    mixed = co.integrate(BODY, X, span, STEP, method, watch=watch, attitude=True, t_eval=np.append(both, both[-1]))
+    mixed = co.integrate(BODY, X, span, STEP, method, watch=watch, attitude=kind, t_eval=np.append(both, both[-1]))
     assert np.array_equal(mixed.x[[0, -2, -1]], every.x[[0, -1, -1]])
     if watch:
         assert mixed.drift() == every.drift()
@@ -58,11 +72,15 @@ def test_what_is_kept_is_kept_between_steps_too(method):
     M[0, 3] = M[3, 0] = 0.1
     system, x0 = co.LiePoissonSystem(algebra, co.Quadratic(M)), np.array([1.0, 0.5, -0.25, 0.75, -1.0, 0.375])
     times = random_times(0.0, 20.0, 500)
-    found = co.integrate(system, x0, (0, 20), STEP, method, attitude=True, t_eval=times)
+    found = co.integrate(system, x0, (0, 20), STEP, method, attitude=kind_of(method), t_eval=times)
     size = np.abs(x0).sum()
     for values in found.casimirs.values():
         # 160 steps and a part of one: each of some 30 flows, or of 30 iterations, is rounded at random.
         assert np.abs(values - values[0]).max() < 30 * 161 * U * size**2
+    if kind_of(method) == "coadjoint":
+        space = np.einsum("kij,kj->ki", found.attitude, found.x)
+        assert np.abs(space - x0).max() < 30 * 161 * U * size * 6
+        return
     unit = found.attitude @ np.swapaxes(found.attitude, 1, 2)
     assert np.abs(unit - np.eye(4)).max() < 30 * 161 * U * 4
 
@@ -71,24 +89,25 @@ def test_ensembles_batches_threads_and_company():
     rng = np.random.default_rng(4)
     x, times = rng.standard_normal((37, 3)), random_times(0.0, 2.0)
     for method in (co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8)):
-        crowd = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times, attitude=True, threads=1)
-        assert crowd.x.shape == (len(times), 37, 3) and crowd.attitude.shape == (len(times), 37, 3, 3)
-        several = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times, attitude=True, threads=3)
-        assert np.array_equal(crowd.x, several.x) and np.array_equal(crowd.attitude, several.attitude)
+        kind = kind_of(method)
+        crowd = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times, attitude=kind, threads=1)
+        assert crowd.x.shape == (len(times), 37, 3) and (not kind or crowd.attitude.shape == (len(times), 37, 3, 3))
+        several = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times, attitude=kind, threads=3)
+        assert np.array_equal(crowd.x, several.x) and agree(crowd.attitude, several.attitude)
         for m in (0, 31, 36):
-            alone = co.integrate(BODY, x[m], (0, 2), STEP, method, t_eval=times, attitude=True)
-            for name in ("x", "energy", "attitude"):
+            alone = co.integrate(BODY, x[m], (0, 2), STEP, method, t_eval=times, attitude=kind)
+            for name in ("x", "energy", "attitude") if kind else ("x", "energy"):
                 assert np.array_equal(getattr(alone, name), getattr(crowd, name)[:, m])
             assert np.array_equal(alone.casimirs["|x|^2"], crowd.casimirs["|x|^2"][:, m])
         bodies = [co.systems.rigid_body((1, 2, 2 + 0.125 * m)) for m in range(5)]
-        batch = co.integrate(co.batch(bodies), x[:5], (0, 2), STEP, method, t_eval=times, attitude=True)
+        batch = co.integrate(co.batch(bodies), x[:5], (0, 2), STEP, method, t_eval=times, attitude=kind)
         for m, body in enumerate(bodies):
-            alone = co.integrate(body, x[m], (0, 2), STEP, method, t_eval=times, attitude=True)
-            for name in ("x", "energy", "attitude"):
+            alone = co.integrate(body, x[m], (0, 2), STEP, method, t_eval=times, attitude=kind)
+            for name in ("x", "energy", "attitude") if kind else ("x", "energy"):
                 assert np.array_equal(getattr(alone, name), getattr(batch, name)[:, m])
         # Which other times are asked for is nothing to a state.
-        some = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times[5:9], attitude=True)
-        assert np.array_equal(some.x, crowd.x[5:9]) and np.array_equal(some.attitude, crowd.attitude[5:9])
+        some = co.integrate(BODY, x, (0, 2), STEP, method, t_eval=times[5:9], attitude=kind)
+        assert np.array_equal(some.x, crowd.x[5:9]) and agree(some.attitude, crowd.attitude[5:9] if kind else None)
 
 
 def test_inputs_observed_and_times_in_the_energy():
@@ -136,27 +155,33 @@ def test_matrices():
     assert 3.0 < larger / error < 5.0  # of order two: 4 + O(h)
 
 
-def test_what_has_several_values_goes_on():
-    system = co.LiePoissonSystem(co.algebras.get("A5,17", s=0.5, p=0.3), co.Quadratic(np.linspace(0.5, 1.5, 5)))
-    x0, times = np.array([0.5, -0.25, 0.75, 0.3, 1.0]), random_times(0.0, 30.0, 200)
-    found = co.integrate(system, x0, (0, 30), 1 / 16, co.Splitting(order=2), t_eval=times)
-    every = co.integrate(system, x0, (0, 30), 1 / 16, co.Splitting(order=2))
-    assert any(np.ptp(values) < 1e-10 for values in found.casimirs.values())
-    for name, values in found.casimirs.items():
-        assert np.abs(values - every.casimirs[name][0]).max() <= 10 * every.drift()[name] + 1e-13
+@pytest.mark.parametrize("end", [40.0, -40.0])
+def test_what_has_several_values_goes_on(end):
+    # The Casimir of A3,7 has an angle, which winds up along the run.
+    M = np.array([[1.0, 0.2, 0.1], [0.2, 1.5, 0.0], [0.1, 0.0, 0.7]])
+    system = co.LiePoissonSystem(co.algebras.get("A3,7", a=2.0), co.Quadratic(M))
+    x0, times = np.array([0.5, -0.25, 1.5]), random_times(0.0, end, 200)
+    found = co.integrate(system, x0, (0, end), 1 / 16, co.Splitting(order=2), t_eval=times)
+    every = co.integrate(system, x0, (0, end), 1 / 16, co.Splitting(order=2))
+    name = next(iter(found.casimirs))
+    principal = np.array([system.casimirs[name](x) for x in found.x])
+    assert np.ptp(principal) > 1.0, "the angle does not wind up"
+    values, back = found.casimirs[name], every.at(times[::-1]).casimirs[name]
+    # A step and a part of one, of some ten flows each, beside what is rounded on the way.
+    assert np.abs(values - values[0]).max() <= every.drift()[name] + 20 * 8 * U * np.abs(principal).max()
+    assert np.abs(back[::-1] - values).max() <= every.drift()[name] + 20 * 8 * U * np.abs(principal).max()
 
 
 def test_a_run_that_fails_keeps_what_came_before():
-    system = co.LiePoissonSystem(co.algebras.get("A2,1"), co.Polynomial({(0, 2): 1.0}))
-    x = np.array([[1.0, -1.0], [1e150, -1e150]])
+    x = np.array([X, [1e160, 1e160, -1e160]])
     times = np.linspace(0.0, 1.0, 21)
     with pytest.raises(co.IntegrationError) as caught:
-        co.integrate(system, x, (0, 1), 0.25, co.ExplicitRungeKutta("rk4"), t_eval=times)
+        co.integrate(BODY, x, (0, 1), 0.25, co.ExplicitRungeKutta("rk4"), t_eval=times)
     partial = caught.value.partial
     assert partial.failed.tolist() == [False, True] and np.isfinite(partial.x[:, 0]).all()
     assert np.isnan(partial.x[times > 0.0, 1]).all() and np.isfinite(partial.x[0, 1]).all()
     with pytest.raises(co.IntegrationError) as caught:
-        co.integrate(system, x[1], (0, 1), 0.25, co.ExplicitRungeKutta("rk4"), t_eval=times)
+        co.integrate(BODY, x[1], (0, 1), 0.25, co.ExplicitRungeKutta("rk4"), t_eval=times)
     assert caught.value.partial.t.tolist() == [0.0]
 
 
@@ -191,3 +216,67 @@ def test_accuracy_holds_between_the_steps():
     times = random_times(0.0, 20.0, 1000)
     found = co.integrate(BODY, X, (0, 20), accuracy=1e-9, t_eval=times)
     assert np.abs(found.x - BODY.exact(X, times)).max() < 1e-9 * np.abs(X).max()
+
+
+class TestAt:
+    """`Solution.at`."""
+
+    @pytest.mark.parametrize("span", [(0.0, 4.0), (1.0, -3.0)])
+    @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8)], ids=str)
+    def test_it_is_what_t_eval_finds(self, span, method):
+        times, kind = random_times(*span), kind_of(method)
+        x0 = np.random.default_rng(0).standard_normal((3, 3))
+        for x in (x0, x0[1]):
+            asked = co.integrate(BODY, x, span, STEP, method, attitude=kind, t_eval=times)
+            for every in (1, 5):
+                sol = co.integrate(BODY, x, span, STEP, method, attitude=kind, save_every=every)
+                mixed = np.random.default_rng(3).permutation(len(times))
+                found = sol.at(times[mixed])
+                assert np.array_equal(found.t, times[mixed])
+                # From a saved point on, five steps of a hundred operations at most: what compensated sums owed is lost.
+                assert np.abs(found.x - asked.x[mixed]).max() < 32 * 50 * U * np.abs(x).max()
+                if kind:
+                    assert np.abs(found.attitude - asked.attitude[mixed]).max() < 32 * 50 * U
+                assert np.abs(found.energy - asked.energy[mixed]).max() < 32 * 50 * U * 4
+                at_saved = sol.at(float(sol.t[2]))
+                assert np.array_equal(at_saved.x, sol.x[2])
+                assert agree(at_saved.attitude, sol.attitude[2] if kind else None)
+                assert np.array_equal(at_saved.energy, sol.energy[2]) and isinstance(at_saved.t, float)
+            again = asked.at([times[4], span[1], span[0]])
+            assert np.array_equal(again.x[0], asked.x[4]) and np.array_equal(again.x[2], x)
+            assert np.abs(again.x[1] - asked.x[-1]).max() == 0.0
+
+    def test_start_and_end_that_were_not_asked_for(self):
+        sol = co.integrate(BODY, X, (0, 4), STEP, attitude=True, t_eval=[1.03, 2.07])
+        whole = co.integrate(BODY, X, (0, 4), STEP, attitude=True)
+        assert np.array_equal(sol.x0, X) and np.array_equal(sol.attitude0, np.eye(3))
+        assert sol.drift() == whole.drift() and sol.drift()["energy"].initial == whole.energy[0]
+        found = sol.at([0.5, 4.0])
+        assert np.array_equal(found.x[0], whole.x[4])
+        # A part of a step to 2.07, and on from there: of order two, like the run.
+        assert np.abs(found.x[1] - whole.x[-1]).max() < STEP**3
+        assert np.array_equal(sol.t_eval, [1.03, 2.07]) and whole.t_eval is None
+        copied = copy.deepcopy(sol)
+        assert np.array_equal(copied.at(0.5).x, found.x[0])
+
+    def test_refusals(self, monkeypatch):
+        sol = co.integrate(BODY, X, (0, 4), STEP)
+        for wrong, said in (
+            (4.5, "t is 4.5; it must lie within the run, from 0 to 4"),
+            (-1e-9, "t is -1e-09; it must lie within the run"),
+            ([[1.0]], "t has the shape (1, 1)"),
+            ([], "t has the shape (0,)"),
+            (np.nan, "every time must be finite"),
+        ):
+            with pytest.raises(ValueError, match=re.escape(said)):
+                sol.at(wrong)
+        monkeypatch.setattr(state_at, "MOST_STEPS", 10)
+        coarse = co.integrate(BODY, X, (0, 4), STEP, save_every=12)
+        assert coarse.at(1.1).x.shape == (3,)
+        with pytest.raises(ValueError, match="the times lie 12 steps behind the saved points, and at most 10"):
+            coarse.at(1.45)
+
+    def test_error_estimate_of_a_run_whose_end_was_not_asked_for(self):
+        sol = co.integrate(BODY, X, (0, 20), accuracy=1e-6, t_eval=[3.3, 7.7])
+        whole = co.integrate(BODY, X, (0, 20), accuracy=1e-6)
+        assert whole.error_estimate / 3 < sol.error_estimate < 3 * whole.error_estimate

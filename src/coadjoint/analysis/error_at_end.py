@@ -60,8 +60,8 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
             "step=; of a run at a given step, compare the end with that of a run of half the step"
         )
     steps = round(abs(solution.t_span[1] - solution.t_span[0]) / solution.step)
-    x = solution.x if solution.x.ndim == 3 else solution.x[:, np.newaxis]
-    starts, ends = x[0], x[-1]
+    end = solution.x[-1] if solution.t_eval is None else solution.at(solution.t_span[1]).x
+    starts, ends = np.atleast_2d(solution.x0), np.atleast_2d(end)
     if steps == 0:
         return np.zeros(len(starts))
     squares, seen, untold = np.zeros(len(starts)), np.zeros(len(starts), dtype=int), np.arange(len(starts))

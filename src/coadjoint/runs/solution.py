@@ -512,6 +512,8 @@ class Solution:
         ValueError
             A time outside the run, too many steps from the saved points, a member that has failed, or a force that is a
             noise, whose steps have no parts.
+        IntegrationError
+            A step fails, as it did in a run that ended early.
 
         Examples
         --------

@@ -67,6 +67,8 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     ------
     ValueError
         A time outside the run, too many steps from the saved points, a member that has failed, or a noise.
+    IntegrationError
+        A step fails, as it did in a run that ended early.
     """
     given = read_numbers(t, "t")
     if given.ndim > 1 or not given.size:
@@ -76,14 +78,13 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     if not np.isfinite(solution.x).all():
         raise ValueError("members of the run have failed; integrate those alone that have not, to see them at any time")
     wanted, way = np.atleast_1d(given), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
-    saved = way * solution.t
+    known = np.append(solution.t_span[0], solution.t)  # the start may not have been saved
+    end = float(solution.t[-1]) if solution.t_eval is None else solution.t_span[1]
+    saved = way * known
     near = 4 * np.spacing(max(abs(solution.t_span[0]), abs(solution.t_span[1]), solution.step))
-    outside = np.flatnonzero((way * wanted < saved[0] - near) | (way * wanted > saved[-1] + near))
+    outside = np.flatnonzero((way * wanted < saved[0] - near) | (way * wanted > way * end + near))
     if len(outside):
-        raise ValueError(
-            f"t is {wanted[outside[0]]:g}; it must lie within what was saved, from {solution.t[0]:g} to "
-            f"{solution.t[-1]:g}"
-        )
+        raise ValueError(f"t is {wanted[outside[0]]:g}; it must lie within the run, from {known[0]:g} to {end:g}")
     before = np.clip(np.searchsorted(saved, way * wanted + near, side="right") - 1, 0, None)
     ahead = np.maximum(way * wanted - saved[before], 0.0)
     steps = np.ceil(np.where(ahead > near, ahead - near, 0.0) / solution.step).astype(np.int64)
@@ -98,7 +99,8 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     for j, count in zip(pieces.tolist(), last, strict=True):
         own = np.flatnonzero(before == j)
         own = own[np.argsort(way * wanted[own], kind="stable")]
-        for place, state in zip(own.tolist(), _from_point(solution, j, count, wanted[own], way), strict=True):
+        found_there = _from_point(solution, j - 1, float(known[j]), count, wanted[own], way)
+        for place, state in zip(own.tolist(), found_there, strict=True):
             found[place] = state
     if given.ndim == 0:
         return StateAt(float(given), *found[0])
@@ -113,22 +115,26 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     )
 
 
-def _from_point(solution: Solution, j: int, count: int, wanted: Floats, way: float) -> list[tuple[Any, ...]]:
-    """Return the states at times after saved point j, at most `count` steps after it, in their order."""
-    start = float(solution.t[j])
+def _from_point(
+    solution: Solution, j: int, start: float, count: int, wanted: Floats, way: float
+) -> list[tuple[Any, ...]]:
+    """Return the states at times up to `count` steps after saved point j, in their order; -1 is the start."""
+    x, element, values = solution.x0, solution.attitude0, solution.initial
+    if j >= 0:
+        x, element = solution.x[j], None if solution.attitude is None else solution.attitude[j]
+        values = {name: series[j] for name, series in solution.casimirs.items()}
     times = Times(start, way * solution.step, count, 1)
     low, high = sorted((start, times.end))
     t_eval = np.concatenate([[start], np.clip(wanted, low, high)])
-    element = None if solution.attitude is None else solution.attitude[j]
-    run = _prepared(solution).run(solution.x[j], (start, times.end), t_eval=t_eval, attitude=element)
+    run = _prepared(solution).run(x, (start, times.end), t_eval=t_eval, attitude=element)
     # What has several values goes on from the value that was followed to the saved point, by whole periods.
-    turned = {name: solution.casimirs[name][j] - values[0] for name, values in run.casimirs.items()}
+    turned = {name: values[name] - own[0] for name, own in run.casimirs.items()}
     casimirs = {name: np.where(turned[name] == 0.0, own, own + turned[name]) for name, own in run.casimirs.items()}
     return [
         (
             run.x[k],
             run.energy[k],
-            {name: values[k] for name, values in casimirs.items()},
+            {name: series[k] for name, series in casimirs.items()},
             None if run.attitude is None else run.attitude[k],
         )
         for k in range(1, len(t_eval))

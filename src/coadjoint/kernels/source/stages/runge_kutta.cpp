@@ -20,8 +20,10 @@ static void follow(const RungeKuttaLoop& loop, const Crew& crew) {
     // Lanes have one length.
     const bool narrow = fits(tables) && !iterated && !side_by_side && !loop.schedule.lengths;
     int64_t place = first;
-    for (; place < last && stride && loop.schedule.lengths; ++place)
-        follow_alone<double>(loop, *single_of(tables, Own{stride, place}), members[place]);
+    for (; place < last && stride && loop.schedule.lengths; ++place) {
+        const Own own{stride, place};
+        follow_alone<double>(loop, *single_of(tables, own), members[place], own);
+    }
     for (; place < last && (stride || (narrow && last - place >= FEWEST)); place += CROWD) {
         const int64_t count = std::min<int64_t>(CROWD, last - place);
         if (stride)
@@ -35,9 +37,9 @@ static void follow(const RungeKuttaLoop& loop, const Crew& crew) {
         const int64_t member = members[place];
         if (loop.arrays.status[member] != DONE) continue;
         if (tables.field.size <= WIDEST)
-            follow_alone<Crowd>(loop, *one, member);
+            follow_alone<Crowd>(loop, *one, member, Shared{});
         else
-            follow_alone<double>(loop, *one, member);
+            follow_alone<double>(loop, *one, member, Shared{});
     }
 }
 

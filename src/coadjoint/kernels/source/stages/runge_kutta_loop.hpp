@@ -29,8 +29,8 @@ inline int64_t work_of_step(const RungeKuttaLoop& loop) {
 // Where the first correction is NaN a number overflowed; else the iteration did not converge.
 INLINE int64_t failure_of(double residual) { return residual == residual ? NOT_CONVERGED : OVERFLOWED; }
 
-template <class Side>
-void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member) {
+template <class Side, class C>
+void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member, const C& constants) {
     const Schedule& schedule = loop.schedule;
     const Arrays& arrays = loop.arrays;
     const int64_t n = arrays.size, square = arrays.square;
@@ -44,8 +44,8 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member) {
         one.read_slopes(memory + 1);
     }
     AlreadyFinished nothing;
-    MemberRecorder<Side, Shared, AlreadyFinished> recorder(loop.watch, arrays, schedule, Shared{}, nothing);
-    recorder.begin(member, Shared{}, loop.k0);
+    MemberRecorder<Side, C, AlreadyFinished> recorder(loop.watch, arrays, schedule, constants, nothing);
+    recorder.begin(member, constants, loop.k0);
     const int64_t work = work_of_step(loop);
     const double h = length_of(schedule, member);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
