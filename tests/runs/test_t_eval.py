@@ -120,11 +120,24 @@ def test_inputs_observed_and_times_in_the_energy():
     same = co.integrate(found.system, X, (0, 2), STEP, ready.method, t_eval=times)
     assert np.array_equal(same.x, found.x) and np.array_equal(same.energy, found.energy)
     assert np.abs(found.energy - [plain.energy(x) for x in found.x]).max() < 1e-14
-    pushed = co.Hamiltonian(lambda x, t: x[0] * t + 0.5 * x[1] ** 2, lambda x, t: np.array([t, x[1], 0.0]))
+    pushed = co.Separable({0: (lambda y, t: t * y, lambda y, t: t), 1: (lambda y: 0.5 * y * y, lambda y: y)})
     driven = co.LiePoissonSystem(co.algebras.so(3), pushed)
     moved = co.integrate(driven, X, (0, 2), STEP, co.GaussLegendre(3), t_eval=times)
     by_hand = [driven.energy(x, t) for x, t in zip(moved.x, times, strict=True)]
     assert np.abs(moved.energy - by_hand).max() < 8 * U
+    crowd = co.integrate(driven, np.tile(X, (40, 1)), (0, 2), STEP, co.Splitting(order=4), t_eval=times)
+    by_hand = [driven.energy(x, t) for x, t in zip(crowd.x[:, 7], times, strict=True)]
+    assert np.abs(crowd.energy[:, 7] - by_hand).max() < 8 * U
+
+
+def test_events_that_end_a_run_and_others():
+    times = random_times(0.0, 40.0)
+    seen = co.integrate(BODY, X, (0, 40), STEP, t_eval=times, events=co.Event(0))
+    alone = co.integrate(BODY, X, (0, 40), STEP, events=co.Event(0))
+    assert np.array_equal(seen.events.t, alone.events.t) and len(seen.events.t)
+    assert np.array_equal(seen.x, co.integrate(BODY, X, (0, 40), STEP, t_eval=times).x)
+    with pytest.raises(ValueError, match="t_eval was given with an event that ends the run"):
+        co.integrate(BODY, X, (0, 40), STEP, t_eval=times, events=co.Event(0, terminal=True))
 
 
 def test_accounts_of_forces_and_noise():

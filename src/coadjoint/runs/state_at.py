@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +20,6 @@ Floats = NDArray[np.float64]
 
 MOST_STEPS = 10**7
 """Steps that one call takes again."""
-
-_ready: WeakKeyDictionary[Any, PreparedRun] = WeakKeyDictionary()
 
 
 class StateAt(NamedTuple):
@@ -142,12 +139,12 @@ def _from_point(
 
 
 def _prepared(solution: Solution) -> PreparedRun:
-    """Return the run of a solution made ready again, once."""
+    """Return the run of a solution made ready again, once; copies of the solution make their own."""
     from coadjoint.runs.prepared_run import PreparedRun
 
-    found = _ready.get(solution)
+    found: PreparedRun | None = solution.__dict__.get("_ready")
     if found is None:
         attitude: Any = {None: False, "coadjoint": "coadjoint"}.get(solution.carried, True)
         found = PreparedRun(solution.system, solution.method, solution.step, attitude=attitude, watch=False)
-        _ready[solution] = found
+        solution.__dict__["_ready"] = found
     return found
