@@ -132,12 +132,12 @@ def test_inputs_observed_and_times_in_the_energy():
 
 def test_events_that_end_a_run_and_others():
     times = random_times(0.0, 40.0)
-    seen = co.integrate(BODY, X, (0, 40), STEP, t_eval=times, events=co.Event(0))
-    alone = co.integrate(BODY, X, (0, 40), STEP, events=co.Event(0))
+    seen = co.integrate(BODY, X, (0, 40), STEP, t_eval=times, events=co.Event(1))
+    alone = co.integrate(BODY, X, (0, 40), STEP, events=co.Event(1))
     assert np.array_equal(seen.events.t, alone.events.t) and len(seen.events.t)
     assert np.array_equal(seen.x, co.integrate(BODY, X, (0, 40), STEP, t_eval=times).x)
     with pytest.raises(ValueError, match="t_eval was given with an event that ends the run"):
-        co.integrate(BODY, X, (0, 40), STEP, t_eval=times, events=co.Event(0, terminal=True))
+        co.integrate(BODY, X, (0, 40), STEP, t_eval=times, events=co.Event(1, terminal=True))
 
 
 def test_accounts_of_forces_and_noise():
