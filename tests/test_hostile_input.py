@@ -210,6 +210,8 @@ CALLS = {
     "prepare": (co.prepare, {"system": BODY, "method": None, "step": 0.1, "attitude": False, "watch": True,
                 "observe": None, "threads": None}),
     "run": (READY.run, {"x0": X, "t_span": (0, 1), "save_every": 1, "attitude": None, "progress": False}),
+    "times": (lambda t_eval: co.integrate(BODY, X, (0, 1), 0.1, t_eval=t_eval), {"t_eval": [0.25, 0.5]}),
+    "any time": (LONG.at, {"t": [0.25, 19.99]}),
     "choose": (lambda system, x0, t_span, accuracy, **more: co.choose(system, x0, t_span, accuracy, **more),
                {"system": BODY, "x0": X, "t_span": (0, 1), "accuracy": 1e-3, "attitude": False,
                 "methods": co.GaussLegendre(2), "processed": False}),

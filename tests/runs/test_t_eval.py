@@ -17,9 +17,8 @@ STEP = 0.125
 
 def kind_of(method):
     """Which group element a scheme carries."""
-    if isinstance(method, co.Taylor):
-        return False
-    return "coadjoint" if isinstance(method, co.GaussLegendre) else True
+    kept = (method or co.Splitting()).properties(BODY).attitude
+    return {"none": False, "coadjoint": "coadjoint"}.get(kept, True)
 
 
 def agree(one, other):

@@ -81,7 +81,7 @@ def moments_of(t_eval: Any, times: Times, save_every: Any = 1) -> Moments:
         raise ValueError("t_eval contains NaN or infinity; every time must be finite")
     t = np.array(given, dtype=np.float64)
     forward = times.h > 0.0
-    wrong = np.flatnonzero(np.diff(t) < 0.0 if forward else np.diff(t) > 0.0)
+    wrong = np.flatnonzero(t[1:] < t[:-1] if forward else t[1:] > t[:-1])
     if len(wrong):
         k = int(wrong[0]) + 1
         raise ValueError(
