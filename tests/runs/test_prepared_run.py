@@ -212,7 +212,7 @@ def test_one_call_for_a_run_and_many_under_a_progress_bar(monkeypatch, capsys):
 def test_a_solution_shows_what_it_has_from_the_start():
     sol = co.integrate(BODY, X, (0, 1), 0.1)
     public = {name for name in PARTS if not name.startswith("_")} | {"drift", "change", "balance"}
-    public |= {"modified_energy", "spectrum", "to_xarray", "plot", "movie", "error_estimate"}
+    public |= {"modified_energy", "spectrum", "to_xarray", "plot", "movie", "error_estimate", "at"}
     assert {name for name in dir(sol) if not name.startswith("_")} == public
     assert not hasattr(Solution, "of") and Solution.__getattribute__ is object.__getattribute__
     assert not hasattr(Solution, "__getattr__")

@@ -92,6 +92,7 @@ class SampledRun(PreparedRun):
         t_span: tuple[float, float],
         save_every: int = 1,
         *,
+        t_eval: Any = None,
         attitude: Any = None,
         progress: bool = False,
         events: Any = (),
@@ -101,7 +102,7 @@ class SampledRun(PreparedRun):
 
         Parameters
         ----------
-        x0, save_every, attitude, progress, events
+        x0, save_every, t_eval, attitude, progress, events
             As in `PreparedRun.run`; of a run that is chosen for by itself `save_every` counts the steps of that choice.
         t_span : (float, float)
             Start and end, in the direction and no longer than the run was prepared for. A whole number of steps.
@@ -121,7 +122,8 @@ class SampledRun(PreparedRun):
             As in `integrate`.
         """
         t0 = self._start_of(t_span)
-        given: dict[str, Any] = {"attitude": attitude, "progress": progress, "events": events, **inputs}
+        given: dict[str, Any] = {"t_eval": t_eval, "attitude": attitude, "progress": progress, "events": events}
+        given |= inputs
         if not self.serves(x0, t0):
             alone, choice = self._alone(x0, t_span)
             return with_choice(alone.run(x0, t_span, save_every, **given), choice)
