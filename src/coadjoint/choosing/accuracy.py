@@ -211,18 +211,23 @@ def _goal(candidate: Candidate, wanted: float) -> float:
 
 def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[Fit]:
     found: list[Fit] = []
+    least = least_roundoff(pilot)
     law: Law | None = None
     waiting = list(candidates)
     while waiting:
         candidate = waiting.pop(0)
-        # What rounding spoils is no reason to leave others untried.
-        limit = min((each.cost for each in found if _rounded_well(each, wanted) is not None), default=math.inf)
+        # What rounding spoils is no reason to leave others untried, but to try them shortly.
+        sound = min((each.cost for each in found if _rounded_well(each, wanted) is not None), default=math.inf)
+        limit = min((each.cost for each in found), default=math.inf)
         goal = _goal(candidate, wanted)
-        if law is not None and law.least_cost(candidate, goal) > limit:
+        if law is not None and law.least_cost(candidate, goal) > sound:
             continue
         result = fit(pilot, candidate, goal, limit, None if law is None else law.guess(candidate, goal))
         if result is not None:
             found.append(result)
+            if ROUNDING_SHARE * wanted < result.roundoff <= least:
+                # All others have as much rounding.
+                break
         law = law or law_of(found)
     return found
 
