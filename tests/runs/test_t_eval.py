@@ -167,6 +167,35 @@ def test_matrices():
     assert 3.0 < larger / error < 5.0  # of order two: 4 + O(h)
 
 
+def test_a_shift_is_taken_back_for_as_long_as_the_steps_are():
+    # At t = 0.1 + 7 h the time since the start, as a difference, is a rounding off 7 h.
+    span, step = (0.1, 0.1 + 70 * 0.03), 0.03
+    every = co.integrate(BODY, 3 * X, span, step, co.Splitting(order=4), attitude=True)
+    found = co.integrate(BODY, 3 * X, span, step, co.Splitting(order=4), attitude=True, t_eval=every.t)
+    assert np.array_equal(found.attitude, every.attitude) and np.array_equal(found.x, every.x)
+    assert not np.array_equal(every.t - every.t[0], np.arange(71) * step)
+
+
+@pytest.mark.parametrize("span", [(0.1, 2.2), (-0.7, -2.8)])
+def test_times_beside_the_steps_are_the_steps(span):
+    every = co.integrate(BODY, X, span, 0.03, co.GaussLegendre(2))
+    times = np.linspace(*span, 71)
+    assert not np.array_equal(times, every.t)
+    found = co.integrate(BODY, X, span, 0.03, co.GaussLegendre(2), t_eval=np.clip(times, *sorted(span)))
+    assert np.array_equal(found.x, every.x)
+
+
+def test_a_part_of_a_step_that_fails_leaves_what_came_before(monkeypatch):
+    def refused(self, momenta, *given, **more):
+        raise co.IntegrationError("no part of this step", step=0, time=0.5, residual=0.25)
+
+    monkeypatch.setattr("coadjoint.runs.parts_of_steps.PartsOfSteps.taken", refused)
+    with pytest.raises(co.IntegrationError, match="no part of this step") as caught:
+        co.integrate(BODY, X, (0, 1), STEP, t_eval=[0.0, 0.25, 0.5, 0.55, 1.0])
+    assert caught.value.partial.t.tolist() == [0.0, 0.25, 0.5] and np.isfinite(caught.value.partial.x).all()
+    assert (caught.value.step, caught.value.residual) == (5, 0.25)
+
+
 @pytest.mark.parametrize("end", [40.0, -40.0])
 def test_what_has_several_values_goes_on(end):
     # The Casimir of A3,7 has an angle, which winds up along the run.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import IntegrationError
 from coadjoint.given import are_finite, read_numbers
 from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.runs.parts_of_steps import PartsOfSteps, check_no_noise
@@ -129,10 +130,12 @@ def look(run: Run, moments: Moments) -> None:
     ValueError
         There is no state between two steps, since a force is a noise, or what is asked for does not fit in memory.
     IntegrationError
-        A part of a step failed.
+        A part of a step failed, which the whole one did not; with the solution before.
     """
     marked, members = run.saved, len(run.start.momenta)
-    times = run.times.marking(moments.marks)._replace(marks=moments.ends, between=moments.t)
+    # At a step as many steps as there are, to the bit, whatever its time is rounded to.
+    elapsed = moments.number * run.times.h + moments.length
+    times = run.times.marking(moments.marks)._replace(marks=moments.ends, between=moments.t, elapsed=elapsed)
     layout = Layout(run.plan.layout.extent._replace(points=len(moments.t)))
     check_room_of_run(layout, times, members)
     saved, place = NamedArrays(layout.saved), np.searchsorted(run.times.saved, moments.number)
@@ -148,9 +151,15 @@ def look(run: Run, moments: Moments) -> None:
         chunk = max(1, ROWS // members)
         for first in range(0, len(inside), chunk):
             some = inside[first : first + chunk]
-            _fill(parts, run, moments, some, last, target)
-    run.initial = marked["values"][0]
-    run.saved, run.times = saved, times
+            try:
+                _fill(parts, run, moments, some, last, target)
+            except IntegrationError as error:
+                run.initial, run.saved, run.times = marked["values"][0], saved, times
+                so_far = run.solution_to(int(some[0]))
+                told: dict[str, Any] = {"time": error.time, "residual": error.residual, "partial": so_far}
+                step = 1 + round((error.time - times.t0) / times.h)
+                raise IntegrationError(str(error), step=step, **told) from None
+    run.initial, run.saved, run.times = marked["values"][0], saved, times
 
 
 def _fill(

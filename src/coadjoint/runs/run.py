@@ -251,6 +251,10 @@ class Run:
             message += ", or make the vectors orthonormal more often: give a smaller renormalize_every"
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
 
+    def solution_to(self, kept: int) -> Solution:
+        """Return the first of the points that were saved, `kept` of them."""
+        return self._solution(kept, None)
+
     def _solution(self, kept: int, observed: Observed | None) -> Solution:
         return Solution(self, kept, observed)
 

@@ -96,6 +96,6 @@ class Unshift:
         """Fill in the members `first` to `last` - 1 of `out` from what stands at the address `held`."""
         schedule = schedule_of(*times[:4], False, *times[4:6])
         elapsed = None
-        if times.between is not None:
-            elapsed = np.repeat((times.between - times.t0)[: len(out), None], out.shape[1], axis=1)
+        if times.elapsed is not None:
+            elapsed = np.repeat(times.elapsed[: len(out), None], out.shape[1], axis=1)
         self._unshifting.fill(out, held, start.momenta, start.groups, first, last, schedule, elapsed)

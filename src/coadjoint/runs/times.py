@@ -17,7 +17,8 @@ class Times(NamedTuple):
     """Start, signed step and number of steps, and which are saved: every `save_every`-th, or those in `marks`.
 
     The first `passed` of the saved steps are left out: a run that goes on has taken them before. Where states are saved
-    at the times `between`, the marks are the steps that were taken to them, whole or in part.
+    at the times `between`, `elapsed` after the start, the marks are the steps that were taken to them, whole or in
+    part.
     """
 
     t0: float
@@ -27,6 +28,7 @@ class Times(NamedTuple):
     passed: int = 0
     marks: NDArray[np.int64] | None = None
     between: NDArray[np.float64] | None = None
+    elapsed: NDArray[np.float64] | None = None
 
     @property
     def end(self) -> float:
