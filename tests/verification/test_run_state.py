@@ -39,7 +39,7 @@ def cases():
         system = next(name for name, (system, _) in SYSTEMS.items() if serves(method, system))
         kept = method.properties(SYSTEMS[system][0]).attitude
         for attitude in (False, "coadjoint") if kept != "none" else (False,):
-            for members in (1, 5):
+            for members in (1, 7):
                 yield pytest.param(
                     method, system, attitude, members, id=f"{name}, {attitude or 'momentum'}, {members} members"
                 )

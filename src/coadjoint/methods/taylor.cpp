@@ -1,12 +1,42 @@
 // The Taylor series of the motion, and back to the level set of the energy and of the Casimirs; with the group element.
 #include "steps/group_series.hpp"
-#include "steps/projection.hpp"
-#include "steps/series.hpp"
+#include "steps/projection_crowd.hpp"
+#include "steps/series_crowd.hpp"
 #include "steps/step_scheme.hpp"
 
 namespace coadjoint {
 
 namespace {
+
+template <int W>
+struct TaylorCrowd final : CrowdStep {
+    const int64_t n;
+    SeriesCrowd<W, A> series;
+    ProjectionCrowd<W, A> projection;
+
+    TaylorCrowd(const SeriesField<W>& field, int64_t order, Projection<W, Own>& projection)
+        : n(field.n), series(field, order), projection(projection, field.n) {
+        work = series.work() + 8 * NATIVE * n;
+    }
+
+    void read(int lane, const double* memory) override { projection.read(lane, memory); }
+    void write(int lane, double* memory) const override { projection.write(lane, memory); }
+
+    void step(A* x, A* dx, const A& h, const int64_t* going) override {
+        A taking(0.0);
+        for (int lane = 0; lane < NATIVE; ++lane)
+            if (going[lane]) projection.begin(lane, x), set_lane(taking, lane, 1.0);
+        series.expand(x, h);
+        for (int64_t i = 0; i < n; ++i) add_to(x[i], dx[i], series.increment(i));
+        const auto restored = projection.restore(x, dx, taking > A(0.0));
+        for (int lane = 0; lane < NATIVE; ++lane) {
+            evaluations[lane] = series.order;
+            iterations[lane] = int64_t(projection.corrections[lane]);
+            residual[lane] = projection.residual[lane];
+            status[lane] = at(restored, lane) ? DONE : residual[lane] - residual[lane] == 0.0 ? NOT_CONVERGED : OVERFLOWED;
+        }
+    }
+};
 
 template <int W>
 struct Taylor final : StepScheme {
@@ -42,6 +72,12 @@ struct Taylor final : StepScheme {
         for (int64_t b = 0; b < blocks; ++b) store(x + b * W, state[b]), store(dx + b * W, owed.at[b]);
         if (!restored) return residual - residual == 0.0 ? NOT_CONVERGED : OVERFLOWED;
         return group ? turn(x, g, dg, h) : DONE;
+    }
+
+    std::unique_ptr<CrowdStep> crowd() override {
+        // Two lanes are not faster than the rows of one member.
+        if (group || NATIVE < 4) return nullptr;
+        return std::make_unique<TaylorCrowd<W>>(series.field, series.order, projection);
     }
 
     int64_t turn(const double* x, double* g, double* dg, double h) {

@@ -23,7 +23,7 @@ from coadjoint.methods.projection import (
     restored_invariants,
 )
 from coadjoint.methods.properties import Properties
-from coadjoint.methods.work import Operations, Work, work_of_operations
+from coadjoint.methods.work import SERIES_OF_A_CROWD, Operations, Work, work_of_operations
 from coadjoint.program.numbers import Number
 from coadjoint.systems.hamiltonian import HamiltonianLike
 from coadjoint.systems.kinds import System, check_vectors
@@ -36,6 +36,8 @@ MOST = 64
 LANES = 8
 # The terms that the series of a group element takes, mostly, and those that it may take beyond the order.
 TERMS_OF_GROUP, MORE_TERMS = 16, 40
+# Members go side by side up to this dimension, see `SMALL` in ``stepping.cpp``.
+WIDEST_TOGETHER = 64
 
 
 @dataclass(frozen=True)
@@ -156,7 +158,8 @@ class Taylor(CompiledStepMethod):
         found = self.operations(system)
         if group is not None:
             found = found._replace(vectors=found.vectors + self._vectors_of_group(system, group))
-        return work_of_operations(found, substeps)
+        together = group is None and system.dim <= WIDEST_TOGETHER
+        return work_of_operations(found, substeps, SERIES_OF_A_CROWD if together else 1.0)
 
     def _vectors_of_group(self, system: System, group: Representation) -> float:
         """Return how many vectors of rows of a group element are multiplied in a step."""

@@ -43,11 +43,12 @@ WAITING = 0.06
 LOOK = 0.5
 FIRST_CORRECTION = 3.2
 NEXT_CORRECTION = 1.0
-# With so many members, in up to so many dimensions, flows turn many members at once. Other steps are as wide for one
-# member.
+# With so many members, in up to so many dimensions, flows turn many members at once, and series are multiplied for many
+# of them. Other steps are as wide for one member.
 CROWD = 16
 FLOWS_OF_A_CROWD = 0.1
 BODIES_OF_A_CROWD = 0.17
+SERIES_OF_A_CROWD = 0.6
 ELIMINATION = 0.015
 # A multiplication in a product of matrices, by BLAS.
 PRODUCT = 0.006
@@ -200,7 +201,7 @@ class Operations(NamedTuple):
     looks: float
 
 
-def work_of_operations(operations: Operations, substeps: int) -> Work:
+def work_of_operations(operations: Operations, substeps: int, in_a_crowd: float = 1.0) -> Work:
     """Return the work of a step of so many substeps; its corrections are counted as iterations."""
 
     def cost(iterations: float, evaluations: float) -> float:
@@ -208,7 +209,7 @@ def work_of_operations(operations: Operations, substeps: int) -> Work:
         series = EXPLICIT_STEP + VECTOR * operations.vectors + WAITING * operations.waiting
         return substeps * series + LOOK * operations.looks * (substeps + corrections)
 
-    return Work(cost)
+    return Work(cost, in_a_crowd=in_a_crowd)
 
 
 def work_of_projection(base: Work, invariants: int) -> Work:

@@ -75,6 +75,15 @@ struct Projection {
         return false;
     }
 
+    // Where corrections no longer help: whether the defects are what rounding leaves where terms cancel.
+    NOINLINE bool settled(const Row* x, const double* kept) {
+        bool all = true;
+        for (size_t a = 0; a < size; ++a)
+            all &= std::fabs(kept[a] - rows.template value<false>(a, Newest<0, W>(x), x)) <=
+                   double(PROJECTION_STAGNANT) * EXACT * rows.terms_of(a, x);
+        return all;
+    }
+
   private:
     // Up to four quadratic invariants of coordinates in one block, all in registers.
     template <int R>
@@ -154,15 +163,6 @@ struct Projection {
         if (!(std::fabs(defect) <= 0x1p4 * least)) return false;
         least = larger(least, EXACT * rows.terms_of(a, x));
         return std::fabs(defect) <= least;
-    }
-
-    // Where corrections no longer help: whether the defects are what rounding leaves where terms cancel.
-    NOINLINE bool settled(const Row* x, const double* kept) {
-        bool all = true;
-        for (size_t a = 0; a < size; ++a)
-            all &= std::fabs(kept[a] - rows.template value<false>(a, Newest<0, W>(x), x)) <=
-                   double(PROJECTION_STAGNANT) * EXACT * rows.terms_of(a, x);
-        return all;
     }
 
     // Note the defects, and whether none is more than rounding leaves.

@@ -3,10 +3,28 @@
 // name.
 #pragma once
 
+#include <memory>
+
 #include "stages/stagnation.hpp"
 #include "recording/watching.hpp"
 
 namespace coadjoint {
+
+// A step of members side by side, each with the bits that it has alone.
+struct CrowdStep {
+    typedef Lanes<NATIVE> A;
+    int64_t work = 0;  // about how many multiplications a step of all of them takes
+    // Of each member after a step.
+    int64_t status[NATIVE], evaluations[NATIVE], iterations[NATIVE];
+    double residual[NATIVE];
+
+    virtual ~CrowdStep() = default;
+    // Read what a member remembers, and write it.
+    virtual void read(int lane, const double* memory) = 0;
+    virtual void write(int lane, double* memory) const = 0;
+    // Take one step of the lengths h in place, of the members that are `going`.
+    virtual void step(A* x, A* dx, const A& h, const int64_t* going) = 0;
+};
 
 struct StepScheme {
     int64_t work = 0;       // about how many multiplications a step takes
@@ -20,6 +38,9 @@ struct StepScheme {
     // Take one step of length h from time t in place, with what compensated sums owe; return a status. Both are aligned
     // rows of eight, zero beyond the last coordinate. The group element is transposed.
     virtual int64_t step(double* x, double* dx, double* group, double* dgroup, double t, double h) = 0;
+    // The same step of many members with the constants of this one, which must live as long; null where members that
+    // go one after the other are as fast.
+    virtual std::unique_ptr<CrowdStep> crowd() { return nullptr; }
 };
 
 #if defined(COADJOINT_APART)

@@ -1,4 +1,4 @@
-// What Python calls for step methods: the loop over steps, one member after the other.
+// What Python calls for step methods: the loop over steps, of one member after the other or of members side by side.
 #include <atomic>
 #include <memory>
 
@@ -14,8 +14,11 @@ typedef StepScheme* (*MakeScheme)(const StepTables& tables, const Own& constants
 struct Remembered {
     int64_t serial = 0;
     std::shared_ptr<StepScheme> scheme;
+    std::shared_ptr<CrowdStep> crowd;
 };
 constexpr int64_t REMEMBERED = 16, SMALL = 64;
+// Fewer members would leave too many lanes empty.
+constexpr int64_t MEMBERS_TOGETHER = 3 * NATIVE / 4;
 static thread_local Remembered remembered[REMEMBERED];
 static std::atomic<int64_t> numbered{0};
 
@@ -34,14 +37,69 @@ static std::unique_ptr<StepScheme> made(const Stepping& tables, const Own& const
 
 // The pointer is shared. A step written in Python may run other loops, and these take its place here while it is still
 // at work.
-static std::shared_ptr<StepScheme> remembered_step(const Stepping& tables) {
+static Remembered remembered_step(const Stepping& tables, bool together) {
     const int64_t serial = serial_of(tables);
     Remembered& place = remembered[serial % REMEMBERED];
     if (place.serial != serial) {
+        place = Remembered{};
         place.scheme = made(tables, Own{1, 0});
         place.serial = serial;
     }
-    return place.scheme;
+    if (together && !place.crowd) place.crowd = place.scheme->crowd();
+    return place;
+}
+
+// Members as lanes; the last one fills what is left of the lanes.
+static void follow_together(const Loop<Stepping>& loop, CrowdStep& crowd, const int64_t* members, int64_t count) {
+    typedef CrowdStep::A A;
+    const Stepping& tables = loop.tables;
+    const Schedule& schedule = loop.schedule;
+    const Arrays& arrays = loop.arrays;
+    const int64_t n = arrays.size;
+    const Shared constants;
+    Room<A> momentum(2 * n);
+    A *x = momentum.at, *dx = x + n, h(0.0);
+    int64_t going[NATIVE] = {}, moving[NATIVE] = {}, left = 0;  // events end what is noted, and not the steps
+    read_lanes(x, arrays.momenta, n, members, count);
+    read_lanes(dx, arrays.errors, n, members, count);
+    for (int lane = 0; lane < NATIVE; ++lane) {
+        const int64_t member = members[std::min<int64_t>(lane, count - 1)];
+        set_lane(h, lane, length_of(schedule, member));
+        if (arrays.remembered) crowd.read(lane, loop.memory_of(member));
+        if (lane < count) left += going[lane] = moving[lane] = arrays.status[member] == DONE;
+    }
+    CrowdRecorder<A, Shared> recorder(loop.watch, arrays, schedule, loop.k0, constants, members, going, count);
+    auto leave = [&](int lane) {
+        write_lane(x, arrays.momenta, n, members[lane], lane);
+        write_lane(dx, arrays.errors, n, members[lane], lane);
+        if (arrays.remembered) crowd.write(lane, loop.memory_of(members[lane]));
+    };
+    auto stop = [&](int lane, int64_t k, int64_t status, double residual) {
+        recorder.keep_worst();
+        leave(lane);
+        going[lane] = moving[lane] = 0, --left;
+        loop.fail(members[lane], k, status, residual);
+    };
+    const int64_t work = NATIVE * work_of_terms(loop.watch.terms, 0, loop.watch.terms.size) + crowd.work;
+    for (int64_t k = loop.k0 + 1; k <= loop.k1 && left > 0; ++k) {
+        for (int64_t part = 0; part < tables.substeps && left > 0; ++part) {
+            loop.hearing.after(work);
+            crowd.step(x, dx, A(tables.fraction[part]) * h, moving);
+            for (int lane = 0; lane < count; ++lane) {
+                if (!moving[lane]) continue;
+                arrays.evaluations[members[lane]] += crowd.evaluations[lane];
+                arrays.iterations[members[lane]] += crowd.iterations[lane];
+                if (crowd.status[lane] != DONE) stop(lane, k, crowd.status[lane], crowd.residual[lane]);
+            }
+        }
+        const auto sound = finite(n, x);
+        if (__builtin_expect(!all(sound), 0))
+            for (int lane = 0; lane < count; ++lane)
+                if (moving[lane] && !at(sound, lane)) stop(lane, k, OVERFLOWED, std::numeric_limits<double>::quiet_NaN());
+        recorder.after(k, [&](bool) { return FinishedRows<A>{x, nullptr}; });
+    }
+    for (int lane = 0; lane < count; ++lane)
+        if (moving[lane]) leave(lane);
 }
 
 static void follow(const Loop<Stepping>& loop, const Crew& crew) {
@@ -55,11 +113,18 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
     double *x = reinterpret_cast<double*>(momentum.at), *dx = x + 8 * eights;
     const int64_t watched = work_of_terms(watch.terms, 0, watch.terms.size);
     std::unique_ptr<StepScheme> own;
-    const std::shared_ptr<StepScheme> shared = crew.stride || n > SMALL ? nullptr : remembered_step(tables);
-    StepScheme* scheme = shared.get();
+    const bool together = crew.last - crew.first >= MEMBERS_TOGETHER;
+    const Remembered shared = crew.stride || n > SMALL ? Remembered{} : remembered_step(tables, together);
+    StepScheme* scheme = shared.scheme.get();
     AlreadyFinished nothing;
     MemberRecorder<double, Own, AlreadyFinished> recorder(watch, arrays, schedule, Own{1, 0}, nothing);
-    for (int64_t place = crew.first; place < crew.last; ++place) {
+    int64_t place = crew.first;
+    if (together && shared.crowd)
+        for (int64_t count; crew.last - place >= MEMBERS_TOGETHER; place += count) {
+            count = std::min<int64_t>(NATIVE, crew.last - place);
+            follow_together(loop, *shared.crowd, crew.members + place, count);
+        }
+    for (; place < crew.last; ++place) {
         const int64_t member = crew.members[place];
         if (arrays.status[member] != DONE) continue;
         const Own constants{crew.stride ? crew.stride : 1, crew.stride ? place : 0};

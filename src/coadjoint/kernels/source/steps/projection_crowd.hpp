@@ -1,0 +1,197 @@
+// Many members back to the level set of their invariants, with the operations of `projection.hpp`: the same bits.
+#pragma once
+
+#include "steps/projection.hpp"
+
+namespace coadjoint {
+
+// Few quadratic invariants have lanes. For others each member is brought back alone.
+template <int W, class A>
+class ProjectionCrowd {
+  public:
+    typedef Lanes<W> Row;
+    typedef typename Numbers<A>::Mask Mask;
+    static constexpr int lanes = Numbers<A>::lanes;
+    A corrections{0.0}, residual{0.0};
+
+    ProjectionCrowd(Projection<W, Own>& one, int64_t n)
+        : one(one), n(n), size(int64_t(one.size)), few(one.rows.few && n <= W), kept(2 * size), slopes(size * n),
+          unused(few ? n : 0), row(blocks_of<W>(n)), owed(blocks_of<W>(n)), numbers(2 * size) {}
+
+    // Read what a member remembers, and write it.
+    void read(int lane, const double* memory) {
+        for (int64_t a = 0; a < 2 * size; ++a) set_lane(kept.at[a], lane, memory[a]);
+    }
+    void write(int lane, double* memory) const {
+        for (int64_t a = 0; a < 2 * size; ++a) memory[a] = lane_of(kept.at[a], lane);
+    }
+
+    // The values that are to be kept, of a member that remembers none.
+    void begin(int lane, const A* x) {
+        if (size == 0 || lane_of(kept.at[0], lane) == lane_of(kept.at[0], lane)) return;
+        take_row(lane, x);
+        one.begin(row.at, numbers.data());
+        read(lane, numbers.data());
+    }
+
+    // Move x + dx of the members that go on; false where that does not converge.
+    Mask restore(A* x, A* dx, const Mask& going) {
+        corrections = residual = A(0.0);
+        if (size == 0) return going;
+        if (few) {
+            if (size == 1) return restore_few<1>(x, dx, going);
+            if (size == 2) return restore_few<2>(x, dx, going);
+            if (size == 3) return restore_few<3>(x, dx, going);
+            return restore_few<4>(x, dx, going);
+        }
+        A restored(0.0);
+        for (int lane = 0; lane < lanes; ++lane) {
+            if (!at(going, lane)) continue;
+            take_row(lane, x);
+            for (int64_t i = 0; i < n; ++i) reinterpret_cast<double*>(owed.at)[i] = lane_of(dx[i], lane);
+            write(lane, numbers.data());
+            set_lane(restored, lane, one.restore(row.at, owed.at, blocks_of<W>(n), numbers.data()));
+            read(lane, numbers.data());
+            set_lane(corrections, lane, double(one.corrections)), set_lane(residual, lane, one.residual);
+            for (int64_t i = 0; i < n; ++i) {
+                set_lane(x[i], lane, reinterpret_cast<const double*>(row.at)[i]);
+                set_lane(dx[i], lane, reinterpret_cast<const double*>(owed.at)[i]);
+            }
+        }
+        return restored == A(1.0);
+    }
+
+  private:
+    Projection<W, Own>& one;
+    const int64_t n, size;
+    const bool few;
+    Room<A> kept, slopes, unused;
+    Room<Row> row, owed;
+    std::vector<double> numbers;
+
+    void take_row(int lane, const A* x) {
+        for (int64_t i = 0; i < n; ++i) reinterpret_cast<double*>(row.at)[i] = lane_of(x[i], lane);
+    }
+
+    // As `sum_of_lanes` of a row of W, of which n are there.
+    template <class Term>
+    INLINE A sum(Term term) const {
+        auto padded = [&](int64_t i) { return i < n ? term(i) : A(0.0); };
+        if constexpr (W == 4) return (padded(0) + padded(2)) + (padded(1) + padded(3));
+        const A p = padded(0) + padded(4), q = padded(1) + padded(5), r = padded(2) + padded(6), s = padded(3) + padded(7);
+        return (p + r) + (q + s);
+    }
+
+    template <int R>
+    NOINLINE Mask restore_few(A* x, A* dx, const Mask& going) {
+        A defect[R], L[R][R], inverse[R];
+        Mask done = going & look<R>(x, slopes.at, defect, residual, going), failed = going & !going;
+        Mask running = going & !done;
+        if (!any(running)) return done;
+        for (int i = 0; i < R; ++i)
+            for (int j = 0; j <= i; ++j)
+                L[i][j] = sum([&](int64_t c) { return slopes.at[i * n + c] * slopes.at[j * n + c]; });
+        for (int j = 0; j < R; ++j) {
+            const A square = L[j][j];
+            for (int k = 0; k < j; ++k) L[j][j] = fma(-L[j][k] * L[j][k], inverse[k], L[j][j]);
+            inverse[j] = select(L[j][j] > A(DEPENDENT) * square, A(1.0) / L[j][j], A(0.0));
+            for (int i = j + 1; i < R; ++i)
+                for (int k = 0; k < j; ++k) L[i][j] = fma(-L[i][k] * L[j][k], inverse[k], L[i][j]);
+        }
+        A total[W];
+        for (int64_t c = 0; c < n; ++c) total[c] = A(0.0);
+        for (int64_t round = 1; round <= PROJECTION_CORRECTIONS; ++round) {
+            const A before = residual;
+            corrections = select(running, A(double(round)), corrections);
+            running = running & (before - before == A(0.0));
+            if (!any(running)) return done;
+            for (int j = 0; j < R; ++j) {
+                for (int k = 0; k < j; ++k) defect[j] = fma(-L[j][k], defect[k], defect[j]);
+                defect[j] = defect[j] * inverse[j];
+            }
+            for (int j = R - 1; j >= 0; --j)
+                for (int k = j + 1; k < R; ++k) defect[j] = fma(-L[k][j] * inverse[j], defect[k], defect[j]);
+            A moved[W];
+            for (int64_t c = 0; c < n; ++c) {
+                A more(0.0);
+                for (int i = 0; i < R; ++i) more = fma(defect[i], slopes.at[i * n + c], more);
+                A now = x[c], rest = dx[c];
+                add_to(now, rest, more);
+                x[c] = select(running, now, x[c]), dx[c] = select(running, rest, dx[c]);
+                total[c] = total[c] + more;
+                moved[c] = absolute(more);
+            }
+            const A product = sum([&](int64_t c) { return moved[c]; }) * sum([&](int64_t c) { return absolute(total[c]); });
+            Mask found = running;
+            for (int64_t a = 0; a < R; ++a)
+                found = found & (product * A(one.rows.bends[a]) <= A(0.25) * kept.at[R + a]);
+            done = done | found, running = running & !found;
+            if (!any(running)) return done;
+            A now(0.0);
+            found = running & look<R>(x, nullptr, defect, now, running);
+            residual = select(running, now, residual);
+            const Mask slow = running & !found & (residual >= A(0.5) * before);
+            for (int lane = 0; lane < lanes; ++lane)
+                if (at(slow, lane) && settled(lane, x)) {
+                    A here(0.0);
+                    set_lane(here, lane, 1.0);
+                    found = found | (here == A(1.0));
+                }
+            done = done | found, running = running & !found;
+            if (!any(running)) return done;
+        }
+        corrections = select(running, A(double(PROJECTION_CORRECTIONS + 1)), corrections);
+        return done;
+    }
+
+    NOINLINE bool settled(int lane, const A* x) {
+        take_row(lane, x);
+        write(lane, numbers.data());
+        return one.settled(row.at, numbers.data());
+    }
+
+    // The defects, and whether they are no more than rounding leaves; the gradients, where there is room for them.
+    template <int R>
+    INLINE Mask look(const A* x, A* gradients, A* defect, A& total, const Mask& going) {
+        Mask every = going;
+        total = A(0.0);
+        for (int i = 0; i < R; ++i) {
+            A* const slope = gradients ? gradients + i * n : unused.at;
+            const double* const offset = one.rows.offsets.data() + i * W;
+            for (int64_t c = 0; c < n; ++c) slope[c] = slope_of(i, c, x);
+            defect[i] = kept.at[i] - (A(one.rows.invariants[i].constant) +
+                                      A(0.5) * sum([&](int64_t c) { return x[c] * (slope[c] + A(offset[c])); }));
+            every = every & rounding_alone(i, defect[i], x, kept.at[R + i], going);
+            total = total + absolute(defect[i]);
+        }
+        return every;
+    }
+
+    // As `InvariantRows::slope`, of one coordinate.
+    INLINE A slope_of(int64_t i, int64_t c, const A* x) const {
+        const auto& linear = one.rows.linear;
+        A total(one.rows.offsets[i * W + c]);
+        int64_t e = linear.first[i];
+        for (const int64_t stop = e + one.rows.own[i]; e < stop; ++e)
+            total = fma(A(linear.at.at[e].weight[int(c)]), x[c], total);
+        for (; e < linear.first[i + 1]; ++e)
+            total = fma(A(linear.at.at[e].weight[int(c)]), x[linear.at.at[e].left.lane[c]], total);
+        return total;
+    }
+
+    INLINE Mask rounding_alone(int64_t a, const A& defect, const A* x, A& least, const Mask& going) {
+        const A size_of = absolute(defect);
+        Mask small = size_of <= least;
+        const Mask near = going & !small & (size_of <= A(0x1p4) * least);
+        if (__builtin_expect(any(near), 0))
+            for (int lane = 0; lane < lanes; ++lane)
+                if (at(near, lane)) {
+                    take_row(lane, x);
+                    set_lane(least, lane, larger(lane_of(least, lane), EXACT * one.rows.terms_of(a, row.at)));
+                    small = size_of <= least;
+                }
+        return small;
+    }
+};
+
+}  // namespace coadjoint

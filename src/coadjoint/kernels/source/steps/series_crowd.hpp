@@ -1,0 +1,177 @@
+// The Taylor series of many members side by side, with the operations of `series.hpp`, row by row: the same bits.
+#pragma once
+
+#include "steps/series.hpp"
+
+namespace coadjoint {
+
+// Every row of a series is a row of members; series stand one after the other, order by order.
+template <int W, class A>
+class SeriesCrowd {
+  public:
+    const SeriesField<W>& field;
+    const int64_t n, order;
+
+    SeriesCrowd(const SeriesField<W>& field, int64_t order)
+        : field(field), n(field.n), order(order), places(field.extended * W, -1) {
+        for (int64_t i = 0; i < n; ++i) places[i] = i;
+        int64_t count = n;
+        for (int64_t b = 0; b < field.factors.blocks; ++b)
+            for (int lane = 0; lane < W; ++lane) {
+                const auto& product = field.factors.at.at[b];
+                if (product.weight[lane] == 0.0) continue;
+                places[(field.blocks + b) * W + lane] = count++;
+                made.push_back({1.0, series_of(product.left.lane[lane]), series_of(product.right.lane[lane])});
+            }
+        read(field.products, products, product_rows);
+        read(field.gradient, gradients, gradient_rows);
+        if (field.written_out) read(field.linear, linear, linear_rows);
+        series.clear(count * (order + 1));
+        slopes.clear(field.written_out ? 0 : n * (order + 1));
+        weighted.clear(int64_t(products.size()) * (order + 1));
+        later.clear(2 * n), made_later.clear(2 * int64_t(made.size())), lengths.clear(order);
+    }
+
+    // About how many multiplications the coefficients of all members take.
+    int64_t work() const {
+        const int64_t entries = int64_t(gradients.size() + linear.size());
+        return order * Numbers<A>::lanes * (entries + order * int64_t(products.size() + made.size()));
+    }
+
+    // About how many bytes are read again and again.
+    int64_t room() const {
+        return int64_t(sizeof(A)) * order * (n + int64_t(made.size() + products.size()) + (field.written_out ? 0 : n));
+    }
+
+    // Set the coefficients x_1 h, ..., x_p h^p of the motions from x.
+    void expand(const A* x, const A& h) {
+        for (int64_t i = 0; i < n; ++i) of(i)[0] = x[i];
+        if (order > 0 && !all(lengths.at[0] == h))
+            for (int64_t k = 0; k < order; ++k) lengths.at[k] = h / A(double(k + 1));
+        for (int64_t k = 0; k < order; ++k) {
+            make_products(k);
+            if (!field.written_out) take_slopes(k);
+            coefficient(k, lengths.at[k], field.written_out ? series.at : slopes.at);
+        }
+    }
+
+    // x_1 h + ... + x_p h^p of one coordinate.
+    INLINE A increment(int64_t i) const {
+        return every_fourth(i, 1) + (every_fourth(i, 2) + (every_fourth(i, 3) + every_fourth(i, 4)));
+    }
+
+  private:
+    std::vector<int64_t> places;  // where the rows of the field stand here
+    std::vector<int64_t> product_rows, gradient_rows, linear_rows;
+    std::vector<Entry> products, gradients, linear, made;
+    Room<A> series{0}, slopes{0}, weighted{0}, later{0}, made_later{0}, lengths{0};
+
+    INLINE A* of(int64_t i) const { return series.at + i * (order + 1); }
+    int64_t series_of(int64_t place) const { return places[place] * (order + 1); }
+
+    // The entries of every coordinate, without those that only fill a vector.
+    void read(const Sums<W>& sums, std::vector<Entry>& entries, std::vector<int64_t>& first) const {
+        first.assign(1, 0);
+        for (int64_t i = 0; i < n; ++i) {
+            int64_t last = sums.first[i / W + 1];
+            while (last > sums.first[i / W] && sums.at.at[last - 1].weight[int(i % W)] == 0.0) --last;
+            for (int64_t e = sums.first[i / W]; e < last; ++e)
+                entries.push_back({sums.at.at[e].weight[int(i % W)], series_of(sums.at.at[e].left.lane[i % W]),
+                                   series_of(sums.at.at[e].right.lane[i % W])});
+            first.push_back(int64_t(entries.size()));
+        }
+    }
+
+    INLINE A every_fourth(int64_t i, int64_t first) const {
+        A sum(0.0);
+        for (int64_t k = first + (order - first + 4) / 4 * 4 - 4; k >= first; k -= 4) sum = sum + of(i)[k];
+        return sum;
+    }
+
+    // As `Series::convolve`, for even k.
+    static INLINE void convolve(const A* left, const A* right, int64_t k, A* sums) {
+        if (k < 2) return;
+        A a = sums[0], b = sums[1], c = sums[2], d = sums[3];
+        if (k > 3) a = fma(left[2], right[k - 2], a);
+        for (int64_t j = 3; j < k - 2; j += 2) {
+            b = fma(left[j], right[k - j], b);
+            d = fma(left[j], right[k + 1 - j], d);
+            a = fma(left[j + 1], right[k - 1 - j], a);
+            c = fma(left[j + 1], right[k - j], c);
+        }
+        sums[0] = fma(left[1], right[k - 1], a), sums[1] = b, sums[2] = c, sums[3] = d;
+        if (k == 2) return;
+        sums[1] = fma(left[k - 1], right[1], b);
+        sums[2] = fma(left[2], right[k - 1], c);
+        sums[3] = fma(left[k - 1], right[2], d);
+    }
+
+    static INLINE void add_left(const A* left, const A* right, int64_t k, A& even, A& odd) {
+        if (k % 2 == 0 || k == 1) return;
+        even = fma(left[1], right[k - 1], even);
+        odd = fma(left[k - 1], right[1], odd);
+    }
+
+    // As `Series::begin`; `left(e)` and `right(e)` are the factors of a product.
+    template <class Left, class Right>
+    INLINE void begin(int64_t first, int64_t last, int64_t k, A* kept, A& even, A& odd, Left left, Right right) const {
+        if (k % 2 == 1) {
+            even = kept[0], odd = kept[1];
+        } else {
+            A sums[4] = {A(0.0), A(0.0), A(0.0), A(0.0)};
+            for (int64_t e = first; e < last; ++e) convolve(left(e), right(e), k, sums);
+            even = sums[0], odd = sums[1], kept[0] = sums[2], kept[1] = sums[3];
+        }
+        for (int64_t e = first; e < last; ++e) add_left(left(e), right(e), k, even, odd);
+    }
+
+    NOINLINE void coefficient(int64_t k, const A& length, const A* others) {
+        for (int64_t i = 0; i < n; ++i) {
+            const int64_t first = product_rows[i], last = product_rows[i + 1];
+            A even, odd;
+            begin(first, last, k, later.at + 2 * i, even, odd, [&](int64_t e) { return weighted.at + e * (order + 1); },
+                  [&](int64_t e) { return others + products[e].right; });
+            even = length * even, odd = length * odd;
+            for (int64_t e = first; e < last; ++e) {
+                const A* const right = others + products[e].right;
+                const A y = series.at[products[e].left + k], z = right[k];
+                const A weight(products[e].weight);
+                A* const from = weighted.at + e * (order + 1);
+                from[k] = weight * y;
+                if (k > 0) odd = fma(y, length * (weight * right[0]), odd);
+                even = fma(length * from[0], z, even);
+            }
+            if (field.written_out)
+                for (int64_t e = linear_rows[i]; e < linear_rows[i + 1]; ++e)
+                    odd = fma(length * A(linear[e].weight), series.at[linear[e].left + k], odd);
+            of(i)[k + 1] = even + odd;
+        }
+    }
+
+    INLINE void take_slopes(int64_t k) {
+        for (int64_t i = 0; i < n; ++i) {
+            A even = A(k ? 0.0 : field.offsets[i]), odd(0.0);
+            int64_t e = gradient_rows[i];
+            for (; e + 1 < gradient_rows[i + 1]; e += 2) {
+                even = fma(A(gradients[e].weight), series.at[gradients[e].left + k], even);
+                odd = fma(A(gradients[e + 1].weight), series.at[gradients[e + 1].left + k], odd);
+            }
+            if (e < gradient_rows[i + 1]) even = fma(A(gradients[e].weight), series.at[gradients[e].left + k], even);
+            slopes.at[i * (order + 1) + k] = even + odd;
+        }
+    }
+
+    INLINE void make_products(int64_t k) {
+        for (int64_t p = 0; p < int64_t(made.size()); ++p) {
+            const A *left = series.at + made[p].left, *right = series.at + made[p].right;
+            A even, odd;
+            begin(0, 1, k, made_later.at + 2 * p, even, odd, [&](int64_t) { return left; },
+                  [&](int64_t) { return right; });
+            even = fma(left[0], right[k], even);
+            if (k > 0) odd = fma(left[k], right[0], odd);
+            of(n + p)[k] = even + odd;
+        }
+    }
+};
+
+}  // namespace coadjoint

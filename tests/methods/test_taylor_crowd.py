@@ -1,0 +1,118 @@
+"""Members of Taylor as lanes: the bits that each has alone, in any company, whatever becomes of its neighbours."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+ALGEBRAS = {
+    name: co.algebras.get(name) for name in ("so(3)", "A3,1", "gl(2)", "A5,3", "e(3)", "so(2,2)", "su(3)", "so(5)")
+}
+ALGEBRAS["A3,7"] = co.algebras.A3_7(0.7)
+ALGEBRAS["4 spins"] = co.algebras.copies(co.algebras.so(3), 4)
+MEMBERS = 21  # two registers of eight and five alone, or five of four and one
+
+
+def hamiltonian(n, degree, seed):
+    """Return an energy of the degree; of degree 1 linear, and of degree 2 with a full or a sparse matrix."""
+    rng = np.random.default_rng([n, degree, seed])
+    linear = np.round(rng.uniform(-0.4, 0.4, n), 3)
+    if degree <= 2:
+        B = rng.uniform(-0.3, 0.3, (n, n)) * (rng.uniform(size=(n, n)) < (1.0 if seed % 2 else 0.2))
+        return co.Quadratic((np.diag(np.linspace(0.6, 1.4, n)) + B + B.T) * (degree == 2), linear=linear)
+    monomials = {tuple(2 * (k == i) for k in range(n)): 0.5 + 0.125 * i for i in range(n)}
+    for d in range(1, degree + 1):
+        for _ in range(3):
+            exponents = np.bincount(rng.integers(0, n, d), minlength=n)
+            monomials[tuple(exponents.tolist())] = float(np.round(rng.uniform(-0.25, 0.25), 3))
+    return co.Polynomial(monomials)
+
+
+def system_on(name, degree, seed=0):
+    algebra = ALGEBRAS[name]
+    return co.LiePoissonSystem(algebra, hamiltonian(algebra.dim, degree, seed), sign=-1 if seed % 2 else 1)
+
+
+def states(system, count=MEMBERS):
+    x = np.random.default_rng(system.dim).normal(size=(count, system.dim))
+    x *= 0.8 / np.linalg.norm(x, axis=1, keepdims=True)
+    x[1, 0], x[2] = -0.0, 0.0  # zeros keep their signs, and a member may rest
+    return x
+
+
+def followed(*given, **options):
+    """Return a run, or what there is of one in which a member fails."""
+    try:
+        return co.integrate(*given, **options)
+    except co.IntegrationError as error:
+        return error.partial
+
+
+@pytest.mark.parametrize("name", ALGEBRAS)
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+@pytest.mark.parametrize("projected", [True, False])
+def test_members_have_the_bits_that_they_have_alone(name, degree, projected):
+    for seed, order in enumerate((2, 5, 9, 16)):
+        system = system_on(name, degree, seed)
+        x = states(system)
+        method, span = co.Taylor(order, projected), (0.0, 3.0 if seed < 2 else -3.0)
+        run = followed(system, x, span, 0.25, method)
+        shuffled = followed(system, x[::-1], span, 0.25, method, save_every=5, threads=2)
+        assert shuffled.x[-1][::-1].tobytes() == run.x[-1].tobytes()
+        for m in range(0, MEMBERS, 5):
+            alone = followed(system, x[m], span, 0.25, method)
+            kept = len(alone.x)
+            assert run.failed[m] == (kept < len(run.x))
+            assert alone.x.tobytes() == np.ascontiguousarray(run.x[:kept, m]).tobytes(), (m, order)
+            assert np.array_equal(alone.energy, run.energy[:kept, m], equal_nan=True)
+            for invariant, worst in alone.drift().items():
+                assert np.array_equal(worst, run.drift()[invariant].members[m], equal_nan=True)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 6, 7, 8, 9, 14, 16, 40])
+def test_any_number_of_members(count):
+    for name in ("so(3)", "e(3)", "su(3)"):
+        system = system_on(name, 2, 1)
+        x = states(system, 40)
+        whole = co.integrate(system, x, (0, 2), 0.25, co.Taylor(8)).x
+        assert np.array_equal(co.integrate(system, x[:count], (0, 2), 0.25, co.Taylor(8)).x, whole[:, :count])
+
+
+@pytest.mark.parametrize("name", ["so(3)", "e(3)", "su(3)", "A5,3"])
+@pytest.mark.parametrize("degree", [2, 3])
+@pytest.mark.parametrize("projected", [True, False])
+def test_members_that_fail_leave_the_others_alone(name, degree, projected):
+    """One that overflows at once and two that fail on the way; the others have their bits, and each says its step."""
+    system = system_on(name, degree, 1)
+    x = 0.5 * states(system)
+    sound = followed(system, x, (0, 10), 0.25, co.Taylor(10, projected))
+    wild = x.copy()
+    wild[3] *= 1e200
+    wild[8], wild[13] = x[4] * 80.0, x[5] * 180.0
+    run = followed(system, wild, (0, 10), 0.25, co.Taylor(10, projected))
+    assert run.failed[3]
+    for m in range(MEMBERS):
+        if m not in (3, 8, 13):
+            assert run.failed[m] == sound.failed[m]
+            assert np.array_equal(run.x[:, m], sound.x[:, m], equal_nan=True)
+            continue
+        alone = followed(system, wild[m], (0, 10), 0.25, co.Taylor(10, projected)).x
+        assert run.failed[m] == (len(alone) < len(run.x))
+        assert np.array_equal(run.x[: len(alone), m], alone)
+
+
+def test_the_work_of_each_member_is_counted():
+    system = system_on("e(3)", 2, 1)
+    run = co.integrate(system, states(system), (0, 10), 0.25, co.Taylor(6))
+    assert run.stats.evaluations == MEMBERS * 40 * 6
+
+
+def test_invariants_stay_for_ever():
+    """As alone: rounding that wanders within what one step leaves, of members that start far from each other."""
+    system = system_on("e(3)", 2, 1)
+    x = states(system, 8) * np.linspace(0.5, 2.0, 8)[:, None]
+    run = co.integrate(system, x, (0, 2500), 0.25, co.Taylor(8), save_every=10_000)
+    for name, worst in run.drift().items():
+        assert np.all(worst < 64 * 2.0**-53 * (1 + np.linalg.norm(x, axis=1) ** 2)), name
