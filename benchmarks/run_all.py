@@ -21,6 +21,7 @@ SECTIONS = {
     "spins": "Spins",
     "fluids": "Fluids",
     "ensembles": "Ensembles",
+    "members_of_series": "Ensembles by Taylor series",
     "gauss_legendre": "Gauss-Legendre",
     "round_off": "Round-off",
     "lyapunov": "Tangent vectors",
