@@ -36,12 +36,13 @@ class Ready:
     def __init__(self, problem: Problem, step: float, method: Any) -> None:
         self.steps = max(1, round(problem.span / step))
         self.step = problem.span / self.steps
+        self.span, self.times = problem.span, (0.0, self.steps * self.step)
         self.end = co.prepare(problem.system, method, self.step, watch=False, threads=1).end
 
     def __call__(self, x0: np.ndarray, span: float) -> np.ndarray:
-        steps = max(1, round(span / self.step))
+        times = self.times if span == self.span else (0.0, max(1, round(span / self.step)) * self.step)
         try:
-            return self.end(x0, (0.0, steps * self.step))
+            return self.end(x0, times)
         except co.IntegrationError as reason:
             raise Failed(str(reason)) from reason
 

@@ -147,20 +147,17 @@ class Crew:
         wrong: int = self._advance(
             layout.address, schedule, saved.address, state.address, number(k0), number(k1), stop.address
         )
-        return wrong if wrong >= 0 else _ended(wrong)
+        return wrong if wrong >= 0 else refused(wrong)
 
     def repeated(
         self, layout: Layout, schedule: bytes, saved: NamedArrays, state: NamedArrays, steps: int, stop: Stop
     ) -> Callable[[], int]:
-        """Return what takes the steps 1 to `steps`, for many calls with the same arrays; as `advance` does it."""
+        """Return what takes the steps 1 to `steps`, for many calls with the same arrays.
+
+        It returns how many members have failed; a negative number is for `refused`.
+        """
         arrays = layout.address, schedule, saved.address, state.address
-        take = partial(self._advance, *arrays, number(0), number(steps), stop.address)
-
-        def taken() -> int:
-            wrong: int = take()
-            return wrong if wrong >= 0 else _ended(wrong)
-
-        return taken
+        return partial(self._advance, *arrays, number(0), number(steps), stop.address)
 
 
 @cache
@@ -170,7 +167,7 @@ def _loop(name: str) -> Any:
     return found
 
 
-def _ended(outcome: int) -> int:
+def refused(outcome: int) -> int:
     """Raise what a loop says that did not take all of its steps."""
     if outcome == codes("Outcome")["NO_MEMORY"]:
         raise MemoryError("there is no memory for the working arrays of the loop")

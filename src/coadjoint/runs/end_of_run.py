@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.given import are_finite
 from coadjoint.kernels.arrays import Layout, NamedArrays
-from coadjoint.kernels.loop import Crew, Stop
+from coadjoint.kernels.loop import Crew, Stop, refused
 from coadjoint.kernels.watching import schedule_of
 from coadjoint.runs.loops import SystemLoops
 from coadjoint.runs.room import check_room_of_run
@@ -72,6 +72,8 @@ class EndOfRun:
         self._momentum[:] = x
         try:
             wrong = self._take()
+            if wrong < 0:
+                refused(wrong)
         except BaseException as ended:
             raised = self._loops.raised()
             raise ended if raised is None else raised from None
