@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coadjoint.kernels.description import limit
-from coadjoint.program.describe import action_work, bodies_of, share_work
+from coadjoint.program.describe import action_work, bodies_of, series_in, share_work
 from coadjoint.program.table import Program
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -22,6 +22,8 @@ FLOW = 0.2
 MULTIPLICATION = 0.04
 FUNCTION = 0.6
 COMPENSATED = 1.3
+# A sparse series, beside its multiplications: rows are found by their indices, term after term.
+SERIES = 5.0
 # The turn of a free body over a short time.
 BODY = 7.0
 # A bond of a lattice, side by side with others, and where the sums are compensated.
@@ -109,6 +111,7 @@ def _part_work(program: Program, number: int, compensated: bool) -> float:
         cost += len(bodies) * (BODY if not bonds else BOND_COMPENSATED if compensated else BOND)
         acting = 0 if bonds else acting[0], 0  # sines come with the body
     cost += (MULTIPLICATION * acting[0] + FUNCTION * acting[1]) * (COMPENSATED if compensated else 1.0)
+    cost += SERIES * series_in(program.state, number)
     if program.group is not None:
         # The rows of a group element are turned side by side, by one sine.
         acting = action_work(program.group, number)

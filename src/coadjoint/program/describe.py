@@ -155,6 +155,12 @@ def action_work(action: Action, number: int) -> tuple[int, int]:
     return multiplications, functions
 
 
+def series_in(action: Action, number: int) -> int:
+    """Return how many blocks of one part are sparse series."""
+    runs = range(action.run[number], action.run[number + 1])
+    return sum(int(action.angles[run]) * int(action.repeat[run]) for run in runs if action.kind[run] == Kind.SERIES)
+
+
 def _block_work(action: Action, run: int, kind: Kind) -> int:
     if kind in WORK:
         return WORK[kind]
