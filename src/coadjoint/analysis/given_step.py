@@ -100,7 +100,8 @@ def scheme_and_claims(
         for name, value in said.items():
             if value is not None:
                 raise TypeError(f"{name} is given, but {type(method).__name__} declares its own; leave {name} out")
-        return method, Claims(method.order, method.symmetric, declared_by(method, system))
+        # The error of a scheme with steps of its own does not depend on the step of the run.
+        return method, Claims(None if method.own_steps else method.order, method.symmetric, declared_by(method, system))
     if isinstance(method, type) or not callable(method):
         raise TypeError(
             f"method is {short(method)}; it must be a scheme such as Splitting(order=2), or a function step(x, h)"

@@ -93,6 +93,11 @@ class Method(ABC):
     instead: ClassVar[str] = ""
     """Where the scheme is not symmetric: what to compose in place of it, for messages."""
 
+    @property
+    def own_steps(self) -> bool:
+        """Whether it takes steps of its own: the step of a run is then the distance of the points where one looks."""
+        return False
+
     @abstractmethod
     def properties(self, system: System) -> Properties:
         """Return what the scheme keeps on a system; refuses by name one that it cannot serve.

@@ -96,7 +96,7 @@ def project(
     if unit == 0:
         raise TypeError("a projection solves equations that exact fractions do not settle: take projected=False")
     wanted = [C.value(x) for C in invariants]
-    sizes = [sum(abs(x * C.gradient(x))) for C in invariants]
+    sizes = [max(sum(abs(y * C.gradient(y))) for y in (x, z)) for C in invariants]
     # Constant slopes are fractions, which mpmath before 1.4 does not subtract from.
     gradients = np.array([array_of(number, C.gradient(z)) for C in invariants])
     free = independent(gradients)

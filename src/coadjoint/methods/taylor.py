@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.given import read_flag, read_whole
+from coadjoint.given import read_flag, read_number, read_whole
 from coadjoint.memory import check_room
 from coadjoint.methods.base import Method, Representation
 from coadjoint.methods.compiled_step import CompiledStepMethod
@@ -23,7 +24,8 @@ from coadjoint.methods.projection import (
     restored_invariants,
 )
 from coadjoint.methods.properties import Properties
-from coadjoint.methods.work import SERIES_OF_A_CROWD, Operations, Work, work_of_operations
+from coadjoint.methods.step_length import TOO_SHORT, through_own_steps
+from coadjoint.methods.work import SERIES_OF_A_CROWD, Operations, Work, work_of_operations, work_of_own_steps
 from coadjoint.program.numbers import Number
 from coadjoint.systems.hamiltonian import HamiltonianLike
 from coadjoint.systems.kinds import System, check_vectors
@@ -33,11 +35,14 @@ if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
 
 MOST = 64
+USUAL, LEAST_ORDER = 16, 4
+TOO_FAR = "the group element turns too far in a step for its series"
 LANES = 8
 # The terms that the series of a group element takes, mostly, and those that it may take beyond the order.
 TERMS_OF_GROUP, MORE_TERMS = 16, 40
 # Members go side by side up to this dimension, see `SMALL` in ``stepping.cpp``.
 WIDEST_TOGETHER = 64
+LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-18, 0.1
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,10 @@ class Taylor(CompiledStepMethod):
 
     The coefficients follow from each other by products of series, ``x_(k+1) = f_k / (k + 1)`` with f_k those of the
     field. A step is explicit and long, up to about the time in which the momentum turns by one radian. It costs about
-    order^2 / 2 evaluations of the products in the field. Choose it for accuracy: where an error is to be reached with
+    order^2 / 2 evaluations of the products in the field. With a `tolerance` it takes steps of its own, as long as the
+    terms of the series allow: take it where the motion calms down or speeds up. The step of a run is then the distance
+    of the points at which one looks. What one sees there is the series itself, and neither these points nor who looks
+    change anything of the motion. Choose it for accuracy: where an error is to be reached with
     the least work it is mostly the fastest scheme, and `choose` takes it. It is no Poisson map. For statistics of
     chaotic motion, or energies that stay near forever without being forced to, take `Splitting`.
 
@@ -61,15 +69,19 @@ class Taylor(CompiledStepMethod):
 
     Parameters
     ----------
-    order : int
-        Order p of the series, from 1 to 64. About 8 for errors of 1e-3, 12 for 1e-6, 18 for 1e-9, 24 for 1e-12.
+    order : int, optional
+        Order p of the series, from 1 to 64. About 8 for errors of 1e-3, 12 for 1e-6, 18 for 1e-9, 24 for 1e-12. None is
+        16, or what suits the `tolerance`.
     projected : bool
         Whether the invariants are restored. Otherwise they are kept as well as the series is accurate.
+    tolerance : float, optional
+        Wanted error of one of its own steps, relative to the largest size of the momentum so far; 1e-18 to 0.1. Errors
+        of the steps add up, and grow as the motion lets them. None is the step of the run.
 
     Raises
     ------
     ValueError
-        `order` is no whole number from 1 to 64.
+        `order` is no whole number from 1 to 64, or `tolerance` lies outside of its range.
 
     References
     ----------
@@ -83,20 +95,37 @@ class Taylor(CompiledStepMethod):
     >>> sol = co.integrate(top, (0.6, 0.0, 0.8), t_span=(0, 1000), step=1.0, method=co.Taylor(order=16))
     >>> sol.drift()["energy"] < 1e-15, sol.drift()["|x|^2"] < 2e-15
     (True, True)
+
+    A chain of particles that fly apart, in steps that become longer and longer:
+
+    >>> import numpy as np
+    >>> chain = co.systems.toda(5)
+    >>> x0 = np.concatenate([np.zeros(5), np.full(4, 0.5)])
+    >>> sol = co.integrate(chain, x0, t_span=(0, 60), step=60.0, method=co.Taylor(tolerance=1e-10))
+    >>> bool(abs(sol.x[-1] - chain.exact(x0, 60.0)).max() < 1e-9), sol.stats["evaluations"] // sol.method.order
+    (True, 35)
     """
 
-    order: int = 16
+    order: int = None  # type: ignore[assignment]
     projected: bool = True
+    tolerance: float | None = None
 
     symmetric = False
-    failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "the group element turns too far in a step for its series"}
     tables_of_any_step = True
     # The series of all coordinates and of all products are in memory at once.
     largest: ClassVar[float] = 10_000
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "order", read_whole(self.order, "order of Taylor", 1, MOST))
+        if self.tolerance is not None:
+            object.__setattr__(self, "tolerance", _read_tolerance(self.tolerance))
+        order = _order_for(self.tolerance) if self.order is None else read_whole(self.order, "order of Taylor", 1, MOST)
+        object.__setattr__(self, "order", order)
         object.__setattr__(self, "projected", read_flag(self.projected, "projected"))
+
+    @property
+    def own_steps(self) -> bool:
+        """Whether there is a tolerance."""
+        return self.tolerance is not None
 
     @property
     def explicit(self) -> bool:
@@ -131,12 +160,17 @@ class Taylor(CompiledStepMethod):
 
     @property
     def compiled_step(self) -> str:
-        """The step in ``taylor.cpp``."""
-        return "taylor"
+        """The step in ``taylor.cpp``, or those in ``taylor_variable.cpp``."""
+        return "taylor" if self.tolerance is None else "taylor_variable"
+
+    @property
+    def failures(self) -> Mapping[str, str]:  # type: ignore[override]
+        """What a step says of a group element, and one of its own that is too short."""
+        return {"UNDEFINED": TOO_FAR if self.tolerance is None else TOO_SHORT}
 
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
-        """Return the order."""
-        return [self.order], []
+        """Return the order, and the tolerance."""
+        return [self.order], [] if self.tolerance is None else [self.tolerance]
 
     def restored(self, system: System) -> Mapping[str, Any] | None:
         """Return the Casimirs that are polynomials, or None without projection."""
@@ -154,10 +188,14 @@ class Taylor(CompiledStepMethod):
         return super().loop_of_substeps(system, h, representation, fractions)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of the products of series, those of the group element among them."""
+        """Return the work of the products of series, those of the group element among them; of its own steps by the
+        orders that it has counted.
+        """
         found = self.operations(system)
         if group is not None:
             found = found._replace(vectors=found.vectors + self._vectors_of_group(system, group))
+        if self.tolerance is not None:
+            return work_of_own_steps(found, self.order)
         together = group is None and system.dim <= WIDEST_TOGETHER
         return work_of_operations(found, substeps, SERIES_OF_A_CROWD if together else 1.0)
 
@@ -171,6 +209,12 @@ class Taylor(CompiledStepMethod):
             size, entries = system.dim, len(np.unique(np.concatenate([i, j]) * system.dim + np.concatenate([k, k])))
         blocks, terms = -(-size // LANES), max(self.order, TERMS_OF_GROUP)
         return float(blocks * (entries * self.order * (terms - 0.5 * self.order) + size**2))
+
+    def composed(self, coefficients: Sequence[float]) -> Method:
+        """Return the scheme whose step is made of these substeps; those that have a tolerance have none."""
+        if self.tolerance is not None:
+            raise TypeError(f"{self} takes steps of its own, which cannot be composed; give no tolerance")
+        return super().composed(coefficients)
 
     def operations(self, system: System) -> Operations:
         """Return the work of a step: products of series, sparse sums for each coefficient, and the projection."""
@@ -201,6 +245,8 @@ class Taylor(CompiledStepMethod):
         start = np.asarray(x)
         given = start.astype(np.float64) if start.dtype != object else start
         number: Number = float if given.dtype != object else type(given[0])
+        if self.tolerance is not None:
+            return self._through(system, given, number, t, h)
         terms = expand(system.vector_field, given.astype(object), number(h), self.order)
         end = np.asarray(given + np.add.reduce(terms[::-1]), dtype=given.dtype)
         return project(restored_invariants(system), given, end, number, float(t)).y if self.projected else end
@@ -215,14 +261,57 @@ class Taylor(CompiledStepMethod):
         """
         self.properties(system)
         start = np.asarray(x, dtype=np.float64)
-        duals = np.empty(len(start), dtype=object)
-        duals[:] = [Dual(value, row) for value, row in zip(start, np.eye(len(start)), strict=True)]
-        end = duals + sum(reversed(expand(system.vector_field, duals, float(h), self.order)))
-        z = np.array([d.value for d in end], dtype=np.float64)
-        dz = np.array([d.derivative for d in end], dtype=np.float64)
-        if not self.projected:
-            return z, dz
-        return project_with_tangent(system, start, z, dz, float(t))
+
+        def back(end: NDArray[Any]) -> NDArray[Any]:
+            if not self.projected:
+                return end
+            return _duals(*project_with_tangent(system, start, *_parted(end), float(t)))
+
+        duals, field = _duals(start, np.eye(len(start))), system.vector_field
+        if self.tolerance is not None:
+            return _parted(through_own_steps(field, duals, float(h), self.order, self.tolerance, back))
+        return _parted(back(duals + sum(reversed(expand(field, duals, float(h), self.order)))))
+
+    def _through(self, system: System, x: NDArray[Any], number: Number, t: Any, h: Any) -> NDArray[Any]:
+        """Return the motion over h in its own steps."""
+        kept = restored_invariants(system)
+
+        def back(z: NDArray[Any]) -> NDArray[Any]:
+            end = np.asarray(z, dtype=x.dtype)
+            return project(kept, x, end, number, float(t)).y.astype(object) if self.projected else z
+
+        assert self.tolerance is not None
+        start = x.astype(object)
+        end = through_own_steps(system.vector_field, start, number(h), self.order, self.tolerance, back)
+        return np.asarray(end, dtype=x.dtype)
+
+
+def _duals(values: NDArray[Any], derivatives: NDArray[Any]) -> NDArray[Any]:
+    found = np.empty(len(values), dtype=object)
+    found[:] = [Dual(value, row) for value, row in zip(values, derivatives, strict=True)]
+    return found
+
+
+def _parted(duals: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    values, derivatives = [d.value for d in duals], [d.derivative for d in duals]
+    return np.array(values, dtype=np.float64), np.array(derivatives, dtype=np.float64)
+
+
+def _read_tolerance(given: Any) -> float:
+    tolerance = read_number(given, "tolerance of Taylor")
+    if not LEAST_TOLERANCE <= tolerance <= LARGEST_TOLERANCE:
+        raise ValueError(
+            f"tolerance of Taylor is {tolerance:g}; it must lie between {LEAST_TOLERANCE:g} and {LARGEST_TOLERANCE:g}, "
+            "such as 1e-9"
+        )
+    return tolerance
+
+
+def _order_for(tolerance: float | None) -> int:
+    """Return the order with which a tolerance is reached at little cost, where a step costs about p^1.5."""
+    if tolerance is None:
+        return USUAL
+    return max(LEAST_ORDER, math.ceil(math.log(1.0 / tolerance) / 1.5) + 1)
 
 
 def _vectors_of_products(system: System, lanes: int) -> float:

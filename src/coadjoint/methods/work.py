@@ -215,6 +215,20 @@ def work_of_operations(operations: Operations, substeps: int, in_a_crowd: float 
     return Work(cost, in_a_crowd=in_a_crowd)
 
 
+def work_of_own_steps(operations: Operations, order: int) -> Work:
+    """Return the work of a scheme that takes steps of its own, each of `order` evaluations, until the next look."""
+    step = work_of_operations(operations, 1)
+
+    def cost(iterations: float, evaluations: float) -> float:
+        own = evaluations / order
+        look = LOOK * operations.looks * (1.0 + FIRST_CORRECTION) + WAITING * 0.5 * order
+        return look + (
+            work_of_operations(operations, 1).cost(iterations / own, evaluations) * own if own > 0.0 else 0.0
+        )
+
+    return Work(cost)
+
+
 def work_of_projection(base: Work, invariants: int) -> Work:
     """Return the work of a step of another scheme, and of the way back to so many invariants."""
     back = LOOK * invariants * (1.0 + FIRST_CORRECTION)

@@ -246,7 +246,9 @@ class Run:
         found = int(self.state["status"][member])
         status = next(name for name, code in codes("Status").items() if code == found)
         what = what_failed(status, self.method, self.loops, residual)
-        message = f"in step {step}, at t = {when:g}, {what}{who}; take a smaller step than {abs(self.times.h):g}"
+        # The step of a run is none of the scheme where that takes its own.
+        instead = "end t_span before" if self.method.own_steps else f"take a smaller step than {abs(self.times.h):g}"
+        message = f"in step {step}, at t = {when:g}, {what}{who}; {instead}"
         if status == "PARALLEL":
             message += ", or make the vectors orthonormal more often: give a smaller renormalize_every"
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)

@@ -3,7 +3,7 @@
 #include <memory>
 
 #include "boundary/crew.hpp"
-#include "steps/step_scheme.hpp"
+#include "steps/own_steps.hpp"
 
 namespace coadjoint {
 
@@ -102,6 +102,33 @@ static void follow_together(const Loop<Stepping>& loop, CrowdStep& crowd, const 
         if (moving[lane]) leave(lane);
 }
 
+// Take one step, part after part.
+static int64_t take(StepScheme& scheme, const Stepping& tables, double start, double h, double* x, double* dx, double* g,
+                    double* dg, Hearing& hearing, int64_t watched) {
+    int64_t status = DONE, evaluations = 0, iterations = 0;
+    for (int64_t part = 0; part < tables.substeps && status == DONE; ++part) {
+        hearing.after(watched + scheme.work);
+        scheme.evaluations = scheme.iterations = 0;
+        status = scheme.step(x, dx, g, dg, start + tables.moment[part] * h, tables.fraction[part] * h);
+        evaluations += scheme.evaluations;
+        iterations += scheme.iterations;
+    }
+    scheme.evaluations = evaluations;
+    scheme.iterations = iterations;
+    return status;
+}
+
+// Look at the end of step k of a scheme that takes steps of its own. Where one of these fails, `failing` is the step of
+// the run in which it ends, wherever one looks.
+static int64_t reach(OwnSteps& scheme, double t0, int64_t k, double h, double* x, double* dx, double* g, double* dg,
+                     Hearing& hearing, int64_t& failing) {
+    hearing.after(scheme.work);
+    scheme.evaluations = scheme.iterations = 0;
+    const int64_t status = scheme.reach(x, dx, g, dg, t0, k, h, hearing);
+    if (status != DONE) failing = std::min(k, 1 + int64_t(scheme.reached / std::fabs(h)));
+    return status;
+}
+
 static void follow(const Loop<Stepping>& loop, const Crew& crew) {
     const Stepping& tables = loop.tables;
     const Watch& watch = loop.watch;
@@ -141,22 +168,27 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
         recorder.begin(member, constants, loop.k0);
         double *g = arrays.groups + member * square, *dg = arrays.group_errors + member * square;
         const double h = length_of(schedule, member);
+        OwnSteps* const over = dynamic_cast<OwnSteps*>(scheme);
+        SavedSteps saved(schedule, loop.k0);
         for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
+            // Schemes with steps of their own are asked for no state that nobody looks at.
+            if (over && !schedule.watching && !schedule.events) k = std::min(saved.next, loop.k1);
+            if (k == saved.next) saved.take();
+            int64_t failing = k;
             const double start = start_of(schedule, member, k);
-            int64_t status = DONE;
-            for (int64_t part = 0; part < tables.substeps && status == DONE; ++part) {
-                loop.hearing.after(watched + scheme->work);
-                scheme->evaluations = scheme->iterations = 0;
-                status = scheme->step(x, dx, g, dg, start + tables.moment[part] * h, tables.fraction[part] * h);
-                arrays.evaluations[member] += scheme->evaluations;
-                arrays.iterations[member] += scheme->iterations;
-            }
+            int64_t status;
+            if (over)
+                status = reach(*over, start_of(schedule, member, 1), k, h, x, dx, g, dg, loop.hearing, failing);
+            else
+                status = take(*scheme, tables, start, h, x, dx, g, dg, loop.hearing, watched);
+            arrays.evaluations[member] += scheme->evaluations;
+            arrays.iterations[member] += scheme->iterations;
             if (status == DONE && !finite(n, x)) {
                 status = OVERFLOWED;
                 scheme->residual = std::numeric_limits<double>::quiet_NaN();
             }
             if (status != DONE) {
-                loop.fail(member, k, status, scheme->residual);
+                loop.fail(member, failing, status, scheme->residual);
                 break;
             }
             recorder.after(k, x, dx, [&](int64_t, double* to) { return std::copy_n(g, square, to), true; });

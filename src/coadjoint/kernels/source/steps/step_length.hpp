@@ -1,0 +1,79 @@
+// How long a step of a series may be, from the sizes of its terms: A. Jorba, M. Zou, A software package for the
+// numerical integration of ODEs by means of high-order Taylor methods, Experimental Mathematics 14 (2005), section 3.2.
+// `coadjoint.methods.step_length` is the same in Python, operation by operation.
+#pragma once
+
+#include "numbers/arithmetic.hpp"
+
+namespace coadjoint {
+
+// Within 2e-5 of the binary logarithm of a positive number: of no library, so that it is the same everywhere. Zero and
+// what is nearly zero give -1022.
+inline double near_log2(double a) {
+    int64_t bits;
+    std::memcpy(&bits, &a, sizeof bits);
+    const int64_t exponent = (bits >> 52) - 1023;
+    if (exponent < -1022) return -1022.0;
+    bits = (bits & ((int64_t(1) << 52) - 1)) | (int64_t(1023) << 52);
+    double mantissa;
+    std::memcpy(&mantissa, &bits, sizeof mantissa);
+    const double z = (mantissa - 1.0) / (mantissa + 1.0), zz = z * z;
+    const double series = 2.885390081777927 + zz * (0.9617966939259757 + zz * (0.5770780163555854 + zz * 0.41219858311113244));
+    return double(exponent) + z * series;
+}
+
+// 2^whole, for whole numbers from -1022 to 1023.
+inline double whole_power_of_two(double whole) {
+    const int64_t bits = int64_t(whole + 1023.0) << 52;
+    double power;
+    std::memcpy(&power, &bits, sizeof power);
+    return power;
+}
+
+// Within 4e-6 of 2^a, relative to it; a lies between -1000 and 1000.
+inline double near_power_of_two(double a) {
+    const double whole = std::floor(a + 0.5), r = (a - whole) * LN2;
+    return (1.0 + r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0)))))) *
+           whole_power_of_two(whole);
+}
+
+// The sizes of the terms x_k h^k that decide: the last ones, of which some may vanish, as even and odd ones do, and as
+// many in the middle.
+constexpr int64_t DECIDING = 4;
+constexpr double NO_LIMIT = 900.0;  // beyond 2^900 a length is as good as endless
+
+struct StepLength {
+    const int64_t order, last, middle;  // the first of the last terms, and of those in the middle, or 0 without any
+    const double tolerance;             // its logarithm over the order
+
+    StepLength(int64_t order, double tolerance)
+        : order(order), last(std::max<int64_t>(1, order + 1 - DECIDING)),
+          middle(order >= 2 * DECIDING ? order / 2 + 1 - DECIDING : 0), tolerance(near_log2(tolerance) / double(order)) {}
+
+    // The logarithm of the length in units of h: the last terms would be the tolerance times `size`, if they fell as a
+    // geometric sequence from `size` on; and no longer than half the radius of convergence, which the terms from the
+    // middle to the last tell: what is left out is then less than the last term, and what dies away does so in the
+    // series too. `size_of(k)` is the size of a term.
+    template <class SizeOf>
+    double logarithm(double size, SizeOf size_of) const {
+        const double whole = near_log2(size);
+        double radius = 2.0 * NO_LIMIT, largest = 0.0;
+        for (int64_t k = last; k <= order; ++k) {
+            const double term = size_of(k);
+            largest = larger(largest, term);
+            if (term > 0.0) radius = smaller(radius, (whole - near_log2(term)) / double(k));
+        }
+        double length = radius + tolerance;
+        if (middle > 0 && largest > 0.0) {
+            double before = 0.0;
+            for (int64_t k = middle; k < middle + DECIDING; ++k) before = larger(before, size_of(k));
+            if (before > 0.0) {
+                const double converging = (near_log2(before) - near_log2(largest)) / double(order - order / 2);
+                length = smaller(length, converging - 1.0);
+            }
+        }
+        return larger(smaller(length, NO_LIMIT), -NO_LIMIT);
+    }
+};
+
+}  // namespace coadjoint

@@ -1,0 +1,156 @@
+// The Taylor series of the motion over steps that the series itself tells, and back to the level set of the energy and
+// of the Casimirs; with the group element.
+#include "steps/dense_series.hpp"
+#include "steps/group_series.hpp"
+#include "steps/own_steps.hpp"
+#include "steps/projection.hpp"
+#include "steps/step_length.hpp"
+
+namespace coadjoint {
+
+namespace {
+
+constexpr int64_t ATTEMPTS = 24;          // to find powers of a time in which the terms are numbers
+constexpr double TINY = 0x1p-900;         // terms below have lost digits
+constexpr double FAR = 64.0, ENDS = 900.0;  // logarithms: from one attempt to the next, and of the longest such time
+
+template <int W>
+struct TaylorVariable final : OwnSteps {
+    typedef Lanes<W> Row;
+    const int64_t blocks;
+    Series<W> series;
+    Projection<W, Own> projection;
+    const StepLength rule;
+    Room<Row> state, owed, expanded;
+    double scaled = 0.0;       // `series` holds the terms of `expanded` in powers of this; 0 where it holds none
+    const std::unique_ptr<GroupMotion> group;
+    std::vector<double> gradients;
+    std::vector<double> seen;  // for looks, which leave what the projection remembers as it is
+
+    // Remembered: in powers of which time the terms are, a power of two with the sign of the steps; the largest size of
+    // a state so far; and what the projection remembers.
+    TaylorVariable(const StepTables& tables, const Own& constants)
+        : OwnSteps(tables.field.size, tables.group.size * tables.group.size, 2 + 2 * tables.kept.size), blocks(blocks_of<W>(tables.field.size)),
+          series(tables.field, constants, tables.whole[0]), projection(tables.kept, constants, tables.field.size),
+          rule(tables.whole[0], tables.coefficients[0]), state(blocks), owed(blocks), expanded(blocks),
+          group(group_motion(tables.group, constants, series)),
+          gradients(group ? known_gradients(series) * blocks * W : 0), seen(projection.remembered()) {
+        work = series.work() + 16 * tables.field.size + (group ? group->work() : 0);
+    }
+
+  private:
+    static double& scale_of(const Base& base) { return base.further[0]; }
+    static double& largest_of(const Base& base) { return base.further[1]; }
+    static double* kept_of(const Base& base) { return base.further + 2; }
+
+    int64_t begin(const Base& base, double t0) override {
+        read(base);
+        projection.begin(state.at, kept_of(base));
+        base.length = std::copysign(1.0, base.length);
+        return propose(base, t0);
+    }
+
+    int64_t propose(const Base& base, double) override {
+        read(base);
+        double size = 0.0;
+        for (int64_t b = 0; b < blocks; ++b) size += sum_of_lanes(absolute(state.at[b]));
+        largest_of(base) = larger(largest_of(base), size);
+        // The terms of the next step are about as large as those of the last.
+        double exponent = larger(-ENDS, smaller(std::floor(near_log2(std::fabs(base.length))), ENDS));
+        evaluations += series.order;
+        bool enlarged = false;
+        for (int64_t attempt = 0; attempt < ATTEMPTS; ++attempt) {
+            scale_of(base) = std::copysign(whole_power_of_two(exponent), base.length);
+            expand(scale_of(base));
+            double last = 0.0, sum = 0.0;
+            for (int64_t k = rule.last; k <= series.order; ++k) {
+                const double term = size_of_term(series, k);
+                last = larger(last, term), sum += term;
+            }
+            // Where a term overflows all that follow do, or their sum is no number.
+            const double first = size_of_term(series, 1);
+            const double faster = first > 0.0 ? std::floor(near_log2(first) - near_log2(size)) : 0.0;
+            if (!(sum - sum == 0.0)) {
+                exponent -= first - first == 0.0 && faster > 0.0 ? faster : FAR;
+                if (exponent < -ENDS) break;
+            } else if (last < TINY * largest_of(base) && faster < 0.0 && !enlarged) {
+                exponent = smaller(exponent - faster, ENDS);
+                enlarged = true;
+            } else {
+                const double length =
+                    rule.logarithm(largest_of(base), [this](int64_t k) { return size_of_term(series, k); });
+                base.length = scale_of(base) * near_power_of_two(length);
+                return DONE;
+            }
+        }
+        scaled = 0.0;
+        residual = std::numeric_limits<double>::quiet_NaN();
+        return OVERFLOWED;
+    }
+
+    int64_t part(const Base& base, double, double time, double* x, double* dx, double* g, double* dg) override {
+        std::copy_n(kept_of(base), seen.size(), seen.data());
+        std::copy_n(base.group, square, g), std::copy_n(base.dgroup, square, dg);
+        const int64_t status = move(base, time, seen.data(), g, dg);
+        write(x, dx);
+        return status;
+    }
+
+    int64_t finish(const Base& base, double) override {
+        const int64_t status = move(base, base.length, kept_of(base), base.group, base.dgroup);
+        iterations += projection.corrections;
+        write(base.x, base.dx);
+        return status;
+    }
+
+    // From the base on, in `state` and `owed`.
+    int64_t move(const Base& base, double time, double* kept, double* g, double* dg) {
+        read(base);
+        bool same = scaled == scale_of(base);
+        for (int64_t b = 0; b < blocks && same; ++b) same = all(state.at[b] == expanded.at[b]);
+        if (!same) expand(scale_of(base));
+        const double s = time / scaled;
+        for (int64_t b = 0; b < blocks; ++b) add_to(state.at[b], owed.at[b], increment_at(series, b, s));
+        projection.corrections = 0;
+        const bool restored = seen.empty() || projection.restore(state.at, owed.at, blocks, kept);
+        residual = projection.residual;
+        if (!restored) return residual - residual == 0.0 ? NOT_CONVERGED : OVERFLOWED;
+        return group ? turn(s, time, g, dg) : DONE;
+    }
+
+    // The gradient along the step is a polynomial in the time over `time`.
+    int64_t turn(double s, double time, double* g, double* dg) {
+        if (!finite(size, reinterpret_cast<const double*>(state.at))) return OVERFLOWED;
+        gradients_along(series, gradients.data());
+        const int64_t stride = blocks * W, count = known_gradients(series);
+        double power = 1.0;
+        for (int64_t k = 0; k < count; ++k, power *= s)
+            for (int64_t i = 0; i < stride; ++i) gradients[k * stride + i] *= power;
+        if (!group->turn(gradients.data(), count, stride, time, g, dg)) return NOT_CONVERGED;
+        return finite(square, g) ? DONE : OVERFLOWED;
+    }
+
+    void expand(double scale) {
+        for (int64_t b = 0; b < blocks; ++b) series.x.at[b] = expanded.at[b] = state.at[b];
+        series.expand(scaled = scale);
+    }
+
+    void read(const Base& base) {
+        double *to = reinterpret_cast<double*>(state.at), *left = reinterpret_cast<double*>(owed.at);
+        std::copy_n(base.x, size, to), std::copy_n(base.dx, size, left);
+    }
+
+    void write(double* x, double* dx) const {
+        const double *from = reinterpret_cast<const double*>(state.at), *left = reinterpret_cast<const double*>(owed.at);
+        std::copy_n(from, size, x), std::copy_n(left, size, dx);
+    }
+};
+
+}  // namespace
+
+EXPORT StepScheme* taylor_variable_step(const StepTables& tables, const Own& constants) {
+    if (tables.field.size <= 4) return new TaylorVariable<4>(tables, constants);
+    return new TaylorVariable<8>(tables, constants);
+}
+
+}  // namespace coadjoint

@@ -1,0 +1,316 @@
+"""Taylor series in steps of their own: closed forms, the plain reading, and bits that no look changes."""
+
+from __future__ import annotations
+
+import mpmath
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.methods.step_length import logarithm_of_step, near_log2, near_power_of_two
+from coadjoint.runs.loops import SystemLoops
+from coadjoint.runs.run import Run
+from coadjoint.runs.start import start_of
+from coadjoint.runs.state import RunState
+from coadjoint.runs.times import Times
+
+U = 2.0**-53
+
+
+def random_matrix(n, seed):
+    B = np.random.default_rng(seed).uniform(-1.0, 1.0, (n, n))
+    return np.diag(np.linspace(0.5, 1.5, n)) + 0.2 * (B + B.T)
+
+
+def solvable():
+    """Return a Lie algebra of dimension four that is no Lie algebra of volume-preserving flows."""
+    return co.LieAlgebra.from_brackets(4, {(0, 1): {1: 1.0}, (0, 2): {2: 0.5}, (0, 3): {3: 1.5}, (1, 2): {3: 1.0}})
+
+
+def systems():
+    """One to several vectors of rows, every degree, unimodular and not."""
+    so4, e3, so3 = co.algebras.so(4), co.algebras.e(3), co.algebras.so(3)
+    cubic = co.Polynomial({(2, 0, 0): 0.5, (0, 2, 0): 1.0, (0, 0, 2): 0.25, (1, 1, 1): 0.25, (0, 3, 0): 0.125})
+    squares = {tuple(2 * (k == i) for k in range(6)): 0.25 + 0.1 * i for i in range(6)}
+    quartic = co.Polynomial(squares | {(1, 0, 1, 0, 2, 0): 0.2, (0, 1, 0, 0, 0, 1): -0.1})
+    return {
+        "so(3)": co.LiePoissonSystem(so3, co.Quadratic(random_matrix(3, 1))),
+        "so(3), cubic": co.LiePoissonSystem(so3, cubic),
+        "e(3)": co.LiePoissonSystem(e3, co.Quadratic([1.0, 0.5, 0.25, 0, 0, 0], linear=[0, 0, 0, 0.75, 0.5, 1.0])),
+        "e(3), quartic": co.LiePoissonSystem(e3, quartic, sign=-1),
+        "so(4)": co.LiePoissonSystem(so4, co.Quadratic(random_matrix(6, 2))),
+        "su(3)": co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(random_matrix(8, 3))),
+        "so(5)": co.LiePoissonSystem(co.algebras.so(5), co.Quadratic(random_matrix(10, 4))),
+        "solvable": co.LiePoissonSystem(solvable(), co.Quadratic(np.diag([1.0, 0.5, 0.25, 0.75]))),
+        "toda": co.systems.toda(5),
+    }
+
+
+def start_for(system, seed=0):
+    x = np.random.default_rng(system.dim + 100 * seed).uniform(-1.0, 1.0, system.dim)
+    return x / np.linalg.norm(x) * np.sqrt(max(1.0, system.dim / 6))
+
+
+def end_of(system, method, x, t, points=1):
+    return co.integrate(system, x, (0.0, t), abs(t) / points, method, watch=False, save_every=points)
+
+
+def own_steps(sol):
+    return np.ravel(sol.stats.evaluations)[0] // sol.method.order
+
+
+@pytest.mark.parametrize("name", list(systems()))
+@pytest.mark.parametrize("projected", [True, False])
+@pytest.mark.parametrize("t", [2.0, -2.0])
+def test_the_error_is_that_of_so_many_steps(name, projected, t):
+    """Each step errs by the tolerance times the size, in the 1-norm, and errors grow by the condition of the motion."""
+    system = systems()[name]
+    x = start_for(system)
+    exact = co.integrate(system, x, (0.0, t), 1 / 64, co.GaussLegendre(8), watch=False)
+    size, states = np.max(np.sum(np.abs(exact.x), axis=1)), []
+    for tolerance in (1e-3, 1e-5, 1e-8, 1e-11, 1e-14):
+        method = co.Taylor(tolerance=tolerance, projected=projected)
+        sol = end_of(system, method, x, t)
+        condition = np.linalg.norm(method.tangent(system, x, 0.0, t)[1], 2)
+        allowed = own_steps(sol) * max(1.0, condition) * size * (2 * tolerance + 64 * U)
+        assert np.linalg.norm(sol.x[-1] - exact.x[-1]) < allowed
+        states.append(sol.x[-1])
+    assert np.linalg.norm(states[0] - exact.x[-1]) > 1e-9  # the tolerance does something
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 7, 8, 9, 12, 16, 17, 24, 25, 30, 64])
+def test_every_order_reaches_the_tolerance(order):
+    system, x = systems()["so(4)"], start_for(systems()["so(4)"])
+    tolerance = 1e-3 if order < 3 else 1e-6 if order < 8 else 1e-12
+    exact = co.integrate(system, x, (0.0, 1.0), 1 / 64, co.GaussLegendre(8), watch=False).x[-1]
+    sol = end_of(system, co.Taylor(order, tolerance=tolerance), x, 1.0)
+    assert np.linalg.norm(sol.x[-1] - exact) < own_steps(sol) * 16 * tolerance
+    assert sol.stats.evaluations % order == 0
+
+
+@pytest.mark.parametrize("name", list(systems()))
+@pytest.mark.parametrize("t", [1.5, -1.5])
+def test_compiled_steps_are_the_plain_reading(name, t):
+    """Lengths of steps differ as rounding of terms does; the state then differs by that part of the tolerance."""
+    system = systems()[name]
+    x = start_for(system)
+    for tolerance in (1e-4, 1e-9, 1e-13):
+        for projected in (True, False):
+            method = co.Taylor(tolerance=tolerance, projected=projected)
+            found, read = end_of(system, method, x, t), method.step(system, x, 0.0, t)
+            bound = 256 * np.sqrt(system.dim) * U * np.max(np.abs(found.x)) * own_steps(found)
+            assert np.max(np.abs(found.x[-1] - read)) < bound
+
+
+def test_the_plain_reading_in_fifty_digits():
+    body = co.systems.rigid_body(inertia=(1, 2, 4))
+    with mpmath.workdps(50):
+        x = np.array([mpmath.mpf(v) for v in (0.6, 0.3, 0.8)], dtype=object)
+        ends = [co.Taylor(p, tolerance=1e-18).step(body, x, 0, mpmath.mpf(4)) for p in (24, 32)]
+        assert 1e-24 < max(abs(ends[0] - ends[1])) < 1e-16
+        assert abs(body.energy(ends[0]) - body.energy(x)) < 1e-48
+    exact = body.exact((0.6, 0.3, 0.8), 4.0)
+    assert np.max(np.abs(ends[1].astype(float) - exact)) < 64 * U
+
+
+@pytest.mark.parametrize("name", list(systems()))
+@pytest.mark.parametrize("projected", [True, False])
+def test_no_look_changes_the_motion(name, projected):
+    """Not how many points, which of them are saved, whether all are watched, and where the points lie."""
+    system = systems()[name]
+    x, method = start_for(system), co.Taylor(tolerance=1e-8, projected=projected)
+    for t in (6.0, -6.0):
+        every = co.integrate(system, x, (0.0, t), 0.125, method)
+        for save_every in (1, 5, 48):
+            for watch in (True, False):
+                sol = co.integrate(system, x, (0.0, t), 0.125, method, save_every=save_every, watch=watch)
+                assert np.array_equal(sol.x, every.x[np.unique(np.r_[0:49:save_every, 48])])
+                assert sol.stats.evaluations == every.stats.evaluations
+                assert sol.stats.iterations == every.stats.iterations
+        for points in (1, 3, 96, 6144):
+            other = co.integrate(system, x, (0.0, t), 6.0 / points, method, watch=False)
+            assert np.array_equal(other.x[-1], every.x[-1])
+            assert other.stats.evaluations == every.stats.evaluations
+        assert np.array_equal(co.integrate(system, x, (0.0, t), 0.25, method).x, every.x[::2])
+
+
+def test_times_far_from_zero_and_where_they_begin_change_nothing():
+    system, method = systems()["e(3)"], co.Taylor(tolerance=1e-10)
+    x = start_for(system)
+    one = co.integrate(system, x, (0.0, 4.0), 0.5, method)
+    other = co.integrate(system, x, (1000.0, 1004.0), 0.5, method)
+    assert np.array_equal(one.x, other.x)
+    assert co.integrate(system, x, (3.0, 3.0), 0.5, method).x.tolist() == [x.tolist()]
+
+
+@pytest.mark.parametrize("name", ["so(3)", "so(4)", "so(5)", "solvable"])
+def test_members_do_not_feel_each_other(name):
+    system, method = systems()[name], co.Taylor(tolerance=1e-9)
+    crowd = np.array([start_for(system, seed) * 10.0 ** (-seed % 3) for seed in range(9)])
+    whole = co.integrate(system, crowd, (0.0, 5.0), 0.25, method, threads=1)
+    assert np.array_equal(whole.x, co.integrate(system, crowd, (0.0, 5.0), 0.25, method, threads=2).x)
+    for k in (0, 4, 8):
+        assert np.array_equal(whole.x[:, k], co.integrate(system, crowd[k], (0.0, 5.0), 0.25, method).x)
+    bodies = [co.systems.rigid_body(inertia=(1.0, 2.0, 3.0 + k)) for k in range(5)]
+    batch = co.integrate(co.batch(bodies), (0.6, 0.1, -0.7), (0.0, 5.0), 0.25, method)
+    for k, body in enumerate(bodies):
+        assert np.array_equal(batch.x[:, k], co.integrate(body, (0.6, 0.1, -0.7), (0.0, 5.0), 0.25, method).x)
+
+
+@pytest.mark.parametrize("name", ["so(3)", "e(3), quartic", "so(5)", "toda"])
+@pytest.mark.parametrize("h", [0.125, -0.125, 2.5])
+def test_cut_and_gone_on_with_is_the_whole_run(name, h):
+    """The state of a run is all of it, also where it was written and read, and other runs came between."""
+    system = systems()[name]
+    method, x = co.Taylor(tolerance=1e-9), start_for(systems()[name])
+    loops, times = SystemLoops(system, method, h, None), Times(0.0, h, 40, 1)
+    start = start_of(system, method, x, False)
+    whole = Run(system, method, loops, times, start, True)
+    whole.advance()
+    for cut in (1, 2, 7, 25, 39):
+        first = Run(system, method, loops, times, start, True)
+        first.advance(until=cut)
+        other = start_of(system, method, 0.5 * x, False)
+        Run(system, method, loops, times, other, True).advance()
+        kept = RunState.from_mapping(first.state.to_mapping())
+        rest = Run(system, method, SystemLoops(system, method, h, None), times, start, True, state=kept)
+        rest.advance()
+        assert np.array_equal(rest.saved["x"], whole.saved["x"][cut + 1 :])
+        assert rest.state == whole.state
+
+
+def test_tangent_is_the_derivative_of_the_motion():
+    for name in ("so(3)", "e(3), quartic", "solvable"):
+        system = systems()[name]
+        x, direction = start_for(system), start_for(system, 1)
+        for projected in (True, False):
+            method = co.Taylor(tolerance=1e-13, projected=projected)
+            new, P = method.tangent(system, x, 0.0, 2.0)
+            assert np.max(np.abs(new - method.step(system, x, 0.0, 2.0))) < 1e-13
+            ends = [end_of(system, method, x + e * direction, 2.0).x[-1] for e in (1e-4, -1e-4, 2e-4, -2e-4)]
+            slope = (8 * (ends[0] - ends[1]) - (ends[2] - ends[3])) / 12e-4
+            assert np.max(np.abs(P @ direction - slope)) < 1e-8 * np.max(np.abs(P))
+
+
+def test_steps_become_long_where_the_motion_calms_down():
+    """The particles of a chain fly apart, and nothing turns any more."""
+    chain = co.systems.toda(5)
+    x0, method = np.concatenate([np.zeros(5), np.full(4, 0.5)]), co.Taylor(tolerance=1e-12)
+    counts = [own_steps(end_of(chain, method, x0, t)) for t in (10.0, 1000.0, 1e5)]
+    assert counts[0] >= 5 and counts[2] < 200
+    sol = co.integrate(chain, x0, (0.0, 200.0), 0.5, method)
+    exact = np.array([chain.exact(x0, t) for t in sol.t])
+    assert np.max(np.abs(sol.x - exact)) < own_steps(sol) * 4 * 1e-12
+
+
+@pytest.mark.parametrize("projected", [True, False])
+@pytest.mark.parametrize("rate", [0.7, -0.7, 70.0, 1e6, 1e-7])
+def test_growth_and_decay_by_thirty_orders_of_magnitude(projected, rate):
+    """x' = rate x: errors are relative to the largest size so far, where it grows to that of then."""
+    line = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}})
+    system = co.LiePoissonSystem(line, co.Quadratic(0.0, linear=[rate, 0.0]))
+    slope = system.vector_field(np.array([0.0, 1.0]))[1]
+    t = 69.0 / abs(rate)
+    for tolerance in (1e-4, 1e-8, 1e-12):
+        for start in (1.0, 1e-30, 1e100):
+            for end in (t, -t):
+                sol = end_of(system, co.Taylor(tolerance=tolerance, projected=projected), (0.0, start), end)
+                exact = start * np.exp(slope * end)
+                allowed = own_steps(sol) * (2 * tolerance + 256 * U) * max(start, exact)
+                assert abs(sol.x[-1, 1] - exact) < allowed
+                assert own_steps(sol) < 400
+
+
+def test_a_motion_that_ends_is_refused_by_its_time():
+    """x' = x^2 from one blows up at t = 1, wherever one looks."""
+    line = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}})
+    system = co.LiePoissonSystem(line, co.Polynomial({(1, 1): 1.0}))
+    sign = np.sign(system.vector_field(np.array([0.0, 1.0]))[1])
+    for save_every in (1, 3, 20):
+        for watch in (True, False):
+            with pytest.raises(co.IntegrationError, match="blows up") as failure:
+                method = co.Taylor(tolerance=1e-9)
+                co.integrate(system, (0.0, 1.0), (0.0, 5.0 * sign), 0.25, method, save_every=save_every, watch=watch)
+            assert failure.value.step == 5 and failure.value.time == sign
+    with pytest.raises(co.IntegrationError, match="blows up"):
+        co.Taylor(tolerance=1e-9).step(system, np.array([0.0, 1.0]), 0.0, 2.0 * sign)
+    crowd = np.array([[0.0, 0.01], [0.0, 1.0], [0.0, 0.02]])
+    with pytest.raises(co.IntegrationError, match="for 1 of 3 members") as failure:
+        co.integrate(system, crowd, (0.0, 5.0 * sign), 0.25, co.Taylor(tolerance=1e-9))
+    exact = crowd[::2, 1] / (1.0 - 5.0 * crowd[::2, 1])
+    assert np.max(np.abs(failure.value.partial.x[-1, ::2, 1] - exact)) < 1e-9
+
+
+def test_rest_and_motions_that_are_polynomials():
+    body = co.systems.rigid_body(inertia=(1, 2, 4))
+    for x0 in ((0.0, 0.0, 2.0), (0.0, 0.0, 0.0)):
+        sol = co.integrate(body, x0, (0.0, 1e6), 1e5, co.Taylor(tolerance=1e-6))
+        assert np.array_equal(sol.x, np.tile(x0, (11, 1)))
+    plane = co.LiePoissonSystem(co.algebras.heisenberg(), co.Quadratic([0.5, 0.5, 0.0]))
+    free = co.LiePoissonSystem(co.algebras.heisenberg(), co.Quadratic([0.5, 0.0, 0.0]))
+    sol = co.integrate(free, (1.0, 0.5, 2.0), (0.0, 1000.0), 250.0, co.Taylor(tolerance=1e-6))
+    slope = free.vector_field(np.array([1.0, 0.5, 2.0]))
+    assert np.max(np.abs(sol.x - (sol.x[0] + sol.t[:, None] * slope))) < 1e4 * U
+    assert own_steps(sol) <= 2
+    assert own_steps(co.integrate(plane, (1.0, 0.5, 2.0), (0.0, 100.0), 1.0, co.Taylor(tolerance=1e-6))) > 10
+
+
+def test_terms_that_vanish_are_no_sign_of_a_long_step():
+    """Odd terms alone, and every fourth alone; and what is far slower or faster than one."""
+    for sizes in ([0.0, 1.0] * 8, [0.0, 0.0, 0.0, 1.0] * 4, [1.0, 0.0, 0.0, 0.0] * 4):
+        assert -1.0 <= logarithm_of_step(sizes, 1.0, 1e-3) <= -0.6
+    # Half the radius of convergence, however little is left.
+    assert abs(logarithm_of_step([1e-20] * 16, 1.0, 1e-3) - np.log2(0.5)) < 1e-4
+    assert logarithm_of_step([0.0] * 16, 1.0, 1e-3) == 900.0
+    body = co.systems.rigid_body(inertia=(1, 2, 4))
+    for factor in (1e-60, 1e-30, 1e30, 1e60):
+        x0 = np.array([0.6, 0.3, 0.8])
+        sol = end_of(body, co.Taylor(tolerance=1e-10), factor * x0, 5.0 / factor)
+        assert np.max(np.abs(sol.x[-1] / factor - body.exact(x0, 5.0))) < own_steps(sol) * 16 * 1e-10
+
+
+def test_logarithms_and_powers_of_no_library():
+    values = np.concatenate([np.linspace(0.5, 4.0, 999), 10.0 ** np.linspace(-300, 300, 601)])
+    assert max(abs(near_log2(v) - np.log2(v)) for v in values) < 2e-5
+    assert max(abs(near_power_of_two(a) / 2.0**a - 1.0) for a in np.linspace(-900, 900, 1801)) < 4e-6
+    assert near_log2(0.0) == -1022.0
+
+
+def test_what_is_declared():
+    method, body = co.Taylor(tolerance=1e-9), co.systems.rigid_body(inertia=(1, 2, 4))
+    assert method.own_steps and not co.Taylor(9).own_steps and not co.Splitting().own_steps
+    assert co.Taylor().order == 16 and co.Taylor() == co.Taylor(16)
+    orders = [co.Taylor(tolerance=tolerance).order for tolerance in (0.1, 1e-3, 1e-6, 1e-9, 1e-12, 1e-18)]
+    assert orders == sorted(orders) and orders[0] >= 3 and orders[-1] <= 30
+    assert co.methods.registry.from_description(co.methods.registry.description_of(method)) == method
+    assert method.properties(body) == co.Taylor(9).properties(body)
+    certificate = co.certify(body, method, (0.3, 1.0, 0.2), 0.5, steps=100)
+    assert certificate.passed
+    for refused in (lambda: method.composed((0.5, 0.5)), lambda: co.modified_hamiltonian(body, method)):
+        with pytest.raises(TypeError, match=r"cannot be composed|not made of exact flows"):
+            refused()
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "said"),
+    [
+        ({"tolerance": 0.0}, ValueError, "must lie between 1e-18 and 0.1, such as 1e-9"),
+        ({"tolerance": 0.5}, ValueError, "tolerance of Taylor is 0.5"),
+        ({"tolerance": -1e-9}, ValueError, "must lie between"),
+        ({"tolerance": float("nan")}, ValueError, "tolerance of Taylor"),
+        ({"tolerance": "small"}, TypeError, "tolerance of Taylor"),
+        ({"order": 0, "tolerance": 1e-9}, ValueError, "from 1 to 64"),
+    ],
+)
+def test_wrong_tolerances_are_refused(given, error, said):
+    with pytest.raises(error, match=said):
+        co.Taylor(**given)
+
+
+def test_time_is_summed_exactly():
+    """After 10^5 turns a body is where it was, but for the rounding of its motion: the time adds none."""
+    body, x0, t = co.systems.rigid_body(inertia=(1, 2, 4)), np.array([0.6, 0.3, 0.8]), 2.0**20
+    sol = end_of(body, co.Taylor(tolerance=1e-16), x0, t)
+    error = np.max(np.abs(sol.x[-1] - body.exact(x0, t)))
+    # A plain sum of a million steps would be off by up to 1e6 u t, and by about the root of that at random.
+    assert error < 2e-9
