@@ -73,7 +73,7 @@ struct TaylorVariable final : OwnSteps {
             if (!(sum - sum == 0.0)) {
                 exponent -= first - first == 0.0 && faster > 0.0 ? faster : FAR;
                 if (exponent < -ENDS) break;
-            } else if (last < TINY * largest_of(base) && faster < 0.0 && !enlarged) {
+            } else if (!(last > TINY * largest_of(base)) && faster < 0.0 && !enlarged) {
                 exponent = smaller(exponent - faster, ENDS);
                 enlarged = true;
             } else {

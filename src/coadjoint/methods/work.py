@@ -222,9 +222,7 @@ def work_of_own_steps(operations: Operations, order: int) -> Work:
     def cost(iterations: float, evaluations: float) -> float:
         own = evaluations / order
         look = LOOK * operations.looks * (1.0 + FIRST_CORRECTION) + WAITING * 0.5 * order
-        return look + (
-            work_of_operations(operations, 1).cost(iterations / own, evaluations) * own if own > 0.0 else 0.0
-        )
+        return look + (own * step.cost(iterations / own, evaluations) if own > 0.0 else 0.0)
 
     return Work(cost)
 
