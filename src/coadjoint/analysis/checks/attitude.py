@@ -77,7 +77,8 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
             rows.append(
                 _row(subject, "element", "one group element", kind, claimed, lambda: _one_element(subject, steps))
             )
-    if study is not None and system.dim <= LARGEST_FOLLOWED:
+    # Without a declared order there is no step that an element would tend to its limit with.
+    if study is not None and subject.claims.order is not None and system.dim <= LARGEST_FOLLOWED:
         rows.append(_row(subject, "attitude", "limit of the element", kind, True, lambda: _limit(subject, study)))
     return rows
 
