@@ -35,6 +35,8 @@ def test_two_series_far_enough_apart_make_it():
     others = [fit_of(16, 100, 1e-9, co.GaussLegendre(8)), fit_of(8, 300, 1e-9, co.GaussLegendre(4))]
     assert law_of(others) is None
     assert law_of([*others, near[0], fit_of(8, 300, 0.0)]) is not None
+    own = fit_of(8, 300, 1e-9, co.Taylor(8, tolerance=1e-6))
+    assert law_of([near[0], own]) is None and law_of([near[0], own, fit_of(8, 300, 1e-9)]) is not None
 
 
 def some_problems():

@@ -9,6 +9,7 @@ from coadjoint.choosing.candidates import Candidate
 from coadjoint.choosing.fitting import Fit
 from coadjoint.choosing.growth import Growth
 from coadjoint.choosing.pilot import Trial
+from coadjoint.methods.base import Method
 from coadjoint.methods.taylor import Taylor
 
 # Of 16 systems at four accuracies, no series of order 8 to 24 needed less than 1 / 1.34 of the steps that those of
@@ -43,12 +44,12 @@ class Law:
     def guess(self, candidate: Candidate, goal: float) -> float:
         """Return about how many steps a scheme needs."""
         steps = self.steps(candidate.method.order, goal)
-        return steps if isinstance(candidate.method, Taylor) else steps / OFTEN_AHEAD
+        return steps if _is_series(candidate.method) else steps / OFTEN_AHEAD
 
     def least_cost(self, candidate: Candidate, goal: float) -> float:
         """Return what a scheme costs at the least that is to reach an error at the end."""
         method = candidate.method
-        series = isinstance(method, Taylor)
+        series = _is_series(method)
         steps = self.steps(method.order, goal) / (NEARLY if series else AHEAD)
         iterations = 1.0 if series else min(float(method.order), ROUNDS)
         # No tableau of s stages has an order above 2 s.
@@ -58,7 +59,12 @@ class Law:
 
 def law_of(found: Sequence[Fit]) -> Law | None:
     """Return the law by two series that are far enough apart; None where there are none among the fits."""
-    series = [each for each in found if isinstance(each.candidate.method, Taylor)]
+    series = [each for each in found if _is_series(each.candidate.method)]
     if len(series) < 2 or abs(series[0].candidate.method.order - series[1].candidate.method.order) < APART:
         return None
     return Law(series[0], series[1])
+
+
+def _is_series(method: Method) -> bool:
+    """Return whether a scheme is a series in steps that are given to it."""
+    return isinstance(method, Taylor) and not method.own_steps

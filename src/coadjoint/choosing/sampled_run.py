@@ -81,7 +81,8 @@ class SampledRun(PreparedRun):
         self._timed = bool(system.hamiltonian.timed)
         self._once = 0.0, self.signed_step
         self._read: tuple[Any, float] = None, t0
-        self._allowed = max(ROUNDED, WORSE * self._worst_along(picked, t0))
+        own = self.choice.method.own_steps
+        self._allowed = math.inf if own else max(ROUNDED, WORSE * self._worst_along(picked, t0))
 
     def __repr__(self) -> str:
         return f"<run of {self.system!r} prepared for the accuracy {self.choice.accuracy:g}: {self.method}>"
@@ -150,6 +151,9 @@ class SampledRun(PreparedRun):
         -------
         bool
         """
+        if self._allowed == math.inf:
+            # A scheme in steps of its own looks at each of them.
+            return True
         once = (t0, t0 + self.signed_step) if self._timed else self._once
         try:
             whole, halves = self._whole.end(x0, once), self._halves.end(x0, once)
