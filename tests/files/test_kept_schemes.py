@@ -36,7 +36,7 @@ def in_a_file(tmp_path, **tables):
 
 def assert_same_run(sol, again):
     for part in PARTS:
-        if part not in ("system", "stats", "observed", "casimirs"):
+        if part not in ("system", "stats", "observed", "casimirs", "initial", "choice", "events"):
             mine, other = getattr(sol, part), getattr(again, part)
             assert np.array_equal(mine, other) and type(mine) is type(other), part
     assert sol.stats.steps == again.stats.steps and sol.stats.evaluations == again.stats.evaluations
@@ -104,6 +104,8 @@ RUNS = {
     "attitude": [True, "coadjoint", [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]],
     "watch": [False],
     "accuracy": [1e-6],
+    "t_eval": [[0.125, 0.3, 1.4]],
+    "events": [co.Event(1), [co.Event(0, direction=-1, terminal=True)]],
 }
 # What changes no number of a solution; `observe` may be functions, and is named as not stored.
 CHANGES_NOTHING = {"system", "observe", "threads", "progress"}
@@ -125,7 +127,7 @@ def test_parameters_of_runs(parameter, tmp_path):
             del given["step"], given["method"]
         sol = co.integrate(BODY, **given)
         assert_same_run(sol, rebuild(sol.to_xarray()))
-        if parameter in ("method", "accuracy"):
+        if parameter in ("method", "accuracy", "events"):
             continue
         initial = {"x": given["x0"], "attitude": given.get("attitude", False)}
         run = {key: given[key] for key in RunTable.model_fields if key in given}
