@@ -253,6 +253,21 @@ def test_more_refusals_and_empty_spans():
         co.integrate(BODY, X, (0.5, 0), 0.25, t_eval=[0.6])
 
 
+@pytest.mark.parametrize("span", [(0.0, 20.0), (3.0, -17.0)])
+def test_schemes_with_steps_of_their_own(span):
+    times, method = random_times(*span, 300), co.Taylor(tolerance=1e-10)
+    exact, g = BODY.exact(X, times - span[0], attitude=True)
+    for step in (0.1, 10.0):
+        coarse = co.integrate(BODY, X, span, step, method, attitude=True)
+        found = co.integrate(BODY, X, span, step, method, attitude=True, t_eval=times)
+        # The error of a run grows with time: some 1e-10 in each unit of it.
+        assert np.abs(found.x - exact).max() < 20 * 1e-10 and np.abs(found.attitude - g).max() < 20 * 1e-10
+        assert np.array_equal(found.x[-1], coarse.x[-1]) and np.array_equal(found.attitude[-1], coarse.attitude[-1])
+        assert np.abs(coarse.at(times).x - exact).max() < 20 * 1e-10
+    # Not from the start each time: there is a saved point before each.
+    assert len(times) <= found.stats.steps < 2 * len(times)
+
+
 def test_accuracy_holds_between_the_steps():
     times = random_times(0.0, 20.0, 1000)
     ready = co.prepare(BODY, accuracy=1e-9, x0=X[None], t_span=(0, 20))

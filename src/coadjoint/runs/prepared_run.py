@@ -141,6 +141,10 @@ class PreparedRun:
         progress = read_progress(progress)
         times = times_between(span_of(t_span), self.step, save_every)
         moments = None if t_eval is None else moments_of(t_eval, times, save_every)
+        if moments is not None and self.method.own_steps:
+            # Where one looks changes no step: as often as states are wanted, so that none is far from a saved one.
+            times = times.closer(len(moments.t))
+            moments = moments_of(t_eval, times)
         values, looked_for = self.values_of(inputs), read_events(events)
         return self.follow(times, self.start(x0, attitude, values), progress, values, looked_for, moments)
 

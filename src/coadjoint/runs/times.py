@@ -67,6 +67,17 @@ class Times(NamedTuple):
             )
         return self._replace(passed=0, marks=np.ascontiguousarray(marks, dtype=np.int64))
 
+    def closer(self, count: int) -> Times:
+        """Return times of at least so many steps, every one of them saved: the same, halved as often as that takes.
+
+        Examples
+        --------
+        >>> Times(0.0, 1.0, 2, 1).closer(5)[1:3]
+        (0.25, 8)
+        """
+        halvings = max(0, math.ceil(math.log2(count / self.steps))) if self.steps else 0
+        return Times(self.t0, math.ldexp(self.h, -halvings), self.steps << halvings, 1)
+
     def after(self, number: int) -> Times:
         """Return the same times with the saved steps after step `number` alone.
 
