@@ -15,6 +15,7 @@ from coadjoint.choosing.law import Law, law_of
 from coadjoint.choosing.pilot import Pilot
 from coadjoint.choosing.roundoff import least_roundoff
 from coadjoint.choosing.sampling import sample_of
+from coadjoint.choosing.tolerances import fit_of_tolerance
 from coadjoint.given import read_flag, read_list, read_number
 from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
@@ -33,8 +34,10 @@ ROUNDING_SHARE = 0.5
 LEAST = 2.0**-1000
 
 
-# High orders come first. The first two series say of all others how dear they are at the least.
+# Steps of its own come first, where order and tolerance are found; then high orders. The first two series with a
+# constant step say of all others how dear they are at the least.
 SCHEMES: tuple[Method, ...] = (
+    Taylor(tolerance=1e-9),
     *(Taylor(p) for p in (16, 8, 20, 12, 24, 14, 10, 6)),
     *(GaussLegendre(s) for s in (8, 6, 12, 10, 4, 3, 2)),
     *(Splitting(order=p) for p in (10, 8, 6, 4, 2)),
@@ -122,9 +125,9 @@ def choose(
         What the run is to carry, as in `integrate`: schemes that cannot are left out, and its work is counted. The
         accuracy is that of the momentum.
     methods : Method or sequence of Method, optional
-        Choose among these, or only the step for one; None is the rule's own list, Taylor series of order 6 to 24,
-        Gauss-Legendre methods of 2 to 12 stages and splittings of order 2 to 10. Splittings alone keep a run a Poisson
-        map.
+        Choose among these, or only the step for one; None is the rule's own list, Taylor series of order 6 to 24
+        with a constant step and in steps of their own (whose `tolerance` is chosen), Gauss-Legendre methods of 2 to 12
+        stages and splittings of order 2 to 10. Splittings alone keep a run a Poisson map.
     processed : bool
         Consider processed splittings too. Their processor is not counted: for runs that look at few points, with
         ``watch=False`` and a large `save_every`.
@@ -149,7 +152,7 @@ def choose(
     >>> import coadjoint as co
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
     >>> co.choose(body, (1.0, 0.2, 0.5), (0, 100), 1e-9).method
-    Taylor(order=..., projected=True)
+    Taylor(order=...)
     >>> poisson = [co.Splitting(order=p) for p in (2, 4, 6, 8, 10)]
     >>> co.choose(body, (1.0, 0.2, 0.5), (0, 100), 1e-9, methods=poisson).method.properties(body).poisson
     True
@@ -205,7 +208,9 @@ def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
 
 
 def _goal(candidate: Candidate, wanted: float) -> float:
-    """Return the error that is aimed at: errors of a high order vary more, and less costs little."""
+    """Return the error that is aimed at: errors of a high order vary more with the step, and less costs little."""
+    if candidate.method.own_steps:
+        return wanted / SAFETY
     return max(wanted / (SAFETY * max(1.0, candidate.method.order / MODERATE_ORDER)), LEAST)
 
 
@@ -222,7 +227,10 @@ def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[
         goal = _goal(candidate, wanted)
         if law is not None and law.least_cost(candidate, goal) > sound:
             continue
-        result = fit(pilot, candidate, goal, limit, None if law is None else law.guess(candidate, goal))
+        if candidate.method.own_steps:
+            result = fit_of_tolerance(pilot, candidate, goal, limit)
+        else:
+            result = fit(pilot, candidate, goal, limit, None if law is None else law.guess(candidate, goal))
         if result is not None:
             found.append(result)
             if ROUNDING_SHARE * wanted < result.roundoff <= least:

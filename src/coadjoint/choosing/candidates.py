@@ -20,7 +20,7 @@ from coadjoint.systems.kinds import System
 class Candidate:
     """A scheme that serves a system, with the work of its step; a `crowd` of members goes side by side.
 
-    `free` says whether its summation is left open.
+    `free` says whether its summation is left open, `group` what a group element is carried in.
     """
 
     system: System
@@ -28,6 +28,12 @@ class Candidate:
     work: Work
     free: bool
     crowd: bool = False
+    group: Any = None
+
+    def reaching(self, tolerance: float) -> Candidate:
+        """Return the same scheme, which takes steps of its own, with another tolerance."""
+        method = self.method.reaching(self.system, tolerance)
+        return replace(self, method=method, work=_work_of(self.system, method, self.group))
 
     @property
     def summed_exactly(self) -> bool:
@@ -112,11 +118,14 @@ def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, 
 def _candidate(system: System, method: Method, x0: Any, attitude: Any, free: bool) -> Candidate:
     start = start_of(system, method, x0, attitude)
     crowd = len(start.momenta) >= CROWD and system.dim <= limit("WIDEST")
-    if start.representation is None:
-        work = remembered(system, ("work", method), partial(_work, system, method, None))
-    else:
-        work = _work(system, method, start.representation)
-    return Candidate(system, method, work, free, crowd)
+    work = _work_of(system, method, start.representation)
+    return Candidate(system, method, work, free, crowd, start.representation)
+
+
+def _work_of(system: System, method: Method, representation: Any) -> Work:
+    if representation is None:
+        return remembered(system, ("work", method), partial(_work, system, method, None))
+    return _work(system, method, representation)
 
 
 def _work(system: System, method: Method, representation: Any) -> Work:

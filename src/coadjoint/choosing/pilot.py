@@ -135,9 +135,9 @@ class Pilot:
         count = steps * len(self.momenta)
         iterations, evaluations = int(run.state["iterations"].sum()), int(run.state["evaluations"].sum())
         newton = method.took_newton(run.state["memory"])
-        return Trial(steps, self._growth(run.saved["x"]), iterations / count, evaluations / count, newton)
+        return Trial(steps, self.growth_of(run.saved["x"]), iterations / count, evaluations / count, newton)
 
-    def _growth(self, found: NDArray[np.float64]) -> Growth:
+    def growth_of(self, found: NDArray[np.float64]) -> Growth:
         """Compare states, saved at evenly spaced points of the window, with the reference."""
         count = len(found) - 1
         apart = np.linalg.norm(found - self.reference[:: self.points // count], axis=2) / self.size
@@ -204,7 +204,7 @@ class Pilot:
         direction = np.random.default_rng(SEED).standard_normal(self.momenta.shape)
         direction *= NUDGE * (self.size / np.linalg.norm(direction, axis=1))[:, np.newaxis]
         run = self.run(REFERENCE, self.reference_steps, self.momenta + direction)
-        grown = None if np.any(run.state["status"]) else self._growth(run.saved["x"])
+        grown = None if np.any(run.state["status"]) else self.growth_of(run.saved["x"])
         if grown is None or grown.whole > LOST:
             # Beyond the size of the motion nothing grows, and what has reached it says nothing of what follows.
             return Growth(math.sqrt(NUDGE), 1.0, 1.0 / NUDGE)

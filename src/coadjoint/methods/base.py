@@ -407,6 +407,28 @@ class Method(ABC):
         count = math.ceil(times * (steps + FEW_STEPS))
         return Finer(self, count, (steps / count) ** self.order)
 
+    def reaching(self, system: System, tolerance: float) -> Method:
+        """Return the scheme, which takes steps of its own, with another tolerance for them.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            What moves.
+        tolerance : float
+            Wanted error of a step, relative to the largest momentum so far.
+
+        Returns
+        -------
+        Method
+            Of the order with which that takes the least work.
+
+        Raises
+        ------
+        TypeError
+            The scheme has no tolerance.
+        """
+        raise TypeError(f"{self} has no tolerance that could be chosen for an accuracy; give step= in its place")
+
     def with_compensation(self) -> Method | None:
         """Return the same scheme with compensated sums, where that was left open; else None."""
         return None

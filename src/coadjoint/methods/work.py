@@ -43,6 +43,8 @@ EXPLICIT_STEP = 1.0
 VECTOR = 0.025
 WAITING = 0.06
 LOOK = 0.5
+# To find how long a step is to be.
+OWN_STEP = 5.0
 FIRST_CORRECTION = 3.2
 NEXT_CORRECTION = 1.0
 # With so many members, in up to so many dimensions, flows turn many members at once, and series are multiplied for many
@@ -222,7 +224,7 @@ def work_of_own_steps(operations: Operations, order: int) -> Work:
     def cost(iterations: float, evaluations: float) -> float:
         own = evaluations / order
         look = LOOK * operations.looks * (1.0 + FIRST_CORRECTION) + WAITING * 0.5 * order
-        return look + (own * step.cost(iterations / own, evaluations) if own > 0.0 else 0.0)
+        return look + (own * (OWN_STEP + step.cost(iterations / own, evaluations)) if own > 0.0 else 0.0)
 
     return Work(cost)
 

@@ -1,0 +1,73 @@
+"""Tolerances for a wanted accuracy: it is reached, and where the motion calms down nothing else is as cheap."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.choosing.accuracy import SCHEMES
+
+OWN = [method for method in SCHEMES if method.own_steps]
+
+
+def systems():
+    rng = np.random.default_rng(7)
+    B = rng.uniform(-1.0, 1.0, (6, 6))
+    so4 = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(np.diag(np.linspace(0.5, 1.5, 6)) + 0.2 * (B + B.T)))
+    line = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}})
+    return {
+        "body": (co.systems.rigid_body(inertia=(1, 2, 4)), (0.6, 0.3, 0.8), 200.0),
+        "chain": (co.systems.toda(5), np.concatenate([np.zeros(5), np.full(4, 0.5)]), 60.0),
+        "chain of nine": (co.systems.toda(9), np.concatenate([np.linspace(0.2, -0.2, 9), np.full(8, 0.4)]), 100.0),
+        "so(4)": (so4, rng.uniform(-1.0, 1.0, 6), 60.0),
+        "growth": (co.LiePoissonSystem(line, co.Quadratic(0.0, linear=[-1.0, 0.0])), (0.0, 1e-12), 8.0),
+        "decay": (co.LiePoissonSystem(line, co.Quadratic(0.0, linear=[1.0, 0.0])), (0.0, 1e12), 8.0),
+    }
+
+
+@pytest.mark.parametrize("name", list(systems()))
+@pytest.mark.parametrize("accuracy", [1e-3, 1e-6, 1e-9, 1e-11])
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_the_accuracy_is_reached(name, accuracy, direction):
+    system, x0, time = systems()[name]
+    span = (0.0, direction * time)
+    exact = co.integrate(system, x0, span, time, co.Taylor(28, tolerance=1e-17), watch=False)
+    path = co.integrate(system, x0, span, time / 50, co.Taylor(28, tolerance=1e-15))
+    size = np.max(np.linalg.norm(path.x, axis=1))
+    choice = co.choose(system, x0, span, accuracy, methods=OWN)
+    assert choice.method.own_steps and abs(time / choice.step - round(time / choice.step)) < 1e-9
+    sol = co.integrate(system, x0, span, choice.step, choice.method, watch=False)
+    error = np.linalg.norm(sol.x[-1] - exact.x[-1]) / size
+    assert error <= accuracy, str(choice)
+    assert choice.error <= accuracy
+    free = co.integrate(system, x0, span, accuracy=accuracy, watch=False)
+    assert np.linalg.norm(free.x[-1] - exact.x[-1]) / size <= accuracy
+
+
+@pytest.mark.parametrize("accuracy", [1e-3, 1e-6, 1e-9, 1e-12])
+def test_a_chain_that_flies_apart_is_given_steps_of_its_own(accuracy):
+    """A constant step is as short as the encounter of the particles asks for, all the way."""
+    system, x0, _ = systems()["chain"]
+    choice = co.choose(system, x0, (0.0, 200.0), accuracy)
+    assert choice.method.own_steps
+    constant = [other for other in choice.others if not other.method.own_steps]
+    assert all(other.cost > 1.5 * choice.cost for other in constant)
+
+
+def test_the_error_that_is_told_is_that_of_the_tolerance():
+    for name in ("body", "chain", "so(4)"):
+        system, x0, time = systems()[name]
+        exact = co.integrate(system, x0, (0.0, time), time, co.Taylor(28, tolerance=1e-17), watch=False).x[-1]
+        for accuracy in (1e-4, 1e-8):
+            sol = co.integrate(system, x0, (0.0, time), accuracy=accuracy, method=co.Taylor(tolerance=1e-3))
+            error = np.linalg.norm(sol.x[-1] - exact) / np.max(np.linalg.norm(sol.x, axis=1))
+            assert error / 10 < sol.error_estimate < 10 * error
+
+
+def test_the_order_grows_with_the_accuracy():
+    for name in ("body", "so(4)", "chain"):
+        system = systems()[name][0]
+        orders = [co.Taylor(tolerance=0.1).reaching(system, 10.0**-k).order for k in range(2, 17, 2)]
+        assert orders == sorted(orders) and orders[0] < 14 and orders[-1] >= 20
+    assert co.Taylor(tolerance=0.1).reaching(system, 1e-30).tolerance == 1e-18
+    with pytest.raises(TypeError, match="has no tolerance that could be chosen"):
+        co.Splitting().reaching(system, 1e-6)
