@@ -62,7 +62,7 @@ def test_others_are_chosen_for_by_themselves(method):
 
 
 def test_a_state_at_rest_and_one_that_is_refused():
-    ready = co.prepare(BODY, accuracy=1e-8, x0=[SAMPLE[0], [0.0, 0.0, 0.0]], t_span=SPAN)
+    ready = co.prepare(BODY, co.Taylor(16), accuracy=1e-8, x0=[SAMPLE[0], [0.0, 0.0, 0.0]], t_span=SPAN)
     for x0 in ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
         assert np.allclose(ready.end(x0, SPAN), x0, rtol=0.0, atol=1e-15)
     # Nothing can be said where squares are no numbers any more.
