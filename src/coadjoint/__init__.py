@@ -44,6 +44,7 @@ _HOME = {
     "Kahan": "coadjoint.methods.kahan",
     "ModifiedGaussLegendre": "coadjoint.methods.modified_gauss_legendre",
     "Projected": "coadjoint.methods.projected",
+    "ReversibleSteps": "coadjoint.methods.reversible_steps",
     "RadauEnergy": "coadjoint.methods.radau_energy",
     "MatrixAlgebra": "coadjoint.algebra.matrix_states",
     "MatrixSystem": "coadjoint.systems.matrices.matrix_system",
@@ -128,6 +129,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
     from coadjoint.methods.projected import Projected as Projected
     from coadjoint.methods.radau_energy import RadauEnergy as RadauEnergy
+    from coadjoint.methods.reversible_steps import ReversibleSteps as ReversibleSteps
     from coadjoint.methods.spherical_midpoint import SphericalMidpoint as SphericalMidpoint
     from coadjoint.methods.splitting import Splitting as Splitting
     from coadjoint.methods.taylor import Taylor as Taylor

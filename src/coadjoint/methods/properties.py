@@ -8,6 +8,7 @@ from coadjoint.given import read_choice, read_flag
 
 KINDS_OF_CASIMIRS = ("all", "polynomial", "quadratic", "none")
 KINDS_OF_ATTITUDE = ("every representation", "coadjoint", "group", "integrated", "none")
+SELDOM = ("broken_by", "reversible")
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class Properties:
         ``"every representation"``; ``"coadjoint"``, with representations that are orthogonal for a fixed form and
         contain the coadjoint one; ``"group"``, in the group of every representation, the spatial momentum as
         accurately as the scheme; ``"integrated"``, as a differential equation of which nothing is kept; or ``"none"``.
+    reversible : bool
+        Whether steps whose length varies with the state can be taken back one after the other.
     broken_by : tuple of str
         Forces of the system that break what the scheme keeps of the Hamiltonian part, as "energy: LinearDamping".
 
@@ -40,13 +43,14 @@ class Properties:
     casimirs: str
     attitude: str
     broken_by: tuple[str, ...] = ()
+    reversible: bool = False
 
     def __repr__(self) -> str:
-        told = (field.name for field in fields(self) if field.name != "broken_by" or self.broken_by)
+        told = (field.name for field in fields(self) if field.name not in SELDOM or getattr(self, field.name))
         return f"Properties({', '.join(f'{name}={getattr(self, name)!r}' for name in told)})"
 
     def __post_init__(self) -> None:
-        for name in ("poisson", "energy"):
+        for name in ("poisson", "energy", "reversible"):
             object.__setattr__(self, name, read_flag(getattr(self, name), name))
         read_choice(self.casimirs, "kind of Casimirs", KINDS_OF_CASIMIRS)
         read_choice(self.attitude, "kind of attitude", KINDS_OF_ATTITUDE)

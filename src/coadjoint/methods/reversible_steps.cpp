@@ -1,0 +1,115 @@
+// Steps of another loop whose length follows the motion and can be taken back: E. Hairer, G. Soederlind, Explicit, time
+// reversible, adaptive step size control, SIAM J. Sci. Comput. 26 (2005) 1838. With the speed Q of the motion, a step
+// has the length stride / rho, and rho goes on by stride * Q' / Q from step to step, by half of it at the start.
+#include "field/derivatives.hpp"
+#include "steps/inner_step.hpp"
+#include "steps/own_steps.hpp"
+
+namespace coadjoint {
+
+namespace {
+
+enum class Speed { GENERATOR, GIVEN };
+
+template <Speed kind>
+struct ReversibleSteps final : OwnSteps {
+    const Field& field;
+    const Watch& kept;
+    const Own constants;
+    const double stride;
+    InnerStep inner;
+    FieldRoom<double> room;
+    DerivativeRoom<double> bends;
+    std::vector<double> u, f, change, rising, rows, arguments, calls;
+
+    // `whole`: where the inner loop stands; the coefficient is the stride, and what is kept the polynomial of the speed.
+    // Remembered is rho.
+    ReversibleSteps(const StepTables& tables, const Own& constants)
+        : OwnSteps(tables.field.size, tables.group.size * tables.group.size, 1), field(tables.field), kept(tables.kept),
+          constants(constants), stride(tables.coefficients[0]), inner(tables.whole, size, square),
+          room(field), bends(field), u(size), f(size), change(size), rising(size),
+          rows(kept.terms.row[kept.terms.size] + 1), arguments(kept.longest + 1), calls(2 * kept.longest + 2) {
+        work = 16 * work_of(field);
+    }
+
+  private:
+    int64_t begin(const Base& base, double t0) override {
+        double rate, speed;
+        measure(base.x, t0, speed, rate);
+        base.further[0] = speed + 0.5 * stride * (base.length < 0.0 ? -rate : rate);
+        return set_length(base);
+    }
+
+    int64_t propose(const Base& base, double t0) override {
+        double rate, speed;
+        measure(base.x, t0 + base.since, speed, rate);
+        base.further[0] += stride * (base.length < 0.0 ? -rate : rate);
+        return set_length(base);
+    }
+
+    int64_t set_length(const Base& base) {
+        const double rho = base.further[0];
+        residual = rho;
+        if (!(rho - rho == 0.0)) return OVERFLOWED;
+        if (!(rho > 0.0)) return UNDEFINED;
+        base.length = std::copysign(stride / rho, base.length);
+        return DONE;
+    }
+
+    int64_t part(const Base& base, double t0, double time, double* x, double* dx, double* group, double*) override {
+        std::copy_n(base.x, size, x);
+        std::copy_n(base.group, square, group);
+        std::fill_n(dx, size, 0.0);
+        return time == 0.0 ? int64_t(DONE) : move(x, group, t0 + base.since, time);
+    }
+
+    int64_t finish(const Base& base, double t0) override { return move(base.x, base.group, t0 + base.since, base.length); }
+
+    int64_t move(double* x, double* group, double t, double length) {
+        const int64_t status = inner.take(x, group, t, length);
+        evaluations += inner.evaluations;
+        iterations += inner.iterations;
+        residual = inner.residual;
+        return status;
+    }
+
+    // The speed Q at a state, and the rate Q' / Q at which it changes with the motion.
+    void measure(const double* x, double t, double& speed, double& rate) {
+        gradient(field, constants, x, t, u.data(), room);
+        product(field, constants, x, u.data(), 1.0, f.data(), room);
+        if constexpr (kind == Speed::GIVEN) {
+            speed = value_at(x, t);
+            rate = inner_product(rising.data(), f.data()) / speed;
+        } else {
+            hessian_times(field, constants, x, f.data(), t, change.data(), bends);
+            const double square = value_at(u.data(), t);
+            speed = square_root(square);
+            rate = 0.5 * inner_product(rising.data(), change.data()) / square;
+        }
+    }
+
+    // The given polynomial at a point; its gradient is left in `rising`.
+    double value_at(const double* y, double t) {
+        const Terms& terms = kept.terms;
+        std::fill(rising.begin(), rising.end(), 0.0);
+        for (int64_t k = 0; k < terms.size; ++k) {
+            const int64_t first = terms.row[k];
+            gradient_rows(terms, constants, kept.addresses, k, y, t, rows.data(), first, arguments.data(), calls.data());
+            for (int64_t row = first; row < terms.row[k + 1]; ++row) rising[terms.target[row]] += rows[row - first];
+        }
+        return value_of(kept, constants, 0, y, t, arguments.data(), calls.data());
+    }
+
+    double inner_product(const double* a, const double* b) const {
+        double total = 0.0;
+        for (int64_t i = 0; i < size; ++i) total = fma(a[i], b[i], total);
+        return total;
+    }
+};
+
+}  // namespace
+
+STEP_SCHEME(reversible_generator, ReversibleSteps<Speed::GENERATOR>)
+STEP_SCHEME(reversible_given, ReversibleSteps<Speed::GIVEN>)
+
+}  // namespace coadjoint

@@ -1,0 +1,231 @@
+"""Steps of a symmetric scheme whose length follows the motion, and that can be taken back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.errors import IntegrationError
+from coadjoint.given import read_number
+from coadjoint.methods.base import Finer, Method, Representation
+from coadjoint.methods.composed import with_settled_base
+from coadjoint.methods.properties import Properties
+from coadjoint.methods.speed import Speed, speed_of
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.kinds import System, check_vectors
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.wording import short
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.work import Work
+
+NO_STEP = "the speed that steps follow fell to zero or below, so that there is no next step: take a smaller stride"
+MOST_STEPS = 10**7
+"""Of the plain reading."""
+
+
+@dataclass(frozen=True)
+class ReversibleSteps(Method):
+    """A symmetric scheme in steps whose length follows the motion, and that can be taken back one after the other.
+
+    The controller of Hairer and Soederlind: with the speed Q(x) of the motion, step n has the length stride / rho_n,
+    and ``rho_(n+1) = rho_n + stride Q'/Q`` at the state between them; it begins as Q, and a half step on. States and rho
+    together are a reversible map: where the motion is integrable or nearly so, energy and actions do not drift, as they
+    do with steps that an estimate of the error controls. Steps are those of the base: the Casimirs that it keeps are
+    kept, and the energy where it keeps that. A step of varying length is no Poisson map.
+
+    Choose it for long runs in which the motion is much faster at some times than at others: close encounters, a top
+    that falls, particles that meet and part. Where the speed hardly varies the base alone at a constant step is better,
+    and for accuracy over short times `Taylor` with a tolerance is. The step of a run is the distance of the points at
+    which one looks; a look is a part of a step of the base, and changes nothing of the motion.
+
+    Parameters
+    ----------
+    base : Method
+        A symmetric scheme: a splitting of even order, a Gauss-Legendre method, a composition.
+    stride : float
+        Length of a step times the speed: how far it goes in radians, about, or in parts of the momentum. The error goes
+        like its power of the order of the base.
+    speed : Quadratic or Polynomial, optional
+        A polynomial of the state that is positive where the motion goes. None is the root mean square size of the
+        matrix D, x' = D x with grad H held: the rate at which flows turn, shear and stretch. Without a Lie algebra it
+        is to be given.
+
+    Raises
+    ------
+    TypeError, ValueError
+        The base is no symmetric scheme; the stride is not positive; there is no such speed.
+
+    References
+    ----------
+    E. Hairer, G. Soederlind, Explicit, time reversible, adaptive step size control, SIAM J. Sci. Comput. 26 (2005)
+    1838; E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, VIII.3.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> chain = co.systems.toda(5)
+    >>> x0 = np.concatenate([np.zeros(5), np.full(4, 0.5)])
+    >>> method = co.ReversibleSteps(co.Splitting(order=4), stride=0.1)
+    >>> sol = co.integrate(chain, x0, t_span=(0, 100), step=10.0, method=method)
+    >>> bool(abs(sol.x[-1] - chain.exact(x0, 100.0)).max() < 1e-5), sol.stats.evaluations > 0
+    (True, True)
+    """
+
+    base: Method
+    stride: float = 0.1
+    speed: Quadratic | Polynomial | None = None
+
+    symmetric = False
+    compensates = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.base, Method):
+            raise TypeError(
+                f"the base of ReversibleSteps is a scheme such as Splitting(order=2), not {short(self.base)}"
+            )
+        if self.base.own_steps:
+            raise ValueError(f"{self.base} takes steps of its own, and ReversibleSteps gives them; take its base")
+        if not self.base.symmetric:
+            raise ValueError(
+                f"ReversibleSteps needs a symmetric base, which {self.base} is not"
+                f"{'; ' + self.base.instead if self.base.instead else '; take Splitting(order=2) or GaussLegendre()'}"
+            )
+        stride = read_number(self.stride, "stride of ReversibleSteps")
+        if not stride > 0.0:
+            raise ValueError(f"stride of ReversibleSteps is {stride:g}; it must be positive, such as 0.1")
+        object.__setattr__(self, "stride", stride)
+        if not (self.speed is None or isinstance(self.speed, Quadratic | Polynomial)):
+            raise TypeError(f"speed of ReversibleSteps is {short(self.speed)}; it must be a Quadratic or a Polynomial")
+
+    @property
+    def own_steps(self) -> bool:
+        """They are its own."""
+        return True
+
+    @property
+    def order(self) -> int:
+        """That of the base, in the stride."""
+        return self.base.order
+
+    @property
+    def explicit(self) -> bool:
+        """As the base is."""
+        return self.base.explicit
+
+    @property
+    def failures(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Those of the base, and a speed that vanishes."""
+        return {"UNDEFINED": NO_STEP} | dict(self.base.failures)
+
+    @property
+    def largest(self) -> float:  # type: ignore[override]
+        """As of the base."""
+        return self.base.largest
+
+    @classmethod
+    def examples(cls) -> Sequence[ReversibleSteps]:
+        """Return steps of flows and of stages."""
+        from coadjoint.methods.gauss_legendre import GaussLegendre
+        from coadjoint.methods.splitting import Splitting
+
+        return [cls(Splitting(order=2)), cls(GaussLegendre(2), 0.2)]
+
+    def properties(self, system: System) -> Properties:
+        """Return what the base keeps, but for the bracket: lengths that depend on the state make no Poisson map.
+
+        Raises
+        ------
+        ValueError
+            The base cannot serve the system, the Hamiltonian depends on time, or the speed is not known on it.
+        """
+        check_vectors(system)
+        kept = self.base.properties(system)
+        if system.hamiltonian.timed:
+            raise ValueError(
+                "ReversibleSteps follows a speed that depends on the state alone, but the Hamiltonian of "
+                f"{system.name} depends on time; take {self.base} at a constant step"
+            )
+        self._speed(system)
+        return replace(kept, poisson=False, reversible=True)
+
+    def _speed(self, system: System) -> Speed:
+        return speed_of(system, self.speed)
+
+    def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
+        """Return the loop whose steps of their own are those of the loop of the base."""
+        from coadjoint.kernels.loop import CompiledLoop, remembered
+        from coadjoint.kernels.step_tables import PLACE_OF_INNER, places_of, step_tables_of
+        from coadjoint.kernels.stepping import STEP_LOOP
+        from coadjoint.kernels.tables import invariants_table
+
+        inner, speed = self.base.loop(system, h, representation), self._speed(system)
+        places, keep = places_of(inner, system, representation)
+        followed = invariants_table([("the speed", speed.given)], system.dim)
+        step = f"reversible_{speed.kind}"
+        found = step_tables_of(system, step, followed, places, representation, keep, [self.stride])
+        memory = remembered(STEP_LOOP, found.tables)
+        return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=memory, held={PLACE_OF_INNER: inner})
+
+    def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
+        """Return the motion over h in its own steps, begun anew, read in NumPy for any number type.
+
+        Raises
+        ------
+        IntegrationError
+            There is no next step, or no end of them.
+        """
+        self.properties(system)
+        speed, y, since = self._speed(system), np.asarray(x), 0 * h
+        rho = None
+        for _ in range(MOST_STEPS):
+            Q, rate = speed.at(y)
+            rate = rate if h.real > 0 else -rate
+            rho = Q + self.stride * rate / 2 if rho is None else rho + self.stride * rate
+            if not rho.real > 0:
+                raise IntegrationError(NO_STEP, step=1, time=float(t), residual=float(rho.real))
+            length = self.stride / rho if h.real > 0 else -(self.stride / rho)
+            ahead = h - since
+            if abs(ahead.real) <= abs(length.real):
+                return np.asarray(self.base.step(system, y, t + since, ahead)) if ahead != 0 else y
+            y = np.asarray(self.base.step(system, y, t + since, length))
+            since = since + length
+            if not abs(length.real) > UNIT_ROUNDOFF * abs(since.real):
+                break
+        raise IntegrationError("its own steps no longer change the time", step=1, time=float(t), residual=0.0)
+
+    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the motion over h and its derivative, by complex steps or differences."""
+        from coadjoint.methods.step_derivatives import derivative_of
+
+        found = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
+        return found.value, found.derivative
+
+    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
+        """Return how its derivative is found."""
+        from coadjoint.methods.step_derivatives import derivative_of
+
+        return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
+
+    def finer(self, steps: int, times: float) -> Finer:
+        """Return shorter strides."""
+        return Finer(replace(self, stride=self.stride / times), steps, times**-self.order)
+
+    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
+        """Return the steps of the settled base."""
+        return with_settled_base(self, system, coordinates)
+
+    def work(self, system: System, group: Representation = None) -> Work:
+        """Return the work of a step of the base."""
+        return self.base.work(system, group)
+
+    def look_ahead(self, systems: Sequence[System]) -> None:
+        """Let the base look ahead."""
+        self.base.look_ahead(systems)

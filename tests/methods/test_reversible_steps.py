@@ -1,0 +1,206 @@
+"""Steps that follow the motion and can be taken back: the map, what it keeps, its bits, and what is refused."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.methods.speed import speed_of
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+TOP = co.LiePoissonSystem(
+    co.algebras.e(3), co.Quadratic([1.0, 0.75, 0.5, 0, 0, 0], linear=[0, 0, 0, 0.25, 0, 1.0]), sign=-1, name="top"
+)
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+SOLVABLE = co.LiePoissonSystem(
+    co.algebras.get("A4,7"), co.Quadratic([0.5, 1.0, 0.75, 0.25], linear=[0.1, 0.2, 0.0, 0.3]), name="solvable"
+)
+CURVED = co.PoissonSystem(
+    lambda x: np.array([[0.0, x[2] * x[2], -x[1]], [-x[2] * x[2], 0.0, x[0]], [x[1], -x[0], 0.0]]),
+    co.Quadratic([1.0, 2.0, 3.0]),
+    name="curved",
+)
+POSITIVE = co.Polynomial({(0, 0, 0): 0.5, (2, 0, 0): 1.0, (0, 2, 0): 0.25})
+CASES = {
+    "flows of a top": (TOP, co.Splitting(order=2), None),
+    "flows of order 4": (TOP, co.Splitting(order=4), None),
+    "stages of a body, a speed given": (BODY, co.GaussLegendre(2), POSITIVE),
+    "stages on a solvable algebra": (SOLVABLE, co.GaussLegendre(3), None),
+    "Kahan's rational steps": (BODY, co.Kahan(), None),
+    "a composition, a quadratic speed": (
+        BODY,
+        co.Composition(co.GaussLegendre(1), (1.3512071919596578, -1.7024143839193155, 1.3512071919596578)),
+        co.Quadratic([2.0, 1.0, 1.0]),
+    ),
+    "no Lie algebra": (CURVED, co.GaussLegendre(2), POSITIVE),
+}
+STATES = np.random.default_rng(8).uniform(0.3, 1.0, (5, 6))
+
+
+def start_of(system, member=0):
+    return STATES[member, : system.dim]
+
+
+def walked(system, method, x, steps, direction=1.0, rho=None):
+    """Return the states between the steps, the lengths, and rho after the last: an independent reading."""
+    speed, states, lengths = speed_of(system, method.speed), [np.array(x)], []
+    for _ in range(steps):
+        Q, rate = speed.at(states[-1])
+        rho = Q + 0.5 * method.stride * direction * rate if rho is None else rho + method.stride * direction * rate
+        lengths.append(direction * method.stride / rho)
+        states.append(np.asarray(method.base.step(system, states[-1], 0.0, lengths[-1])))
+    return np.array(states), np.array(lengths), rho
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_steps_can_be_taken_back(name, direction):
+    """Back from the end with the rho of the last step: the same lengths and states in the other order."""
+    system, base, speed = CASES[name]
+    method = co.ReversibleSteps(base, 0.1, speed)
+    forth, lengths, rho = walked(system, method, start_of(system), 60, direction)
+    # The first step back has the rho of the last one forth, before what the state at the end adds.
+    _, rate = speed_of(system, speed).at(forth[-1])
+    back, returned, _ = walked(system, method, forth[-1], 60, -direction, rho + direction * method.stride * rate)
+    size = np.abs(forth).max()
+    # Each step rounds some ten numbers, and errors of a regular motion grow like time.
+    assert np.abs(back[::-1] - forth).max() < 60 * 200 * UNIT_ROUNDOFF * size
+    assert np.abs(returned[::-1] + lengths).max() < 60 * 200 * UNIT_ROUNDOFF * np.abs(lengths).max()
+    assert np.ptp(np.abs(lengths)) > 0.01 * np.abs(lengths).max()
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("end", [3.0, -3.0])
+def test_the_compiled_steps_are_those_of_the_reading(name, end):
+    system, base, speed = CASES[name]
+    method = co.ReversibleSteps(base, 0.125, speed)
+    sol = co.integrate(system, start_of(system), (0.0, end), 0.25, method)
+    assert sol.stats.steps == 12
+    for k in (1, 5, 12):
+        read = method.step(system, start_of(system), 0.0, sol.t[k])
+        assert np.abs(sol.x[k] - read).max() < 1e4 * UNIT_ROUNDOFF * np.abs(sol.x).max()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_order_is_that_of_the_base_in_the_stride(name):
+    system, base, speed = CASES[name]
+    x0, errors = start_of(system), []
+    exact = co.integrate(system, x0, (0.0, 4.0), 0.015625, co.GaussLegendre(6)).x[-1]
+    strides = (0.2, 0.1, 0.05) if base.order < 5 else (0.4, 0.2)
+    for stride in strides:
+        found = co.integrate(system, x0, (0.0, 4.0), 4.0, co.ReversibleSteps(base, stride, speed)).x[-1]
+        errors.append(np.linalg.norm(found - exact))
+    slopes = np.log2(np.divide(errors[:-1], errors[1:]))
+    # What the last, shorter, step takes off the sum of the local errors is a step of some forty.
+    assert abs(slopes[-1] - base.order) < 0.35, slopes
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_no_bit_depends_on_how_one_looks_or_on_company(name):
+    system, base, speed = CASES[name]
+    method, span = co.ReversibleSteps(base, 0.125, speed), (0.0, 6.0)
+    crowd = STATES[:, : system.dim]
+    whole = co.integrate(system, crowd, span, 0.125, method)
+    assert np.array_equal(co.integrate(system, crowd, span, 0.125, method, save_every=8, watch=False).x, whole.x[::8])
+    assert np.array_equal(co.integrate(system, crowd, span, 1.5, method, threads=2).x, whole.x[::12])
+    for member in (0, 3):
+        assert np.array_equal(co.integrate(system, crowd[member], span, 0.125, method).x, whole.x[:, member])
+
+
+def test_a_run_that_goes_on_has_the_bits_of_one_that_did_not_stop():
+    from coadjoint.runs.run import Run
+
+    method = co.ReversibleSteps(co.Splitting(order=4), 0.1)
+    ready = co.prepare(TOP, method, 0.25)
+    times = co.runs.times.times_between((0.0, 6.0), 0.25, 1)
+    begun = ready.begun(times, ready.start(STATES))
+    begun.advance(until=9)
+    rest = Run(TOP, method, ready.loops(0.25), times, ready.start(STATES), True, 1, begun.state)
+    rest.advance()
+    whole = co.integrate(TOP, STATES, (0.0, 6.0), 0.25, method)
+    assert np.array_equal(rest.saved["x"][-1], whole.x[-1])
+
+
+def test_the_group_element_goes_with_the_steps():
+    for base in (co.Splitting(order=2), co.Splitting(order=4, parts="coordinates")):
+        method = co.ReversibleSteps(base, 0.1)
+        sol = co.integrate(TOP, start_of(TOP), (0.0, 20.0), 0.5, method, attitude="coadjoint")
+        kept = np.einsum("kij,kj->ki", sol.attitude, sol.x)
+        assert np.abs(kept - kept[0]).max() < 1e-12
+        alone = co.integrate(TOP, start_of(TOP), (0.0, 20.0), 0.5, method)
+        assert np.array_equal(alone.x, sol.x)
+
+
+def falling():
+    """A symmetric top whose axis starts near the vertical and falls: its spin about the axis cannot hold it."""
+    system = co.LiePoissonSystem(
+        co.algebras.e(3), co.Quadratic([1.0, 1.0, 0.25, 0, 0, 0], linear=[0, 0, 0, 0, 0, 4.0]), sign=-1, name="falling"
+    )
+    return system, np.array([1e-3, 0.0, 1.0, 0.02, 0.0, 1.0])
+
+
+def test_casimirs_to_rounding_and_energy_without_drift():
+    system, x0 = falling()
+    method = co.ReversibleSteps(co.Splitting(order=2), 0.05)
+    sol = co.integrate(system, x0, (0.0, 4000.0), 1.0, method)
+    steps = sol.stats.evaluations
+    assert steps > 10**5
+    for name in sol.casimirs:
+        # Each flow rounds, without a sign that it prefers.
+        assert sol.drift()[name] < 64 * UNIT_ROUNDOFF * np.sqrt(steps) * np.abs(sol.x).max() ** 2
+    energy = sol.drift()["energy"]
+    assert energy < 0.02 and energy.growth < 1.5
+    coarser = co.integrate(system, x0, (0.0, 400.0), 1.0, co.ReversibleSteps(co.Splitting(order=2), 0.1))
+    assert 2.5 < coarser.drift()["energy"] / co.integrate(system, x0, (0.0, 400.0), 1.0, method).drift()["energy"] < 6.0
+
+
+def test_what_it_says_of_itself():
+    for base in (co.Splitting(order=4), co.GaussLegendre(2), co.Kahan()):
+        said, alone = co.ReversibleSteps(base).properties(BODY), base.properties(BODY)
+        assert said.reversible and not said.poisson and not alone.reversible
+        assert (said.energy, said.casimirs, said.attitude) == (alone.energy, alone.casimirs, alone.attitude)
+    assert "reversible=True" in repr(said) and "reversible" not in repr(alone)
+    assert co.ReversibleSteps(co.Splitting(order=4)).own_steps
+
+
+def test_a_speed_that_ends_is_a_failure_by_name():
+    ending = co.Polynomial({(0, 0, 0): 0.05, (1, 0, 0): 1.0})
+    with pytest.raises(co.IntegrationError, match="the speed that steps follow fell to zero or below"):
+        co.integrate(BODY, (0.5, 1.0, 0.2), (0.0, 20.0), 1.0, co.ReversibleSteps(co.Splitting(), 0.1, ending))
+
+
+def driven(y, t):
+    return 0.5 * y * y + np.sin(t) * y
+
+
+def driven_slope(y, t):
+    return y + np.sin(t)
+
+
+@pytest.mark.parametrize(
+    "make, error, sentence",
+    [
+        (lambda: co.ReversibleSteps("Splitting"), TypeError, "the base of ReversibleSteps is a scheme"),
+        (lambda: co.ReversibleSteps(co.ExplicitRungeKutta("rk4")), ValueError, "needs a symmetric base"),
+        (lambda: co.ReversibleSteps(co.Splitting(order=1)), ValueError, "needs a symmetric base"),
+        (lambda: co.ReversibleSteps(co.ReversibleSteps(co.Splitting())), ValueError, "takes steps of its own"),
+        (lambda: co.ReversibleSteps(co.Splitting(), 0.0), ValueError, "it must be positive"),
+        (lambda: co.ReversibleSteps(co.Splitting(), np.nan), ValueError, "it must be finite"),
+        (lambda: co.ReversibleSteps(co.Splitting(), speed="arc"), TypeError, "it must be a Quadratic or a Polynomial"),
+        (lambda: co.ReversibleSteps(co.GaussLegendre(2)).properties(CURVED), ValueError, "from a Lie algebra"),
+        (
+            lambda: co.ReversibleSteps(co.Splitting(), speed=POSITIVE).properties(TOP),
+            ValueError,
+            "a polynomial in 3 coordinates, and top has 6",
+        ),
+        (
+            lambda: co.ReversibleSteps(co.Splitting()).properties(
+                co.LiePoissonSystem(co.algebras.so(3), co.Separable({0: (driven, driven_slope)}))
+            ),
+            ValueError,
+            "depends on time",
+        ),
+    ],
+)
+def test_what_is_refused(make, error, sentence):
+    with pytest.raises(error, match=sentence):
+        make()
