@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,12 @@ class Finer(NamedTuple):
     left: float
 
 
+ERROR_CONTROL = frozenset(("tolerance", "rtol", "atol"))
+NO_ERROR_CONTROL = (
+    "steps whose lengths follow an estimate of the error lose what a scheme keeps over long times; give integrate "
+    "accuracy=, which finds a constant step, or take Taylor(tolerance=...), or ReversibleSteps(Splitting(...)), whose "
+    "steps follow the motion and can be taken back"
+)
 FEW_STEPS = 20  # of so few the error need not follow the order; a finer run has more
 BYTES_PER_CONSTANT = 450  # while flows are read from both orders of a bracket
 LONGEST = 200  # characters of a parameter in a message
@@ -48,6 +54,13 @@ class Method(ABC):
     `CompiledStepMethod`): a scheme of your own derives from one of them. All that runs, chooses or judges schemes talks
     to this protocol.
     """
+
+    def __new__(cls, *given: Any, **named: Any) -> Self:
+        """Refuse by name the tolerance of a scheme that has none."""
+        for name in ERROR_CONTROL.intersection(named):
+            if name not in getattr(cls, "__dataclass_fields__", {}):
+                raise TypeError(f"{cls.__name__} has no {name}: {NO_ERROR_CONTROL}")
+        return super().__new__(cls)
 
     failures: ClassVar[Mapping[str, str]] = {}
     """What statuses of a step, by name, mean other than the common ones (no convergence, overflow), for messages."""

@@ -37,21 +37,21 @@ struct ReversibleSteps final : OwnSteps {
         double rate, speed;
         measure(base.x, t0, speed, rate);
         base.further[0] = speed + 0.5 * stride * (base.length < 0.0 ? -rate : rate);
-        return set_length(base);
+        return set_length(base, speed);
     }
 
     int64_t propose(const Base& base, double t0) override {
         double rate, speed;
         measure(base.x, t0 + base.since, speed, rate);
         base.further[0] += stride * (base.length < 0.0 ? -rate : rate);
-        return set_length(base);
+        return set_length(base, speed);
     }
 
-    int64_t set_length(const Base& base) {
+    int64_t set_length(const Base& base, double speed) {
         const double rho = base.further[0];
         residual = rho;
         if (!(rho - rho == 0.0)) return OVERFLOWED;
-        if (!(rho > 0.0)) return UNDEFINED;
+        if (!(rho > 0.0 && speed > 0.0)) return UNDEFINED;
         base.length = std::copysign(stride / rho, base.length);
         return DONE;
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -35,7 +36,7 @@ class ReversibleSteps(Method):
     """A symmetric scheme in steps whose length follows the motion, and that can be taken back one after the other.
 
     The controller of Hairer and Soederlind: with the speed Q(x) of the motion, step n has the length stride / rho_n,
-    and ``rho_(n+1) = rho_n + stride Q'/Q`` at the state between them; it begins as Q, and a half step on. States and rho
+    and ``rho_(n+1) = rho_n + stride Q'/Q`` at the state between them; it begins as Q, half a step on. States and rho
     together are a reversible map: where the motion is integrable or nearly so, energy and actions do not drift, as they
     do with steps that an estimate of the error controls. Steps are those of the base: the Casimirs that it keeps are
     kept, and the energy where it keeps that. A step of varying length is no Poisson map.
@@ -166,7 +167,8 @@ class ReversibleSteps(Method):
         from coadjoint.kernels.stepping import STEP_LOOP
         from coadjoint.kernels.tables import invariants_table
 
-        inner, speed = self.base.loop(system, h, representation), self._speed(system)
+        # Angles are scaled to the length of each step from those of one that every grid of looks shares.
+        inner, speed = self.base.loop(system, math.copysign(1.0, h), representation), self._speed(system)
         places, keep = places_of(inner, system, representation)
         followed = invariants_table([("the speed", speed.given)], system.dim)
         step = f"reversible_{speed.kind}"
@@ -189,7 +191,7 @@ class ReversibleSteps(Method):
             Q, rate = speed.at(y)
             rate = rate if h.real > 0 else -rate
             rho = Q + self.stride * rate / 2 if rho is None else rho + self.stride * rate
-            if not rho.real > 0:
+            if not (rho.real > 0 and Q.real > 0):
                 raise IntegrationError(NO_STEP, step=1, time=float(t), residual=float(rho.real))
             length = self.stride / rho if h.real > 0 else -(self.stride / rho)
             ahead = h - since

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
-from coadjoint.methods.base import Method
+from coadjoint.methods.base import NO_ERROR_CONTROL, Method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.run import read_progress
 from coadjoint.runs.solution import Solution, with_choice
@@ -31,6 +31,8 @@ def integrate(
     threads: int | None = None,
     progress: bool = False,
     events: Any = None,
+    rtol: None = None,
+    atol: None = None,
 ) -> Solution:
     """Integrate a system at a constant step, given or chosen for a wanted accuracy.
 
@@ -79,6 +81,8 @@ def integrate(
     events : Event or sequence of Event, optional
         Zeros of functions of the state that are looked for; ``sol.events`` has them. A terminal one ends the run, and
         where there is one member, the last point of the solution is that of the event.
+    rtol, atol : None
+        Refused: no scheme lets an estimate of the error choose each step. The message says what to take instead.
 
     Returns
     -------
@@ -113,6 +117,8 @@ def integrate(
     """
     if method is not None and not isinstance(method, Method):
         raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
+    if rtol is not None or atol is not None:
+        raise TypeError(f"integrate has no {'rtol' if atol is None else 'atol'}: {NO_ERROR_CONTROL}")
     if (step is None) == (accuracy is None):
         given = "neither" if step is None else "both"
         raise TypeError(
