@@ -42,6 +42,7 @@ NO_ERROR_CONTROL = (
     "accuracy=, which finds a constant step, or take Taylor(tolerance=...), or ReversibleSteps(Splitting(...)), whose "
     "steps follow the motion and can be taken back"
 )
+OWN_LOOKS = 240  # points that tell the size of a motion on the way, of a scheme with steps of its own
 FEW_STEPS = 20  # of so few the error need not follow the order; a finer run has more
 BYTES_PER_CONSTANT = 450  # while flows are read from both orders of a bracket
 LONGEST = 200  # characters of a parameter in a message

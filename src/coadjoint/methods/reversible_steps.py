@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
 from coadjoint.given import read_number
-from coadjoint.methods.base import Finer, Method, Representation
+from coadjoint.methods.base import OWN_LOOKS, Finer, Method, Representation
 from coadjoint.methods.composed import with_settled_base
 from coadjoint.methods.properties import Properties
 from coadjoint.methods.speed import Speed, speed_of
@@ -217,8 +217,8 @@ class ReversibleSteps(Method):
         return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
 
     def finer(self, steps: int, times: float) -> Finer:
-        """Return shorter strides."""
-        return Finer(replace(self, stride=self.stride / times), steps, times**-self.order)
+        """Return a run of shorter strides, of which the points only tell the size on the way."""
+        return Finer(replace(self, stride=self.stride / times), max(steps, OWN_LOOKS), times**-self.order)
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
         """Return the steps of the settled base."""
