@@ -86,6 +86,7 @@ class ReversibleSteps(Method):
 
     symmetric = False
     compensates = False
+    offered = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.base, Method):
