@@ -69,6 +69,13 @@ def test_it_does_not_depend_on_how_one_looked():
     assert 0.0 < runs[3].error_estimate <= 1e-9
 
 
+@pytest.mark.parametrize("times", [(3.0, 17.7, 41.3), (60.0,), (0.0, 5.0)])
+def test_at_the_last_of_the_times_that_were_asked_for(times):
+    sol = co.integrate(BODY, X0, (0, 60), accuracy=1e-6, t_eval=times, method=co.Splitting(order=4))
+    error = np.linalg.norm(sol.x[-1] - BODY.exact(X0, times[-1])) / np.linalg.norm(X0)
+    assert sol.error_estimate == pytest.approx(error, rel=0.1)
+
+
 def test_round_off_is_said_and_not_zero():
     """At rest, and where every step is exact, at least the rounding of a state is left."""
     for x0 in ((0.0, 0.0, 0.0), (0.0, 0.0, 2.0)):

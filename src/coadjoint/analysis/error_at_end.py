@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ FINER = (1.5, 1.75, 2.5, 3.5)
 CLEARLY = 16.0
 # A second run looks at its size at so many points, and at no more numbers at once.
 POINTS = 256
+EVEN = 2.0**-40  # so near to a whole number of steps a time is one
 NUMBERS = 2**22
 
 
@@ -59,16 +61,17 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
             "the error of a run is estimated where its accuracy was asked for: give integrate accuracy= in place of "
             "step=; of a run at a given step, compare the end with that of a run of half the step"
         )
-    steps = round(abs(solution.t_span[1] - solution.t_span[0]) / solution.step)
-    end = solution.x[-1] if solution.t_eval is None else solution.at(solution.t_span[1]).x
-    starts, ends = np.atleast_2d(solution.x0), np.atleast_2d(end)
+    ends, starts = solution.x[-1:] if solution.x.ndim == 2 else solution.x[-1], solution._began
+    assert starts is not None
+    time = float(solution.t[-1]) - solution.t_span[0]
+    steps = math.ceil(abs(time) / solution.step * (1.0 - EVEN))
     if steps == 0:
         return np.zeros(len(starts))
     squares, seen, untold = np.zeros(len(starts)), np.zeros(len(starts), dtype=int), np.arange(len(starts))
     for times in FINER:
         if not len(untold):
             break
-        apart = _apart(solution, starts[untold], ends[untold], steps, times)
+        apart = _apart(solution, starts[untold], ends[untold], time, steps, times)
         sound = np.isfinite(apart)
         squares[untold[sound]] += apart[sound] ** 2
         seen[untold[sound]] += 1
@@ -80,14 +83,18 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
 
 
 def _apart(
-    solution: Solution, starts: NDArray[np.float64], ends: NDArray[np.float64], steps: int, times: float
+    solution: Solution,
+    starts: NDArray[np.float64],
+    ends: NDArray[np.float64],
+    time: float,
+    steps: int,
+    times: float,
 ) -> NDArray[np.float64]:
     """Return how far ends are from those of a finer run, and from where that run strives to, in parts of the size."""
     finer = solution.method.finer(steps, times)
-    t0, t1 = solution.t_span
     points = max(2, min(POINTS, NUMBERS // starts.shape[1]))
     every = -(-finer.steps // points)
-    plan = Times(t0, (t1 - t0) / finer.steps, finer.steps, every)
+    plan = Times(solution.t_span[0], time / finer.steps, finer.steps, every)
     ready = PreparedRun(solution.system, finer.method, abs(plan.h), watch=False)
     at_once = max(1, NUMBERS // (points * starts.shape[1]))
     parts = [slice(first, first + at_once) for first in range(0, len(starts), at_once)]

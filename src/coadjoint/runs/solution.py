@@ -139,6 +139,7 @@ class Solution:
     observed: Mapping[str, NDArray[np.float64]]
     choice: Any
     _error: NDArray[np.float64] | None
+    _began: NDArray[np.float64] | None
     events: Events | None
     _ending: Ending | None
     _saved: NamedArrays
@@ -161,6 +162,7 @@ class Solution:
             observed={},
             choice=None,
             _error=None,
+            _began=None,
             events=run.events,
             _ending=run.ending,
             _saved=run.saved,
@@ -384,7 +386,7 @@ class Solution:
 
     @property
     def error_estimate(self) -> Any:
-        """How far the momentum at the end is from the motion, relative to its largest size on the way.
+        """How far the last state is from the motion, relative to the largest momentum on the way.
 
         Found when it is first asked for, by a run of one and a half times as many steps, and where that leaves no more
         than rounding by another of one and three quarters: 1.5 or 3.25 times the cost of the run. It is honest within a
@@ -631,7 +633,8 @@ class Solution:
 
 def with_choice(solution: Solution, choice: Any) -> Solution:
     """Return the solution with the choice that its scheme and step come from; None where they were given."""
-    solution.__dict__["choice"] = choice
+    if choice is not None:
+        solution.__dict__.update(choice=choice, _began=solution._start.momenta)
     return solution
 
 
@@ -641,7 +644,7 @@ def check_solution(solution: Any) -> None:
         raise TypeError(f"solution is {short(solution)}; it must be a Solution, from co.integrate")
 
 
-PARTS = ("method", "watched", "observed", "events", "choice", "_error") + tuple(
+PARTS = ("method", "watched", "observed", "events", "choice", "_error", "_began") + tuple(
     name for name, value in vars(Solution).items() if isinstance(value, cached_property)
 )
 """What a copy of a solution has."""
