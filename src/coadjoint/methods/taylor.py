@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.given import read_flag, read_number, read_whole
 from coadjoint.memory import check_room
-from coadjoint.methods.base import Finer, Method, Representation
+from coadjoint.methods.base import OWN_LOOKS, Finer, Method, Representation
 from coadjoint.methods.compiled_step import CompiledStepMethod
 from coadjoint.methods.power_series import Dual, expand
 from coadjoint.methods.projection import (
@@ -231,7 +231,7 @@ class Taylor(CompiledStepMethod):
             return super().finer(steps, times)
         tolerance = max(self.tolerance / (FINER * times), LEAST_TOLERANCE)
         more = replace(self, order=min(self.order + 2, MOST), tolerance=tolerance)
-        return Finer(more, steps, min(0.5, tolerance / self.tolerance))
+        return Finer(more, max(steps, OWN_LOOKS), min(0.5, tolerance / self.tolerance))
 
     def composed(self, coefficients: Sequence[float]) -> Method:
         """Return the scheme whose step is made of these substeps; those that have a tolerance have none."""
