@@ -44,6 +44,9 @@ class MemberRecorder {
         if (crossings) crossings->begin(member, k0);
     }
 
+    // The next step, from k on, that is looked at.
+    int64_t next_look(int64_t k) const { return noting || crossings ? k : saved.next; }
+
     // Look at the state after step k, if it is to be looked at. `group(k, to)` fills in the finished group element, and
     // returns whether it is finite. Returns the first step whose finished state is not, or 0.
     template <class Group>

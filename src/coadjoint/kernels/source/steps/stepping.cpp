@@ -169,11 +169,9 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
         double *g = arrays.groups + member * square, *dg = arrays.group_errors + member * square;
         const double h = length_of(schedule, member);
         OwnSteps* const over = dynamic_cast<OwnSteps*>(scheme);
-        SavedSteps saved(schedule, loop.k0);
         for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
             // Schemes with steps of their own are asked for no state that nobody looks at.
-            if (over && !schedule.watching && !schedule.events) k = std::min(saved.next, loop.k1);
-            if (k == saved.next) saved.take();
+            if (over) k = std::min(recorder.next_look(k), loop.k1);
             int64_t failing = k;
             const double start = start_of(schedule, member, k);
             int64_t status;
