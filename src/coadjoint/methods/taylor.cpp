@@ -8,6 +8,9 @@ namespace coadjoint {
 
 namespace {
 
+// What members side by side read again and again must stay in the cache of a core.
+constexpr int64_t MOST_ROOM = int64_t(1) << 18;
+
 template <int W>
 struct TaylorCrowd final : CrowdStep {
     const int64_t n;
@@ -77,7 +80,9 @@ struct Taylor final : StepScheme {
     std::unique_ptr<CrowdStep> crowd() override {
         // Two lanes are not faster than the rows of one member.
         if (group || NATIVE < 4) return nullptr;
-        return std::make_unique<TaylorCrowd<W>>(series.field, series.order, projection);
+        auto crowd = std::make_unique<TaylorCrowd<W>>(series.field, series.order, projection);
+        if (crowd->series.room() > MOST_ROOM) return nullptr;
+        return crowd;
     }
 
     int64_t turn(const double* x, double* g, double* dg, double h) {
