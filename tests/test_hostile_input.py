@@ -31,6 +31,7 @@ P = co.Polynomial({(2, 0, 0): 0.5, (0, 1, 1): 1})
 CROWD = co.integrate(BODY, [X, X], (0, 1), 0.5, attitude="coadjoint")
 STEP = co.stepper(BODY, co.Splitting(), 0.1)
 READY = co.prepare(BODY, co.Splitting(), 0.1)
+PROMISED = co.prepare(BODY, accuracy=1e-4, x0=X, t_span=(0, 1))
 
 
 def square(x):
@@ -210,6 +211,10 @@ CALLS = {
     "prepare": (co.prepare, {"system": BODY, "method": None, "step": 0.1, "attitude": False, "watch": True,
                 "observe": None, "threads": None}),
     "run": (READY.run, {"x0": X, "t_span": (0, 1), "save_every": 1, "attitude": None, "progress": False}),
+    "end": (READY.end, {"x0": X, "t_span": (0, 1)}),
+    "prepare for an accuracy": (co.prepare, {"accuracy": 1e-4, "x0": X, "t_span": (0, 1), "system": BODY}),
+    "run to an accuracy": (PROMISED.run, {"x0": X, "t_span": (0, 1), "save_every": 1}),
+    "end to an accuracy": (PROMISED.end, {"x0": X, "t_span": (0, 1)}),
     "times": (lambda t_eval: co.integrate(BODY, X, (0, 1), 0.1, t_eval=t_eval), {"t_eval": [0.25, 0.5]}),
     "any time": (LONG.at, {"t": [0.25, 19.99]}),
     "choose": (lambda system, x0, t_span, accuracy, **more: co.choose(system, x0, t_span, accuracy, **more),

@@ -24,6 +24,8 @@ NEAR = 1.3
 # A choice that costs (1 + this / order) times as much as another is given up: the higher the order, the better is known
 # from a trial how many steps are needed.
 MUCH_DEARER = 6.0
+# A first trial takes no more than so many times the steps of the first guess.
+MUCH_FINER = 4.0
 
 
 @dataclass(frozen=True)
@@ -72,9 +74,9 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: fl
     Fit or None
     """
     order = candidate.method.order
-    # Without a better guess, the step of the reference in proportion to the order.
-    per_window = pilot.window / pilot.natural_step * REFERENCE.order / order if guess is None else guess / pilot.windows
-    steps = pilot.fitting(min(per_window, DEAREST_TRIAL))
+    # Without a better guess, the step of the reference in proportion to the order. Far below it nothing can be seen.
+    usual = pilot.window / pilot.natural_step * REFERENCE.order / order
+    steps = pilot.fitting(usual if guess is None else min(guess / pilot.windows, MUCH_FINER * usual))
     seen: set[int] = set()
     too_few, best = 0, None
     for _ in range(MOST_TRIALS):
