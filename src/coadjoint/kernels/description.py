@@ -59,7 +59,7 @@ WRITTEN: Mapping[str, Mapping[str, int]] = {
 
 USED: Mapping[str, Iterable[str]] = {
     "Status": ("DONE", "NOT_CONVERGED", "OVERFLOWED", "UNDEFINED", "ENDED"),
-    "Crossing": ("RISING", "FALLING", "NEAR", "UNDEFINED"),
+    "Crossing": ("RISING", "FALLING", "NEAR", "UNDEFINED", "BETWEEN"),
     "Outcome": ("INTERRUPTED", "NO_MEMORY"),
     "StreamKind": ("TRIDIAGONAL", "CIRCULANT", "WEIGHTS", "MULTIPLIED", "BY_FUNCTION"),
     "Solver": ("EXPLICIT", "ITERATED", "IMPLICIT", "STRUCTURE", "GRADIENT"),

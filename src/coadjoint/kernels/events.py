@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from coadjoint.kernels.structures import pointed
 from coadjoint.kernels.watching import Watch
 
+ROWS, SPARE = 4, 2**14
+"""So many rows may be noted of each step, and beside these."""
 STEPS_BACK = 3
 """So many values of each event a loop keeps."""
 
@@ -82,8 +84,9 @@ class EventArrays:
         self, watch: Watch, direction: NDArray[np.int64], left: NDArray[np.int64], size: int, square: int, chunk: int
     ) -> None:
         members, count = left.shape
-        # A step is noted when it ends, or after the next one; untouched memory is not taken from the machine.
-        capacity = 2 * members * chunk
+        # A step is noted when it ends, or after the next one, and by a series as often as there are crossings. Untouched
+        # memory is not taken from the machine.
+        capacity = ROWS * members * chunk + SPARE
         self.limit = np.full(members, np.iinfo(np.int64).max)
         self.tables = EventTables(
             watch,
@@ -105,12 +108,16 @@ class EventArrays:
     def bytes_of(members: int, count: int, size: int, square: int) -> tuple[int, int]:
         """Return how many bytes are needed for the members, and for each step of a chunk."""
         width = size + square
-        return 8 * members * (2 * width + 4 * count + 1), 16 * members * (width + 3 * count + 2)
+        return 8 * members * (2 * width + 4 * count + 1), 8 * ROWS * members * (width + 3 * count + 2)
 
     def take(self) -> Noted:
         """Return what was noted since the last time, in any order."""
         count, size, width = self._count, self._size, self._size + self._square
         rows = int(self.tables.noted[0])
+        if rows > self.tables.capacity:
+            raise ValueError(
+                f"{rows} crossings were found in the steps of one call; take a smaller step, or fewer events"
+            )
         self.tables.noted[0] = 0
         found, places = self.tables.found[:rows].copy(), self.tables.places[:rows].copy()
         return Noted(

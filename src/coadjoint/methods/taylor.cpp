@@ -85,6 +85,10 @@ struct Taylor final : StepScheme {
         return crowd;
     }
 
+    StepSeries series_of_step() const override {
+        return {reinterpret_cast<const double*>(series.x.at), series.field.extended * W, series.order};
+    }
+
     int64_t turn(const double* x, double* g, double* dg, double h) {
         const double* const along = reinterpret_cast<const double*>(gradients.at);
         residual = std::numeric_limits<double>::quiet_NaN();

@@ -119,7 +119,8 @@ class WatchedEvents:
         rows, events = np.nonzero((noted.codes == crossing["RISING"]) | (noted.codes == crossing["FALLING"]))
         sure = search.between(rows, events, np.zeros(len(rows)), noted.before, np.ones(len(rows)), noted.after)
         maybe = search.pairs(*np.nonzero(noted.codes == crossing["NEAR"]))
-        rows, events, theta, rising = (np.concatenate(both) for both in zip(sure, *maybe, strict=True))
+        told = search.told(*np.nonzero(noted.codes == crossing["BETWEEN"]))
+        rows, events, theta, rising = (np.concatenate(both) for both in zip(sure, *maybe, told, strict=True))
         wanted = (self.direction[events] == 0) | (self.direction[events] == rising)
         rows, events, theta, rising = rows[wanted], events[wanted], theta[wanted], rising[wanted]
         # Of two at the same time the event that was named first comes first.
@@ -178,6 +179,16 @@ class _Search:
             self.least[rows] / np.maximum(high - low, 2.0**-52),
         )
         return rows, events, low + theta * (high - low), np.where(first < 0.0, 1, -1)
+
+    def told(self, rows: Whole, events: Whole) -> tuple[Whole, Whole, Floats, Whole]:
+        """Return the crossings between the points that a series has told."""
+        low, high = self.noted.before[rows, events], self.noted.after[rows, events]
+        at_start = self.watched.values(self.noted.states[rows], self.begin[rows])[np.arange(len(rows)), events]
+        first = np.where(low == 0.0, at_start, self.values(rows, events, low))
+        last = self.values(rows, events, high)
+        # What rounding has moved over an end of its interval is no crossing, or belongs to the next one.
+        sound = (first != 0.0) & (np.sign(first) != np.sign(last))
+        return self.between(*(a[sound] for a in (rows, events, low, first, high, last)))
 
     def pairs(self, rows: Whole, events: Whole) -> list[tuple[Whole, Whole, Floats, Whole]]:
         """Return the crossings in steps where g may go through zero and back."""

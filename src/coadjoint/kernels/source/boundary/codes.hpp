@@ -21,9 +21,9 @@ CODES(Status, STATUSES)
 CODES(Outcome, OUTCOMES)
 
 // What is noted of an event in a step: that its function g rises through zero, or falls; that it may have gone through
-// zero and back; or that it is no number.
+// zero and back; that it is no number; or that by its series it goes through zero once between two points of the step.
 namespace crossings {
-#define CROSSINGS(_) _(NONE, 0) _(RISING, 1) _(FALLING, 2) _(NEAR, 3) _(UNDEFINED, 4)
+#define CROSSINGS(_) _(NONE, 0) _(RISING, 1) _(FALLING, 2) _(NEAR, 3) _(UNDEFINED, 4) _(BETWEEN, 5)
 CODES(Crossing, CROSSINGS)
 }  // namespace crossings
 

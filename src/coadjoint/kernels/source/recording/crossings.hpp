@@ -1,8 +1,10 @@
 // Where functions of the state change sign along a run, and where they may have done so twice in one step.
 #pragma once
 
+#include <memory>
 #include <utility>
 
+#include "recording/event_series.hpp"
 #include "recording/watching.hpp"
 
 namespace coadjoint {
@@ -40,6 +42,12 @@ class Crossings {
         });
     }
 
+    // Say how the state moves in the next step.
+    void between(const StepSeries& motion) {
+        series = motion;
+        if (series.at && !told) told = std::make_unique<EventSeries>(events.watch, series.order);
+    }
+
     // Look at the states after step k; return whether a member has come to its end, then or before. Lanes that are not `going` are
     // left out, where that is given.
     INLINE bool after(int64_t k, const A* x, const A* group, const int64_t* going = nullptr) {
@@ -47,6 +55,8 @@ class Crossings {
             for (int64_t age = DEPTH - 1; age > 0; --age) value(age, e) = value(age - 1, e);
         measure(x, schedule.t0 + double(k) * schedule.h);
         bool ended = k > next_end;
+        if constexpr (lanes == 1)
+            if (series.at && goes_on(member[0], k)) look_between(k);
         if (__builtin_expect(k < DEPTH || k == schedule.steps || !quiet(), 0))
             for (int64_t lane = 0; lane < used; ++lane)
                 if (!going || going[lane]) ended |= inspect(k, int(lane));
@@ -76,6 +86,10 @@ class Crossings {
     std::vector<double> room;
     A *before, *earlier;  // the finished states one and two steps ago
     int64_t member[lanes], used = 0, next_end = 0;
+    StepSeries series;
+    std::unique_ptr<EventSeries> told;
+    std::vector<double> parts;             // low and high ends, by turns
+    uint64_t told_apart = 0;               // a bit for each event whose crossings of this step are noted already
 
     // The value of event e `age` steps ago.
     INLINE A& value(int64_t age, int64_t e) { return values.at[age * count + e]; }
@@ -108,20 +122,49 @@ class Crossings {
         }
     }
 
+    // Whether the series says where an event goes through zero: then no neighbouring values are needed.
+    bool is_told(int64_t e) const { return series.at && told->tells(e); }
+
+    // Note every part of step k in which an event goes through zero, where the signs at its ends say less.
+    NOINLINE void look_between(int64_t k) {
+        told_apart = 0;
+        for (int64_t e = 0; e < count; ++e) {
+            if (!told->tells(e)) continue;
+            parts.clear();
+            (*told)(e, reinterpret_cast<const double*>(before), series, [&](double low, double high) {
+                parts.push_back(low);
+                parts.push_back(high);
+            });
+            const bool changed = crossing(0, at_age(1, e, 0), at_age(0, e, 0)) != crossings::NONE;
+            if (parts.empty() || (changed && parts.size() == 2)) continue;
+            told_apart |= uint64_t(1) << e;
+            for (size_t p = 0; p < parts.size(); p += 2) {
+                const int64_t place = take(k, 0, before, 1);
+                if (place >= events.capacity) break;
+                events.found[place * (2 + count) + 2 + e] = crossings::BETWEEN;
+                double* values_there = events.places + place * (width + 2 * count) + width;
+                values_there[e] = parts[p];
+                values_there[count + e] = parts[p + 1];
+            }
+        }
+    }
+
     // Note what there is to be noted of a lane at step k, and say whether its member has come to its end.
     NOINLINE bool inspect(int64_t k, int lane) {
         if (!goes_on(member[lane], k)) return false;
         // Whether g has come near zero in the step before is known now; of the last step it never is.
         if (k >= 2)
             note(k - 1, lane, earlier, 2, [&](int64_t e) {
+                if (is_told(e)) return crossings::NONE;
                 return near(k < 3 ? NAN : at_age(3, e, lane), at_age(2, e, lane), at_age(1, e, lane),
                             at_age(0, e, lane));
             });
         // Nor is it ever known of the step in which the run of the member ends.
         const bool ended = ends(lane), last = ended || k == schedule.steps;
         note(k, lane, before, 1, [&](int64_t e) {
+            if (told_apart >> e & 1) return crossings::NONE;
             const int64_t found = crossing_of(e, lane);
-            if (found != crossings::NONE || !last) return found;
+            if (found != crossings::NONE || !last || is_told(e)) return found;
             return near(k < 2 ? NAN : at_age(2, e, lane), at_age(1, e, lane), at_age(0, e, lane), NAN);
         });
         if (ended) events.limit[member[lane]] = k - 1;

@@ -73,6 +73,11 @@ class MemberRecorder {
         }
     }
 
+    // Say how the state has moved in the step that is looked at next, where that is known.
+    void between(const StepSeries& series) {
+        if (crossings) crossings->own.between(series);
+    }
+
     // Finish and note what waits; to be called after the last step. Returns as `after` does.
     NOINLINE int64_t flush() {
         if (waiting == 0) return 0;

@@ -6,6 +6,7 @@
 #include <memory>
 
 #include "stages/stagnation.hpp"
+#include "recording/event_series.hpp"
 #include "recording/watching.hpp"
 
 namespace coadjoint {
@@ -41,6 +42,8 @@ struct StepScheme {
     // The same step of many members with the constants of this one, which must live as long; null where members that
     // go one after the other are as fast.
     virtual std::unique_ptr<CrowdStep> crowd() { return nullptr; }
+    // The Taylor series of the motion over the last step, where the scheme has one.
+    virtual StepSeries series_of_step() const { return {}; }
 };
 
 #if defined(COADJOINT_APART)

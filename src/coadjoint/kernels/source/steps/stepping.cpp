@@ -189,6 +189,7 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
                 loop.fail(member, failing, status, scheme->residual);
                 break;
             }
+            if (schedule.events && tables.substeps == 1) recorder.between(scheme->series_of_step());
             recorder.after(k, x, dx, [&](int64_t, double* to) { return std::copy_n(g, square, to), true; });
         }
         std::copy_n(x, n, arrays.momenta + member * n);

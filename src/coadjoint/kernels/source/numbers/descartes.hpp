@@ -1,0 +1,76 @@
+// Roots of a polynomial between 0 and 1, told apart by Descartes' rule of signs in Bernstein's form (G. E. Collins,
+// A. G. Akritas, SYMSAC 1976): where its coefficients change sign once there is one root, where they do not there is none.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+namespace coadjoint {
+
+class Isolation {
+  public:
+    explicit Isolation(int64_t degree)
+        : degree(degree), width(degree + 1), binomial(width, 1.0), room((DEEPEST + 2) * width) {
+        for (int64_t k = 1; k <= degree; ++k) binomial[k] = binomial[k - 1] * double(degree - k + 1) / double(k);
+    }
+
+    // Say `found(low, high)` of each interval with one root, ascending, for c_0 + c_1 s + ... Roots that lie closer
+    // together than 2^-DEEPEST are not told apart.
+    template <class Found>
+    void operator()(const double* c, Found found) {
+        double* b = room.data();
+        for (int64_t k = 0; k <= degree; ++k) b[k] = c[k] / binomial[k];
+        for (int64_t level = 1; level <= degree; ++level)
+            for (int64_t k = degree; k >= level; --k) b[k] += b[k - 1];
+        open[0] = {0.0, 1.0, 0};
+        // The left one of two halves lies on top.
+        for (int64_t top = 0; top >= 0; --top) {
+            const Piece here = open[top];
+            double* own = room.data() + top * width;
+            const int64_t changes = changes_of(own);
+            if (changes == 0) continue;
+            if (changes == 1 || here.depth == DEEPEST) {
+                if (own[0] * own[degree] <= 0.0) found(here.low, here.high);
+                continue;
+            }
+            // Not in the middle, where a root that is a simple fraction of the step would be missed by both halves.
+            const double middle = here.low + CUT * (here.high - here.low);
+            halve(own, own + width);
+            open[top] = {middle, here.high, here.depth + 1};
+            open[top + 1] = {here.low, middle, here.depth + 1};
+            top += 2;
+        }
+    }
+
+  private:
+    static constexpr int64_t DEEPEST = 30;
+    static constexpr double CUT = 0.5078125;
+    struct Piece {
+        double low, high;
+        int64_t depth;
+    };
+    const int64_t degree, width;
+    std::vector<double> binomial, room;
+    Piece open[DEEPEST + 2];
+
+    int64_t changes_of(const double* b) const {
+        int64_t changes = 0;
+        double last = 0.0;
+        for (int64_t k = 0; k <= degree; ++k) {
+            if (b[k] == 0.0) continue;
+            changes += last * b[k] < 0.0;
+            last = b[k] < 0.0 ? -1.0 : 1.0;
+        }
+        return changes;
+    }
+
+    // By de Casteljau: the right half stays, and `left` becomes the other.
+    void halve(double* own, double* left) const {
+        for (int64_t k = 0; k <= degree; ++k) {
+            left[k] = own[0];
+            for (int64_t j = 0; j < degree - k; ++j) own[j] = own[j] + CUT * (own[j + 1] - own[j]);
+        }
+    }
+};
+
+}  // namespace coadjoint
