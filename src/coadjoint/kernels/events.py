@@ -84,8 +84,8 @@ class EventArrays:
         self, watch: Watch, direction: NDArray[np.int64], left: NDArray[np.int64], size: int, square: int, chunk: int
     ) -> None:
         members, count = left.shape
-        # A step is noted when it ends, or after the next one, and by a series as often as there are crossings. Untouched
-        # memory is not taken from the machine.
+        # A step is noted when it ends, or after the next one, and by a series as often as there are crossings. Memory
+        # that is not touched is not taken from the machine.
         capacity = ROWS * members * chunk + SPARE
         self.limit = np.full(members, np.iinfo(np.int64).max)
         self.tables = EventTables(

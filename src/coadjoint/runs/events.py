@@ -52,7 +52,8 @@ class Event:
     A step has a crossing if g has another sign after it than before. A state with g = 0 belongs to the step that ends
     there: the start of a run is no crossing, its end is one. Two crossings within one step are looked for where the
     values of g at four grid points in a row leave room for them. None is missed if g bends away from zero on that step
-    and on both neighbours; a step that is too long for that may hide a pair.
+    and on both neighbours; a step that is too long for that may hide a pair. In steps of `Taylor` the series of a
+    polynomial g tells all crossings, however many there are in one.
 
     Examples
     --------
