@@ -229,6 +229,15 @@ def test_terminal_in_an_ensemble(method):
         assert sol.drift()["energy"].members[m] == alone.drift()["energy"]
 
 
+def test_nothing_is_found_after_the_end():
+    """Other events in the last step of a member: those before its end alone."""
+    level = [co.Event(co.Polynomial({(0, 1, 0): 1.0, (0, 0, 0): c}), name=f"{c}") for c in (-1e-3, 1e-3)]
+    x0 = np.array(FLIPPING) * [[1, 1, 1], [1, -1, 1]]
+    found = co.integrate(BODY, x0, (0, 40), 0.125, events=[*level, co.Event("x2", terminal=True)]).events
+    for m, which in ((0, [0, 2]), (1, [1, 2])):
+        assert found.of(m).which.tolist() == which and np.all(np.diff(found.of(m).t) > 0)
+
+
 def test_a_pair_in_one_step_ends_a_run():
     system, start, h = harmonic(), np.array([np.cos(2.3), -np.sin(2.3), 0.0]), 0.5
     c = np.cos(1e-3)
@@ -243,6 +252,11 @@ def test_a_pair_in_one_step_ends_a_run():
 
 
 def test_attitude_at_events():
+    precise = co.integrate(BODY, FLIPPING, (0, 20), 1 / 16, co.GaussLegendre(6), attitude=True, events=co.Event("x2"))
+    for method in (co.Splitting(order=6), co.GaussLegendre(4)):
+        sol = co.integrate(BODY, FLIPPING, (0, 20), 1 / 16, method, attitude=True, events=co.Event("x2"))
+        # The error of the scheme over 20: some 320 steps of (1/16)^6, and less.
+        assert abs(sol.events.attitude - precise.events.attitude).max() < 320 / 16.0**6
     for method in (co.Splitting(order=4), co.GaussLegendre(3)):
         for attitude in (True, "coadjoint"):
             sol = co.integrate(
