@@ -211,6 +211,20 @@ def test_with_forces_invariants_change_and_what_their_work_leaves_is_the_error()
     assert "at its start" in space.get_title()
 
 
+def test_a_section_has_the_crossings():
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    x0 = [(0.1, 1.0, 0.1), (0.2, 1.0, 0.1)]
+    run = co.integrate(body, x0, (0.0, 60.0), 0.125, events=[co.Event("x2"), co.Event("x1", name="other")])
+    axes = shown(run, Picture("section", event="x2", components=("x3", "x1")))
+    assert axes.get_xlabel() == "$x_{3}$" and axes.get_ylabel() == "$x_{1}$"
+    for m, line in enumerate(axes.lines):
+        own = run.events["x2"].of(m).x
+        np.testing.assert_array_equal(np.transpose([line.get_xdata(), line.get_ydata()]), own[:, [2, 0]])
+    for run, options in ((run, {"event": "x9"}), (co.integrate(body, x0, (0.0, 1.0), 0.125), {})):
+        with pytest.raises(CannotShow):
+            run.plot([Picture("section", **options)])
+
+
 def test_observed_quantities_are_drawn():
     top = co.systems.lagrange_top()
     run = co.integrate(top, (0.1, 0.0, 2.0, 0.6, 0.0, 0.8), (0.0, 2.0), 0.1, observe=top.integrals)

@@ -44,11 +44,7 @@ def draw_crossings(events: Events, components: Any = None, axes: Any = None) -> 
     from matplotlib.figure import Figure
 
     names = events.coordinates
-    if len(names) < 2:
-        raise TypeError("crossings are drawn by two coordinates of vectors; plot what you take of these states")
-    if not len(events):
-        raise ValueError("there are no crossings to draw; take a longer run, or another event")
-    across, up = _places(events, components)
+    across, up = places(events, components)
     if axes is None:
         axes = Figure(figsize=(5.2, 4.8), layout="constrained").add_subplot()
     plain_axes(axes)
@@ -65,8 +61,13 @@ def draw_crossings(events: Events, components: Any = None, axes: Any = None) -> 
     return found
 
 
-def _places(events: Events, components: Any) -> tuple[int, int]:
+def places(events: Events, components: Any = None) -> tuple[int, int]:
+    """Return which coordinates are drawn, to the right and upwards; parameters and refusals of `draw_crossings`."""
     names = events.coordinates
+    if len(names) < 2:
+        raise TypeError("crossings are drawn by two coordinates of vectors; plot what you take of these states")
+    if not len(events):
+        raise ValueError("there are no crossings to draw; take a longer run, or another event")
     if components is None:
         most = np.argsort(-np.std(events.x, axis=0), kind="stable")[:2]
         across, up = sorted(most.tolist())
