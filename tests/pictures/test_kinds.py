@@ -220,9 +220,9 @@ def test_a_section_has_the_crossings():
     for m, line in enumerate(axes.lines):
         own = run.events["x2"].of(m).x
         np.testing.assert_array_equal(np.transpose([line.get_xdata(), line.get_ydata()]), own[:, [2, 0]])
-    for run, options in ((run, {"event": "x9"}), (co.integrate(body, x0, (0.0, 1.0), 0.125), {})):
+    for seen, options in ((run, {"event": "x9"}), (co.integrate(body, x0, (0.0, 1.0), 0.125), {})):
         with pytest.raises(CannotShow):
-            run.plot([Picture("section", **options)])
+            seen.plot([Picture("section", **options)])
 
 
 def test_observed_quantities_are_drawn():
