@@ -140,7 +140,8 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
     double *x = reinterpret_cast<double*>(momentum.at), *dx = x + 8 * eights;
     const int64_t watched = work_of_terms(watch.terms, 0, watch.terms.size);
     std::unique_ptr<StepScheme> own;
-    const bool together = crew.last - crew.first >= MEMBERS_TOGETHER;
+    // Events are told by the series of a step, which members that go one after the other have.
+    const bool together = crew.last - crew.first >= MEMBERS_TOGETHER && !schedule.events;
     const Remembered shared = crew.stride || n > SMALL ? Remembered{} : remembered_step(tables, together);
     StepScheme* scheme = shared.scheme.get();
     AlreadyFinished nothing;
