@@ -207,6 +207,10 @@ CALLS = {
                   "progress": False}),
     "accuracy": (lambda accuracy: co.integrate(BODY, X, (0, 1), accuracy=accuracy), {"accuracy": 1e-3}),
     "a state": (lambda a: co.integrate(BODY, (a, 1.0, 1.0), (0, 1), 0.5, co.GaussLegendre(2)), {"a": 1.0}),
+    "Event": (co.Event, {"g": 0, "direction": 1, "count": 2, "terminal": False, "name": "turn"}),
+    "events": (lambda events: co.integrate(BODY, X, (0, 1), 0.1, events=events), {"events": None}),
+    "section": (co.section, {"system": BODY, "x0s": X, "event": co.Event(0), "t_span": (0, 1), "step": 0.1,
+                "method": None, "crossings": None, "threads": None, "progress": False}),
     "an observable": (lambda f: co.integrate(BODY, X, (0, 1), 0.5, observe={"f": f}), {"f": P}),
     "prepare": (co.prepare, {"system": BODY, "method": None, "step": 0.1, "attitude": False, "watch": True,
                 "observe": None, "threads": None}),
@@ -273,8 +277,8 @@ CALLS = {
 }  # fmt: skip
 
 # Made by the library, or called with nothing.
-NOT_CALLED = {"Certificate", "Choice", "Corrector", "Frequencies", "IntegrationError", "LyapunovExponents",
-              "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun", "Solution"}  # fmt: skip
+NOT_CALLED = {"Certificate", "Choice", "Corrector", "Events", "Frequencies", "IntegrationError", "LyapunovExponents",
+              "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun", "Section", "Solution"}  # fmt: skip
 SLOW = [("predicted_drift", "step"), ("certify", "step"), ("exact", "t"), ("level_surface", "box")]
 BY_OTHER_NAMES = {"LieAlgebra", "Polynomial"}
 
