@@ -211,6 +211,7 @@ CALLS = {
     "events": (lambda events: co.integrate(BODY, X, (0, 1), 0.1, events=events), {"events": None}),
     "section": (co.section, {"system": BODY, "x0s": X, "event": co.Event(0), "t_span": (0, 1), "step": 0.1,
                 "method": None, "crossings": None, "threads": None, "progress": False}),
+    "ReversibleSteps": (co.ReversibleSteps, {"base": co.Splitting(), "stride": 0.1, "speed": None}),
     "an observable": (lambda f: co.integrate(BODY, X, (0, 1), 0.5, observe={"f": f}), {"f": P}),
     "prepare": (co.prepare, {"system": BODY, "method": None, "step": 0.1, "attitude": False, "watch": True,
                 "observe": None, "threads": None}),
