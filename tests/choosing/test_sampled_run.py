@@ -61,6 +61,23 @@ def test_others_are_chosen_for_by_themselves(method):
     assert np.array_equal(ready.end(SAMPLE[0], SPAN), again.end(SAMPLE[0], SPAN))
 
 
+def test_steps_of_its_own_are_counted():
+    """Nine times as fast takes nine times as many steps, whose errors add up: such a run is chosen for by itself."""
+    series = co.Taylor(tolerance=1e-9)
+    ready = co.prepare(BODY, series, accuracy=1e-8, x0=SAMPLE, t_span=SPAN)
+    assert ready.choice.method.own_steps
+    assert ready.serves(SAMPLE) and ready.serves(SAMPLE[1]) and not ready.serves(9.0 * SAMPLE)
+    for x0 in 9.0 * on_sphere(3):
+        assert not ready.serves(x0)
+        found, once = ready.run(x0, SPAN), co.integrate(BODY, x0, SPAN, accuracy=1e-8, method=series)
+        assert found.choice == once.choice != ready.choice
+        assert np.array_equal(found.x[-1], once.x[-1]) and np.array_equal(ready.end(x0, SPAN), once.x[-1])
+        assert np.linalg.norm(found.x[-1] - BODY.exact(x0, 40.0)) <= 1e-8 * 9.0
+    mixed = np.array([SAMPLE[0], 9.0 * SAMPLE[1]])
+    assert ready.run(mixed, SPAN).choice != ready.choice
+    assert ready.run(SAMPLE, SPAN).choice == ready.choice
+
+
 def test_a_state_at_rest_and_one_that_is_refused():
     ready = co.prepare(BODY, co.Taylor(16), accuracy=1e-8, x0=[SAMPLE[0], [0.0, 0.0, 0.0]], t_span=SPAN)
     for x0 in ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)):

@@ -23,7 +23,8 @@ from coadjoint.runs.times import span_of
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System, check_system
 
-# The first step of a run may be so many times worse than the worst step of the sample.
+# The first step of a run may be so many times worse than the worst step of the sample, and a run of a scheme that takes
+# steps of its own may take so many times as many as the longest of the sample.
 WORSE = 2.0
 # Steps of the sample that are looked at, of each state.
 LOOKED_AT = 64
@@ -39,7 +40,9 @@ class SampledRun(PreparedRun):
 
     It does not change, and what a run does depends on no run before it. A run is checked by its first step: two steps
     of half the size may differ from it by no more than twice what they differ by anywhere along the motions from the
-    sample, relative to the state. A run that does not pass is chosen for by itself, as `integrate` does it.
+    sample, relative to the state. A scheme that takes steps of its own looks at each of them, and their errors add up:
+    such a run may take twice as many as those of the sample. A run that does not pass is chosen for by itself, as
+    `integrate` does it.
 
     Attributes
     ----------
@@ -81,8 +84,11 @@ class SampledRun(PreparedRun):
         self._timed = bool(system.hamiltonian.timed)
         self._once = 0.0, self.signed_step
         self._read: tuple[Any, float] = None, t0
-        own = self.choice.method.own_steps
-        self._allowed = math.inf if own else max(ROUNDED, WORSE * self._worst_along(picked, t0))
+        self._own, self._allowed = self.choice.method.own_steps, math.inf
+        if self._own:
+            self.most_evaluations = WORSE * self._evaluations(picked, t0)
+        else:
+            self._allowed = max(ROUNDED, WORSE * self._worst_along(picked, t0))
 
     def __repr__(self) -> str:
         return f"<run of {self.system!r} prepared for the accuracy {self.choice.accuracy:g}: {self.method}>"
@@ -125,15 +131,17 @@ class SampledRun(PreparedRun):
         t0 = self._start_of(t_span)
         given: dict[str, Any] = {"t_eval": t_eval, "attitude": attitude, "progress": progress, "events": events}
         given |= inputs
-        if not self.serves(x0, t0):
-            alone, choice = self._alone(x0, t_span)
-            return with_choice(alone.run(x0, t_span, save_every, **given), choice)
-        return with_choice(super().run(x0, t_span, save_every, **given), self.choice)
+        if self._own or self.serves(x0, t0):
+            found = super().run(x0, t_span, save_every, **given)
+            if _most(found) <= self.most_evaluations:
+                return with_choice(found, self.choice)
+        alone, choice = self._alone(x0, t_span)
+        return with_choice(alone.run(x0, t_span, save_every, **given), choice)
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
         """Return the state at the end alone, as `PreparedRun.end`; times as in `run`. To check takes 5 us."""
         t0 = self._start_of(t_span)
-        if self.serves(x0, t0):
+        if self._own or self.serves(x0, t0):
             return super().end(x0, t_span)
         return self._alone(x0, t_span)[0].run(x0, t_span, EVERY).x[-1]
 
@@ -151,9 +159,8 @@ class SampledRun(PreparedRun):
         -------
         bool
         """
-        if self._allowed == math.inf:
-            # A scheme in steps of its own looks at each of them.
-            return True
+        if self._own:
+            return self._evaluations(x0, t0) <= self.most_evaluations
         once = (t0, t0 + self.signed_step) if self._timed else self._once
         try:
             whole, halves = self._whole.end(x0, once), self._halves.end(x0, once)
@@ -170,6 +177,10 @@ class SampledRun(PreparedRun):
             return bool(sum(map(mul, off, off)) <= self._allowed**2 * size)
         # Of zero there is nothing to compare. Where squares leave the range of float64, the run is chosen for.
         return not (any(one) or any(other))
+
+    def _evaluations(self, x0: Any, t0: float) -> float:
+        """Return the most evaluations that a run from one of some states needs, over the time that was prepared."""
+        return _most(self._whole.run(x0, (t0, t0 + self._time), EVERY))
 
     def _worst_along(self, sample: NDArray[np.float64], t0: float) -> float:
         """Return the largest difference along the motions from a sample, relative to the state."""
@@ -206,6 +217,10 @@ class SampledRun(PreparedRun):
         given: Any = {"attitude": self._asked["attitude"], "methods": self._among}
         choice = choose(self.system, x0, t_span, self.choice.accuracy, **given)
         return PreparedRun(self.system, choice.method, choice.step, **cast(Any, self._asked)), choice
+
+
+def _most(found: Solution) -> float:
+    return float(np.max(found._state["evaluations"]))
 
 
 def _squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

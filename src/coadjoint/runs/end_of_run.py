@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from math import copysign
 from typing import TYPE_CHECKING, Any
@@ -45,9 +46,10 @@ class EndOfRun:
     _clear: Callable[[float], None]
     _momentum: NDArray[np.float64]
     _end: NDArray[np.float64]
+    _evaluations: NDArray[Any]
 
     def __init__(self, ready: PreparedRun) -> None:
-        self._ready = ready
+        self._ready, self._most = ready, ready.most_evaluations
         self._shape = (ready.system.dim,)
         self._stop = Stop()
         self._span: Any = None
@@ -80,6 +82,8 @@ class EndOfRun:
         if wrong:
             # A run in place of this call fails too, and says where. What a function has raised it raises there.
             self._loops.raised()
+            return None
+        if self._most < math.inf and self._evaluations[0] > self._most:
             return None
         return self._end.copy()
 
@@ -123,3 +127,4 @@ class EndOfRun:
         dim = self._shape[0]
         self._clear = self._state["momenta"].fill
         self._momentum, self._end = self._state["momenta"][0, :dim], self._saved["x"][1, 0, :dim]
+        self._evaluations = self._state["evaluations"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Mapping
 from functools import partial
@@ -48,6 +49,9 @@ class PreparedRun:
     system, method, step
         What runs. With inputs the method has the parts written out that it chose for the system.
     """
+
+    most_evaluations: float = math.inf
+    """`end` leaves runs that take more to `run`."""
 
     def __init__(
         self,
