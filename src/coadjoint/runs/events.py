@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_EVENTS = 64
+MOST_CROSSINGS = 2**53
 PER_CROSSING = ("t", "x", "which", "member", "direction")
 
 
@@ -82,11 +83,12 @@ class Event:
                 f"g of an event is {short(self.g)}; give a coordinate by number or name, a Polynomial, or a function "
                 "of x or (x, t)"
             )
-        if isinstance(self.direction, bool) or self.direction not in (0, 1, -1):
+        whole = isinstance(self.direction, int | np.integer) and not isinstance(self.direction, bool)
+        if not whole or self.direction not in (0, 1, -1):
             raise ValueError(f"direction of an event is {short(self.direction)}; it must be 1, -1, or 0 for both")
         keep(self, "direction", int(self.direction))
         if self.count is not None:
-            keep(self, "count", read_whole(self.count, "count of an event"))
+            keep(self, "count", read_whole(self.count, "count of an event", 1, MOST_CROSSINGS))
         keep(self, "terminal", read_flag(self.terminal, "terminal"))
         if self.name is not None:
             keep(self, "name", read_title(self.name, "name of an event"))

@@ -60,6 +60,8 @@ class Loops(ABC):
         How many numbers a member remembers from step to step.
     rows : int
         Of the matrices that move, or 0.
+    measures : bool
+        Whether `measure` has something to do.
     block : int
         So many members with the same tables go side by side.
     turned : callable
@@ -73,6 +75,7 @@ class Loops(ABC):
     size: int
     memory: int
     rows: int = 0
+    measures: bool = False
     block: int = 1
     turned: Turned
     _plan: Plan | None = None
@@ -215,6 +218,7 @@ class SystemLoops(Loops):
         plain = unforced(system)
         self.rows = rows_of(system)
         self._matrices = plain if isinstance(plain, MatrixSystem) else None
+        self.measures = self._matrices is not None
         if self._matrices:
             count = (1 + len(followed)) * (2 if self.accounts else 1) - 1
             watch = watch_tables(system, dict.fromkeys(map(str, range(count)), NOTHING))

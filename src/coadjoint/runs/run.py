@@ -144,7 +144,7 @@ class Run:
             self.state.arrays = self.state.arrays.take(place, 0)
             if last == self.times.steps:
                 self.saved = self.saved.take(place, 1)
-        if self.loops.rows:
+        if self.loops.measures:
             new = np.flatnonzero((self.times.saved <= last) & ((self.times.saved > first) | (first == 0)))
             self.loops.measure(self.times, self.start, self.saved, self.state["worst"], new)
 

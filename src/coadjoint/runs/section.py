@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.given import read_whole
 from coadjoint.methods.base import Method
-from coadjoint.runs.events import Event, Events
+from coadjoint.runs.events import MOST_CROSSINGS, Event, Events
 from coadjoint.runs.integrate import integrate
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
@@ -152,7 +152,7 @@ def section(
     if not isinstance(event, Event):
         raise TypeError(f"event is {short(event)}; give an Event, such as co.Event('x1', direction=1)")
     if crossings is not None:
-        event = replace(event, count=read_whole(crossings, "crossings"), terminal=True)
+        event = replace(event, count=read_whole(crossings, "crossings", 1, MOST_CROSSINGS), terminal=True)
     options: Any = {"accuracy": accuracy, "threads": threads, "progress": progress, "events": event}
     sol = integrate(system, x0s, t_span, step, method, save_every=NEVER, watch=False, **options)
     assert sol.events is not None
