@@ -97,6 +97,10 @@ struct Series {
         if constexpr (W == 8) {
             if (blocks == 2 && most == 2) return expand_unrolled<2, written_out, 2>(h);
             if (blocks == 3 && most == 2) return expand_unrolled<3, written_out, 2>(h);
+            // Rows of any numbers of products.
+            if (blocks == 1) return expand_unrolled<1, written_out, 0>(h);
+            if (blocks == 2) return expand_unrolled<2, written_out, 0>(h);
+            if (blocks == 3) return expand_unrolled<3, written_out, 0>(h);
         }
         Held<0> held(field.products, factors.at, order);
         Newest<0, W> newest(x.at);
