@@ -237,3 +237,19 @@ def test_it_is_offered_where_an_attitude_is_asked_for():
     fine = co.integrate(system, x, (0, 20), 2**-6, co.Splitting(order=10), attitude=True)
     # Entries of 4 x 4 rotations move by twice what those of the momentum do, and along with them.
     assert np.max(np.abs(run.attitude[-1] - fine.attitude[-1])) < 4e-9
+
+
+@pytest.mark.parametrize("span", [(0.0, 3.0), (3.0, 0.0)])
+def test_terms_that_vanish_by_chance_end_no_series(span):
+    """A body that turns about one axis by t^3: of the terms of its group element two of three are zero."""
+    algebra = co.algebras.direct_sum(co.algebras.so(3), co.algebras.heisenberg(1))
+    system = co.LiePoissonSystem(algebra, co.Polynomial({(1, 0, 0, 2, 0, 0): 0.5, (0, 0, 0, 0, 1, 0): 1.0}))
+    x0 = np.array([0.3, 0.5, -0.2, 0.0, 0.1, 1.5])
+    run = co.integrate(system, x0, span, 3.0, co.Taylor(order=6, projected=False), attitude="coadjoint")
+    angle = 1.5**2 * 3.0**3 / 6.0
+    turned = run.attitude[-1][:3, :3]
+    there = np.array([[np.cos(angle), abs(np.sin(angle))], [abs(np.sin(angle)), np.cos(angle)]])
+    # Turned in parts: each is a product of matrices that rounds some entries of size 1.
+    bound = 512 * 2.0**-53 * angle
+    assert np.abs(np.abs(turned[1:, 1:]) - np.abs(there)).max() <= bound
+    assert np.sign(turned[1, 1]) == np.sign(np.cos(angle)) and abs(turned[0, 0] - 1.0) <= bound

@@ -269,6 +269,7 @@ def test_turns_between_saved_points_are_counted(method, members):
     # What is not looked at is not judged.
     for key, each in {"log C": values, "energy": others.energy}.items():
         assert others.drift()[key] == np.abs(each - each[0]).max()
+        assert not others.drift()[key].tenths[..., 1:8].any()  # saved are the steps 0, 70 and 80
 
 
 def test_observables():
