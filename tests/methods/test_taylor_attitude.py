@@ -253,3 +253,14 @@ def test_terms_that_vanish_by_chance_end_no_series(span):
     bound = 512 * 2.0**-53 * angle
     assert np.abs(np.abs(turned[1:, 1:]) - np.abs(there)).max() <= bound
     assert np.sign(turned[1, 1]) == np.sign(np.cos(angle)) and abs(turned[0, 0] - 1.0) <= bound
+
+
+def test_what_rounding_leaves_of_the_group_element_is_kept():
+    """Of short steps the change is rounded, not the element: 10^5 roundings of that would add up to hundreds of u."""
+    body, step, count = co.systems.rigid_body(inertia=(1, 2, 3)), 2.0**-10, 10**5
+    run = co.integrate(
+        body, (0.3, 0.5, -0.4), (0, count * step), step, co.Taylor(order=6), attitude=True, save_every=count
+    )
+    element = run.attitude[-1]
+    turned = np.linalg.norm((0.3, 0.25, 0.4 / 3)) * count * step
+    assert np.abs(element.T @ element - np.eye(3)).max() <= 2.0 * turned * 2.0**-53
