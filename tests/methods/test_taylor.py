@@ -12,6 +12,7 @@ import pytest
 import coadjoint as co
 from coadjoint.methods.power_series import Dual, PowerSeries, expand
 from coadjoint.methods.projection import independent
+from energies import polynomial
 
 U = 2.0**-53
 
@@ -20,17 +21,6 @@ def random_matrix(n, seed, density=1.0):
     rng = np.random.default_rng(seed)
     B = rng.uniform(-1.0, 1.0, (n, n)) * (rng.uniform(size=(n, n)) < density)
     return np.round(np.diag(np.linspace(0.5, 1.5, n)) + 0.2 * (B + B.T), 3)
-
-
-def polynomial(n, degree, seed):
-    """Return a polynomial with some monomials of every degree up to the given one."""
-    rng = np.random.default_rng(seed)
-    squares = {tuple(2 * (k == i) for k in range(n)): 0.5 + 0.125 * i for i in range(n)}
-    for d in range(1, degree + 1):
-        for _ in range(3):
-            exponents = np.bincount(rng.integers(0, n, d), minlength=n)
-            squares[tuple(exponents.tolist())] = float(np.round(rng.uniform(-0.25, 0.25), 3))
-    return co.Polynomial(squares)
 
 
 def spins(count, M):

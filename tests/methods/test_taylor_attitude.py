@@ -11,6 +11,7 @@ import coadjoint as co
 from coadjoint.algebra.representation import invariant_form
 from coadjoint.methods.power_series import PowerSeries, expand
 from coadjoint.rounding import UNIT_ROUNDOFF
+from energies import polynomial
 from moments import moments
 
 ALGEBRAS = {
@@ -32,22 +33,11 @@ def full(n):
     return np.diag(np.linspace(0.6, 1.4, n)) + 0.2 * (B + B.T)
 
 
-def polynomial(n, degree):
-    """Return a polynomial with some monomials of every degree up to the given one."""
-    rng = np.random.default_rng(n)
-    monomials = {tuple(2 * (k == i) for k in range(n)): 0.5 + 0.125 * i for i in range(n)}
-    for d in range(1, degree + 1):
-        for _ in range(3):
-            exponents = np.bincount(rng.integers(0, n, d), minlength=n)
-            monomials[tuple(exponents.tolist())] = float(np.round(rng.uniform(-0.25, 0.25), 3))
-    return co.Polynomial(monomials)
-
-
 def system_on(name, degree=2, sign=-1):
     algebra = ALGEBRAS[name]
     n = algebra.dim
     if degree > 2:
-        return co.LiePoissonSystem(algebra, polynomial(n, degree), sign=sign)
+        return co.LiePoissonSystem(algebra, polynomial(n, degree, n), sign=sign)
     H = co.Quadratic(full(n), linear=np.linspace(-0.3, 0.4, n))
     return co.LiePoissonSystem(algebra, H, sign=sign)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from energies import polynomial
 
 ALGEBRAS = {
     name: co.algebras.get(name) for name in ("so(3)", "A3,1", "gl(2)", "A5,3", "e(3)", "so(2,2)", "su(3)", "so(5)")
@@ -22,12 +23,7 @@ def hamiltonian(n, degree, seed):
     if degree <= 2:
         B = rng.uniform(-0.3, 0.3, (n, n)) * (rng.uniform(size=(n, n)) < (1.0 if seed % 2 else 0.2))
         return co.Quadratic((np.diag(np.linspace(0.6, 1.4, n)) + B + B.T) * (degree == 2), linear=linear)
-    monomials = {tuple(2 * (k == i) for k in range(n)): 0.5 + 0.125 * i for i in range(n)}
-    for d in range(1, degree + 1):
-        for _ in range(3):
-            exponents = np.bincount(rng.integers(0, n, d), minlength=n)
-            monomials[tuple(exponents.tolist())] = float(np.round(rng.uniform(-0.25, 0.25), 3))
-    return co.Polynomial(monomials)
+    return polynomial(n, degree, rng)
 
 
 def system_on(name, degree, seed=0):
