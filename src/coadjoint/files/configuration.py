@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.errors import in_one_line
 from coadjoint.extras import need
 from coadjoint.files.configuration_parts import ConfigurationError, method_of_file, section, system_of_file
+from coadjoint.files.configuration_text import tables_of, text_of
 from coadjoint.files.initial_states import initial_state
 from coadjoint.files.polynomials import read_polynomial
 from coadjoint.files.states_by_name import check_named, state_by_name
+from coadjoint.files.sweeps import Sweep, read_sweep
+from coadjoint.files.swept_members import swept_states, swept_system
+from coadjoint.files.swept_settings import as_coordinates
 from coadjoint.files.written_events import event_of_file
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import Method
@@ -26,23 +28,19 @@ from coadjoint.runs.any_time import moments_of
 from coadjoint.runs.events import Event
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import times_of
+from coadjoint.systems.batch import Batch
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-
-MOST_BYTES = 2**28
-MOST_NESTED = 64
-_STRING = r"""\"{3}(?:[^\\]|\\.)*?\"{3}|'{3}.*?'{3}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'"""
-_NESTING = re.compile(rf"{_STRING}|\#[^\n]*|[\[{{\]}}]", re.DOTALL)
-# The time of the TOML reader grows like the third power of the number of parts.
-_LONG_KEY = re.compile(rf"(?<![\w.])(?:(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')[ \t]*\.[ \t]*){{{MOST_NESTED}}}")
-_LONG_NUMBER = re.compile(r"\d[\d_]{3999,}")
 
 __all__ = ["Configuration", "ConfigurationError", "load"]
 
 if TYPE_CHECKING:
     import xarray
+    from pydantic import BaseModel
 
     from coadjoint.files.configuration_models import File
     from coadjoint.runs.solution import Solution
+
+    Model = TypeVar("Model", bound=BaseModel)
 
 
 @dataclass(frozen=True)
@@ -57,6 +55,8 @@ class Configuration:
         As for `coadjoint.integrate`.
     output, figure, movie : str or None
         Where the file wants the results; relative to the current directory.
+    swept : mapping
+        Of a sweep: place of the file -> what it is set to, one for each member.
     text : str
         The file itself, kept with the results.
 
@@ -92,6 +92,7 @@ class Configuration:
     output: str | None = None
     figure: str | None = None
     movie: str | None = None
+    swept: Mapping[str, list[Any]] = field(default_factory=dict, repr=False)
     text: str = field(default="", repr=False)
 
     def integrate(self, progress: bool = False) -> Solution:
@@ -139,7 +140,8 @@ class Configuration:
         every = times_of(self.t_span, self.step, self.save_every).points
         points = every if self.t_eval is None else 2 * len(self.t_eval)
         start = start_of(self.system, serving(self.system, self.method), self.x0, self.attitude)
-        numbers = self.system.dim + start.groups.shape[1] ** 2 + 1 + len(self.system.casimirs) + len(self.observe)
+        first = self.system[0] if isinstance(self.system, Batch) else self.system
+        numbers = first.dim + start.groups.shape[1] ** 2 + 1 + len(first.casimirs) + len(self.observe)
         needed, free = 8 * points * len(start.momenta) * numbers, available()
         if needed > free:
             raise ConfigurationError(
@@ -150,6 +152,8 @@ class Configuration:
     def dataset(self, solution: Solution) -> xarray.Dataset:
         """Return a solution of this configuration as a dataset, the text of the file among its attributes.
 
+        What a sweep sets is a coordinate along the members, ``swept_inertia_2`` for instance.
+
         Parameters
         ----------
         solution : Solution
@@ -159,7 +163,13 @@ class Configuration:
         -------
         xarray.Dataset
         """
-        return solution.to_xarray().assign_attrs(configuration=self.text)
+        found = solution.to_xarray().assign_attrs(configuration=self.text)
+        return found.assign_coords(
+            {
+                name: ("member", values, {"long_name": place})
+                for name, (place, values) in as_coordinates(self.swept).items()
+            }
+        )
 
 
 def load(path: str | Path) -> Configuration:
@@ -187,74 +197,26 @@ def load(path: str | Path) -> Configuration:
     coadjoint.files.configuration_parts.ConfigurationError: none.toml: cannot be read (No such file or directory)
     """
     need("reading a configuration file", "pydantic")
+    from coadjoint.files.configuration_models import File, OfSweep
+
+    name, text = str(path), text_of(path)
+    raw, sweep = tables_of(name, text), None
+    if "sweep" in raw:
+        sweep = read_sweep(name, raw, _checked(name, OfSweep, raw).sweep)
+        raw = sweep.raw_of(0)
+    return _configuration(name, text, _checked(name, File, raw), sweep)
+
+
+def _checked(name: str, model: type[Model], raw: Mapping[str, Any]) -> Model:
+    """Return what a file says as a model, or refuse it by its key."""
     from pydantic import ValidationError
 
-    from coadjoint.files.configuration_models import File, first_error
+    from coadjoint.files.configuration_models import first_error
 
-    name, text = str(path), _text(path)
     try:
-        file = File.model_validate(_parsed(name, text))
+        return model.model_validate(raw)
     except ValidationError as error:
         raise ConfigurationError(f"{name}: {': '.join(first_error(error))}") from None
-    return _configuration(name, text, file)
-
-
-def _text(path: str | Path) -> str:
-    try:
-        with open(path, "rb") as file:
-            # A device may have no end, and a dataset that is taken for a configuration may be huge.
-            given = file.read(MOST_BYTES + 1)
-    except (OSError, ValueError) as reason:
-        raise ConfigurationError(f"{path}: cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
-    if len(given) > MOST_BYTES:
-        raise ConfigurationError(f"{path}: is longer than {MOST_BYTES} bytes; give long ensembles in Python")
-    try:
-        return given.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
-    except UnicodeDecodeError as reason:
-        raise ConfigurationError(f"{path}: is not text in UTF-8 (byte {reason.start}); save it as such") from None
-
-
-def _parsed(name: str, text: str) -> dict[str, Any]:
-    found = _LONG_KEY.search(text)
-    if found is not None:
-        raise _wrong_at(name, text, found.start(), f"a key has more than {MOST_NESTED} parts")
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as reason:
-        said = str(reason)
-    except RecursionError:
-        raise _wrong_at(
-            name, text, _deepest(text), f"lists and tables are nested deeper than {MOST_NESTED}; nest less"
-        ) from None
-    except ValueError as reason:
-        # Python does not convert whole numbers of so many digits.
-        digits = _LONG_NUMBER.search(text)
-        place = len(text) if digits is None else digits.start()
-        raise _wrong_at(name, text, place, "a whole number has too many digits" if digits else str(reason)) from None
-    at = re.search(r" \(at line (\d+), column (\d+)\)$", said)
-    line, column = (int(at[1]), int(at[2])) if at else _line_and_column(text, len(text))
-    said = re.sub(r" \(at [^()]*\)$", "", said)
-    raise ConfigurationError(f"{name}: line {line}, column {column}: {said[:1].lower()}{in_one_line(said[1:], 300)}")
-
-
-def _wrong_at(name: str, text: str, place: int, said: str) -> ConfigurationError:
-    line, column = _line_and_column(text, place)
-    key = re.match(r"\s*([\w.-]{1,60})\s*=", text[: place + 1].rpartition("\n")[2])
-    return ConfigurationError(f"{name}: line {line}, column {column}: {key[1] + ': ' if key else ''}{said}")
-
-
-def _line_and_column(text: str, place: int) -> tuple[int, int]:
-    return text.count("\n", 0, place) + 1, place - text.rfind("\n", 0, place)
-
-
-def _deepest(text: str) -> int:
-    """Return the place of the first bracket that is nested too deeply."""
-    depth = 0
-    for found in _NESTING.finditer(text):
-        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(found[0], 0)
-        if depth > MOST_NESTED:
-            return found.start()
-    return len(text)
 
 
 def _method(name: str, file: File, system: Any) -> Method:
@@ -264,17 +226,20 @@ def _method(name: str, file: File, system: Any) -> Method:
     return suggested_scheme(cast(Any, system)) if isinstance(system, MatrixSystem) else Splitting()
 
 
-def _configuration(name: str, text: str, file: File) -> Configuration:
+def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Configuration:
+    from coadjoint.files.configuration_models import File as Tables
+
     check_named(name, file)
-    system: Any = system_of_file(name, file)
+    checked = partial(_checked, name, Tables)
+    system: Any = system_of_file(name, file) if sweep is None else swept_system(sweep, file, checked)
     method = _method(name, file, system)
     with section(name, "method"):
-        check_serves(system, method)
+        check_serves(system[0] if isinstance(system, Batch) else system, method)
     with section(name, "run"):
         times = times_of(file.run.t_span, file.run.step, file.run.save_every)
         if file.run.t_eval is not None:
             moments_of(file.run.t_eval, times, file.run.save_every)
-    x0 = state_by_name(name, file.initial, system)
+    x0 = state_by_name(name, file.initial, system) if sweep is None else swept_states(sweep, file, system, checked)
     with section(name, "initial.x"):
         x0 = initial_state(system, file.initial.x, Path(name).parent) if x0 is None else x0
         start_of(system, serving(system, method), x0, False)
@@ -307,5 +272,6 @@ def _configuration(name: str, text: str, file: File) -> Configuration:
         output=file.output.file,
         figure=file.output.figure,
         movie=file.output.movie,
+        swept={} if sweep is None else sweep.values,
         text=text,
     )

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from coadjoint.algebra.exact import fits
 from coadjoint.errors import in_one_line, nearest
+from coadjoint.files.sweep_models import SweepTable
 from coadjoint.wording import short
 
 SHOWN = 60
@@ -194,11 +195,18 @@ class File(Table):
     casimirs: dict[Name, Written] | None = None
     forces: list[dict[str, Any]] = []
     initial: InitialTable
+    sweep: SweepTable | None = None
     method: dict[str, Any] | None = None
     run: RunTable
     observe: dict[Name, Written] = {}
     events: dict[Name, EventTable] = {}
     output: OutputTable = OutputTable()
+
+
+class OfSweep(BaseModel):
+    """The sweep of a file alone, which says what the rest of it is."""
+
+    sweep: SweepTable
 
 
 def unknown_key(key: str, known: Iterable[str]) -> str:

@@ -43,7 +43,7 @@ def initial_state(system: Any, given: Any, folder: Path) -> Any:
     [[1j, (2+0j)], [(-2+0j), -1j]]
     """
     if isinstance(given, str):
-        return _from_file(folder / given, given)
+        return array_of_file(folder / given, given)
     if not (isinstance(system, MatrixSystem) and system.complex):
         return given
     array = np.array(given, dtype=np.float64)
@@ -51,7 +51,14 @@ def initial_state(system: Any, given: Any, folder: Path) -> Any:
     return array[..., 0] + 1j * array[..., 1] if pairs else array
 
 
-def _from_file(path: Path, named: str) -> NDArray[Any]:
+def array_of_file(path: Path, named: str) -> NDArray[Any]:
+    """Return the array of numbers in a file ``.npy``; nothing in it is executed.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be read, holds no numbers, or more than fit into memory; it is called as it was `named`.
+    """
     if path.suffix != SUFFIX:
         raise ValueError(f"{short(named)} is no state; give numbers, or the name of a file {SUFFIX}")
     try:

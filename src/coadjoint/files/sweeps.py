@@ -1,0 +1,248 @@
+"""Which members does the sweep of a configuration file have? Each is the file with other values at some places."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import in_one_line
+from coadjoint.files.configuration_parts import ConfigurationError, section
+from coadjoint.files.initial_states import array_of_file
+from coadjoint.files.swept_settings import SAMPLES, settings_of, together_with
+from coadjoint.memory import check_room
+from coadjoint.wording import short
+
+if TYPE_CHECKING:
+    from coadjoint.files.sweep_models import SweepTable
+
+Place = tuple[str | int, ...]
+
+BYTES_OF_A_MEMBER = 200
+STATE: Place = ("initial", "x")
+_PART = re.compile(r"([A-Za-z_][\w-]*)((?:\[\d{1,9}\])*)")
+ROOTS = ("system.parameters", "algebra.parameters", "hamiltonian", "forces", "initial")
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Places that are set together, and what they are set to: place -> settings, all of one length."""
+
+    settings: Mapping[str, Any]
+    length: int
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Members of a configuration file: all combinations of the settings of its axes, the last axis the fastest.
+
+    Parameters
+    ----------
+    name : str
+        The file, for messages.
+    raw : mapping
+        What the file says, without checks.
+    axes : tuple of Axis
+        In the order in which the file names their first places.
+    orbits : frozenset of str
+        Places whose settings are elements of the algebra, by which the written state is moved.
+    """
+
+    name: str
+    raw: Mapping[str, Any]
+    axes: tuple[Axis, ...]
+    orbits: frozenset[str] = frozenset()
+
+    @property
+    def members(self) -> int:
+        """How many there are."""
+        return math.prod(axis.length for axis in self.axes)
+
+    @cached_property
+    def numbers(self) -> NDArray[np.int64]:
+        """Return which setting of each axis a member has, (members, axes)."""
+        places = np.unravel_index(np.arange(self.members), [axis.length for axis in self.axes])
+        return np.stack(places, axis=1).astype(np.int64)
+
+    @cached_property
+    def values(self) -> dict[str, list[Any]]:
+        """Place -> what it is set to, for each member."""
+        found: dict[str, list[Any]] = {}
+        for axis, numbers in zip(self.axes, self.numbers.T.tolist(), strict=True):
+            for place, settings in axis.settings.items():
+                plain = settings.tolist() if isinstance(settings, np.ndarray) else settings
+                found[place] = [plain[k] for k in numbers]
+        return found
+
+    def axes_of(self, chosen: Callable[[Place], bool]) -> list[int]:
+        """Return the numbers of the axes that have a chosen place."""
+        return [k for k, axis in enumerate(self.axes) if any(chosen(place_of(place)) for place in axis.settings)]
+
+    def raw_of(self, member: int) -> dict[str, Any]:
+        """Return what the file says of one member, with whole states and orbits as they are written."""
+        changed = {place: values[member] for place, values in self.values.items() if place not in self.orbits}
+        return with_values(self.raw, changed, self.name)
+
+    def each(self, axes: list[int], make: Callable[[int], Any]) -> list[Any]:
+        """Return for every member what `make` returns of the first member with the same settings of some axes."""
+        made: dict[tuple[int, ...], Any] = {}
+        found = []
+        for member, numbers in enumerate(self.numbers[:, axes].tolist()):
+            key = tuple(numbers)
+            if key not in made:
+                try:
+                    made[key] = make(member)
+                except ConfigurationError as reason:
+                    raise ConfigurationError(f"{reason} (member {member} of the sweep)") from reason
+            found.append(made[key])
+        return found
+
+
+def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> Sweep:
+    """Return the sweep of a file, its settings drawn and read.
+
+    Parameters
+    ----------
+    name : str
+        The file: for messages, and its folder is where relative names begin.
+    raw : mapping
+        What it says.
+    sweep : SweepTable
+        Its checked table.
+
+    Returns
+    -------
+    Sweep
+
+    Raises
+    ------
+    ConfigurationError
+        A place that cannot be swept, settings that are wrong, arrays of other lengths, or too many members.
+    """
+    axes: dict[str, dict[str, Any]] = {}
+    _check_places(name, sweep.over)
+    for place, table in sweep.over.items():
+        with section(name, f"sweep.over.{place}"):
+            written = _written(raw, place_of(place))
+            random = together_with(place, table) == SAMPLES
+            if isinstance(written, str):
+                state = place_of(place) == STATE and random
+                written = array_of_file(Path(name).parent / written, written) if state else None
+            if written is None and place_of(place) == STATE and random:
+                raise ValueError("initial.x is missing; write a state there, of whose length the random ones are")
+            if table.kind == "orbit" and place_of(place) != STATE:
+                raise ValueError("orbit is of states; give it for 'initial.x'")
+            settings = settings_of(place, table, sweep, written, Path(name).parent)
+            axes.setdefault(together_with(place, table), {})[place] = settings
+    found = tuple(Axis(settings, len(next(iter(settings.values())))) for settings in axes.values())
+    members = math.prod(axis.length for axis in found)
+    with section(name, "sweep.over"):
+        check_room(BYTES_OF_A_MEMBER * len(sweep.over) * members, f"a sweep of {short(members)} members")
+    orbits = frozenset(place for place, table in sweep.over.items() if table.kind == "orbit")
+    return Sweep(name, raw, found, orbits)
+
+
+def place_of(written: str) -> Place:
+    """Return the keys and numbers of a place.
+
+    Examples
+    --------
+    >>> place_of("system.parameters.inertia[2]")
+    ('system', 'parameters', 'inertia', 2)
+    """
+    found: list[str | int] = []
+    for part in written.split("."):
+        match = _PART.fullmatch(part)
+        if match is None:
+            raise ValueError(
+                f"{short(written)} is no place of a file; give one such as 'initial.x[0]' or "
+                "'system.parameters.inertia[2]'"
+            )
+        found += [match[1], *(int(number) for number in re.findall(r"\d+", match[2]))]
+    return tuple(found)
+
+
+def _check_places(name: str, over: Iterable[str]) -> None:
+    places: dict[str, Place] = {}
+    for place in over:
+        with section(name, f"sweep.over.{in_one_line(place, 60)}"):
+            keys = place_of(place)
+            if not any(place.startswith((f"{root}.", f"{root}[")) for root in ROOTS):
+                raise ValueError(f"only what lies in {', '.join(ROOTS)} can be swept")
+            if keys[:2] == ("initial", "attitude") or keys == ("initial", "kind"):
+                raise ValueError(f"initial.{keys[1]} is the same for all members")
+            for other, known in places.items():
+                if known[: len(keys)] == keys[: len(known)]:
+                    raise ValueError(f"{other} is swept too, and one lies in the other")
+            places[place] = keys
+
+
+def _written(raw: Any, place: Place) -> Any:
+    """Return what the file has at a place, or None."""
+    found: Any = raw
+    for key in place:
+        try:
+            found = found[key]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return found
+
+
+def with_values(raw: Mapping[str, Any], values: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return what a file says, with other values at some places.
+
+    Parameters
+    ----------
+    raw : mapping
+        What it says; it is not changed.
+    values : mapping
+        Place -> value.
+    name : str
+        The file, for messages.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    ConfigurationError
+        A place is an entry of a list that the file does not have.
+
+    Examples
+    --------
+    >>> with_values({"initial": {"x": [1.0, 2.0]}}, {"initial.x[1]": 5.0}, "run.toml")
+    {'initial': {'x': [1.0, 5.0]}}
+    """
+    found = {key: deepcopy(table) if key != "sweep" else table for key, table in raw.items()}
+    for written, value in values.items():
+        *outer, last = place_of(written)
+        with section(name, f"sweep.over.{written}"):
+            table: Any = found
+            for key in outer:
+                table = _inside(table, key)
+            _check_there(table, last)
+            table[last] = value
+    return found
+
+
+def _inside(table: Any, key: str | int) -> Any:
+    """Return a table in a table, a new one where there is none, or an entry of a list."""
+    _check_there(table, key)
+    return table.setdefault(key, {}) if isinstance(key, str) else table[key]
+
+
+def _check_there(table: Any, key: str | int) -> None:
+    if isinstance(key, str):
+        if not isinstance(table, dict):
+            raise ValueError(f"{key} lies in no table of the file; write it, and sweep over what lies in it")
+    elif not isinstance(table, list) or key >= len(table):
+        raise ValueError(f"the file has no entry {key} there; write all entries, and sweep over some")

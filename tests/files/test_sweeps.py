@@ -1,0 +1,255 @@
+"""Sweeps in configuration files: which members there are, in which order, and that each is what it is alone."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from scipy.linalg import expm
+
+import coadjoint as co
+from coadjoint.files.configuration import ConfigurationError, load
+from coadjoint.files.swept_settings import as_coordinates, drawn, moved_on_orbit
+
+BODY = """
+[system]
+name = "rigid_body"
+parameters = { inertia = [1.0, 2.0, 4.0] }
+[initial]
+x = [1.0, 0.1, 0.5]
+[run]
+t_span = [0.0, 1.0]
+step = 0.125
+[sweep]
+"""
+
+
+@pytest.fixture
+def written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def write(text, name="run.toml"):
+        Path(name).write_text(text)
+        return name
+
+    return write
+
+
+def swept(over, beside=""):
+    return f"{BODY}{beside}\n[sweep.over]\n{over}\n"
+
+
+def test_all_combinations_the_last_place_fastest(written):
+    over = '"system.parameters.inertia[2]" = { linear = [2.5, 4.0], count = 4 }\n"initial.x[1]" = [0.25, -0.5]'
+    found = load(written(swept(over)))
+    assert [body.parameters["inertia"][2] for body in found.system] == [2.5, 2.5, 3.0, 3.0, 3.5, 3.5, 4.0, 4.0]
+    np.testing.assert_array_equal(found.x0[:, 1], [0.25, -0.5] * 4)
+    np.testing.assert_array_equal(found.x0[:, [0, 2]], [[1.0, 0.5]] * 8)
+
+
+def test_each_member_is_the_file_with_its_values(written):
+    """A member alone, from a file without a sweep, has the same bits."""
+    over = (
+        '"system.parameters.inertia[2]" = [2.5, 3.5]\n"initial.x" = { sphere = 2.0 }\n'
+        '"system.parameters.inertia[0]" = { uniform = [0.75, 1.0] }'
+    )
+    found = load(written(swept(over, "samples = 3\nseed = 1")))
+    sol = found.integrate()
+    assert sol.x.shape == (9, 6, 3)
+    for member in range(6):
+        inertia = [found.swept["system.parameters.inertia[0]"][member], 2.0, [2.5, 3.5][member // 3]]
+        alone = BODY.replace("[1.0, 2.0, 4.0]", repr(inertia)).replace("[sweep]", "")
+        alone = alone.replace("[1.0, 0.1, 0.5]", repr(found.x0[member].tolist()))
+        np.testing.assert_array_equal(load(written(alone, "alone.toml")).integrate().x, sol.x[:, member])
+    assert len({tuple(x) for x in found.x0.tolist()}) == 3, "the same samples at both values of the grid"
+
+
+def test_states_alone_are_an_ensemble_of_one_system(written):
+    found = load(written(swept('"initial.x[0]" = { logarithmic = [1e-3, 1.0], count = 4 }')))
+    assert found.system.parameters["inertia"] == (1.0, 2.0, 4.0)
+    np.testing.assert_allclose(found.x0[:, 0], [1e-3, 1e-2, 1e-1, 1.0], rtol=4e-15)
+    assert found.x0[0, 0] == 1e-3 and found.x0[3, 0] == 1.0
+
+
+def test_rows_of_one_file_go_together(written, tmp_path):
+    table = np.array([[2.5, 0.25, 1.0], [3.0, 0.5, 2.0], [3.5, 0.75, 3.0]])
+    np.save(tmp_path / "table.npy", table)
+    np.save(tmp_path / "states.npy", np.eye(3)[:2])
+    over = (
+        '"system.parameters.inertia[2]" = { file = "table.npy", column = 0 }\n"initial.x[1]" = { file = "table.npy", '
+        "column = 1 }"
+    )
+    found = load(written(swept(over)))
+    assert [body.parameters["inertia"][2] for body in found.system] == [2.5, 3.0, 3.5]
+    np.testing.assert_array_equal(found.x0[:, 1], [0.25, 0.5, 0.75])
+    found = load(written(swept('"initial.x" = { file = "states.npy" }\n"initial.attitude" = [true]'.split("\n")[0])))
+    np.testing.assert_array_equal(found.x0, np.eye(3)[:2])
+
+
+def test_states_that_the_file_does_not_write_otherwise(written):
+    text = swept('"initial.x" = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.5]]').replace("x = [1.0, 0.1, 0.5]\n", "")
+    np.testing.assert_array_equal(load(written(text)).x0, [[1.0, 0.0, 0.0], [0.0, 1.0, 0.5]])
+
+
+def test_a_sample_depends_on_seed_place_and_number_alone(written):
+    def states(samples, seed, before=""):
+        text = swept(f'{before}"initial.x" = {{ normal = [0.0, 1.0] }}', f"samples = {samples}\nseed = {seed}")
+        return load(written(text)).x0
+
+    few = states(2, 7)
+    np.testing.assert_array_equal(states(5, 7)[:2], few)
+    np.testing.assert_array_equal(states(2, 7, '"system.parameters.inertia[2]" = { uniform = [3, 4] }\n'), few)
+    assert not np.any(states(2, 8) == few)
+    assert not np.any(drawn("normal", [0.0, 1.0], "initial.y", 7, 2, (3,)) == few)
+
+
+def test_distributions():
+    """Means of 4000 numbers are within five standard errors of those of the distributions."""
+    count = 4000
+    flat = drawn("uniform", [[1.0, -2.0], [3.0, 0.0]], "initial.x", 1, count, (2,))
+    assert np.all((flat >= [1.0, -2.0]) & (flat < [3.0, 0.0]))
+    assert np.all(abs(flat.mean(axis=0) - [2.0, -1.0]) < 5 * 2 / math.sqrt(12 * count))
+    bell = drawn("normal", [[1.0, 0.0], 0.5], "initial.x", 1, count, (2,))
+    assert np.all(abs(bell.mean(axis=0) - [1.0, 0.0]) < 5 * 0.5 / math.sqrt(count))
+    assert np.all(abs(bell.var(axis=0) - 0.25) < 5 * 0.25 * math.sqrt(2 / count))
+    round_ = drawn("sphere", 2.0, "initial.x", 1, count, (3,))
+    np.testing.assert_allclose(np.linalg.norm(round_, axis=1), 2.0, rtol=1e-15)
+    assert np.all(abs(round_.mean(axis=0)) < 5 * 2 / math.sqrt(3 * count))
+
+
+@pytest.mark.parametrize("name", ["so(3)", "e(3)", "sl(2)", "A4,1", "so(4)"])
+def test_orbits_keep_the_casimirs(name):
+    """Exponents of size 2: series of alternating sums lose at most a factor of e^2 for each piece of size 1."""
+    g = co.algebras.get(name)
+    rng = np.random.default_rng(1)
+    x, u = rng.standard_normal(g.dim), 0.5 * rng.standard_normal(g.dim)
+    y = moved_on_orbit(g, x, u)
+    assert np.linalg.norm(y - x) > 0.1
+    exact = np.array(expm(g.coadjoint(u)) @ x)
+    np.testing.assert_allclose(y, exact, atol=1e-14 * np.linalg.norm(exact) * math.exp(2))
+    for casimir in g.casimirs().values():
+        assert casimir(y) == pytest.approx(casimir(x), rel=1e-12, abs=1e-12)
+
+
+def test_orbit_of_the_written_state(written):
+    found = load(written(swept('"initial.x" = { orbit = 0.5 }', "samples = 4\nseed = 3")))
+    np.testing.assert_allclose(np.linalg.norm(found.x0, axis=1), np.linalg.norm([1.0, 0.1, 0.5]), rtol=1e-14)
+    assert len({tuple(x) for x in found.x0.tolist()}) == 4
+
+
+def test_states_by_name_forces_and_constants_of_an_algebra(written):
+    fluid = """
+    system = {name = "torus_euler", parameters = {N = 5}}
+    initial = {kind = "random", seed = 1}
+    run = {t_span = [0, 1], step = 0.5}
+    sweep = {over = {"initial.seed" = {linear = [1, 3], count = 3}}}
+    """
+    found = load(written(fluid))
+    alone = load(written(fluid.replace("seed = 1", "seed = 2").partition("sweep =")[0]))
+    np.testing.assert_array_equal(found.x0[1], alone.x0)
+    assert found.x0.shape[0] == 3
+    spiral = """
+    algebra = {name = "A3,7", parameters = {a = 2.0}}
+    hamiltonian = {M = [1.0, 2.0, 0.5]}
+    initial = {x = [0.1, 1.0, 0.2]}
+    forces = [{name = "LinearDamping", rate = 0.1}]
+    run = {t_span = [0, 1], step = 0.5}
+    sweep = {over = {"algebra.parameters.a" = [0.5, 1.0], "hamiltonian.M[1]" = [2, 3], "forces[0].rate" = [0.1, 0.2]}}
+    """
+    found = load(written(spiral))
+    assert len(found.system) == 8
+    assert [system.forces[0].rate for system in found.system] == [0.1, 0.2] * 4
+    assert found.integrate().x.shape == (3, 8, 3)
+
+
+def test_what_is_swept_are_coordinates_of_the_dataset(written, tmp_path):
+    over = '"system.parameters.inertia" = [[1, 2, 3], [1, 2, 2.5]]\n"initial.x[2]" = [0.5, 0.25]'
+    found = load(written(swept(over)))
+    dataset = found.dataset(found.integrate())
+    np.testing.assert_array_equal(dataset["swept_inertia_2"], [3.0, 3.0, 2.5, 2.5])
+    np.testing.assert_array_equal(dataset["swept_x_2"], [0.5, 0.25] * 2)
+    assert dataset["swept_inertia_2"].attrs["long_name"] == "system.parameters.inertia[2]"
+    from coadjoint import cli
+
+    assert cli.main(["run", "run.toml", "--out", "run.nc", "--quiet"]) == 0
+    with xarray.open_dataset("run.nc", engine="h5netcdf") as kept:
+        assert kept.swap_dims(member="swept_x_2").sizes["swept_x_2"] == 4
+        assert kept["swept_inertia_0"].dims == ("member",)
+
+
+def test_coordinates_of_equal_names_are_told_apart():
+    found = as_coordinates(
+        {"hamiltonian.M[1]": [1], "hamiltonian.M.1": [2], "initial.x": [[1, 2]], "initial.kind": ["a"]}
+    )
+    assert list(found) == ["swept_hamiltonian_M_1", "swept_hamiltonian_M_1_2", "swept_kind"]
+
+
+@pytest.mark.parametrize(
+    ("over", "said"),
+    [
+        ("", "sweep: over is empty; name at least one place of the file"),
+        ('"initial.x[3]" = [1.0]', "sweep.over.initial.x[3]: the file has no entry 3 there"),
+        ('"initial.x[0]" = []', "sweep.over.initial.x[0]: is an empty list; give at least one value"),
+        ('"initial.x[0]" = { linaer = [0, 1], count = 2 }', "sweep.over.initial.x[0].linaer: unknown key; did you"),
+        ('"initial.x[0]" = { linear = [0, 1] }', "sweep.over.initial.x[0]: count belongs to a grid"),
+        ('"initial.x[0]" = { linear = [0, 1], count = 1 }', "sweep.over.initial.x[0]: count is 1, and a grid has the"),
+        ('"initial.x[0]" = { linear = [0, 1], uniform = [0, 1] }', "sweep.over.initial.x[0]: has linear and uniform; "),
+        ('"initial.x[0]" = { uniform = [0, 1] }', "sweep: over 'initial.x[0]' is random; give samples, how many, and"),
+        ('"initial.x[0]" = { logarithmic = [0, 1], count = 3 }', "sweep.over.initial.x[0]: logarithmic is [0, 1]; "),
+        ('"initial.x[0]" = { linear = [0, nan], count = 3 }', "sweep.over.initial.x[0]: linear is nan; it must be"),
+        ('"initial.x[0]" = { linear = [0, 1], count = 1000000000000 }', "sweep.over.initial.x[0]: a grid of 10000000"),
+        ('"initial.x[0]" = ["a"]', "initial.x: must be a list of numbers"),
+        ('"initial.x[0]" = [1.0, "a"]', "sweep.over.initial.x[0]: each setting must be of shape (), of numbers"),
+        ('"initial.x" = [[1.0, 2.0, 3.0], [1.0, 2.0]]', "sweep.over.initial.x: "),
+        ('"initial.x" = [[1.0, 2.0, 3.0], [1.0, inf, 1.0]]', "initial.x: x0 contains NaN or infinity"),
+        ('"initial.y" = [1.0]', "initial.y: unknown key; known here: "),
+        ('"initial.attitude" = [true]', "sweep.over.initial.attitude: initial.attitude is the same for all members"),
+        ('"run.step" = [0.1]', "sweep.over.run.step: only what lies in system.parameters, "),
+        ('"method.order" = [2, 4]', "sweep.over.method.order: only what lies in system.parameters, "),
+        ('"system.name" = ["a"]', "sweep.over.system.name: only what lies in system.parameters, "),
+        ('"initial.x[0" = [1]', "sweep.over.initial.x[0: 'initial.x[0' is no place of a file; give one such as"),
+        ('"initial.x" = [[1.0, 0, 0]]\n"initial.x[0]" = [2.0]', "sweep.over.initial.x[0]: initial.x is swept too"),
+        ('"system.parameters.inertia[2]" = [3.0, -1.0]', "system: inertia[2] is -1; every principal moment must be "
+         "positive (member 1 of the sweep)"),
+        ('"system.parameters.inertai" = [3.0]', "system.parameters.inertai: unknown key; did you mean 'inertia'?"),
+        ('"initial.x" = { file = "no.npy" }', "sweep.over.initial.x: 'no.npy' cannot be read (No such file"),
+        ('"initial.x" = { file = "run.toml" }', "sweep.over.initial.x: 'run.toml' is no state; give numbers, or the"),
+        ('"initial.x[0]" = { sphere = 0 }', "sweep.over.initial.x[0].sphere: must be a positive number, not 0"),
+        ('"forces[0].rate" = [0.1]', "sweep.over.forces[0].rate: the file has no entry 0 there"),
+        ('"initial.x" = [[[1.0, 2.0, 3.0], [1.0, 0.0, 0.0]]]', "initial.x: x0 has the shape (2, 3), an ensemble"),
+    ],
+)  # fmt: skip
+def test_wrong_sweeps(written, over, said):
+    with pytest.raises(ConfigurationError) as error:
+        load(written(swept(over)))
+    message = str(error.value)
+    assert "\n" not in message and message.startswith(f"run.toml: {said}"), message
+
+
+@pytest.mark.parametrize(
+    ("over", "said"),
+    [
+        ('"initial.x[0]" = [1.0]', "sweep: samples and seed belong to random settings"),
+        ('"initial.x" = { sphere = 1.0 }', "sweep.over.initial.x: 1000000000000 samples needs about"),
+        ('"initial.x[0]" = { sphere = 1.0 }', "sweep.over.initial.x[0]: "),
+        ('"system.parameters.inertia" = { orbit = 1.0 }', "sweep.over.system.parameters.inertia: orbit is of states"),
+        ('"initial.x" = { uniform = [[0, 1], [1, 2]] }', "sweep.over.initial.x: "),
+    ],
+)
+def test_wrong_random_sweeps(written, over, said):
+    samples = 10**12 if "needs about" in said else 2
+    with pytest.raises(ConfigurationError) as error:
+        load(written(swept(over, f"samples = {samples}\nseed = 1")))
+    assert str(error.value).startswith(f"run.toml: {said}"), str(error.value)
+
+
+def test_too_many_members_are_refused_before_they_are_made(written):
+    grid = "{ linear = [0.0, 1.0], count = 100000 }"
+    text = swept(f'"initial.x[0]" = {grid}\n"initial.x[1]" = {grid}')
+    with pytest.raises(ConfigurationError, match=r"sweep.over: a sweep of 10000000000 members needs about .* GB"):
+        load(written(text))
+    with pytest.raises(ConfigurationError, match=r"initial.x is missing; write a state there"):
+        load(
+            written(swept('"initial.x" = { sphere = 1.0 }', "samples = 2\nseed = 1").replace("x = [1.0, 0.1, 0.5]", ""))
+        )
