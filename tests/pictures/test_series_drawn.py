@@ -10,9 +10,14 @@ import coadjoint as co
 from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.flips import flips
 from coadjoint.pictures.series import draw_series, envelope, turning_points
+from coadjoint.runs.solution import Solution
 from coadjoint.systems.telling import Picture
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+
+
+def not_to_be_had(self, t):
+    raise ValueError("there are no states between the saved points")
 
 
 def drawn_with(t, values, joined):
@@ -61,8 +66,9 @@ def test_the_envelope_holds_every_value_and_gaps():
 
 @pytest.mark.parametrize(("every", "joined"), [(1, True), (4, True), (60, False)])
 @pytest.mark.parametrize("span", [(0.0, 60.0), (60.0, 0.0)])
-def test_lines_where_the_motion_between_points_is_flat(every, joined, span):
+def test_lines_where_the_motion_between_points_is_flat(every, joined, span, monkeypatch):
     run = co.integrate(BODY, (1.0, 0.2, 0.5), span, 0.05, save_every=every)
+    monkeypatch.setattr(Solution, "at", not_to_be_had)
     assert Drawn(run).close is joined
     lines = run.plot([Picture("components")], axes=Figure().add_subplot()).axes[0].lines
     assert {line.get_linestyle() for line in lines} == {"-" if joined else "None"}

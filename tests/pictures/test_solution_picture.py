@@ -99,7 +99,7 @@ def test_no_casimir_is_said() -> None:
 
 def test_many_coordinates_are_thinned_and_said() -> None:
     body = co.LiePoissonSystem(co.algebras.so(5), co.Quadratic(np.arange(1.0, 11.0)))
-    run = co.integrate(body, np.linspace(-1.0, 1.0, 10), (0.0, 1.0), 0.05)
+    run = co.integrate(body, np.linspace(-1.0, 1.0, 10), (0.0, 1.0), 0.01)
     figure = run.plot()
     assert len(figure.axes) == 2
     components = figure.axes[1]

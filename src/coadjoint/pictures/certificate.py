@@ -39,9 +39,9 @@ def draw_certificate(certificate: Any) -> Figure:
     ['errors against the reference', 'defects']
     """
     need("drawing a certificate", "matplotlib")
-    from matplotlib.figure import Figure
+    from coadjoint.pictures.figure import ShownFigure
 
-    figure = Figure(figsize=(11.0, 7.6), layout="constrained")
+    figure = ShownFigure(figsize=(11.0, 7.6), layout="constrained")
     grid = figure.add_gridspec(2, 2, height_ratios=[1.0, 1.0])
     rows = {row.key: row for row in certificate.rows}
     _draw_errors(figure.add_subplot(grid[0, 0]), rows["order"], certificate.subject["step"])

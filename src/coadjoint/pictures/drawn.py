@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
@@ -9,7 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_choice, read_number, read_whole
+from coadjoint.errors import IntegrationError
+from coadjoint.given import read_choice, read_list, read_number, read_whole
+from coadjoint.pictures.between import few_times, times_between
 from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.style import coordinate
 from coadjoint.runs.solution import Solution
@@ -19,6 +22,7 @@ from coadjoint.systems.kinds import shape_of
 from coadjoint.systems.points import QUIET
 from coadjoint.systems.ready_made import telling_of
 from coadjoint.systems.telling import Telling
+from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
 
@@ -27,7 +31,8 @@ MOST_POINTS = 20_000  # of a curve, more than a printed line can show
 SAMPLED = 64  # stretches between points that are looked at
 NUMBERS_SAMPLED = 2**19  # of large states fewer, but FEWEST_SAMPLED
 FEWEST_SAMPLED = 4
-FLAT = 0.04  # how far a motion may leave the chord, as a part of its range: a circle of 11 points does by as much
+ROUNDS = 4  # of looking at a motion more finely, as often as that shows that it turns faster
+FLAT = 0.015  # how far a motion may leave the chord, as a part of its range: a circle of 11 points does by as much
 
 
 class Drawn:
@@ -37,6 +42,8 @@ class Drawn:
     ----------
     solution : Solution
         The run.
+    members : sequence of int, optional
+        Those that are drawn, from 0, at most 20.
 
     Attributes
     ----------
@@ -58,26 +65,71 @@ class Drawn:
         How many numbers a state has.
     """
 
-    def __init__(self, solution: Solution) -> None:
+    def __init__(self, solution: Solution, members: Any = None) -> None:
         self.solution = solution
-        first = solution.system[0] if isinstance(solution.system, Batch) else solution.system
-        self.system: Any = first
+        chosen = None if members is None else _members(solution, members)
+        self.system: Any = solution.system
+        if isinstance(solution.system, Batch):
+            self.system = solution.system[0 if chosen is None else int(chosen[0])]
         # A system with forces wraps the one that has a name and parameters.
-        self.family: Any = getattr(first, "system", first)
+        self.family: Any = getattr(self.system, "system", self.system)
         self.telling: Telling | None = telling_of(self.family.name)
         self.single = solution.failed is None
         # A matrix of complex numbers is drawn as its real and imaginary parts, in turns.
         states = np.ascontiguousarray(solution.x)
         self._type = states.dtype
         states = states.view(np.float64) if np.iscomplexobj(states) else states
-        self.n = int(np.prod(shape_of(first))) * (self._type.itemsize // states.dtype.itemsize)
+        self.n = int(np.prod(shape_of(self.system))) * (self._type.itemsize // states.dtype.itemsize)
         states = states.reshape(len(solution.t), -1, self.n)
         self.of_members = states.shape[1]
-        self._chosen = spread(self.of_members, MOST_MEMBERS)
+        self._chosen = spread(self.of_members, MOST_MEMBERS) if chosen is None else chosen
         self.t = solution.t
+        self.x = self._of_drawn(states)
+
+    def _of_drawn(self, states: Floats) -> Floats:
         # A crowd of few is seen, not copied: states may be large.
-        seen = states if len(self._chosen) == self.of_members else states[:, self._chosen]
-        self.x = np.swapaxes(seen, 0, 1)
+        every = np.array_equal(self._chosen, np.arange(self.of_members))
+        return np.swapaxes(states if every else states[:, self._chosen], 0, 1)
+
+    @cached_property
+    def between(self) -> Drawn:
+        """The same run with the states between its saved points that smooth curves need, where these can be had.
+
+        They are those of `Solution.at`: parts of steps of the same scheme. Where they cannot be had, for a noise, for
+        members that failed, or since they would be too many, it is the run itself.
+        """
+        if not isinstance(self.solution, Solution) or self.random or len(self.t) < 2 or not np.isfinite(self.x).all():
+            return self
+        try:
+            few = few_times(self)
+            looked, found = self if few is None else self._at(few), self
+            for _ in range(ROUNDS):
+                times = times_between(self, looked)
+                if times is None or len(times) <= len(found.t):
+                    break
+                looked = found = self._at(times)
+        except (TypeError, ValueError, IntegrationError):
+            return self
+        return found
+
+    @cached_property
+    def random(self) -> bool:
+        """Whether a force is a noise: there is no field, and no state between two steps."""
+        return any(force.random for force in getattr(self.system, "forces", ()))
+
+    def _at(self, times: Floats) -> Drawn:
+        """Return the same run at other times, the saved ones among them."""
+        found = self.solution.at(times)
+        filled = copy.copy(self)
+        for name in ("attitude", "rotation", "kept", "joined", "close", "between"):
+            filled.__dict__.pop(name, None)
+        states = np.ascontiguousarray(found.x)
+        states = states.view(np.float64) if np.iscomplexobj(states) else states
+        filled.t, filled.x = times, self._of_drawn(states.reshape(len(times), -1, self.n))
+        carried = self.solution.carried == "representation" and found.attitude is not None
+        filled.__dict__["attitude"] = self.of_each(found.attitude) if carried else None
+        filled.__dict__["between"] = filled
+        return filled
 
     def of_each(self, series: npt.ArrayLike) -> Floats:
         """Return a series of the run, (k, ...) or (k, members, ...), for the members that are drawn, (members, k, ...).
@@ -195,8 +247,8 @@ class Drawn:
 
         The motion leaves the chord by about ``|f(x1) - f(x0)| dt / 8``, with its known field f.
         """
-        if len(kept) < 3:
-            return True
+        if self.random or len(kept) < 3:
+            return not self.random
         finite = np.isfinite(self.x[:, kept]).all(axis=(1, 2))
         x = self.x[int(np.argmax(finite))][kept]
         size = float(np.linalg.norm(np.ptp(x[np.isfinite(x).all(axis=1)], axis=0)))
@@ -208,7 +260,7 @@ class Drawn:
 
     def _bend(self, x: Floats, t: Floats, p: int) -> float:
         dt = float(t[p + 1] - t[p])
-        before, after = (self._slope(x[q], float(t[q])) for q in (p, p + 1))
+        before, after = (self.slope(x[q], float(t[q])) for q in (p, p + 1))
         bend = float(np.linalg.norm(after - before)) * abs(dt) / 8.0
         missed = float(np.linalg.norm(0.5 * dt * (before + after) - (x[p + 1] - x[p])))
         found = max(bend, missed)
@@ -243,10 +295,26 @@ class Drawn:
     def _shaped(self, x: Floats) -> npt.NDArray[Any]:
         return np.ascontiguousarray(x).view(self._type).reshape(shape_of(self.system))
 
-    def _slope(self, x: Floats, t: float) -> Floats:
+    def system_of(self, m: int) -> Any:
+        """Return the system of a member that is drawn; those of a batch differ."""
+        given = self.solution.system
+        return given[int(self._chosen[m])] if isinstance(given, Batch) else self.system
+
+    def slope(self, x: Floats, t: float, m: int = 0) -> Floats:
+        """Return the field of a member at a state, as real numbers."""
         state = self._shaped(x)
-        found = np.ascontiguousarray(self.system.vector_field(state, t), dtype=self._type)
+        found = np.ascontiguousarray(self.system_of(m).vector_field(state, t), dtype=self._type)
         return found.view(np.float64).ravel()
+
+
+def _members(solution: Solution, given: Any) -> npt.NDArray[np.int64]:
+    """Return the numbers of the members that are asked for, checked."""
+    count = 1 if solution.failed is None else len(solution.failed)
+    listed = read_list(given, "members", "give numbers of members, such as [0, 3]")
+    chosen = [read_whole(m, "a member", 0, count - 1) for m in listed]
+    if not chosen or len(chosen) > MOST_MEMBERS or len(set(chosen)) < len(chosen):
+        raise ValueError(f"members are {short(given)}; give from 1 to {MOST_MEMBERS} different numbers of members")
+    return np.array(chosen, dtype=np.int64)
 
 
 def spread(count: int, most: int) -> npt.NDArray[np.int64]:

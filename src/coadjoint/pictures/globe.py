@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.style import INK
+from coadjoint.pictures.style import INK, dots
 
 Floats = npt.NDArray[np.float64]
 
@@ -114,7 +114,7 @@ class Globe:
             return
         flat, depth = self.seen(points)
         for side, strength in ((depth >= 0.0, alpha), (depth < 0.0, 0.28 * alpha)):
-            self.axes.plot(*flat[side].T, linestyle="none", marker=".", markersize=2.5, color=colour, alpha=strength)
+            self.axes.plot(*flat[side].T, color=colour, alpha=strength, **dots(len(points)))
 
     def _path(self, points: Floats, near: dict[str, Any], far: dict[str, Any] | None, zorder: int) -> None:
         flat, depth = self.seen(points)

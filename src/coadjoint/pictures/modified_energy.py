@@ -48,11 +48,11 @@ def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) 
     """
     check_solution(solution)
     need("drawing modified energies", "matplotlib")
-    from matplotlib.figure import Figure
+    from coadjoint.pictures.figure import ShownFigure
 
     given = read_list(orders, "orders", "give whole numbers such as (4, 6)")
     wanted = [read_whole(order, "an order") for order in given]
-    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    figure = ShownFigure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.add_subplot()
     draw_deviations(axes, solution, wanted)
     axes.set_title(f"{solution.system.name}, {solution.method}, step {solution.step:g}".replace("$", r"\$"))

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.pictures.level_surface import level_surface
-from coadjoint.pictures.style import COLOURS, GRID, INK, colour, symbol
+from coadjoint.pictures.style import COLOURS, GRID, INK, colour, dots, symbol
 
 SURFACE = "#B8CCE0"
 LIGHT = np.array([0.3, -0.5, 0.81])  # a direction from above and the left
@@ -77,7 +77,7 @@ def draw_orbit(
     several = len(members) > 1
     for m, orbit in enumerate(members):
         shade, strength = (colour(m), 0.8) if several else (colour(0), 1.0)
-        style = {"linewidth": 0.8 if several else 1.0} if joined else {"linestyle": "none", "marker": ".", "ms": 2.5}
+        style: dict[str, Any] = {"linewidth": 0.8 if several else 1.0} if joined else dots(len(orbit))
         axes.plot(*orbit.T, color=shade, alpha=strength, zorder=5, **style)
         axes.plot(
             *orbit[:1].T,

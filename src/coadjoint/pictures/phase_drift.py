@@ -36,9 +36,9 @@ def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
     ['lead [unit of time]', 'lead - line']
     """
     need("drawing a phase error", "matplotlib")
-    from matplotlib.figure import Figure
+    from coadjoint.pictures.figure import ShownFigure
 
-    figure = Figure(figsize=(7.2, 5.4), layout="constrained")
+    figure = ShownFigure(figsize=(7.2, 5.4), layout="constrained")
     lead, rest = figure.subplots(2, 1, sharex=True)
     line = drift.intercept + drift.slope * drift.t
     lead.plot(drift.t, drift.lead, color=colour(0), linewidth=0.9, label="measured")

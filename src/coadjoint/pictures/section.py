@@ -41,12 +41,12 @@ def draw_crossings(events: Events, components: Any = None, axes: Any = None) -> 
         There are no crossings, states are matrices, or there is no such coordinate.
     """
     need("pictures", "matplotlib")
-    from matplotlib.figure import Figure
+    from coadjoint.pictures.figure import ShownFigure
 
     names = events.coordinates
     across, up = places(events, components)
     if axes is None:
-        axes = Figure(figsize=(5.2, 4.8), layout="constrained").add_subplot()
+        axes = ShownFigure(figsize=(5.2, 4.8), layout="constrained").add_subplot()
     plain_axes(axes)
     size = 2.0 if len(events) <= FEW else max(0.15, 2.0 * (FEW / len(events)) ** 0.5)
     for i, colour in enumerate(COLOURS):

@@ -23,6 +23,21 @@ CELLS: dict[str, tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float
 }
 
 
+ROW = 30
+"""Sites of a chain that are drawn in one row; a longer one is folded into rows, as text is."""
+
+
+def sites_of_row(lattice: Any, count: int) -> int:
+    """Return how many sites a row of a folded chain has; all where it is not folded.
+
+    Examples
+    --------
+    >>> sites_of_row("chain", 20), sites_of_row("chain", 100), sites_of_row("square", 100)
+    (20, 15, 100)
+    """
+    return count if lattice != "chain" or count <= ROW else math.ceil((2.0 * count) ** 0.5)
+
+
 def places_of_sites(lattice: Any, shape: Any, count: int) -> Floats:
     """Return where the sites of a lattice lie in the plane; those of a ring or of any graph lie on a circle.
 
@@ -38,7 +53,7 @@ def places_of_sites(lattice: Any, shape: Any, count: int) -> Floats:
     Returns
     -------
     ndarray, shape (count, 2)
-        Sites one cell after the other, along the last axis first.
+        Sites one cell after the other, along the last axis first. A long chain is folded into rows, the first above.
 
     Raises
     ------
@@ -55,6 +70,10 @@ def places_of_sites(lattice: Any, shape: Any, count: int) -> Floats:
     if not isinstance(lattice, str) or lattice not in CELLS:
         turn = 2.0 * np.pi * np.arange(count) / count
         return np.stack([np.sin(turn), np.cos(turn)], axis=-1) * max(1.0, count / 6.0)
+    row = sites_of_row(lattice, count)
+    if row < count:
+        place = np.arange(count)
+        return np.stack([place % row, -1.4 * (place // row)], axis=-1)
     edges, inside = (np.array(part) for part in CELLS[lattice])
     sizes = np.atleast_1d(shape).tolist()
     cells = np.indices(sizes).reshape(len(sizes), -1).T @ edges

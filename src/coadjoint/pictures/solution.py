@@ -24,7 +24,9 @@ HIGH = 5.6
 WIDE = {True: 6.0, False: 5.4}  # a column of panels over time, or one picture
 
 
-def draw_solution(solution: Solution, panels: Any = None, components: Any = None, axes: Any = None) -> Figure:
+def draw_solution(
+    solution: Solution, panels: Any = None, components: Any = None, axes: Any = None, members: Any = None
+) -> Figure:
     """Return a figure of a run: drift, components, and the pictures that its system wants to show first.
 
     Parameters
@@ -40,6 +42,8 @@ def draw_solution(solution: Solution, panels: Any = None, components: Any = None
         The coordinates that are drawn over time, by number from 0 or by name.
     axes : Axes or sequence of Axes, optional
         Where to draw, one for each panel.
+    members : sequence of int, optional
+        Which members of an ensemble are drawn, from 0; at most 20.
 
     Returns
     -------
@@ -61,7 +65,7 @@ def draw_solution(solution: Solution, panels: Any = None, components: Any = None
     """
     check_solution(solution)
     need("drawing a solution", "matplotlib")
-    drawn = Drawn(solution)
+    drawn = Drawn(solution, members)
     plain = _components(drawn, components)
     prepared = _declared(drawn, plain) if panels is None else _asked(drawn, panels, plain)
     if axes is not None:
@@ -131,12 +135,12 @@ def _drawn_into(axes: Any, prepared: list[tuple[Kind, Paint]]) -> Figure:
 
 
 def _figure(solution: Solution, drawn: Drawn, prepared: list[tuple[Kind, Paint]]) -> Figure:
-    from matplotlib.figure import Figure
+    from coadjoint.pictures.figure import ShownFigure
 
     rows = [(kind, paint) for kind, paint in prepared if kind.over_time]
     columns = _columns([(kind, paint) for kind, paint in prepared if not kind.over_time])
     widths = [WIDE[True]] * bool(rows) + [WIDE[False]] * len(columns)
-    figure = Figure(figsize=(max(7.2, sum(widths)), max(HIGH, 2.4 * len(rows))), layout="constrained")
+    figure = ShownFigure(figsize=(max(7.2, sum(widths)), max(HIGH, 2.4 * len(rows))), layout="constrained")
     grid = figure.add_gridspec(1, len(widths), width_ratios=widths)
     over = grid[0].subgridspec(max(1, len(rows)), 1)
     first: Any = None

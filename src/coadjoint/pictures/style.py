@@ -25,6 +25,18 @@ def colour(i: int) -> str:
     return COLOURS[i % len(COLOURS)]
 
 
+def dots(count: int) -> dict[str, Any]:
+    """Return the style of so many points that no line joins: finer where they are many, so that curves stay thin.
+
+    Examples
+    --------
+    >>> dots(50)["markersize"], dots(20_000)["markersize"]
+    (3.0, 1.0)
+    """
+    size = 3.0 if count <= 500 else max(1.0, 3.0 * (500 / count) ** 0.5)
+    return {"linestyle": "none", "marker": "o", "markersize": size, "markeredgewidth": 0.0}
+
+
 def plain_axes(axes: Axes) -> None:
     """Give flat axes thin lines, a light grid and no box.
 

@@ -543,11 +543,12 @@ class Solution:
 
         return dataset_of(self)
 
-    def plot(self, panels: Any = None, components: Any = None, axes: Any = None) -> Figure:
+    def plot(self, panels: Any = None, components: Any = None, axes: Any = None, members: Any = None) -> Figure:
         """Return a figure: drift, components, and what the system wants to show first.
 
-        Lines are drawn only where the saved points lie close enough to show what lies between them, otherwise dots; an
-        envelope where there are more oscillations than a printed line can show.
+        Lines are drawn only where the motion is known between their points: where the saved points lie too far apart,
+        `at` gives the states between them, at most 10 000 and for some 1.5 s. Where there are none to be had there are
+        dots; an envelope where there are more oscillations than a printed line can show.
 
         Parameters
         ----------
@@ -558,6 +559,8 @@ class Solution:
             The coordinates that are drawn over time, by number from 0 or by name.
         axes : Axes or sequence of Axes, optional
             Where to draw, one for each panel.
+        members : sequence of int, optional
+            Which members of an ensemble are drawn, from 0; at most 20.
 
         Returns
         -------
@@ -579,7 +582,7 @@ class Solution:
         """
         from coadjoint.pictures.solution import draw_solution
 
-        return draw_solution(self, panels, components, axes)
+        return draw_solution(self, panels, components, axes, members)
 
     def movie(
         self,

@@ -35,6 +35,7 @@ def body_axis(
     -------
     Paint
     """
+    drawn = drawn.between
     path, name = axis_in_space(drawn, axis, up)
 
     def paint(axes: Any) -> None:

@@ -24,7 +24,7 @@ def coadjoint_orbit(drawn: Drawn, view: tuple[float, float] = (-60.0, 30.0)) -> 
     -------
     Paint
     """
-    n = drawn.n
+    n, drawn = drawn.n, drawn.between
     if n != 3:
         raise CannotShow(f"the state has {n} coordinates, and a coadjoint orbit is drawn as a surface in 3")
 

@@ -46,7 +46,7 @@ def components(
     -------
     Paint
     """
-    n = drawn.n
+    n, drawn = drawn.n, drawn.between
     chosen = chosen(n) if callable(chosen) else chosen
     functions = functions(n) if callable(functions) else functions
     places = [drawn.place(i) for i in chosen or ()]
@@ -91,7 +91,8 @@ def _mark_flips(axes: Any, drawn: Drawn, i: int) -> None:
     if len(drawn.x) > 1 or not drawn.close:
         return
     times = flips_of(drawn.system, drawn.t, drawn.x[0], i, most=2)
-    if len(times) < 2:
+    # Too near to each other for an arrow between them that is seen.
+    if len(times) < 2 or abs(times[1] - times[0]) < 0.05 * abs(drawn.t[-1] - drawn.t[0]):
         return
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.22 * (high - low))
@@ -101,4 +102,8 @@ def _mark_flips(axes: Any, drawn: Drawn, i: int) -> None:
     arrow = {"arrowstyle": "<->", "color": INK, "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", xy=(times[1], height), xytext=(times[0], height), arrowprops=arrow)
     text = f"{drawn.label(i)} changes sign after {abs(times[1] - times[0]):.6g}"
-    axes.text(times.mean(), height, text, ha="center", va="bottom", fontsize=8, color=INK)
+    left, right = axes.get_xlim()
+    middle = (times.mean() - left) / (right - left)
+    side = "left" if middle < 0.3 else "right" if middle > 0.7 else "center"
+    where = {"left": times.min(), "right": times.max(), "center": times.mean()}[side]
+    axes.text(where, height, text, ha=side, va="bottom", fontsize=8, color=INK)

@@ -45,6 +45,7 @@ def directions(
     -------
     Paint
     """
+    drawn = drawn.between
     paths = {name: _unit(_components(drawn, given)) for name, given in vectors.items()}
 
     def paint(axes: Any) -> None:

@@ -63,7 +63,7 @@ def drift(drawn: Drawn) -> Paint:
         plain = "drift of the energy $H$ and the Casimirs"
         title = "change of the driven energy $H$, drift of the Casimirs" if drawn.driven else plain
         if drawn.left is not None:
-            title = "change of the energy $H$ and the Casimirs, which forces move"
+            title = "change of the energy $H$ and the Casimirs by forces"
         axes.set_title(f"{title}, at the saved points")
         if not any(np.any(values > 0.0) for values in (energy, *deviations.values())):
             axes.text(0.5, 0.5, "no deviation in any bit", transform=axes.transAxes, ha="center", fontsize=9)

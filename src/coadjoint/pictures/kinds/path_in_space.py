@@ -10,7 +10,7 @@ from coadjoint.given import read_whole
 from coadjoint.pictures.drawn import Drawn, spread
 from coadjoint.pictures.orbit import frame_space
 from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import INK, colour, key
+from coadjoint.pictures.style import INK, colour, dots, key
 
 SHOWN = 40  # attitudes along the path
 
@@ -31,6 +31,7 @@ def path_in_space(drawn: Drawn, axis: int = 0) -> Paint:
     Paint
     """
     number = read_whole(axis, "axis", 0, 2)
+    drawn = drawn.between
     g = drawn.attitude
     if g is None or g.shape[-1] != 4:
         raise CannotShow("no motion of SE(3) was carried; integrate with attitude=True")
@@ -41,7 +42,7 @@ def path_in_space(drawn: Drawn, axis: int = 0) -> Paint:
         low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
         reach = 0.09 * float(np.max(high - low)) or 1.0
         for m, (path, direction) in enumerate(zip(positions, pointing, strict=True)):
-            style = {"linewidth": 1.2} if drawn.joined else {"linestyle": "none", "marker": "."}
+            style: dict[str, Any] = {"linewidth": 1.2} if drawn.joined else dots(len(path))
             axes.plot(*path.T, color=colour(m), **style)
             at = spread(len(path), SHOWN)
             ends = np.stack([path[at], path[at] + reach * direction[at], np.full((len(at), 3), np.nan)], axis=1)

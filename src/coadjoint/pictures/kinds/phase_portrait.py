@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import colour, plain_axes
+from coadjoint.pictures.style import colour, dots, plain_axes
 
 Floats = npt.NDArray[np.float64]
 
@@ -50,6 +50,7 @@ def phase_portrait(
     for chosen in (across, up):
         if isinstance(chosen, int) and chosen >= drawn.n:
             raise CannotShow(f"coordinate {chosen} is drawn, and the state has {drawn.n}")
+    drawn = drawn.between
     values = [_of(drawn, chosen) for chosen in (across, up)]
     names = labels or tuple("" if callable(chosen) else drawn.label(drawn.place(chosen)) for chosen in (across, up))
 
@@ -62,7 +63,7 @@ def phase_portrait(
                 shown_x, shown_y = np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan)
             else:
                 shown_x, shown_y = x, y
-            style: dict[str, Any] = {"linewidth": 0.9} if drawn.joined else {"linestyle": "none", "marker": "."}
+            style: dict[str, Any] = {"linewidth": 0.9} if drawn.joined else dots(len(x))
             axes.plot(shown_x, shown_y, color=colour(m), **style)
             axes.plot(x[:1], y[:1], "o", markersize=4, color=colour(m))
         axes.set(xlabel=names[0], ylabel=names[1], title=f"{title} (dot: start)")

@@ -9,7 +9,7 @@ import numpy as np
 from coadjoint.given import read_choice
 from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.sites import places_of_sites
+from coadjoint.pictures.sites import places_of_sites, sites_of_row
 from coadjoint.pictures.style import INK
 
 FLAT = ("plane", "side")
@@ -42,6 +42,8 @@ def spins(drawn: Drawn, at: float = 1.0, seen: str = "plane") -> Paint:
     places = places_of_sites(parameters.get("lattice"), parameters.get("shape"), n // 3)
     if len(places) != n // 3:
         raise CannotShow(f"the lattice has {len(places)} sites, and there are {n // 3} spins")
+    row = sites_of_row(parameters.get("lattice"), n // 3)
+    folded = "" if row == n // 3 else f"\nrows of {row} sites, the first one above"
     flat, out = ((0, 1), 2) if read_choice(seen, "way to see spins", FLAT) == "plane" else ((0, 2), 1)
     k = drawn.at(at)
     size = float(np.linalg.norm(drawn.x[0, k].reshape(-1, 3), axis=1).max()) or 1.0
@@ -51,7 +53,7 @@ def spins(drawn: Drawn, at: float = 1.0, seen: str = "plane") -> Paint:
         return S[:, flat[0]], S[:, flat[1]], S[:, out]
 
     def titled(j: int) -> str:
-        return f"spins at $t$ = {drawn.t[j]:g}: arrows $(S_{flat[0] + 1}, S_{flat[1] + 1})$"
+        return f"spins at $t$ = {drawn.t[j]:g}: arrows $(S_{flat[0] + 1}, S_{flat[1] + 1})${folded}"
 
     def paint(axes: Any) -> Update:
         from matplotlib.colors import LinearSegmentedColormap
