@@ -1,4 +1,7 @@
-"""Write `docs/api.md`, every public name with the first sentence of its text: ``python docs/write_api.py``."""
+"""Write `docs/api.md`, every public name with the first sentence of its text, and what editors read of systems.
+
+``python docs/write_api.py`` writes both.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ from coadjoint.systems.forced import ForcedSystem
 
 PAGE = Path(__file__).with_name("api.md")
 PACKAGE = Path(co.__file__).parent
+SYSTEMS = PACKAGE / "systems" / "__init__.pyi"
 MEMBERS_OF = (
     ("A Lie algebra", co.LieAlgebra),
     ("A polynomial", co.Polynomial),
@@ -94,6 +98,28 @@ all of it: parameters with their shapes, what is returned, what is refused, exam
 def page() -> str:
     """Return the text of the page."""
     return "\n".join([HEAD, *_sections()]) + "\n"
+
+
+def names_of_systems() -> str:
+    """Return what type checkers and editors read of `co.systems`, whose functions are found when it is imported."""
+    functions = {name: getattr(co.systems, name).__module__ for name in co.systems.names()}
+    lines = sorted(f"from {module} import {name} as {name}" for name, module in functions.items())
+    kinds = ("lie_poisson", "LiePoissonSystem"), ("poisson", "PoissonSystem")
+    imports = sorted([*lines, *(f"from coadjoint.systems.{file} import {name}" for file, name in kinds)])
+    listed = "\n".join(f'    "{name}",' for name in co.systems.__all__)
+    return f"""# For type checkers and editors; docs/write_api.py writes it: a system is one file, and registers itself.
+
+from typing import Any
+
+{chr(10).join(imports)}
+
+__all__ = [
+{listed}
+]
+
+def names() -> tuple[str, ...]: ...
+def get(name: str, **parameters: Any) -> LiePoissonSystem | PoissonSystem: ...
+"""
 
 
 def _sections() -> Iterator[str]:
@@ -184,3 +210,4 @@ def _place(value: Any) -> str:
 
 if __name__ == "__main__":
     PAGE.write_text(page(), encoding="utf-8")
+    SYSTEMS.write_text(names_of_systems(), encoding="utf-8")

@@ -39,6 +39,11 @@ def test_the_page_is_what_the_texts_say(api):
     assert api.page() == written, "run python docs/write_api.py"
 
 
+def test_editors_know_every_ready_made_system(api):
+    written = (ROOT / "src/coadjoint/systems/__init__.pyi").read_text(encoding="utf-8")
+    assert api.names_of_systems() == written, "run python docs/write_api.py"
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_links_lead_somewhere(page):
     text = page.read_text(encoding="utf-8")

@@ -155,15 +155,19 @@ if TYPE_CHECKING:
     from coadjoint.systems.split_hamiltonian import SplitHamiltonian as SplitHamiltonian
 
 
-def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        found: Any = importlib.import_module(_MODULES[name])
-    elif name in _HOME:
-        found = getattr(importlib.import_module(_HOME[name]), name)
-    else:
-        raise AttributeError(f"module 'coadjoint' has no attribute {name!r}")
-    globals()[name] = found
-    return found
+if not TYPE_CHECKING:  # for these the names are known, and others are mistakes
+
+    def __getattr__(name: str) -> Any:
+        if name in _MODULES:
+            found: Any = importlib.import_module(_MODULES[name])
+        elif name in _HOME:
+            found = getattr(importlib.import_module(_HOME[name]), name)
+        else:
+            from coadjoint.errors import no_attribute
+
+            raise no_attribute("coadjoint", name, __all__)
+        globals()[name] = found
+        return found
 
 
 def __dir__() -> list[str]:

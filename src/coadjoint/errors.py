@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import sys
 from collections.abc import Iterable
 from typing import Any
 
@@ -102,6 +103,43 @@ def nearest(name: str, known: Iterable[str], least: float = 0.5) -> str | None:
     # What is much longer than every name is compared by its beginning: the time grows like the square of it.
     beginning = name[: 2 * max(map(len, names), default=0)]
     return next(iter(difflib.get_close_matches(beginning, names, n=1, cutoff=least)), None)
+
+
+MOST_LISTED = 40
+"""Names that a message lists; of more it says where they are found."""
+
+
+def no_attribute(module: str, name: str, known: Iterable[str]) -> AttributeError:
+    """Return the error for a name that a module does not have, with the nearest one and the list.
+
+    Parameters
+    ----------
+    module : str
+        As users write it, such as ``"co.systems"``.
+    name : str
+        What was asked for.
+    known : iterable of str
+        The public names.
+
+    Returns
+    -------
+    AttributeError
+        To be raised by the caller.
+
+    Examples
+    --------
+    >>> print(no_attribute("co.systems", "heavi_top", ["heavy_top", "toda"]))
+    co.systems has no attribute 'heavi_top'; did you mean 'heavy_top'? It has: heavy_top, toda
+    """
+    text = f"{module} has no attribute {name!r}"
+    if name.startswith("_"):  # what Python and other libraries look for, to see what a module can do
+        return AttributeError(text)
+    if module != "coadjoint" and name in getattr(sys.modules.get("coadjoint"), "__all__", ()):
+        return AttributeError(f"{text}; it is co.{name}")
+    names = sorted(known)
+    near = nearest(name, names)
+    listed = f"It has: {', '.join(names)}" if len(names) <= MOST_LISTED else f"dir({module}) lists what it has"
+    return AttributeError(text + (f"; did you mean {near!r}? {listed}" if near else f". {listed}"))
 
 
 def in_one_line(message: str, limit: int = 400) -> str:

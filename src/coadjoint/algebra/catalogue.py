@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from coadjoint.algebra.classical import gl, sl, sp
 from coadjoint.algebra.heisenberg import heisenberg
@@ -14,7 +14,7 @@ from coadjoint.algebra.orthogonal import e, se, so
 from coadjoint.algebra.products import copies, direct_sum, semidirect
 from coadjoint.algebra.subspaces import change_of_basis, quotient, subalgebra
 from coadjoint.algebra.unitary import su, u
-from coadjoint.errors import unknown_name
+from coadjoint.errors import no_attribute, unknown_name
 from coadjoint.given import read_whole
 from coadjoint.wording import short
 
@@ -39,6 +39,16 @@ __all__ = [
     "subalgebra",
     "u",
 ]
+
+
+if not TYPE_CHECKING:  # for these the names are known, and others are mistakes
+
+    def __getattr__(name: str) -> Any:
+        raise no_attribute("co.algebras", name, __all__)
+
+
+def __dir__() -> list[str]:
+    return __all__
 
 
 def _sp_by_half(n: int) -> LieAlgebra:

@@ -49,12 +49,16 @@ if TYPE_CHECKING:
     from coadjoint.program.sweeps import Sweep as Sweep
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'coadjoint.methods' has no attribute {name!r}")
-    found = getattr(importlib.import_module(_HOME[name]), name)
-    globals()[name] = found
-    return found
+if not TYPE_CHECKING:  # for these the names are known, and others are mistakes
+
+    def __getattr__(name: str) -> Any:
+        if name not in _HOME:
+            from coadjoint.errors import no_attribute
+
+            raise no_attribute("co.methods", name, __all__)
+        found = getattr(importlib.import_module(_HOME[name]), name)
+        globals()[name] = found
+        return found
 
 
 def __dir__() -> list[str]:

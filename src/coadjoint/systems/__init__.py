@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
+from coadjoint.errors import no_attribute
 from coadjoint.given import check_parameters, read_choice
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
@@ -12,6 +13,16 @@ from coadjoint.systems.ready_made import ready_made_systems
 
 # The functions take the place of the files of the same name: co.systems.rigid_body is the system.
 globals().update(ready_made_systems())
+
+__all__ = sorted([*ready_made_systems(), "get", "names"])
+
+
+def __getattr__(name: str) -> Any:
+    raise no_attribute("co.systems", name, __all__)
+
+
+def __dir__() -> list[str]:
+    return __all__
 
 
 def names() -> tuple[str, ...]:
