@@ -1,12 +1,14 @@
-"""Write `docs/api.md`, every public name with the first sentence of its text, and what editors read of systems.
+"""Write `docs/api.md`, every public name with the first sentence of its text, and what editors read.
 
-``python docs/write_api.py`` writes both.
+That are the names of systems, and `docs/configuration.schema.json`, what `coadjoint schema` prints.
+``python docs/write_api.py`` writes all three.
 """
 
 from __future__ import annotations
 
 import importlib
 import inspect
+import json
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -15,11 +17,13 @@ from typing import Any
 import coadjoint as co
 from coadjoint import commands
 from coadjoint.analysis.certificate import Row
+from coadjoint.files.schema import schema
 from coadjoint.runs.solution import Drift
 from coadjoint.runs.stepper import Stepper
 from coadjoint.systems.forced import ForcedSystem
 
 PAGE = Path(__file__).with_name("api.md")
+SCHEMA = Path(__file__).with_name("configuration.schema.json")
 PACKAGE = Path(co.__file__).parent
 SYSTEMS = PACKAGE / "systems" / "__init__.pyi"
 MEMBERS_OF = (
@@ -63,6 +67,7 @@ USED = {
     "analysis.field_at_points": ("FieldAtPoints",),
     "files.configuration": ("load", "Configuration"),
     "files.export": ("dataset_of", "rebuild", "solution_inputs", "mark_failed"),
+    "files.schema": ("schema",),
     "files.output": ("write_dataset", "write_figure", "write_page", "write_text"),
     "methods.registry": ("forget", "scheme", "parameters_of", "from_description", "description_of"),
     "methods.suggested": ("suggested_scheme",),
@@ -93,6 +98,11 @@ all of it: parameters with their shapes, what is returned, what is refused, exam
 
 `python docs/write_api.py` writes this page, and a test compares the two.
 """
+
+
+def written_schema() -> str:
+    """Return the text of the schema of configuration files."""
+    return json.dumps(schema(), indent=1, ensure_ascii=False) + "\n"
 
 
 def page() -> str:
@@ -211,3 +221,4 @@ def _place(value: Any) -> str:
 if __name__ == "__main__":
     PAGE.write_text(page(), encoding="utf-8")
     SYSTEMS.write_text(names_of_systems(), encoding="utf-8")
+    SCHEMA.write_text(written_schema(), encoding="utf-8")

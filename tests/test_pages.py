@@ -44,6 +44,11 @@ def test_editors_know_every_ready_made_system(api):
     assert api.names_of_systems() == written, "run python docs/write_api.py"
 
 
+def test_the_schema_is_what_the_models_say(api):
+    written = (ROOT / "docs" / "configuration.schema.json").read_text(encoding="utf-8")
+    assert api.written_schema() == written, "run python docs/write_api.py"
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_links_lead_somewhere(page):
     text = page.read_text(encoding="utf-8")

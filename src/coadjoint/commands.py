@@ -263,6 +263,16 @@ def _describe(name: str, parameters: Mapping[str, Any], documentation: str) -> N
     click.echo(f"{name}({shown})\n    {documentation.partition(chr(10))[0]}")
 
 
+@commands.command("schema")
+def print_schema() -> None:
+    """Print the JSON Schema of configuration files, for editors."""
+    import json
+
+    from coadjoint.files.schema import schema
+
+    click.echo(json.dumps(schema(), indent=1, ensure_ascii=False))
+
+
 @commands.command("reproduce")
 @click.option("--out", metavar="DIR", default="figures", show_default=True, help="Folder for the figures.")
 def reproduce(out: str) -> None:

@@ -85,6 +85,17 @@ def names() -> tuple[str, ...]:
     return tuple(sorted([*entries(), *_FAMILIES, *_MEMBERS]))
 
 
+def families() -> dict[str, tuple[str, ...]]:
+    """Return the patterns of families among `names`, with the names of their numbers.
+
+    Examples
+    --------
+    >>> families()["so(p,q)"]
+    ('p', 'q')
+    """
+    return {pattern: numbers for pattern, (_, numbers) in _FAMILIES.items()}
+
+
 def get(name: str, **parameters: Any) -> LieAlgebra:
     """Return an algebra of the catalogue by name.
 

@@ -7,137 +7,81 @@ import typing
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from coadjoint.algebra.exact import fits
 from coadjoint.errors import in_one_line, nearest
+from coadjoint.files.configuration_values import (
+    SHOWN,
+    Attitude,
+    Matrix,
+    Name,
+    Number,
+    Sign,
+    Span,
+    States,
+    Vector,
+    Whole,
+    Written,
+    ending,
+)
 from coadjoint.files.sweep_models import SweepTable
 from coadjoint.wording import short
 
-SHOWN = 60
-SHAPES = {0: "a number", 1: "a list of numbers", 2: "a list of equally long lists of numbers"}
-
-
-def _number(value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    if not fits(value):
-        raise ValueError(
-            f"every number must be finite, and {value} is not"
-            if isinstance(value, float)
-            else f"{short(value)} is too large; every number must be finite in float64"
-        )
-    return True
-
-
-def _depth(value: Any) -> int | None:
-    """Return how many lists lie in one another, of equal lengths and with numbers inside, at most 4; else None."""
-    if not isinstance(value, list):
-        return 0 if _number(value) else None
-    inner = {_depth(entry) for entry in value}
-    if inner == {0}:
-        return 1
-    depth = inner.pop() if len(inner) == 1 else None
-    return depth + 1 if depth in (1, 2, 3) and len({len(row) for row in value}) == 1 else None
-
-
-def _numbers(*depths: int) -> AfterValidator:
-    def check(value: Any) -> Any:
-        if _depth(value) not in depths:
-            raise ValueError(f"must be {' or '.join(SHAPES[depth] for depth in depths)}, not {short(value, SHOWN)}")
-        return value
-
-    return AfterValidator(check)
-
-
-def _attitude(value: Any) -> Any:
-    if not (isinstance(value, bool) or value == "coadjoint" or _depth(value) == 2):
-        raise ValueError(
-            f"must be true, false, 'coadjoint' or a matrix, the initial group element, not {short(value, SHOWN)}"
-        )
-    return value
-
-
-def _states(value: Any) -> Any:
-    named = isinstance(value, str) and value.endswith(".npy")
-    if not (named or _depth(value) in (1, 2, 3, 4)):
-        raise ValueError(
-            f"must be {SHAPES[1]} or {SHAPES[2]}, not {short(value, SHOWN)}; matrices may be lists of these, or in a "
-            "file .npy"
-        )
-    return value
-
-
-def _polynomial(value: Any) -> Any:
-    if not isinstance(value, str | list):
-        raise ValueError(
-            "must be text such as '0.5*x1^2 + x2*x3' or a list of [coefficient, [exponents]], "
-            f"not {short(value, SHOWN)}"
-        )
-    return value
-
-
-def _sign(value: Any) -> Any:
-    if isinstance(value, bool) or value not in (1, -1):
-        raise ValueError(f"must be 1 or -1, not {short(value, SHOWN)}")
-    return value
-
-
-def _name(value: str) -> str:
-    if not value.isprintable():
-        raise ValueError(f"must be printable letters in one line, not {short(value, SHOWN)}")
-    return value
-
-
-Name = Annotated[str, AfterValidator(_name)]
-Number = Annotated[Any, _numbers(0)]
-Matrix = Annotated[Any, _numbers(0, 1, 2)]
-Sign = Annotated[Any, AfterValidator(_sign)]
-Vector = Annotated[Any, _numbers(1)]
-States = Annotated[Any, AfterValidator(_states)]
-Written = Annotated[Any, AfterValidator(_polynomial)]
-Whole = Annotated[int, Field(ge=1)]
-
 
 class Table(BaseModel):
-    """A table of the file: no other keys, no conversions of type."""
+    """A table of the file: no other keys, no conversions of type. What is said of a key goes into the schema too."""
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
 
 class SystemTable(Table):
-    """A ready-made system."""
+    """A ready-made system; `coadjoint systems` lists them."""
 
     name: str
+    """Which one."""
     parameters: dict[str, Any] = {}
+    """Its parameters; those that are left out have their defaults."""
 
 
 class AlgebraTable(Table):
     """An algebra of the catalogue, or one given by brackets."""
 
     name: str | None = None
+    """An algebra of the catalogue, such as "so(4)" or "A3,7"."""
     parameters: dict[str, Any] = {}
+    """Its parameters: numbers without unit."""
     dim: Whole | None = None
+    """The dimension of an algebra of your own; the basis is then e1, e2, ..."""
     basis: list[Name] | None = None
+    """The names of its basis elements, in the order of the coordinates."""
     brackets: list[str] | None = None
+    """Its brackets, such as "[e1, e2] = 2 e3 - e1"; those that are not listed are zero."""
 
 
 class HamiltonianTable(Table):
-    """A quadratic Hamiltonian, or a polynomial."""
+    """The energy H: x.Mx/2 + linear.x + constant, or a polynomial."""
 
     M: Matrix | None = None
+    """A number, the diagonal, or the symmetric matrix (energy per momentum squared)."""
     linear: Vector | None = None
+    """The linear term (energy per momentum)."""
     constant: Number | None = None
+    """What is added to H (an energy)."""
     polynomial: Written | None = None
+    """All of H: text such as "0.5*x1^2 + x2*x3", or a list of [coefficient, [exponents]] (an energy)."""
 
 
 class InitialTable(Table):
     """The initial state, or states; or the kind of one, whose parameters are the further keys."""
 
     x: States | None = None
+    """The initial momentum; a list of them is an ensemble. Or the name of a file .npy, from the folder of this file."""
     kind: str | None = None
+    """A state that the system knows by name; its parameters are the further keys."""
     parameters: dict[str, Any] = {}
-    attitude: Annotated[Any, AfterValidator(_attitude)] = False
+    """The further keys beside `kind`."""
+    attitude: Attitude = False
+    """Whether the group element is carried: true, "coadjoint", or its initial matrix (numbers without unit)."""
 
     @model_validator(mode="before")
     @classmethod
@@ -159,47 +103,67 @@ class InitialTable(Table):
 class RunTable(Table):
     """The times of the run, and what is saved and watched."""
 
-    t_span: Annotated[Any, _numbers(1)]
+    t_span: Span
+    """Start and end (time); backward where the end comes first."""
     step: Annotated[float, Field(gt=0)]
+    """Length of a step (time); it divides the span."""
     save_every: Whole = 1
-    t_eval: Annotated[Any, _numbers(1)] | None = None
+    """Steps from one saved state to the next."""
+    t_eval: Vector | None = None
+    """Times at which states are kept, in place of `save_every` (time)."""
     watch: bool = True
+    """Whether the invariants are looked at after every step, or at the saved states alone."""
     threads: Whole | None = None
+    """Threads among which the members of an ensemble are shared; all cores without it. The bits do not depend on it."""
 
 
 class EventTable(Table):
-    """An event that is looked for."""
+    """An event that is looked for: where a function of the state passes through zero."""
 
     g: int | Written
-    direction: int = 0
+    """The function: the number of a coordinate, from 0, its name, or a polynomial."""
+    direction: Annotated[int, Field(json_schema_extra={"enum": [-1, 0, 1]})] = 0
+    """1 where g rises, -1 where it falls, 0 for both."""
     count: Whole | None = None
+    """How many of them are kept, of each member; all without it."""
     terminal: bool = False
+    """Whether the run ends at the last one that is kept."""
 
 
 class OutputTable(Table):
-    """Where the results go."""
+    """Where the results go, from the folder in which the command is run."""
 
-    file: str | None = None
-    figure: str | None = None
-    movie: str | None = None
+    file: Annotated[str, ending(".nc", ".zarr")] | None = None
+    """The solution as a dataset, .nc or .zarr."""
+    figure: Annotated[str, ending(".png", ".pdf", ".svg")] | None = None
+    """A picture of it, .png, .pdf or .svg."""
+    movie: Annotated[str, ending(".mp4", ".gif")] | None = None
+    """How it moves, .mp4 or .gif."""
 
 
 class File(Table):
-    """The whole file."""
+    """A run: what moves, from where, by which scheme, for how long, and where the results go."""
 
     name: Name | None = None
+    """The name of the system, for pictures and messages."""
     sign: Sign | None = None
+    """1: x' = J grad H, the default. -1: x' = -J grad H, the convention of the body."""
     system: SystemTable | None = None
     algebra: AlgebraTable | None = None
     hamiltonian: HamiltonianTable | None = None
     casimirs: dict[Name, Written] | None = None
+    """Polynomials by name, checked to be Casimirs and followed along the run."""
     forces: list[dict[str, Any]] = []
+    """Forces beside H, one table each: a name, and its parameters beside it."""
     initial: InitialTable
     sweep: SweepTable | None = None
     method: dict[str, Any] | None = None
+    """The scheme: its name, and its parameters beside it. `coadjoint methods` lists them."""
     run: RunTable
     observe: dict[Name, Written] = {}
+    """Polynomials by name, evaluated at the saved states."""
     events: dict[Name, EventTable] = {}
+    """Events by name."""
     output: OutputTable = OutputTable()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema, model_validator
 
 from coadjoint.given import is_real
 from coadjoint.wording import short
@@ -27,25 +27,35 @@ def _positive(value: Any) -> Any:
     return value
 
 
-Two = Annotated[Any, AfterValidator(_two)]
-Positive = Annotated[Any, AfterValidator(_positive)]
+Two = Annotated[Any, AfterValidator(_two), WithJsonSchema({"type": "array", "minItems": 2, "maxItems": 2})]
+Positive = Annotated[Any, AfterValidator(_positive), WithJsonSchema({"type": "number", "exclusiveMinimum": 0})]
 
 
 class SettingsTable(BaseModel):
     """What one place of the file is set to: listed values, a grid, random numbers, or the rows of an array."""
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
     values: list[Any] | None = None
+    """The values themselves; the list alone will do."""
     linear: Two | None = None
+    """A grid from the first number to the last, in equal steps (unit of the place)."""
     logarithmic: Two | None = None
+    """A grid from the first number to the last, in equal ratios (unit of the place)."""
     count: Annotated[int, Field(ge=1)] | None = None
+    """How many values a grid has."""
     uniform: Two | None = None
+    """Random numbers between the first and the second (unit of the place)."""
     normal: Two | None = None
+    """Random numbers of this mean and this standard deviation (unit of the place)."""
     sphere: Positive | None = None
+    """Random vectors of this length (unit of the place)."""
     orbit: Positive | None = None
+    """States on the coadjoint orbit of the one in the file: it is moved by random group elements of this size."""
     file: str | None = None
+    """The rows of an array in a file .npy, from the folder of this file."""
     column: Annotated[int, Field(ge=0)] | None = None
+    """The column of the array that is taken, from 0; without it all of a row."""
 
     @model_validator(mode="before")
     @classmethod
@@ -75,11 +85,14 @@ class SettingsTable(BaseModel):
 class SweepTable(BaseModel):
     """Which places of the file are other ones for each member, and how many random members there are."""
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
     samples: Annotated[int, Field(ge=1)] | None = None
+    """How many random members there are."""
     seed: Annotated[int, Field(ge=0, le=LARGEST_SEED)] | None = None
+    """Which random members they are."""
     over: dict[str, SettingsTable]
+    """Places of the file, such as "initial.x[0]", and what each is set to. Every combination is a member."""
 
     @model_validator(mode="after")
     def _drawn(self) -> SweepTable:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -49,13 +50,13 @@ def description(name: str) -> dict[str, Any]:
     system = importlib.import_module("coadjoint.systems").get(name)
     builder = ready_made_systems()[name]
     sections = _sections(inspect.getdoc(builder) or "")
-    summary, _, equations = sections[""].partition("\n\n")
-    words = _entries(sections.get("Parameters", ""))
+    equations = sections[""].partition("\n\n")[2]
+    words = told_parameters(builder)
     telling = telling_of(name)
     coordinates = () if telling is None else telling.names(system.dim)
     return {
         "name": name,
-        "summary": _line(summary),
+        "summary": summary_of(builder),
         "equations": [_line(text) for text in equations.split("\n\n") if text.strip()],
         "parameters": {
             key: {"default": _plain(value.default), **words.get(key, {"kind": "", "meaning": ""})}
@@ -76,6 +77,28 @@ def description(name: str) -> dict[str, Any]:
         if telling is None
         else {"says": telling.says, "t_span": list(telling.t_span), "step": telling.step},
     }
+
+
+def summary_of(told: Callable[..., Any]) -> str:
+    """Return the first paragraph of what is written about a function or a class, in one line.
+
+    Examples
+    --------
+    >>> summary_of(summary_of)
+    'Return the first paragraph of what is written about a function or a class, in one line.'
+    """
+    return _line(_sections(inspect.getdoc(told) or "")[""].partition("\n\n")[0])
+
+
+def told_parameters(told: Callable[..., Any]) -> dict[str, dict[str, str]]:
+    """Return what is written about the parameters of a function or a class: name to ``"kind"`` and ``"meaning"``.
+
+    Examples
+    --------
+    >>> told_parameters(description)
+    {'name': {'kind': 'str', 'meaning': 'One of co.systems.names().'}}
+    """
+    return _entries(_sections(inspect.getdoc(told) or "").get("Parameters", ""))
 
 
 def _sections(text: str) -> dict[str, str]:

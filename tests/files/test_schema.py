@@ -1,0 +1,183 @@
+"""The JSON Schema of configuration files: it takes what runs, and refuses nothing that would run."""
+
+import dataclasses
+import json
+import re
+import tomllib
+import warnings
+from pathlib import Path
+
+import jsonschema
+import pytest
+from configuration_files import OWN, READY_MADE
+
+import coadjoint as co
+from coadjoint import algebras, cli, forces, systems
+from coadjoint.files.configuration import Configuration, ConfigurationError, load
+from coadjoint.files.schema import schema
+from coadjoint.methods import registry
+from fuzz.configurations import bases, draw
+
+EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.toml"))
+DRAWN = 400
+
+
+@pytest.fixture(scope="module")
+def validator():
+    found = schema()
+    jsonschema.Draft202012Validator.check_schema(found)
+    return jsonschema.Draft202012Validator(found)
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_every_example_fits(validator, example):
+    text = example.read_text(encoding="utf-8")
+    validator.validate(tomllib.loads(text))
+    named = text.partition("\n")[0].removeprefix("#:schema ")
+    assert json.loads((example.parent / named).read_text(encoding="utf-8"))["$id"] == validator.schema["$id"]
+
+
+def test_other_configurations_fit(validator):
+    for table in (tomllib.loads(OWN), tomllib.loads(READY_MADE), *bases()):
+        validator.validate(table)
+
+
+WRONG = {
+    "a key": READY_MADE.replace("step", "stpe"),
+    "a key that is missing": READY_MADE.replace("step = 0.1", ""),
+    "a step of zero": READY_MADE.replace("step = 0.1", "step = 0"),
+    "a step as text": READY_MADE.replace("step = 0.1", "step = '0.1'"),
+    "three times": READY_MADE.replace("[0, 1]", "[0, 1, 2]"),
+    "a system": READY_MADE.replace('"rigid_body"', '"rigid_bodi"'),
+    "a parameter": READY_MADE.replace("inertia", "inertias"),
+    "the type of a parameter": READY_MADE.replace("[1.0, 2.0, 4.0]", "'heavy'"),
+    "a scheme": READY_MADE.replace('"Splitting"', '"Splittings"'),
+    "a scheme without a name": READY_MADE.replace('name = "Splitting"', ""),
+    "the order of a scheme": READY_MADE.replace("order = 4", "order = 3"),
+    "a parameter of a scheme": READY_MADE.replace("order = 4", "stages = 4"),
+    "a scheme inside": READY_MADE.replace('"Splitting"\norder = 4', '"Projected"\nbase = {name = "Splitting", s = 1}'),
+    "what a scheme needs": READY_MADE.replace('"Splitting"\norder = 4', '"Projected"'),
+    "a force": READY_MADE + '[[forces]]\nname = "Damping"\n',
+    "what a force needs": READY_MADE + '[[forces]]\nname = "LinearDamping"\n',
+    "a force that is a function": READY_MADE + '[[forces]]\nname = "OwnForce"\nfunction = "abs"\n',
+    "a sign beside a system": "sign = 1\n" + READY_MADE,
+    "two systems": OWN + "[system]\nname = 'rigid_body'\n",
+    "a sign": OWN.replace("sign = -1", "sign = 0"),
+    "no energy": OWN.replace("[hamiltonian]\nM = [1.0, 0.5, 0.25]", ""),
+    "no dimension": OWN.replace("dim = 3\n", ""),
+    "an algebra": OWN.replace("dim = 3", "name = 'so(x)'").replace("brackets", "#"),
+    "what an algebra needs": OWN.replace("dim = 3", "name = 'A3,7'").replace("brackets", "#"),
+    "a ragged matrix": OWN.replace("[1.0, 0.5, 0.25]", "[[[1.0]]]"),
+    "no state": OWN.replace("x = [1.0, 0.1, 0.5]", "attitude = true"),
+    "a state and its kind": OWN.replace("x = [1.0, 0.1, 0.5]", "x = [1.0, 0.1, 0.5]\nkind = 'random'"),
+    "a file of states": OWN.replace("[1.0, 0.1, 0.5]", "'states.csv'"),
+    "an attitude": OWN.replace("x = [1.0, 0.1, 0.5]", "x = [1.0, 0.1, 0.5]\nattitude = [1.0]"),
+    "a direction": OWN + "[events]\nturn = {g = 'x1', direction = 2}\n",
+    "the format of a file": OWN + "[output]\nfile = 'run.csv'\n",
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_wrong_ones_are_refused_by_both(validator, what, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Configuration, "integrate", lambda *given, **more: pytest.fail("it ran"))
+    assert WRONG[what] not in (OWN, READY_MADE)
+    (tmp_path / "run.toml").write_text(WRONG[what])
+    assert not validator.is_valid(tomllib.loads(WRONG[what]))
+    assert cli.main(["run", "run.toml"]) == 2
+    assert capsys.readouterr().err.startswith("run.toml: ")
+
+
+def test_what_the_schema_refuses_is_refused(validator, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused = 0
+    for seed in range(DRAWN):
+        text = draw(seed)
+        try:
+            table = tomllib.loads(text.decode())
+            table.pop("output", None)  # at which commands look, and `load` does not
+            fits = validator.is_valid(table)
+        except (ValueError, RecursionError):
+            continue  # no TOML, or a number of more digits than Python shows
+        refused += not fits
+        (tmp_path / "run.toml").write_bytes(text)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                load("run.toml")
+        except ConfigurationError:
+            continue
+        assert fits, (seed, next(validator.iter_errors(table)).message[:300])
+    assert refused > DRAWN / 4
+
+
+def keys_of(value, place=()):
+    """Yield the place of every key, and its schema."""
+    if isinstance(value, dict):
+        for key, entry in value.get("properties", {}).items():
+            if isinstance(entry, dict):
+                yield (*place, key), entry
+        for key, entry in value.items():
+            yield from keys_of(entry, (*place, key))
+    elif isinstance(value, list):
+        for number, entry in enumerate(value):
+            yield from keys_of(entry, (*place, number))
+
+
+def test_every_key_is_described(validator):
+    found = dict(keys_of(validator.schema))
+    assert len(found) > 300
+    own = validator.schema["$defs"]
+    tables = {place for place, entry in found.items() if "$ref" in entry and own[entry["$ref"][8:]].get("description")}
+    assert [place for place in found.keys() - tables if not found[place].get("description")] == []
+
+
+def test_all_names_are_in_it(validator):
+    tables = validator.schema["$defs"]
+
+    def named(table):
+        return {name for option in tables[table]["anyOf"] for name in of_option(option["properties"].get("name", {}))}
+
+    def of_option(name):
+        return name.get("enum", [name.get("const", name.get("pattern", ""))])
+
+    assert named("SystemTable") == set(systems.names())
+    assert named("MethodTable") == set(registry.names())
+    assert named("ForceTable") == set(forces.names()) - {"OwnForce"}
+    known = named("AlgebraTable")
+    (pattern,) = (text for text in known if text.startswith("^("))
+    assert [name for name in algebras.names() if name not in known and not re.match(pattern, name)] == []
+
+
+def test_names_with_spaces_and_commas_are_taken(validator):
+    table = tomllib.loads(OWN) | {"algebra": {"name": "A3, 7", "parameters": {"a": 2.0}}}
+    validator.validate(table)
+    table["algebra"] = {"name": "A3,7", "parameters": {"a": 2.0}}
+    validator.validate(table)
+
+
+def test_schemes_of_others_are_in_it():
+    @co.methods.register
+    @dataclasses.dataclass(frozen=True)
+    class Still(co.methods.StepMethod):
+        """Nothing moves."""
+
+        order, explicit, symmetric = 1, True, True
+        factor: float = 1.0
+
+        def properties(self, system):
+            return co.methods.Properties(poisson=True, energy=True, casimirs="all", attitude="none")
+
+        def step(self, system, x, t, h):
+            return x
+
+    try:
+        tables = {one["description"]: one for one in schema()["$defs"]["MethodTable"]["anyOf"]}
+    finally:
+        registry.forget("Still")
+    assert tables["Nothing moves."]["properties"]["factor"]["type"] == "number"
+
+
+def test_the_command_prints_it(capsys):
+    assert cli.main(["schema"]) == 0
+    assert json.loads(capsys.readouterr().out) == schema()
