@@ -56,7 +56,16 @@ class CompiledFunction:
         from coadjoint.kernels.callbacks import callback_of
 
         self._callback = callback_of(function, size, results, scalar, flat, timed, what)
+        self._given = function, size, results, scalar, flat, timed, what
         self.address: int = self._callback.address
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what compiles the function again, in another process."""
+        return _compiled_again, self._given
+
+
+def _compiled_again(function: Any, size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str) -> Any:
+    return CompiledFunction(function, size, results, scalar=scalar, flat=flat, timed=timed, what=what)
 
 
 class TabledFunction:
@@ -65,6 +74,10 @@ class TabledFunction:
     def __init__(self, forms: Forms) -> None:
         self._table = pointed(forms)
         self.address: int = -ctypes.addressof(self._table)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what makes the same of the formula in another process."""
+        return TabledFunction, (self._table.source,)
 
 
 CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.POINTER(ctypes.c_double))
@@ -83,6 +96,7 @@ class CalledFunction:
 
     def __init__(self, function: Callable[..., Any], size: int) -> None:
         self._raised: BaseException | None = None
+        self._given = function, size
         block = ctypes.c_double * size
 
         def call(y: int, t: float, out: Any) -> None:
@@ -96,6 +110,10 @@ class CalledFunction:
 
         self._callback = CALLBACK(call)
         self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what makes the function callable in another process."""
+        return CalledFunction, self._given
 
     def raised(self) -> BaseException | None:
         """Return what the function raised, once, if it did."""

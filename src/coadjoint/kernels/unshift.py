@@ -50,12 +50,15 @@ class Unshifting:
 
     Attributes
     ----------
+    tables, rate
+        As they were given.
     most : float
         A bound of the norm of X, for momenta whose components are at most 1.
     """
 
     def __init__(self, tables: UnshiftTables, rate: float) -> None:
         self._keep, self._rate = pointed(tables), rate
+        self.tables, self.rate = tables, rate
         self._address, self._packed = ctypes.byref(self._keep), packer(Unshifted)
         self._unshift = kernels().unshift
         # No X is larger than that times the largest component of the momentum.

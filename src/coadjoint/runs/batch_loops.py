@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from coadjoint.runs.shifted_attitude import Unshift, plainly
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.tables import Compiled
 
 # Crews of a worker in one round. An interrupt waits until the round ends, and each crew costs a call from Python.
 CREWS_IN_A_ROUND = 8
@@ -64,7 +67,8 @@ class BatchLoops(Loops):
 
         method.look_ahead(list(batch))
         names = list(batch[0].casimirs)
-        prepared, watches = [], []
+        prepared: list[CompiledLoop] = []
+        watches: list[Compiled] = []
         for m, (system, representation) in enumerate(zip(batch, representations, strict=True)):
             try:
                 prepared.append(method.loop(system, h, representation))
@@ -73,19 +77,57 @@ class BatchLoops(Loops):
             casimirs = system.casimirs
             followed, accounts = {name: casimirs[name] for name in names}, prepared[-1].accounts
             watches.append(balance_tables(system, followed, accounts) if accounts else watch_tables(system, followed))
-        self.groups = groups_of(prepared, [watch.tables for watch in watches])
-        members = np.concatenate([group.members for group in self.groups])
-        self.order = None if len(self.groups) == 1 else members
-        self._unshifts = [
+        unshifts = [
             Unshift(system, found.shift, representation) if found.shift and representation is not None else None
             for system, found, representation in zip(batch, prepared, representations, strict=True)
         ]
-        self.turned = partial(turned_each, self._unshifts) if any(self._unshifts) else plainly
-        self._prepared, self._keep = prepared, [watch.keep for watch in watches]
+        self._take(batch.dim, ["energy", *names], prepared, watches, unshifts)
+
+    def _take(
+        self,
+        dim: int,
+        names: list[str],
+        prepared: list[CompiledLoop],
+        watches: list[Compiled],
+        unshifts: list[Unshift | None],
+    ) -> None:
+        self.groups = groups_of(prepared, [watch.tables for watch in watches])
+        members = np.concatenate([group.members for group in self.groups])
+        self.order = None if len(self.groups) == 1 else members
+        self._unshifts = unshifts
+        self.turned = partial(turned_each, unshifts) if any(unshifts) else plainly
+        self._prepared, self._watches = prepared, watches
         self._first = np.cumsum([0] + [len(group.members) for group in self.groups])
-        self.names = ["energy", *names]
+        self.names, self._dim = names, dim
         self.accounts = prepared[0].accounts
-        self.size, self.memory = batch.dim + len(self.accounts), max(found.memory for found in prepared)
+        self.size, self.memory = dim + len(self.accounts), max(found.memory for found in prepared)
+
+    def among(self, first: int, last: int) -> BatchLoops:
+        """Return the loops of the members `first` to `last` - 1 alone; nothing is derived."""
+        found = object.__new__(BatchLoops)
+        chosen = slice(first, last)
+        found._take(self._dim, self.names, self._prepared[chosen], self._watches[chosen], self._unshifts[chosen])
+        return found
+
+    @property
+    def can_be_sent(self) -> bool:
+        """Whether it can go to another process, by `pickle`: nothing but functions stands at its addresses."""
+        from coadjoint.kernels.sent import can_be_sent, loop_can_be_sent
+
+        return all(map(loop_can_be_sent, self._prepared)) and all(can_be_sent(watch.keep) for watch in self._watches)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the tables of the members, as they go to another process."""
+        from coadjoint.kernels.sent import sent, sent_loop
+
+        loops, watches = [sent_loop(own) for own in self._prepared], [sent(*watch) for watch in self._watches]
+        return {"dim": self._dim, "names": self.names, "loops": loops, "watches": watches, "turned": self._unshifts}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        from coadjoint.kernels.sent import received, received_loop
+
+        loops, watches = [received_loop(own) for own in state["loops"]], [received(own) for own in state["watches"]]
+        self._take(state["dim"], state["names"], loops, watches, state["turned"])
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return rounds of crews, each crew within one group, beginning where lanes begin."""

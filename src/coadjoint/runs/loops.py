@@ -24,6 +24,8 @@ from coadjoint.systems.quadratic import Quadratic
 
 NOTHING = Quadratic(0.0)
 """Stands for an invariant that the loops do not follow."""
+OF_THIS_PROCESS = ("prepared", "watch", "_keep", "_given", "_plan")
+"""What loops of a system have addresses in, and what is made of these."""
 Turned = Callable[[Start, Times, NamedArrays, int], NDArray[np.float64]]
 
 
@@ -164,6 +166,11 @@ class Loops(ABC):
         """Return the invariants of states (m, size) at times (m,) that the loops do not follow; None where they do."""
         return None
 
+    @property
+    def can_be_sent(self) -> bool:
+        """Whether it can go to another process, by `pickle`."""
+        return False
+
     @abstractmethod
     def raised(self) -> BaseException | None:
         """Return what a function of the user raised in a loop, once, or None."""
@@ -209,7 +216,6 @@ class SystemLoops(Loops):
         prepared: CompiledLoop | None = None,
     ) -> None:
         from coadjoint.kernels.description import limit
-        from coadjoint.kernels.structures import pointed
         from coadjoint.kernels.tables import balance_tables, watch_tables
 
         followed = system.casimirs if casimirs is None else casimirs
@@ -228,11 +234,37 @@ class SystemLoops(Loops):
         self.size, self.memory = system.dim + len(self.accounts), prepared.memory
         self._shifted = representation is not None and bool(prepared.shift)
         self.turned = Unshift(system, prepared.shift, representation) if self._shifted else plainly
+        self.block = limit("LARGEST_CROWD") if system.dim <= limit("WIDEST") else 1
+        self._read(prepared, watch)
+
+    def _read(self, prepared: CompiledLoop, watch: Any) -> None:
+        from coadjoint.kernels.structures import pointed
+
         self._keep = watch.keep
         self.prepared, self.watch = prepared, watch.tables
-        self.block = limit("LARGEST_CROWD") if system.dim <= limit("WIDEST") else 1
         # Made C structures here, once for all plans.
         self._given = prepared.name, pointed(prepared.tables), pointed(watch.tables)
+
+    @property
+    def can_be_sent(self) -> bool:
+        """Whether it can go to another process, by `pickle`: nothing but functions stands at its addresses."""
+        from coadjoint.kernels.sent import can_be_sent, loop_can_be_sent
+
+        return loop_can_be_sent(self.prepared) and can_be_sent(self._keep)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the tables and all else, as they go to another process."""
+        from coadjoint.kernels.sent import sent, sent_loop
+
+        other = {name: value for name, value in vars(self).items() if name not in OF_THIS_PROCESS}
+        return {**other, "sent": (sent_loop(self.prepared), sent(self.watch, self._keep))}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        from coadjoint.kernels.sent import received, received_loop
+
+        loop, watch = state.pop("sent")
+        self.__dict__.update(state)
+        self._read(received_loop(loop), received(watch))
 
     def rounds(self, members: int, workers: int) -> list[list[Crew]]:
         """Return one round with a crew for each worker. Members that the kernels advance side by side share a crew."""

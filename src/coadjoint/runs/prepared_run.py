@@ -38,6 +38,8 @@ from coadjoint.systems.kinds import System, check_system
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.wording import short
 
+OF_THIS_PROCESS = ("_making", "_ends", "_observed", "_events", "_made")
+
 
 class PreparedRun:
     """A system, a scheme and a step with everything that does not depend on the initial state; see `prepare`.
@@ -94,6 +96,45 @@ class PreparedRun:
 
     def __repr__(self) -> str:
         return f"<prepared run of {self.system!r} by {self.method}, step {self.step:g}>"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all that was made ready, so that another process derives nothing again.
+
+        Loops that take steps of another loop inside, as those with forces do, are laid out again where they run.
+        """
+        made = {h: loops for h, loops in self._made.items() if getattr(loops, "can_be_sent", False)}
+        return {name: value for name, value in vars(self).items() if name not in OF_THIS_PROCESS} | {"_made": made}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _observed=None, _events=None, _making=threading.RLock(), _ends=[])
+
+    def among(self, first: int, last: int) -> PreparedRun:
+        """Return the run of the members `first` to `last` - 1 alone, with the bits that they have among all.
+
+        Of a batch it has their tables, and derives nothing. Members with noise keep that of their numbers.
+
+        Parameters
+        ----------
+        first, last : int
+            Members of an ensemble.
+
+        Returns
+        -------
+        PreparedRun
+        """
+        system, state = self.system, self.__getstate__()
+        if isinstance(system, Batch):
+            made = {h: loops.among(first, last) for h, loops in self._made.items() if isinstance(loops, BatchLoops)}
+            state["_representations"] = self._representations[first:last]
+            state["system"], state["_made"] = system.among(first, last), made
+        elif isinstance(system, ForcedSystem):
+            state["system"] = system.numbered_from(first)
+            state["_made"] = self._made if state["system"] is system else {}
+        else:
+            state["_made"] = self._made
+        found: PreparedRun = object.__new__(PreparedRun)
+        found.__setstate__(state)
+        return found
 
     def run(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,14 @@ FINITE_GROWTH = 700.0
 def plainly(start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
     """Return the group elements (points, members, d, d) that the loops left, transposed back."""
     return np.swapaxes(saved["group"][:points].reshape(points, *start.groups.shape), 2, 3)
+
+
+def _with_tables(system: System, shift: Shift, representation: Representation, tables: Any, rate: float) -> Unshift:
+    from coadjoint.kernels.unshift import Unshifting
+
+    found = Unshift(system, shift, representation)
+    found._unshifting = Unshifting(tables, rate)
+    return found
 
 
 class Unshift:
@@ -64,6 +72,11 @@ class Unshift:
         rho = None if isinstance(self._representation, str) else self._representation
         assert system.algebra is not None
         return Unshifting(unshift_tables(system.algebra, rho, system.sign, shift), rate)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what makes the same in another process, with the tables that were made here."""
+        made = self._unshifting
+        return _with_tables, (self._system, self._shift, self._representation, made.tables, made.rate)
 
     def make(self) -> None:
         """Make the tables now."""

@@ -52,6 +52,16 @@ class Batch:
                 )
         self.dim, self.sign = self.systems[0].dim, self.systems[0].sign
 
+    def among(self, first: int, last: int) -> Batch:
+        """Return the batch of the members `first` to `last` - 1; noise is that of their numbers among all."""
+        found: Batch = object.__new__(Batch)
+        found.systems = tuple(
+            system.numbered_from(first) if isinstance(system, ForcedSystem) else system
+            for system in self.systems[first:last]
+        )
+        found.dim, found.sign = self.dim, self.sign
+        return found
+
     @property
     def name(self) -> str:
         """That of the members, the first two where they differ, and how many there are."""

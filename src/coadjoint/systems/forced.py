@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -81,6 +82,14 @@ class ForcedSystem:
         ForcedSystem
         """
         return ForcedSystem(self.system, (*self.forces, *forces))
+
+    def numbered_from(self, first: int) -> ForcedSystem:
+        """Return the system for members whose numbers begin at `first`: noise is a function of these too."""
+        if not first or not any(force.random for force in self.forces):
+            return self
+        forces: list[Any] = list(self.forces)
+        moved = [replace(force, stream=force.stream + first) if force.random else force for force in forces]
+        return ForcedSystem(self.system, moved)
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -1,0 +1,101 @@
+"""How do compiled loops go to another process? As tables, whose addresses are those of the machine code made there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from coadjoint.kernels.functions import CalledFunction, CompiledFunction, TabledFunction
+from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.structures import varied_fields
+from coadjoint.kernels.tables import Compiled
+
+OWNERS = (CompiledFunction, TabledFunction, CalledFunction)
+
+
+class SentTables(NamedTuple):
+    """Tables with the addresses of the process that made them, and what stands at these: (address, owner)."""
+
+    tables: Any
+    owners: tuple[tuple[int, Any], ...]
+
+
+def can_be_sent(keep: tuple[Any, ...]) -> bool:
+    """Return whether tables can go to another process: what stands at their addresses can be made there again."""
+    return all(isinstance(kept, OWNERS) for kept in keep)
+
+
+def sent(tables: Any, keep: tuple[Any, ...]) -> SentTables:
+    """Return tables as they go to another process, by `pickle`.
+
+    Parameters
+    ----------
+    tables : NamedTuple
+        Of arrays, numbers, and further such tuples.
+    keep : tuple
+        What stands at their addresses.
+
+    Returns
+    -------
+    SentTables
+    """
+    return SentTables(tables, tuple((kept.address, kept) for kept in keep))
+
+
+def received(given: SentTables) -> Compiled:
+    """Return tables as this process reads them: functions are compiled here, once, and nothing is derived.
+
+    Examples
+    --------
+    >>> import pickle
+    >>> from coadjoint.kernels.tables import watch_tables
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> watch = watch_tables(body, body.casimirs)
+    >>> there = received(pickle.loads(pickle.dumps(sent(watch.tables, watch.keep))))
+    >>> bool((there.tables.constant == watch.tables.constant).all())
+    True
+    """
+    moved = {address: owner.address for address, owner in given.owners}
+    return Compiled(_moved(given.tables, moved) if moved else given.tables, tuple(owner for _, owner in given.owners))
+
+
+def _moved(tables: Any, moved: Mapping[int, int]) -> Any:
+    """Return tables with other addresses."""
+    kind: Any = type(tables)
+    if not hasattr(kind, "_fields"):
+        return tables
+    own = {name: getattr(tables, name) for name in kind._fields}
+    places = [name for name, value in own.items() if isinstance(value, np.ndarray) and value.dtype == np.int64]
+    varied = varied_fields(kind) if places else frozenset()
+    for name, value in own.items():
+        if isinstance(value, tuple):
+            own[name] = _moved(value, moved)
+        elif name in places and name in varied:
+            own[name] = np.array([moved.get(old, old) for old in value.ravel().tolist()], np.int64).reshape(value.shape)
+    return kind(**own)
+
+
+def sent_loop(loop: CompiledLoop) -> dict[str, Any]:
+    """Return a compiled loop as it goes to another process; it must be one that `loop_can_be_sent`."""
+    return {
+        "name": loop.name,
+        "shift": loop.shift,
+        "memory": loop.memory,
+        "accounts": loop.accounts,
+        "parts": loop.parts,
+        "given": sent(loop.tables, loop.keep),
+    }
+
+
+def received_loop(given: Mapping[str, Any]) -> CompiledLoop:
+    """Return the compiled loop that `sent_loop` was given."""
+    tables, keep = received(given["given"])
+    return CompiledLoop(tables=tables, keep=keep, **{name: given[name] for name in given if name != "given"})
+
+
+def loop_can_be_sent(loop: CompiledLoop) -> bool:
+    """Return whether a compiled loop can go to another process: nothing but functions stands at its addresses."""
+    return not loop.held and can_be_sent(loop.keep)

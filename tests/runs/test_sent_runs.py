@@ -1,0 +1,91 @@
+"""Prepared runs in another process: the same bits, and nothing is derived there."""
+
+import pickle
+import subprocess
+import sys
+
+import cloudpickle
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+X = np.array([(1.0, 0.2, 0.1), (0.1, 1.0, 0.3), (0.5, 0.4, 0.7), (0.2, 0.1, 0.9), (0.3, 0.8, 0.1)])
+POTENTIAL = co.LiePoissonSystem(
+    co.algebras.so(3), co.Separable({0: (np.cos, lambda y: -np.sin(y)), 2: (np.exp, np.exp)}), name="own functions"
+)
+SPIRAL = co.LiePoissonSystem(co.algebras.get("A3,7", a=2.0), co.Quadratic([1.0, 2.0, 0.5]))
+BATCH = co.batch([co.systems.rigid_body(inertia=(1, second, 3)) for second in (2.0, 1.0, 2.5, 1.5, 3.0)])
+NOISE = BODY.with_forces(co.forces.HeatBath(0.3, temperature=0.5, seed=4))
+NOISES = co.batch([body.with_forces(co.forces.HeatBath(0.3, temperature=0.5, seed=4)) for body in BATCH])
+
+CASES = {
+    "splitting": (BODY, co.Splitting(order=4), False),
+    "a Casimir taken off, attitude": (BODY, co.Splitting(order=2), True),
+    "coadjoint": (BODY, co.GaussLegendre(2), "coadjoint"),
+    "series": (BODY, co.Taylor(order=8), False),
+    "functions": (POTENTIAL, co.Splitting(), False),
+    "a Casimir with a logarithm": (SPIRAL, co.Splitting(), "coadjoint"),
+    "batch": (BATCH, co.Splitting(order=4), True),
+    "batch of series": (BATCH, co.Taylor(order=8), False),
+    "noise": (NOISE, None, False),
+    "batch with noise": (NOISES, None, False),
+    "a scheme inside of another": (BODY, co.ReversibleSteps(co.Splitting()), False),
+}
+
+
+def carried(value):
+    return cloudpickle.loads(cloudpickle.dumps(value))
+
+
+@pytest.mark.parametrize(
+    ("name", "span"),
+    [(name, (0.0, 2.0)) for name in CASES] + [(name, (1.0, -1.0)) for name in CASES if "noise" not in name],
+)
+def test_a_copy_has_the_same_bits(name, span):
+    system, method, attitude = CASES[name]
+    ready = co.prepare(system, method, 0.125, attitude=attitude, observe={"first": co.Polynomial({(1, 0, 0): 1})})
+    here = ready.run(X, span)
+    there = carried(ready).run(X, span)
+    for one, other in zip(here.to_xarray().data_vars.values(), there.to_xarray().data_vars.values(), strict=True):
+        np.testing.assert_array_equal(one.values, other.values)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_some_members_are_what_they_are_among_all(name):
+    system, method, attitude = CASES[name]
+    ready = co.prepare(system, method, 0.125, attitude=attitude)
+    whole = ready.run(X, (0, 2))
+    part = carried(ready.among(1, 4)).run(X[1:4], (0, 2))
+    np.testing.assert_array_equal(part.x, whole.x[:, 1:4])
+    np.testing.assert_array_equal(part.energy, whole.energy[:, 1:4])
+    if attitude:
+        np.testing.assert_array_equal(part.attitude, whole.attitude[:, 1:4])
+
+
+@pytest.mark.parametrize("name", ["splitting", "batch", "batch of series", "functions", "series"])
+def test_nothing_is_derived_again(name, monkeypatch):
+    system, method, attitude = CASES[name]
+    ready = co.prepare(system, method, 0.125, attitude=attitude)
+    sent, part = cloudpickle.dumps(ready), cloudpickle.dumps(ready.among(0, 2))
+
+    def derive(*given):
+        raise AssertionError("tables are derived again")
+
+    monkeypatch.setattr(type(ready.method), "loop", derive)
+    assert cloudpickle.loads(sent).run(X, (0, 1)).x.shape == (9, 5, 3)
+    assert cloudpickle.loads(part).run(X[:2], (0, 1)).x.shape == (9, 2, 3)
+
+
+def test_another_process(tmp_path):
+    """Where addresses of machine code are others."""
+    ready = co.prepare(SPIRAL, co.Splitting(), 0.125, attitude="coadjoint")
+    (tmp_path / "ready").write_bytes(pickle.dumps(ready))
+    code = f"""
+import pickle, numpy
+ready = pickle.loads(open({str(tmp_path / "ready")!r}, "rb").read())
+numpy.save({str(tmp_path / "x.npy")!r}, ready.run((0.1, 1.0, 0.2), (0, 2)).x)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+    np.testing.assert_array_equal(np.load(tmp_path / "x.npy"), ready.run((0.1, 1.0, 0.2), (0, 2)).x)
