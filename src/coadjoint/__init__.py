@@ -77,7 +77,9 @@ _HOME = {
     "modified_field": "coadjoint.analysis.modified_field",
     "modified_hamiltonian": "coadjoint.analysis.modified_hamiltonian",
     "phase_drift": "coadjoint.analysis.phase_drift",
+    "open_archive": "coadjoint.files.archived_solution",
     "predicted_drift": "coadjoint.analysis.predicted_drift",
+    "resume": "coadjoint.files.archives",
     "suggest_step": "coadjoint.analysis.suggested_step",
 }
 _MODULES = {
@@ -118,6 +120,8 @@ if TYPE_CHECKING:
     from coadjoint.choosing.accuracy import Choice as Choice
     from coadjoint.choosing.accuracy import choose as choose
     from coadjoint.errors import IntegrationError as IntegrationError
+    from coadjoint.files.archived_solution import open_archive as open_archive
+    from coadjoint.files.archives import resume as resume
     from coadjoint.methods.commutator_free import CommutatorFree as CommutatorFree
     from coadjoint.methods.composition import Composition as Composition
     from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta as ExplicitRungeKutta

@@ -10,6 +10,8 @@ EXTRAS = {
     "h5netcdf": "io",
     "h5py": "io",
     "zarr": "io",
+    "numcodecs": "io",
+    "google_crc32c": "io",
     "pydantic": "io",
     "matplotlib": "plot",
     "PIL": "plot",

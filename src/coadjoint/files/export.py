@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
 from coadjoint.files.record_entries import Entry, made_of, parsed
-from coadjoint.files.records import record_of, safe_name, system_of
-from coadjoint.files.state_arrays import DIMENSIONS, PARTS, in_parts, state_dimensions, state_of
+from coadjoint.files.records import record_of, system_of
+from coadjoint.files.state_arrays import DIMENSIONS, state_of
+from coadjoint.files.variables import coordinates_of, over_time, starts_of, summaries_of
 from coadjoint.files.written_events import events_of, variables_of, written_events
 from coadjoint.methods import registry
 from coadjoint.runs.times import times_of
-from coadjoint.systems.batch import Batch
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 if TYPE_CHECKING:
     import xarray
 
-    from coadjoint.runs.solution import Drift, Solution
+    from coadjoint.runs.solution import Solution
 
 NEEDED = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
 
@@ -61,79 +59,14 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     need("a dataset of a solution", "xarray")
     import xarray
 
-    system = solution.system
-    member = () if solution.failed is None else ("member",)
-    over_time = ("time", *member)
-    of_state = state_dimensions(solution.x, len(over_time))
-    variables: dict[str, Any] = {
-        "x": ((*over_time, *of_state), in_parts(solution.x), {"long_name": "momentum"}),
-        "energy": (over_time, solution.energy, {"long_name": "energy"}),
-    }
-    named = [("casimir", solution.casimirs), ("observed", solution.observed)]
-    for kind, series in named:
-        for label, (name, values) in _labels(kind, series):
-            variables[label] = (over_time, values, {"long_name": name})
-    over = "in each tenth of the run, over " + ("every step" if solution.watched else "the saved points")
-    changes, about = solution.change(), f"largest absolute deviation from the start {over}"
-    over_tenths = (*member, "invariant", "tenth")
-    variables["change" if solution.work else "drift"] = (over_tenths, _tenths(changes), {"long_name": about})
-    if solution.work:
-        about = f"largest absolute deviation of an invariant, less the work of all forces, {over}"
-        variables["balance"] = (over_tenths, _balanced(solution.balance(), changes), {"long_name": about})
-        done = [values for of_force in solution.work.values() for values in of_force.values()]
-        about = "what a force has changed of an invariant since the start"
-        variables["work"] = ((*over_time, "account"), np.stack(done, axis=-1), {"long_name": about})
-    variables["x0"] = ((*member, *of_state), in_parts(solution.x0), {"long_name": "initial momentum"})
-    if solution.attitude is not None:
-        square = ("row", "column")
-        variables["attitude"] = ((*over_time, *square), solution.attitude, {"long_name": "group element"})
-        variables["attitude0"] = ((*member, *square), solution.attitude0, {"long_name": "initial group element"})
-    if solution.failed is not None:
-        variables["failed"] = (
-            member,
-            solution.failed,
-            {"long_name": "whether the member failed; its later states are NaN"},
-        )
+    variables = {**over_time(solution), **summaries_of(solution), **starts_of(solution)}
     if solution.events is not None:
         variables |= variables_of(solution.events)
-    coordinates: dict[str, Any] = {"time": solution.t}
-    if of_state == ("component",):
-        algebra = system[0].algebra if isinstance(system, Batch) else system.algebra
-        coordinates["component"] = list(algebra.basis) if algebra else [f"x{i + 1}" for i in range(system.dim)]
-    elif of_state[-1] == "part":
-        coordinates["part"] = list(PARTS)
-    coordinates |= {
-        "invariant": list(changes),
-        "tenth": np.arange(1, next(iter(changes.values())).tenths.shape[-1] + 1),
-    }
-    if solution.work:
-        pairs = [(force, name) for force, of_force in solution.work.items() for name in of_force]
-        coordinates["account"] = [f"{force}: {name}" for force, name in pairs]
-    return xarray.Dataset(variables, coordinates, _attributes(solution))
+    return xarray.Dataset(variables, coordinates_of(solution), attributes_of(solution))
 
 
-def _balanced(balance: Mapping[str, Drift], changes: Mapping[str, Drift]) -> NDArray[np.float64]:
-    """Return the balance of every invariant that changes; NaN of those of which no account is kept."""
-    unknown = np.full_like(next(iter(changes.values())).tenths, np.nan)
-    return np.stack([balance[name].tenths if name in balance else unknown for name in changes], axis=-2)
-
-
-def _tenths(found: Mapping[str, Drift]) -> NDArray[np.float64]:
-    return np.stack([drift.tenths for drift in found.values()], axis=-2)
-
-
-def _labels(kind: str, series: Mapping[str, Any]) -> Iterable[tuple[str, tuple[str, Any]]]:
-    """Give each name a variable of its own, also where two names differ only in signs that a file does not allow."""
-    taken: dict[str, tuple[str, Any]] = {}
-    for name, values in series.items():
-        label, number = f"{kind}_{safe_name(name)}", 2
-        while label in taken:
-            label, number = f"{kind}_{safe_name(name)}_{number}", number + 1
-        taken[label] = (name, values)
-    return taken.items()
-
-
-def _attributes(solution: Solution) -> dict[str, Any]:
+def attributes_of(solution: Solution) -> dict[str, Any]:
+    """Return the attributes of the dataset of a solution."""
     record = record_of(solution.system)
     missing = [*record.get("not_stored", []), *(f"observed: {name}" for name in solution.observed)]
     times = times_of(solution.asked_span, solution.step, 1)
@@ -188,22 +121,29 @@ def mark_failed(dataset: xarray.Dataset, error: IntegrationError) -> xarray.Data
     >>> mark_failed(xarray.Dataset(), error).attrs["failed_step"]
     3
     """
-    return dataset.assign_attrs(
-        run_failed=1,
-        failed_step=error.step,
-        failed_time=error.time,
-        failed_residual=error.residual,
-        failed_reason=str(error),
-    )
+    return dataset.assign_attrs(**said_of(error))
 
 
-def solution_inputs(dataset: xarray.Dataset) -> dict[str, Any]:
+def said_of(error: IntegrationError) -> dict[str, Any]:
+    """Return the attributes that say how a run failed."""
+    return {
+        "run_failed": 1,
+        "failed_step": error.step,
+        "failed_time": error.time,
+        "failed_residual": error.residual,
+        "failed_reason": str(error),
+    }
+
+
+def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = None) -> dict[str, Any]:
     """Return the arguments of `integrate` that repeat the run of a dataset.
 
     Parameters
     ----------
     dataset : xarray.Dataset
         From `dataset_of`, or read from a file.
+    system, events : optional
+        Those of the run, where they have functions, which are not stored.
 
     Returns
     -------
@@ -243,12 +183,15 @@ def solution_inputs(dataset: xarray.Dataset) -> dict[str, Any]:
     if carried not in (*initial, "representation"):
         raise given["attitude_carried"].wrong("'none', 'coadjoint' or 'representation'")
     between = Entry(attributes.get("between_steps", 0), "between_steps").flag()
-    if "events_not_stored" in attributes:
+    if "events_not_stored" in attributes and events is None:
         raise ValueError(
             f"the run may have been ended by an event, and {attributes['events_not_stored']} is a function, which was "
             "not stored; run the script that made it"
         )
-    system = _system(dataset, system_of(parsed(attributes["system"], "system"), _numbers(dataset["x0"])))
+    if system is None:
+        system = _system(dataset, system_of(parsed(attributes["system"], "system"), _numbers(dataset["x0"])))
+    if events is None:
+        events = events_of(Entry(attributes["events"], "events"), system) if "events" in attributes else ()
     return {
         "system": system,
         "x0": x0,
@@ -259,7 +202,7 @@ def solution_inputs(dataset: xarray.Dataset) -> dict[str, Any]:
         "t_eval": state_of(dataset, "time", (("time",),)) if between else None,
         "watch": given["watch"].flag(),
         "attitude": initial[carried] if carried in initial else state_of(dataset, "attitude0", DIMENSIONS[1:2]),
-        "events": events_of(Entry(attributes["events"], "events"), system) if "events" in attributes else (),
+        "events": events,
     }
 
 

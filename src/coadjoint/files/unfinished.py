@@ -60,7 +60,7 @@ class Unfinished:
             while self._lock is None:
                 self._folder = self._target.parent / f"{_prefix(self._target)}{secrets.token_hex(4)}"
                 self._folder.mkdir(mode=0o700)
-                self._lock = _locked(self._folder / LOCK, os.O_CREAT)
+                self._lock = locked(self._folder / LOCK, os.O_CREAT)
         except BaseException:
             self._leave()
             raise
@@ -123,7 +123,7 @@ def remove_leftovers(target: Path) -> None:
 
 def _remove_if_left(folder: Path, target: Path) -> None:
     try:
-        lock = _locked(folder / LOCK)
+        lock = locked(folder / LOCK)
     except FileNotFoundError:
         folder.rmdir()  # Its run was killed before it locked it, or is about to: then it makes another.
         return
@@ -137,7 +137,7 @@ def _prefix(target: Path) -> str:
     return f".{target.name[:24]}-{sha256(os.fsencode(target.name)).hexdigest()[:12]}-"
 
 
-def _locked(path: Path, create: int = 0) -> int | None:
+def locked(path: Path, create: int = 0) -> int | None:
     """Return the descriptor of a locked file, or None where another process has locked or removed it."""
     if fcntl is None:
         if not create:

@@ -165,7 +165,7 @@ def turned_each(
     """Return the group elements (points, members, d, d), each member turned by what was taken off its H."""
     found, held = np.array(plainly(start, times, saved, points), order="C"), saved.place_of("group")
     for m, unshift in enumerate(unshifts):
-        if unshift is not None:
+        if unshift is not None and points:
             unshift.fill(found, start, times, held, m, m + 1)
     return found
 

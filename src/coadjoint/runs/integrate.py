@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, cast
 
 from coadjoint.methods.base import NO_ERROR_CONTROL, Method
@@ -31,6 +32,7 @@ def integrate(
     threads: int | None = None,
     progress: bool = False,
     events: Any = None,
+    archive: str | Path | None = None,
     rtol: None = None,
     atol: None = None,
 ) -> Solution:
@@ -81,6 +83,10 @@ def integrate(
     events : Event or sequence of Event, optional
         Zeros of functions of the state that are looked for; ``sol.events`` has them. A terminal one ends the run, and
         where there is one member, the last point of the solution is that of the event.
+    archive : str or Path, optional
+        A new folder, such as ``run.zarr``, to which the run is written while it runs, in the format Zarr. It takes the
+        same memory however long it is, can be read at any time, and is gone on with by `resume` after whatever has cut
+        it. The solution reads from there what it is asked for.
     rtol, atol : None
         Refused: no scheme lets an estimate of the error choose each step. The message says what to take instead.
 
@@ -95,6 +101,8 @@ def integrate(
         For wrong input, before the first step.
     IntegrationError
         If an iteration does not converge or a number overflows, with step, time, residual and the solution so far.
+    ArchiveError
+        The archive exists, or cannot be written.
 
     Examples
     --------
@@ -136,5 +144,10 @@ def integrate(
         method, step = choice.method, choice.step
     assert step is not None
     ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads)
-    sol = ready.run(x0, t_span, save_every, t_eval=t_eval, progress=progress, events=events)
+    if archive is None:
+        sol = ready.run(x0, t_span, save_every, t_eval=t_eval, progress=progress, events=events)
+    else:
+        from coadjoint.files.archives import archive_run
+
+        sol = archive_run(ready, x0, t_span, save_every, archive, t_eval=t_eval, progress=progress, events=events)
     return with_choice(sol, choice)

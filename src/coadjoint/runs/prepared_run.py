@@ -31,6 +31,7 @@ from coadjoint.runs.parts_of_steps import PartsOfSteps
 from coadjoint.runs.run import Run, read_progress
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start, momenta_of, representations_of, with_group
+from coadjoint.runs.state import RunState
 from coadjoint.runs.times import Times, checked_step, span_of, times_between
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
@@ -184,14 +185,19 @@ class PreparedRun:
             As in `integrate`.
         """
         progress = read_progress(progress)
+        times, moments = self.times_of(t_span, save_every, t_eval)
+        values, looked_for = self.values_of(inputs), read_events(events)
+        return self.follow(times, self.start(x0, attitude, values), progress, values, looked_for, moments)
+
+    def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, Moments | None]:
+        """Return the steps of a run, and the moments at which states are kept where these are given; checked."""
         times = times_between(span_of(t_span), self.step, save_every)
         moments = None if t_eval is None else moments_of(t_eval, times, save_every)
         if moments is not None and self.method.own_steps:
             # Where one looks changes no step: as often as states are wanted, so that none is far from a saved one.
             times = times.closer(len(moments.t))
             moments = moments_of(t_eval, times)
-        values, looked_for = self.values_of(inputs), read_events(events)
-        return self.follow(times, self.start(x0, attitude, values), progress, values, looked_for, moments)
+        return times, moments
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
         """Return the state at the end of a run alone, in a fifth of the time that the call of `run` takes.
@@ -293,7 +299,7 @@ class PreparedRun:
             check_parts(self.system, moments, events)
             times = times.marking(moments.marks)
         run = self.begun(times, start, values)
-        observed = self._observed_at(start.momenta[0]) if self._observe else None
+        observed = self.observed(start)
         if events:
             parts = PartsOfSteps(self.system, self.method, run.loops, run.workers)
             EventRun(run, self._watched(events, start.momenta[0], times.t0), parts).advance(progress)
@@ -303,15 +309,17 @@ class PreparedRun:
             look(run, moments)
         return run.solution(observed)
 
-    def begun(self, times: Times, start: Start, values: NDArray[np.float64] | None = None) -> Run:
-        """Return the run of `follow` before its first step."""
+    def begun(
+        self, times: Times, start: Start, values: NDArray[np.float64] | None = None, state: RunState | None = None
+    ) -> Run:
+        """Return the run of `follow` before its first step, or after those that led to a state."""
         workers = min(len(start.momenta), self._threads)
         system: Any = self.system
         loops = self.loops(times.h)
         if isinstance(loops, InputLoops):
             assert values is not None
             loops, system = loops.at(values), partial(self.system_at, values)
-        return Run(system, self.method, loops, times, start, self._watching, workers)
+        return Run(system, self.method, loops, times, start, self._watching, workers, state)
 
     def _watched(self, events: tuple[Event, ...], x0: NDArray[np.float64], t0: float) -> WatchedEvents:
         """Return events compiled; those of the last run are kept."""
@@ -336,11 +344,14 @@ class PreparedRun:
             return BatchLoops(self.system, self._scheme, h, self._representations)
         return SystemLoops(self.system, self._scheme, h, self._representations[0])
 
-    def _observed_at(self, x0: NDArray[np.float64]) -> Observed:
+    def observed(self, start: Start) -> Observed | None:
+        """Return what is to be observed along a run, if anything."""
+        if not self._observe:
+            return None
         with self._making:
             if self._observed is None:
                 system = self.system[0] if isinstance(self.system, Batch) else self.system
-                self._observed = Observed(system, self._observe, x0)
+                self._observed = Observed(system, self._observe, start.momenta[0])
         return self._observed
 
 

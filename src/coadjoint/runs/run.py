@@ -86,11 +86,9 @@ class Run:
         if state is not None:
             times = times.after(state.number)
         self.system, self.method, self.loops = system, method, loops
-        self.times, self.start, self.watching, self.workers = times, start, watching, workers
-        members, square = len(start.momenta), start.groups.shape[1] ** 2
-        self.plan = loops.plan(members, times.points, square, workers)
-        check_room_of_run(self.plan.layout, times, members)
-        self.saved = NamedArrays(self.plan.layout.saved)
+        self.start, self.watching, self.workers = start, watching, workers
+        self._hold(times)
+        square = start.groups.shape[1] ** 2
         if state is None:
             self.state = RunState(NamedArrays(self.plan.layout.state))
             # Behind the coordinates stand accounts, which begin at zero.
@@ -101,15 +99,29 @@ class Run:
             state.check_fits(self.plan.layout.state)
             self.state = state.copy()
             self.saved.numbers.fill(np.nan)
-        self._schedule = schedule_of(*times[:4], watching, *times[4:6])
         self.seconds = 0.0
         self.wrong = 0
         self.events: Events | None = None
         self.ending: Ending | None = None
 
+    def _hold(self, times: Times, events: int = 0) -> None:
+        """Make room for the points that these times save."""
+        members = len(self.start.momenta)
+        self.times, self._events_at = times, events
+        self.plan = self.loops.plan(members, times.points, self.start.groups.shape[1] ** 2, self.workers)
+        check_room_of_run(self.plan.layout, times, members)
+        self.saved = NamedArrays(self.plan.layout.saved)
+        self._schedule = schedule_of(*times[:4], self.watching, *times[4:6], events=events)
+
+    def let_go(self) -> None:
+        """Forget what was saved so far, so that there is room for the points after it."""
+        self._hold(self.times.after(self.state.number), self._events_at)
+        self.saved.numbers.fill(np.nan)
+
     def look_for(self, events: int) -> None:
         """Let the loops look for events, at the address of their tables; these must live as long as the run."""
-        self._schedule = schedule_of(*self.times[:4], self.watching, *self.times[4:6], events=events)
+        times, self._events_at = self.times, events
+        self._schedule = schedule_of(*times[:4], self.watching, *times[4:6], events=events)
 
     def close(self, last: NDArray[np.int64]) -> None:
         """Forget what was saved of members after their last steps, where events have ended them before the others."""
@@ -201,9 +213,12 @@ class Run:
     def failure(self, partial: Any) -> IntegrationError:
         """Return what went wrong, with what there is of the run."""
         failed = self.state["status"].nonzero()[0]
-        if not len(failed):
-            return self._energy_error(self._solution(self.times.points, None), partial)
-        return self._error(int(failed[0]), len(failed), partial)
+        if len(failed):
+            return self._error(int(failed[0]), len(failed), partial)
+        whole = self._solution(self.times.points, None)
+        first = first_point_not_finite(whole.energy)
+        assert first is not None
+        return self.energy_error(int(self.times.saved[first]), float(whole.t[first]), partial)
 
     def fail(self, member: int, step: int, status: str) -> None:
         """Note that a member has failed in a step, for a reason that the loops do not know; its status by name."""
@@ -212,23 +227,23 @@ class Run:
 
     def _check_attitude(self, whole: Solution) -> None:
         """Refuse a group element that overflowed where the momentum did not: the factor of a shift may grow."""
-        sound = np.isfinite(np.asarray(whole.attitude)).reshape(len(whole.t), -1).all(axis=1)
-        if sound.all():
-            return
-        first = int(np.argmin(sound))
-        raise IntegrationError(
-            f"the attitude at t = {whole.t[first]:g} is no finite matrix, though the momentum is finite: the group "
+        first = first_point_not_finite(whole.attitude)
+        if first is not None:
+            raise self.attitude_error(int(self.times.saved[first]), float(whole.t[first]), whole)
+
+    def attitude_error(self, step: int, when: float, partial: Any) -> IntegrationError:
+        """Return the error for a group element that is not finite after a step, at a time."""
+        return IntegrationError(
+            f"the attitude at t = {when:g} is no finite matrix, though the momentum is finite: the group "
             "element grows until it overflows; take a shorter span, or attitude=False",
-            step=int(self.times.saved[first]),
-            time=float(whole.t[first]),
+            step=step,
+            time=when,
             residual=float("nan"),
-            partial=whole,
+            partial=partial,
         )
 
-    def _energy_error(self, whole: Solution, partial: Any) -> IntegrationError:
+    def energy_error(self, step: int, when: float, partial: Any) -> IntegrationError:
         """Return the error for an energy that is not finite at a finite state, where a function is undefined."""
-        wrong = np.flatnonzero(~np.isfinite(whole.energy).reshape(len(whole.t), -1).all(axis=1))
-        step, when = int(self.times.saved[wrong[0]]), float(whole.t[wrong[0]])
         return IntegrationError(
             f"the energy at t = {when:g} is not a finite number, though the state is: the Hamiltonian overflows "
             "or is undefined there; start elsewhere, or correct its value",
@@ -259,6 +274,19 @@ class Run:
 
     def _solution(self, kept: int, observed: Observed | None) -> Solution:
         return Solution(self, kept, observed)
+
+
+def first_point_not_finite(series: Any) -> int | None:
+    """Return the first saved point at which some number of a series is not finite, or None.
+
+    Examples
+    --------
+    >>> first_point_not_finite([[0.0, 1.0], [2.0, np.inf], [np.nan, 3.0]])
+    1
+    """
+    values = np.asarray(series)
+    sound = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
+    return None if sound.all() else int(np.argmin(sound))
 
 
 def read_progress(progress: Any) -> bool:

@@ -94,6 +94,8 @@ class Unshift:
     def __call__(self, start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
         """Return group elements (points, members, d, d) from those that the loops left."""
         found = np.empty((points, *start.groups.shape))
+        if not points:
+            return found
         self.fill(found, start, times, saved.place_of("group"), 0, len(start.groups))
         return found
 

@@ -16,9 +16,9 @@ from coadjoint.wording import short
 class Times(NamedTuple):
     """Start, signed step and number of steps, and which are saved: every `save_every`-th, or those in `marks`.
 
-    The first `passed` of the saved steps are left out: a run that goes on has taken them before. Where states are saved
-    at the times `between`, `elapsed` after the start, the marks are the steps that were taken to them, whole or in
-    part.
+    The first `passed` of the saved steps are left out: a run that goes on has taken them before. No more than `most`
+    of the others are held at a time, where that is given. Where states are saved at the times `between`, `elapsed`
+    after the start, the marks are the steps that were taken to them, whole or in part.
     """
 
     t0: float
@@ -29,6 +29,7 @@ class Times(NamedTuple):
     marks: NDArray[np.int64] | None = None
     between: NDArray[np.float64] | None = None
     elapsed: NDArray[np.float64] | None = None
+    most: int | None = None
 
     @property
     def end(self) -> float:
@@ -36,19 +37,37 @@ class Times(NamedTuple):
         return self.t0 + self.steps * self.h
 
     @property
+    def every_point(self) -> int:
+        """How many steps are saved in all, by the whole run."""
+        return -(-self.steps // self.save_every) + 1 if self.marks is None else len(self.marks)
+
+    @property
     def points(self) -> int:
         """How many steps are saved."""
-        every = -(-self.steps // self.save_every) + 1 if self.marks is None else len(self.marks)
-        return every - self.passed
+        left = self.every_point - self.passed
+        return left if self.most is None else min(left, self.most)
 
     @property
     def saved(self) -> NDArray[np.int64]:
         """Numbers of the saved steps: the marks, or 0, every save_every-th, and the last."""
+        last = self.passed + self.points
         if self.marks is not None:
-            return self.marks[self.passed :]
-        numbers = np.arange(0, self.steps + 1, self.save_every)
-        numbers = numbers if numbers[-1] == self.steps else np.append(numbers, self.steps)
-        return numbers[self.passed :]
+            return self.marks[self.passed : last]
+        return np.minimum(np.arange(self.passed, last) * self.save_every, self.steps)
+
+    @property
+    def reach(self) -> int:
+        """The last step before the first saved one that is not held any more.
+
+        Examples
+        --------
+        >>> Times(0.0, 0.5, 10, 4, most=2).reach, Times(0.0, 0.5, 10, 4, passed=1, most=2).reach
+        (7, 10)
+        """
+        last = self.passed + self.points
+        if last == self.every_point:
+            return self.steps
+        return (last * self.save_every if self.marks is None else int(self.marks[last])) - 1
 
     def marking(self, numbers: Any) -> Times:
         """Return the same times with the saved steps given, ascending: any of 0 to `steps`.
@@ -86,10 +105,13 @@ class Times(NamedTuple):
         >>> Times(0.0, 0.5, 10, 4).after(4).saved
         array([ 8, 10])
         """
-        every = self._replace(passed=0)
         if not 0 <= number <= self.steps:
             raise ValueError(f"the state is that after step {number}; a run of {self.steps} steps cannot go on from it")
-        return every._replace(passed=int(np.searchsorted(every.saved, number, side="right")))
+        if self.marks is not None:
+            passed = int(np.searchsorted(self.marks, number, side="right"))
+        else:
+            passed = self.every_point if number == self.steps else number // self.save_every + 1
+        return self._replace(passed=passed)
 
     @property
     def seen(self) -> NDArray[np.float64]:

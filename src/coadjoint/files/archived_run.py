@@ -1,0 +1,164 @@
+"""How does a run write itself down while it runs? Piece by piece into an archive, each of them committed at once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Mapping
+from math import prod
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint.files.archive_store import ArchiveError, ArchiveStore, Kept
+from coadjoint.files.export import said_of
+from coadjoint.files.stored_arrays import TYPES, StoredArray, chunk_of, rows_of_chunk
+from coadjoint.files.variables import Variables, coordinates_of, over_time, starts_of, summaries_of
+from coadjoint.runs.piecewise_run import PiecewiseRun
+from coadjoint.runs.run import progress_bar
+
+if TYPE_CHECKING:
+    from coadjoint.errors import IntegrationError
+    from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.start import Start
+    from coadjoint.runs.times import Times
+
+FINISHED, STEPS, STATES, ACCOUNTS = "archive_finished", "archive_steps", "archive_states", "archive_accounts"
+FIRST_STEP = "archive_first_step"
+SECONDS_OF_STRETCH, FIRST_STRETCH = 0.25, 64
+SECONDS_OF_PIECE, SHARE_OF_COMMITS = 10.0, 20
+"""A piece is committed after 10 s, or after 20 times as long as it took to commit the one before."""
+
+
+class ArchivedRun:
+    """A run and the archive that it writes.
+
+    Parameters
+    ----------
+    store : ArchiveStore
+        The archive.
+    ready, times, start
+        The run, as for `PiecewiseRun`.
+    stored : mapping, optional
+        Where to go on.
+    """
+
+    def __init__(
+        self,
+        store: ArchiveStore,
+        ready: PreparedRun,
+        times: Times,
+        start: Start,
+        stored: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.store, self.run = store, PiecewiseRun(ready, times, start, store.arrays["time"].chunk[0], stored)
+        self._seconds = float(store.attributes.get("seconds", 0.0))
+        self._took = 0.0
+        self._committed = self.run.number
+        self._failure: IntegrationError | None = None
+
+    def advance(self, until: int | None = None, progress: bool = False) -> IntegrationError | None:
+        """Take the steps up to number `until`, or all, and commit them; return the failure of the run, if it failed.
+
+        Raises
+        ------
+        ArchiveError
+            The archive could not be written. It holds what was committed before.
+        """
+        run, stretch, last = self.run, FIRST_STRETCH, self.run.run.times.steps if until is None else until
+        begun = time.perf_counter()
+        with progress_bar(last - run.number, progress) as bar:
+            while not run.over and run.number < last:
+                target, before = min(last, run.reach, run.number + stretch), time.perf_counter()
+                done = run.number
+                try:
+                    run.advance(target)
+                except KeyboardInterrupt:
+                    if not run.torn:
+                        self.commit()
+                    raise
+                bar(target - done)
+                now = time.perf_counter()
+                pace = (target - done) / max(now - before, 1e-6)
+                stretch = max(1, min(int(pace * SECONDS_OF_STRETCH), 4 * stretch))
+                if target == run.reach or now - begun > max(SECONDS_OF_PIECE, SHARE_OF_COMMITS * self._took):
+                    self.commit()
+                    begun = time.perf_counter()
+        self.commit()
+        return self._failure
+
+    def commit(self) -> None:
+        """Let everything count that the run has done."""
+        run, began = self.run, time.perf_counter()
+        if run.number == self._committed:
+            return
+        try:
+            piece = run.piece()
+            for name, (_, values, _) in growing_of(piece).items():
+                self.store.write(name, values, (run.first,))
+            for name, (_, values, _) in summaries_of(piece).items():
+                self.store.write(name, values)
+            self._failure = failure = run.failure(piece) if run.over else None
+            lengths = {"time": run.first + run.held}
+            kept = self.store.keep(run.stored(), {"number": run.number, **lengths})
+            self.store.commit(
+                {**self._attributes(piece, kept), **(said_of(failure) if failure else {})}, lengths, [kept]
+            )
+        except ArchiveError:
+            raise
+        except OSError as reason:
+            raise unwritten(self.store, reason) from reason
+        run.let_go()
+        self._took, self._committed = time.perf_counter() - began, run.number
+
+    def _attributes(self, piece: Solution, kept: Kept) -> dict[str, Any]:
+        stats = piece.stats
+        return {
+            STEPS: self.run.number,
+            FINISHED: int(self.run.over),
+            STATES: json.dumps([list(kept)]),
+            "evaluations": stats.evaluations,
+            "iterations": stats.iterations,
+            "seconds": self._seconds + stats.seconds,
+        }
+
+
+def growing_of(piece: Solution) -> Variables:
+    """Return what a piece of a run adds to its archive."""
+    return {**over_time(piece), "time": (("time",), piece.t, {})}
+
+
+def new_arrays(piece: Solution) -> tuple[dict[str, StoredArray], Variables, Variables]:
+    """Return the arrays of the archive of a run, with what those that grow begin with, and the values of the others."""
+    growing = growing_of(piece)
+    fixed: Variables = {**starts_of(piece), **summaries_of(piece)}
+    for name, values in coordinates_of(piece).items():
+        if name != "time":
+            fixed[name] = ((name,), np.asarray(values), {})
+    longest = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values())
+    rows = rows_of_chunk(longest, piece._times.every_point)
+    arrays = {}
+    for name, (dims, values, attributes) in (growing | fixed).items():
+        kind = TYPES.get(np.asarray(values).dtype.kind, "string")
+        shape = np.shape(values)
+        shape = (0, *shape[1:]) if name in growing else shape
+        arrays[name] = StoredArray(dims, kind, shape, chunk_of(dims, shape, rows), attributes)
+    return arrays, growing, fixed
+
+
+def first_step(ready: PreparedRun, times: Times, start: Start) -> str:
+    """Return what tells the first step of a run from any other: a digest of all that it leaves."""
+    run = ready.begun(times._replace(most=2), start)
+    run.advance(until=min(1, times.steps))
+    return hashlib.sha256(run.state.arrays.numbers.tobytes()).hexdigest()
+
+
+def unwritten(store: ArchiveStore, reason: OSError) -> ArchiveError:
+    """Return the error for an archive that could not be written."""
+    said, steps = reason.strerror or str(reason), store.attributes.get(STEPS, 0)
+    return ArchiveError(
+        f"{store.path}: the archive could not be written ({said}); it holds the run up to step {steps}, and the run "
+        "goes on from there when it is resumed"
+    )

@@ -1,0 +1,302 @@
+"""What does an archive have to say? A solution that reads what it is asked for, when it is asked."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.extras import need
+from coadjoint.files.archive_store import ArchiveError, Kept, read_array, read_kept, read_root
+from coadjoint.files.archived_run import ACCOUNTS, FINISHED, STATES, STEPS
+from coadjoint.files.export import solution_inputs
+from coadjoint.files.stored_arrays import GROWING, StoredArray
+from coadjoint.memory import check_room
+from coadjoint.methods.forced import serving
+from coadjoint.runs.piecewise_run import STATE, larger
+from coadjoint.runs.solution import Solution, Statistics
+from coadjoint.runs.start import Start, start_of
+from coadjoint.runs.times import Times, times_of
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.kinds import System
+
+if TYPE_CHECKING:
+    import xarray
+
+
+class ArchivedSolution(Solution):
+    """A run in an archive, as far as it had come when it was opened; `open_archive` returns it.
+
+    It has all that a `Solution` has. Arrays are read when they are first asked for, and kept; of those that do not fit
+    into memory ``to_xarray()`` reads a part.
+
+    Attributes
+    ----------
+    path : Path
+        The archive.
+    finished : bool
+        Whether the run has come to its end; otherwise `resume` goes on with it.
+    reached : int
+        How many steps were taken.
+    """
+
+    def __init__(self, path: Path, system: Any = None) -> None:
+        arrays, attributes = read_root(path)
+        self.__dict__.update(
+            path=path,
+            finished=bool(attributes[FINISHED]),
+            reached=int(attributes[STEPS]),
+            choice=None,
+            events=None,
+            _ending=None,
+            _error=None,
+            _began=None,
+            _given=system,
+            _arrays=arrays,
+            _attributes=attributes,
+            _kept_state=Kept(*json.loads(attributes[STATES])[-1]),
+            _accounts=tuple((force, name) for force, name in json.loads(attributes[ACCOUNTS])),
+        )
+
+    path: Path
+    finished: bool
+    reached: int
+    _given: Any
+    _arrays: dict[str, StoredArray]
+    _attributes: dict[str, Any]
+    _kept_state: Kept
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return open_archive, (self.path, self._given)
+
+    def __repr__(self) -> str:
+        state = "finished" if self.finished else f"at step {self.reached} of {self._times.steps}"
+        return f"<archive {self.path}, {state}: {self._arrays['time'].shape[0]} points>"
+
+    def inputs(self, events: Any = ()) -> dict[str, Any]:
+        """Return the arguments of `integrate` that repeat the run."""
+        import xarray
+
+        names: list[str] = [name for name in ("x0", "attitude0") if name in self._arrays]
+        if self._attributes["between_steps"]:
+            names.append("time")
+        values = {name: (self._arrays[name].dims, self._whole(name)) for name in names}
+        return solution_inputs(xarray.Dataset(values, attrs=self._attributes), self._given, events)
+
+    @cached_property
+    def _inputs(self) -> dict[str, Any]:
+        return self.inputs()
+
+    @cached_property
+    def _stored(self) -> dict[str, NDArray[Any]]:
+        return read_kept(self.path, self._kept_state)
+
+    def _whole(self, name: str) -> NDArray[Any]:
+        """Return all of an array."""
+        array = self._arrays[name]
+        what = f"{name} of the archive {self.path}"
+        check_room(16 * prod(array.shape), what, f"read a part of to_xarray()[{name!r}]")
+        return read_array(self.path, name, array)
+
+    def _read(self, name: str) -> NDArray[Any]:
+        """Return all of an array, of complex numbers where it has their parts."""
+        values = self._whole(name)
+        return values[..., 0] + 1j * values[..., 1] if self._arrays[name].dims[-1] == "part" else values
+
+    @cached_property
+    def system(self) -> Any:
+        """What moved; where it has functions, which are not stored, it must be given to `open_archive`."""
+        return self._inputs["system"]
+
+    @cached_property
+    def method(self) -> Any:  # type: ignore[override]
+        """The scheme."""
+        return self._inputs["method"]
+
+    @cached_property
+    def watched(self) -> bool:  # type: ignore[override]
+        """Whether every step was watched."""
+        return bool(self._attributes["watch"])
+
+    @cached_property
+    def _times(self) -> Times:  # type: ignore[override]
+        attributes = self._attributes
+        return times_of(json.loads(attributes["t_span"]), float(attributes["step"]), int(attributes["save_every"]))
+
+    @cached_property
+    def _start(self) -> Start:  # type: ignore[override]
+        inputs = self._inputs
+        system, method = inputs["system"], inputs["method"]
+        return start_of(system, serving(system, method), inputs["x0"], inputs["attitude"])
+
+    @cached_property
+    def _system(self) -> System | Batch:  # type: ignore[override]
+        return self.system
+
+    @cached_property
+    def t(self) -> NDArray[np.float64]:
+        """The saved times."""
+        return self._read("time")
+
+    @cached_property
+    def x(self) -> NDArray[Any]:
+        """Momenta."""
+        return self._read("x")
+
+    @cached_property
+    def x0(self) -> NDArray[Any]:
+        """Momentum at the start."""
+        return self._read("x0")
+
+    @cached_property
+    def attitude0(self) -> NDArray[np.float64] | None:
+        """Group element at the start, if one was carried."""
+        return self._read("attitude0") if "attitude0" in self._arrays else None
+
+    @cached_property
+    def attitude(self) -> NDArray[np.float64] | None:
+        """Group elements, if they were carried."""
+        return self._read("attitude") if "attitude" in self._arrays else None
+
+    @cached_property
+    def t_eval(self) -> NDArray[np.float64] | None:
+        """The times that were asked for; None where steps were saved."""
+        return self.t if self._attributes["between_steps"] else None
+
+    @cached_property
+    def _names(self) -> list[str]:  # type: ignore[override]
+        return [str(name) for name in self._whole("invariant")]
+
+    @cached_property
+    def initial(self) -> Mapping[str, Any]:
+        """The energy and the Casimirs at the start."""
+        values = self._stored["initial"]
+        return {name: values[0, i] if self.failed is None else values[:, i] for i, name in enumerate(self._names)}
+
+    @cached_property
+    def energy(self) -> NDArray[np.float64]:
+        """The Hamiltonian."""
+        return self._read("energy")
+
+    @cached_property
+    def casimirs(self) -> Mapping[str, NDArray[np.float64]]:
+        """Name -> values, read when they are asked for."""
+        return self._series("casimir_")
+
+    @cached_property
+    def observed(self) -> Mapping[str, NDArray[np.float64]]:  # type: ignore[override]
+        """Name -> values, read when they are asked for."""
+        return self._series("observed_")
+
+    def _series(self, kind: str) -> Any:
+        labels = {
+            str(array.attributes["long_name"]): label for label, array in self._arrays.items() if label.startswith(kind)
+        }
+        return Read(labels, self._read)
+
+    @cached_property
+    def work(self) -> Mapping[str, Mapping[str, NDArray[np.float64]]]:
+        """What each force has done since the start: its label -> "energy", or a Casimir -> values."""
+        found: dict[str, dict[str, NDArray[np.float64]]] = {}
+        for place, (force, invariant) in enumerate(self._accounts):
+            found.setdefault(force, {})[invariant] = self._read("work")[..., place]
+        return found
+
+    @cached_property
+    def stats(self) -> Statistics:
+        """The work done."""
+        attributes = self._attributes
+        return Statistics(
+            self.reached, int(attributes["evaluations"]), int(attributes["iterations"]), float(attributes["seconds"])
+        )
+
+    @cached_property
+    def failed(self) -> NDArray[np.bool_] | None:
+        """Which members of an ensemble failed."""
+        return self._read("failed") if "failed" in self._arrays else None
+
+    @cached_property
+    def carried(self) -> str | None:
+        """In which matrices the group element is."""
+        said = str(self._attributes["attitude_carried"])
+        return None if said == "none" else said
+
+    @cached_property
+    def _worst(self) -> NDArray[np.float64]:
+        worst = larger(self._stored["earlier"], self._stored[f"{STATE}worst"])
+        return worst[0] if self.failed is None else worst
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the archive as a dataset that reads what it is asked for.
+
+        Returns
+        -------
+        xarray.Dataset
+            As `Solution.to_xarray` makes it.
+        """
+        import xarray
+
+        found = xarray.open_zarr(self.path, chunks=None)
+        # It may have grown since it was opened.
+        return found.isel({dim: slice(self._arrays[dim].shape[0]) for dim in GROWING if dim in self._arrays})
+
+
+class Read(Mapping[str, NDArray[Any]]):
+    """Arrays by name, each read when it is first asked for."""
+
+    def __init__(self, labels: Mapping[str, str], read: Callable[[str], NDArray[Any]]) -> None:
+        self._labels, self._read, self._found = dict(labels), read, dict[str, NDArray[Any]]()
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name not in self._found:
+            self._found[name] = self._read(self._labels[name])
+        return self._found[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._labels)
+
+    def __len__(self) -> int:
+        return len(self._labels)
+
+
+def open_archive(path: str | Path, system: Any = None) -> ArchivedSolution:
+    """Open the archive of a run, finished or not, also while it is written.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder that ``integrate(..., archive=path)`` writes.
+    system : optional
+        The system of the run, where it has functions, which are not stored. Only what asks for the system needs it.
+
+    Returns
+    -------
+    ArchivedSolution
+        The run as far as it has come at this moment. It reads what it is asked for.
+
+    Raises
+    ------
+    ArchiveError
+        There is no archive, it is damaged, or a later version of the library has written it.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import tempfile
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     sol = co.integrate(body, (1.0, 0.2, 0.1), (0, 10), 0.1, archive=f"{folder}/run.zarr")
+    ...     co.open_archive(f"{folder}/run.zarr").x.shape
+    (101, 3)
+    """
+    need("an archive of a run", "xarray", "zarr")
+    try:
+        return ArchivedSolution(Path(path), system)
+    except (LookupError, TypeError, ValueError) as reason:
+        raise ArchiveError(f"{path}: the archive is damaged ({reason})") from None

@@ -1,0 +1,232 @@
+"""How is a run begun in an archive, and gone on with after it was cut?"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint.errors import IntegrationError
+from coadjoint.extras import need
+from coadjoint.files.archive_store import ArchiveError, ArchiveStore, Kept, read_kept
+from coadjoint.files.archived_run import ACCOUNTS, FINISHED, FIRST_STEP, STATES, ArchivedRun, first_step, new_arrays
+from coadjoint.files.archived_solution import ArchivedSolution, open_archive
+from coadjoint.files.export import attributes_of
+from coadjoint.files.unfinished import Unfinished, remove_leftovers
+from coadjoint.files.variables import accounts_of
+from coadjoint.runs.events import read_events
+from coadjoint.runs.piecewise_run import PiecewiseRun
+from coadjoint.runs.times import times_of
+
+if TYPE_CHECKING:
+    from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.start import Start
+    from coadjoint.runs.times import Times
+
+
+def archive_run(
+    ready: PreparedRun,
+    x0: Any,
+    t_span: tuple[float, float],
+    save_every: int,
+    archive: str | Path,
+    *,
+    t_eval: Any = None,
+    progress: bool = False,
+    events: Any = None,
+    until: int | None = None,
+) -> ArchivedSolution:
+    """Run into a new archive.
+
+    Parameters
+    ----------
+    ready : PreparedRun
+        What runs.
+    x0, t_span, save_every, t_eval, progress, events
+        As for `coadjoint.integrate`.
+    archive : str or Path
+        A new folder.
+    until : int, optional
+        After how many steps the run is left, to be resumed.
+
+    Returns
+    -------
+    ArchivedSolution
+        Reads what it is asked for.
+
+    Raises
+    ------
+    ArchiveError
+        The folder exists, or cannot be written.
+    IntegrationError
+        As in `coadjoint.integrate`; what there is of the run is in the archive.
+    """
+    need("an archive of a run", "xarray", "zarr")
+    if t_eval is not None or read_events(events):
+        raise ValueError("an archive keeps every save_every-th step, and looks for no events; give neither")
+    target = check_new(archive)
+    times, start = ready.times_of(t_span, save_every)[0], ready.start(x0)
+    with Unfinished(target) as unfinished:
+        store = begun(ready, times, start, unfinished.place)
+        try:
+            store.path = target
+            os.rename(unfinished.place, target)
+        except OSError as reason:
+            store.close()
+            raise ArchiveError(f"{target}: cannot be written ({reason.strerror}); give another name") from None
+    return _run_on(store, ready, times, start, None, progress, until)
+
+
+def begun(ready: PreparedRun, times: Times, start: Start, place: Path) -> ArchiveStore:
+    """Make an archive from which the run can be resumed, though no step was taken yet."""
+    run = PiecewiseRun(ready, times, start, 1)
+    run.advance(0)
+    piece = run.piece()
+    arrays, growing, fixed = new_arrays(piece)
+    store = ArchiveStore.begun(place, arrays)
+    try:
+        for name, (_, values, _) in (growing | fixed).items():
+            store.write(name, values)
+        lengths = {"time": run.held}
+        kept = store.keep(run.stored(), {"number": 0, **lengths})
+        attributes = {
+            **attributes_of(piece),
+            ACCOUNTS: json.dumps(accounts_of(piece)),
+            FIRST_STEP: first_step(ready, times, start),
+            "platform": f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}",
+            FINISHED: 0,
+            "archive_steps": 0,
+            STATES: json.dumps([list(kept)]),
+        }
+        store.commit(attributes, lengths, [kept])
+    except BaseException:
+        store.close()
+        raise
+    return store
+
+
+def check_new(archive: str | Path) -> Path:
+    """Return the path of a new archive, or refuse one that exists, or cannot be made."""
+    target = Path(archive)
+    if os.path.lexists(target):
+        raise ArchiveError(f"{target}: exists; co.resume goes on with an archive, and a new one needs another name")
+    if not target.parent.is_dir():
+        raise ArchiveError(f"{target}: the folder {target.parent} does not exist; make it first")
+    remove_leftovers(target)
+    return target
+
+
+def resume(
+    path: str | Path,
+    *,
+    system: Any = None,
+    threads: int | None = None,
+    progress: bool = False,
+    until: int | None = None,
+) -> ArchivedSolution:
+    """Go on with the run of an archive, to the same bits as if it had never been cut.
+
+    A run that is finished is opened as it is.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder that ``integrate(..., archive=path)`` has written.
+    system : optional
+        The system of the run, where it has functions, which are not stored.
+    threads : int, optional
+        As for `integrate`; it changes no bit.
+    progress : bool
+        Show a progress bar.
+    until : int, optional
+        After how many steps the run is left again.
+
+    Returns
+    -------
+    ArchivedSolution
+        Reads what it is asked for.
+
+    Raises
+    ------
+    ArchiveError
+        There is no archive, somebody else writes to it, it is damaged, or it cannot be written.
+    IntegrationError
+        The run fails, or has failed.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import tempfile
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     sol = co.integrate(body, (1.0, 0.2, 0.1), (0, 10), 0.1, archive=f"{folder}/run.zarr")
+    ...     co.resume(f"{folder}/run.zarr").t[-1]
+    10.0
+    """
+    from coadjoint.runs.prepared_run import PreparedRun
+
+    need("an archive of a run", "xarray", "zarr")
+    place = Path(path)
+    found = open_archive(place, system)
+    if found.finished:
+        return _told(found)
+    store = ArchiveStore.opened(place)
+    try:
+        found = open_archive(place, system)
+        inputs = found.inputs()
+        times = times_of(inputs["t_span"], inputs["step"], inputs["save_every"])
+        ready = PreparedRun(
+            inputs["system"],
+            inputs["method"],
+            inputs["step"],
+            attitude=inputs["attitude"],
+            watch=inputs["watch"],
+            threads=threads,
+        )
+        start = ready.start(inputs["x0"])
+        if first_step(ready, times, start) != store.attributes[FIRST_STEP]:
+            raise ArchiveError(
+                f"{place}: the first step, taken again, has other bits than when the archive was begun by coadjoint "
+                f"{store.attributes['coadjoint_version']} on {store.attributes['platform']}; go on there, or with the "
+                "same system"
+            )
+        stored = read_kept(place, Kept(*json.loads(store.attributes[STATES])[-1]))
+    except BaseException:
+        store.close()
+        raise
+    return _run_on(store, ready, times, start, stored, progress, until)
+
+
+def _run_on(
+    store: ArchiveStore, ready: PreparedRun, times: Times, start: Start, stored: Any, progress: bool, until: int | None
+) -> ArchivedSolution:
+    try:
+        failure = ArchivedRun(store, ready, times, start, stored).advance(until, progress)
+    except KeyboardInterrupt as stopped:
+        stopped.partial = open_archive(store.path, ready.system)  # type: ignore[attr-defined]
+        raise
+    finally:
+        store.close()
+    found = open_archive(store.path, ready.system)
+    if failure is not None:
+        failure.partial = found
+        raise failure
+    return found
+
+
+def _told(found: ArchivedSolution) -> ArchivedSolution:
+    """Return a finished run, or raise the failure that it has ended by."""
+    said = found._attributes
+    if not said.get("run_failed"):
+        return found
+    raise IntegrationError(
+        said["failed_reason"],
+        step=int(said["failed_step"]),
+        time=float(said["failed_time"]),
+        residual=float(said["failed_residual"]),
+        partial=found,
+    )

@@ -1,0 +1,194 @@
+"""A run that is handed over piece by piece, so that it takes the same memory however long it is.
+
+Between two pieces it can be stored, whole, and gone on from with the same bits: `PiecewiseRun.stored`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import IntegrationError
+from coadjoint.kernels.description import codes
+from coadjoint.runs.run import first_point_not_finite
+from coadjoint.runs.solution import REPORTED, Solution
+from coadjoint.runs.start import Start
+from coadjoint.runs.state import RunState
+from coadjoint.runs.times import Times
+
+if TYPE_CHECKING:
+    from coadjoint.runs.prepared_run import PreparedRun
+
+STATE = "state."
+"""Before the names of the arrays of a `RunState` among those that are stored."""
+NEVER = np.array([-1.0, np.nan])
+"""Step and time of what has not happened."""
+
+
+class PiecewiseRun:
+    """A run some of whose saved points are in memory: those since `let_go`, and no more than `most` of them.
+
+    Parameters
+    ----------
+    ready : PreparedRun
+        What runs, made ready.
+    times : Times
+        All of its steps.
+    start : Start
+        Where the first of them begins.
+    most : int
+        How many saved points are held at a time; of the points of the whole run those up to a multiple of it.
+    stored : mapping, optional
+        Where to go on, as `stored` returned it.
+
+    Attributes
+    ----------
+    run : Run
+        The run.
+    torn : bool
+        Whether an interrupt has left points of which nobody knows whose they are: then there is no further `piece`.
+    """
+
+    def __init__(
+        self, ready: PreparedRun, times: Times, start: Start, most: int, stored: Mapping[str, Any] | None = None
+    ) -> None:
+        self._observed = ready.observed(start)
+        state = None if stored is None else state_of(stored)
+        if state is not None and state.number == 0:
+            state = None  # nothing was done yet, and the start is taken again
+        self._most = most
+        passed = 0 if state is None else times.after(state.number).passed
+        self.run = ready.begun(times._replace(most=most - passed % most), start, state=state)
+        worst = self.run.state["worst"]
+        self._earlier: NDArray[np.float64] = np.zeros_like(worst)
+        self._undefined = {"energy": NEVER, "attitude": NEVER}
+        self._turns = start.representation is not None and self.run.loops.attitude_may_overflow(start, times)
+        if stored is not None:
+            self._earlier = np.array(stored["earlier"])
+            self._undefined = {name: np.array(stored[f"undefined {name}"]) for name in self._undefined}
+            self.run.initial = np.array(stored["initial"])
+        self.torn = False
+
+    @property
+    def number(self) -> int:
+        """How many steps were taken."""
+        return self.run.state.number
+
+    @property
+    def reach(self) -> int:
+        """The last step that can be taken before points must be let go."""
+        return self.run.times.reach
+
+    @property
+    def held(self) -> int:
+        """How many saved points are in memory."""
+        numbers, state = self.run.times.saved, self.run.state
+        if self.run.start.single and state["status"][0] not in (codes("Status")["DONE"], codes("Status")["ENDED"]):
+            return int(np.searchsorted(numbers, state["step"][0]))
+        return int(np.searchsorted(numbers, state.number, side="right"))
+
+    @property
+    def over(self) -> bool:
+        """Whether there are no more steps to be taken: they are done, or the only member has failed."""
+        return self.number == self.run.times.steps or (self.run.start.single and bool(self.run.state["status"][0]))
+
+    def advance(self, until: int) -> None:
+        """Take the steps up to number `until`, no more than `reach`; where that is interrupted none is taken."""
+        before = self.run.state.copy()
+        try:
+            self.run.advance(until=until)
+        except BaseException:
+            self.run.state = before
+            self.torn = self.run.loops.order is not None
+            raise
+        if self.run.initial is None:
+            first, order = self.run.saved["values"][0], self.run.loops.order
+            in_order = order is None or until == self.run.times.steps
+            self.run.initial = first.copy() if in_order else first[np.argsort(order)]
+
+    def piece(self) -> Solution:
+        """Return the run at the points that are held, with the drifts and the work of all of its steps so far.
+
+        It must be followed by `let_go`.
+        """
+        run, order = self.run, self.run.loops.order
+        if order is not None and self.number < run.times.steps:
+            run.saved = run.saved.take(np.argsort(order), 1)
+        found = Solution(run, self.held, self._observed)
+        reported = run.state.arrays.only(REPORTED)
+        reported["worst"][:] = self.worst
+        found.__dict__["_state"] = reported
+        self._note_undefined(found)
+        return found
+
+    @property
+    def first(self) -> int:
+        """Which of all saved points is the first one that is held."""
+        return self.run.times.passed
+
+    def let_go(self) -> None:
+        """Forget the points that are held, and make room for others; before the first step there is nothing to do."""
+        run = self.run
+        if self.number:
+            run.times = run.times._replace(most=self._most - run.times.after(self.number).passed % self._most)
+            run.let_go()
+
+    @property
+    def worst(self) -> NDArray[np.float64]:
+        """The largest deviations in each tenth of the run so far, (members, tenths, invariants)."""
+        return larger(self._earlier, self.run.state["worst"])
+
+    def begin_block(self) -> None:
+        """Let the state have the largest deviations from here on alone."""
+        self._earlier = self.worst
+        self.run.state["worst"][:] = 0.0
+
+    def stored(self) -> dict[str, Any]:
+        """Return numbers and arrays, by name, from which the run goes on with the same bits."""
+        assert self.run.initial is not None
+        return {
+            **{f"{STATE}{name}": value for name, value in self.run.state.to_mapping().items()},
+            "earlier": self._earlier,
+            "initial": self.run.initial,
+            **{f"undefined {name}": found for name, found in self._undefined.items()},
+        }
+
+    def failure(self, partial: Any) -> IntegrationError | None:
+        """Return what has gone wrong of a run that is `over`, with what there is of it."""
+        if self.run.state["status"].any():
+            return self.run.failure(partial)
+        for name, error in (("energy", self.run.energy_error), ("attitude", self.run.attitude_error)):
+            step, when = self._undefined[name].tolist()
+            if step >= 0:
+                return error(int(step), when, partial)
+        return None
+
+    def _note_undefined(self, found: Solution) -> None:
+        """Note where an energy or a group element is first not finite, though the state is."""
+        sound, shape = self.run.state["status"] == 0, (len(found.t), len(self.run.state["status"]))
+        series = {"energy": found.energy.reshape(shape)[:, sound]}
+        if self._turns and found.attitude is not None:
+            series["attitude"] = found.attitude.reshape(*shape, found.attitude.shape[-1] ** 2)[:, sound]
+        for name, values in series.items():
+            first = first_point_not_finite(values)
+            if first is not None and self._undefined[name][0] < 0:
+                self._undefined[name] = np.array([self.run.times.saved[first], found.t[first]])
+
+
+def state_of(stored: Mapping[str, Any]) -> RunState:
+    """Return the state of a run among what is stored of it."""
+    return RunState.from_mapping({name[len(STATE) :]: stored[name] for name in stored if name.startswith(STATE)})
+
+
+def larger(earlier: NDArray[np.float64], later: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the largest deviations of two pieces of a run, one after the other, as the loops take them.
+
+    Examples
+    --------
+    >>> larger(np.array([1.0, 2.0, np.nan, 3.0]), np.array([2.0, 1.0, 0.0, np.nan]))
+    array([ 2.,  2., nan, nan])
+    """
+    return np.where((later <= earlier) | (later == 0.0), earlier, later)

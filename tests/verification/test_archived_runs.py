@@ -1,0 +1,137 @@
+"""A run that was cut and resumed has the bits of one that was not: every scheme, wherever it was cut."""
+
+from __future__ import annotations
+
+import itertools
+import os
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.files.archives import archive_run
+from coadjoint.files.records import record_of
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.systems.batch import Batch
+
+from .schemes_under_test import schemes
+from .systems_under_test import all_cases
+
+STEPS, STEP, T0 = 17, 0.05, 0.25
+# Before the first step, within and at the points that are saved, and before the last step.
+CUTS = ((0,), (1,), (4, 5), (8,), (3, 9, 16), (16,), (12,))
+EVERY, THREADS, MEMBERS, DIRECTIONS = (1, 4, 5, 40), (1, 2, 3), (None, 1, 7), (1, -1, 1)
+FORCED = {
+    "body, damped": (
+        co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.LinearDamping(0.1)),
+        [0.3, -1.0, 0.7],
+    ),
+}
+BATCH = co.batch([co.systems.rigid_body(inertia) for inertia in ((1, 2, 3), (3, 1, 2), (1, 2, 4), (3, 1, 2.5))])
+TURNING = co.LiePoissonSystem(co.algebras.get("A4,6", a=1.0, b=0.5), co.Quadratic([1.0, 0.5, 0.25, 2.0]))
+
+
+@pytest.fixture(autouse=True)
+def without_waiting_for_the_disk(monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+def stored(system):
+    """Whether a record has all of a system: functions are tried elsewhere."""
+    return "not_stored" not in record_of(system)
+
+
+def systems():
+    found = {name: (case.system, case.x0) for name, case in all_cases().items()}
+    found |= {name: (system, np.array(x)) for name, (system, x) in FORCED.items()}
+    found |= {"bodies": (BATCH, np.array([0.3, -1.0, 0.7])), "turning": (TURNING, np.array([0.5, 0.25, -0.5, 0.7]))}
+    return {name: case for name, case in found.items() if stored(case[0])}
+
+
+def cases():
+    """Yield every scheme on every system of a round that it serves, with options by turns."""
+    known, options = systems(), zip(*map(itertools.cycle, (CUTS, EVERY, THREADS, MEMBERS, DIRECTIONS)), strict=False)
+    for name, method in schemes().items():
+        serving = [system for system, (moved, _) in known.items() if serves_all(method, moved)]
+        # By turns, so that in all every system is met by many schemes.
+        for k in range(min(7, len(serving))):
+            cuts, every, threads, members, direction = next(options)
+            system = serving[(k * 3 + len(name)) % len(serving)]
+            one = known[system][0]
+            members = None if isinstance(one, Batch) else members
+            attitude = attitude_of(method, one) if k % 2 == 0 else False
+            yield pytest.param(
+                method, system, cuts, every, threads, members, direction, attitude, id=f"{name}, {system}, {k}"
+            )
+
+
+def serves_all(method, system):
+    try:
+        PreparedRun(system, method, STEP).loops(STEP)
+    except (ValueError, TypeError):
+        return False
+    return True
+
+
+def attitude_of(method, system):
+    try:
+        PreparedRun(system, method, STEP, attitude="coadjoint")
+    except (ValueError, TypeError):
+        return False
+    return "coadjoint"
+
+
+def assert_same(found, whole):
+    """Every number that a run leaves."""
+    assert np.array_equal(found.t, whole.t)
+    for name in ("x", "energy", "attitude", "x0", "attitude0", "failed"):
+        one, other = getattr(found, name), getattr(whole, name)
+        assert (one is None) == (other is None), name
+        assert one is None or (one.dtype == other.dtype and np.array_equal(one, other, equal_nan=True)), name
+    for one, other in ((found.casimirs, whole.casimirs), (found.observed, whole.observed)):
+        assert list(one) == list(other)
+        assert all(np.array_equal(one[name], other[name], equal_nan=True) for name in other)
+    assert list(found.work) == list(whole.work)
+    for force, done in whole.work.items():
+        assert all(np.array_equal(found.work[force][name], values) for name, values in done.items())
+    for one, other in ((found.change(), whole.change()), (found.balance(), whole.balance())):
+        assert list(one) == list(other)
+        for name, drift in other.items():
+            assert np.array_equal(one[name].tenths, drift.tenths, equal_nan=True), name
+            assert np.array_equal(one[name].initial, drift.initial), name
+    assert found.t_span == whole.t_span and found.asked_span == whole.asked_span
+    assert (found.step, found.save_every, found.watched, found.carried) == (
+        whole.step,
+        whole.save_every,
+        whole.watched,
+        whole.carried,
+    )
+    one, other = found.stats, whole.stats
+    assert (one.steps, one.evaluations, one.iterations) == (other.steps, other.evaluations, other.iterations)
+
+
+@pytest.mark.parametrize(
+    ("method", "name", "cuts", "every", "threads", "members", "direction", "attitude"), list(cases())
+)
+def test_cut_and_resumed(tmp_path, method, name, cuts, every, threads, members, direction, attitude):
+    system, x = systems()[name]
+    x0 = x if members is None else np.multiply.outer(1.0 - 0.03 * np.arange(members), x)
+    span = (T0, T0 + direction * STEPS * STEP)
+    watch = len(cuts) != 2
+    whole = co.integrate(system, x0, span, STEP, method, save_every=every, attitude=attitude, watch=watch, threads=1)
+    ready = PreparedRun(system, method, STEP, attitude=attitude, watch=watch, threads=threads)
+    path = tmp_path / "run.zarr"
+    found = archive_run(ready, x0, span, every, path, until=cuts[0])
+    for cut in cuts[1:]:
+        assert not found.finished and found.reached < cut
+        found = co.resume(path, threads=1 + cut % 3, until=cut)
+        assert found.reached == cut
+    assert not found.finished and len(found.t) == np.count_nonzero(whole._times.saved <= cuts[-1])
+    assert np.array_equal(found.x, whole.x[: len(found.t)], equal_nan=True)
+    found = co.resume(path, threads=threads)
+    assert found.finished
+    assert_same(found, whole)
+
+
+def test_there_are_enough_cases():
+    assert len(list(cases())) >= 300 or len(list(cases())) == 0
