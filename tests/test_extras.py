@@ -111,7 +111,7 @@ def test_modules_that_begin_with_an_extra_are_imported_where_they_are_used():
 @pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="this is no checkout")
 def test_the_extras_are_those_of_the_project():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    modules = {"python-flint": "flint", "pillow": "PIL"}
+    modules = {"python-flint": "flint", "pillow": "PIL", "google-crc32c": "google_crc32c"}
     declared = {
         extra: {modules.get(name := requirement.partition(">=")[0], name) for requirement in requirements}
         for extra, requirements in project["optional-dependencies"].items()

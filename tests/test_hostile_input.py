@@ -5,6 +5,7 @@ import dataclasses
 import inspect
 import linecache
 import signal
+import tempfile
 import traceback
 from pathlib import Path
 
@@ -68,6 +69,14 @@ TIMES = np.arange(128) * 0.1
 LINES = co.frequencies(TIMES, np.cos(TIMES), 1)
 LONG = co.integrate(BODY, X, (0, 20), 0.1)
 ALONG = co.integrate(BODY, X, (0, 20), 0.5, attitude=True)
+
+
+def in_a_folder(name):
+    return ARCHIVE.parent / name if isinstance(name, str) else name
+
+
+ARCHIVE = Path(tempfile.mkdtemp()) / "run.zarr"
+co.integrate(BODY, X, (0, 1), 0.1, archive=ARCHIVE)
 EYE = np.eye(3)
 FORCED = BODY.with_forces(co.forces.LinearDamping(0.1), co.forces.Torque(lambda t: np.array([0.0, 0.0, t])))
 
@@ -260,6 +269,9 @@ CALLS = {
     "corrector": (co.corrector, {"system": BODY, "method": co.Splitting(), "x0": X}),
     "a corrector": (BETTER, {"x": X, "h": 0.1}),
     "inverse": (BETTER.inverse, {"x": X, "h": 0.1}),
+    "archive": (lambda archive: co.integrate(BODY, X, (0, 1), 0.1, archive=in_a_folder(archive)), {"archive": ARCHIVE}),
+    "open_archive": (co.open_archive, {"path": ARCHIVE}),
+    "resume": (co.resume, {"path": ARCHIVE}),
     "stepper": (co.stepper, {"system": BODY, "method": co.Splitting(), "h": 0.1}),
     "a step": (STEP, {"x": X, "t": 0.0}),
     "group": (STEP.group, {"x": X, "t": 0.0, "attitude": None}),

@@ -18,6 +18,7 @@ An archive may be written by several processes at once where each writes chunks 
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import io
 import json
@@ -33,6 +34,7 @@ from numpy.typing import NDArray
 from coadjoint.files.stored_arrays import StoredArray
 from coadjoint.files.unfinished import LOCK, locked
 from coadjoint.files.whole_files import WRITING, settle, write_whole
+from coadjoint.wording import short
 
 FORMAT = 1
 """The version of the format; a later version of the library reads earlier ones."""
@@ -40,11 +42,35 @@ ROOT = "zarr.json"
 HIDDEN = ".coadjoint"
 VERSION = "archive_format"
 STATE = "state-"
+LONGEST_NAME = 255
 GROUP = {"zarr_format": 3, "node_type": "group"}
 
 
-class ArchiveError(OSError):
-    """An archive cannot be read, written or gone on with; the message says what can be done."""
+class ArchiveError(ValueError):
+    """There is no archive, it is damaged or in use, or one cannot be made; found before anything runs."""
+
+
+class ArchiveUnwritten(OSError):
+    """An archive could not be written while its run went on; it holds what was committed before, and is resumed."""
+
+
+def path_of(given: Any) -> Path:
+    """Return the path of an archive, or refuse what is none.
+
+    Examples
+    --------
+    >>> path_of(3)
+    Traceback (most recent call last):
+    TypeError: archive is 3; it must be the path of a folder, such as 'run.zarr'
+    """
+    if not isinstance(given, str | os.PathLike):
+        raise TypeError(f"archive is {short(given)}; it must be the path of a folder, such as 'run.zarr'")
+    path = os.fspath(given)
+    if not isinstance(path, str) or not path or "\0" in path:
+        raise ValueError(f"archive is {short(given)}; it must be the path of a folder, such as 'run.zarr'")
+    if max(map(len, Path(path).parts), default=0) > LONGEST_NAME:
+        raise ValueError(f"archive is {short(given)}; its name is too long")
+    return Path(path)
 
 
 class Kept(NamedTuple):
@@ -92,7 +118,7 @@ class ArchiveStore:
         Parameters
         ----------
         path : Path
-            A new folder. It may be renamed while the archive is open: set `path` then.
+            A new folder.
         arrays : mapping
             What it will hold; of those that grow no rows yet.
         """
@@ -127,6 +153,21 @@ class ArchiveStore:
                 left.unlink(missing_ok=True)
         found._write_arrays(arrays)
         return found
+
+    def moved(self, path: Path) -> None:
+        """Rename the folder; nothing must be where it goes.
+
+        Raises
+        ------
+        OSError
+            There is something. The archive is closed.
+        """
+        try:
+            os.rename(self.path, path)
+        except OSError:
+            self.close()
+            raise
+        self.path = path
 
     def close(self) -> None:
         """Let others write."""
@@ -191,7 +232,7 @@ class ArchiveStore:
             The states that stay; the files of all others are removed.
         """
         if self._lock is not None and os.fstat(self._lock).st_nlink == 0:
-            raise ArchiveError(f"{self.path}: the archive was removed while it was written")
+            raise FileNotFoundError(errno.ENOENT, "it was removed meanwhile")
         arrays = {
             name: array._replace(shape=(lengths[array.dims[0]], *array.shape[1:])) if array.grows else array
             for name, array in self.arrays.items()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.files.archive_store import ArchiveError, ArchiveStore, Kept
+from coadjoint.files.archive_store import ArchiveStore, ArchiveUnwritten, Kept
 from coadjoint.files.export import said_of
 from coadjoint.files.stored_arrays import TYPES, StoredArray, chunk_of, rows_of_chunk
 from coadjoint.files.variables import Variables, coordinates_of, over_time, starts_of, summaries_of
@@ -64,7 +64,7 @@ class ArchivedRun:
 
         Raises
         ------
-        ArchiveError
+        ArchiveUnwritten
             The archive could not be written. It holds what was committed before.
         """
         run, stretch, last = self.run, FIRST_STRETCH, self.run.run.times.steps if until is None else until
@@ -106,8 +106,6 @@ class ArchivedRun:
             self.store.commit(
                 {**self._attributes(piece, kept), **(said_of(failure) if failure else {})}, lengths, [kept]
             )
-        except ArchiveError:
-            raise
         except OSError as reason:
             raise unwritten(self.store, reason) from reason
         run.let_go()
@@ -155,10 +153,10 @@ def first_step(ready: PreparedRun, times: Times, start: Start) -> str:
     return hashlib.sha256(run.state.arrays.numbers.tobytes()).hexdigest()
 
 
-def unwritten(store: ArchiveStore, reason: OSError) -> ArchiveError:
+def unwritten(store: ArchiveStore, reason: OSError) -> ArchiveUnwritten:
     """Return the error for an archive that could not be written."""
     said, steps = reason.strerror or str(reason), store.attributes.get(STEPS, 0)
-    return ArchiveError(
+    return ArchiveUnwritten(
         f"{store.path}: the archive could not be written ({said}); it holds the run up to step {steps}, and the run "
         "goes on from there when it is resumed"
     )

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.extras import need
-from coadjoint.files.archive_store import ArchiveError, Kept, read_array, read_kept, read_root
+from coadjoint.files.archive_store import ArchiveError, Kept, path_of, read_array, read_kept, read_root
 from coadjoint.files.archived_run import ACCOUNTS, FINISHED, STATES, STEPS
 from coadjoint.files.export import solution_inputs
 from coadjoint.files.stored_arrays import GROWING, StoredArray
@@ -116,12 +116,10 @@ class ArchivedSolution(Solution):
 
     @cached_property
     def method(self) -> Any:  # type: ignore[override]
-        """The scheme."""
         return self._inputs["method"]
 
     @cached_property
     def watched(self) -> bool:  # type: ignore[override]
-        """Whether every step was watched."""
         return bool(self._attributes["watch"])
 
     @cached_property
@@ -141,32 +139,26 @@ class ArchivedSolution(Solution):
 
     @cached_property
     def t(self) -> NDArray[np.float64]:
-        """The saved times."""
         return self._read("time")
 
     @cached_property
     def x(self) -> NDArray[Any]:
-        """Momenta."""
         return self._read("x")
 
     @cached_property
     def x0(self) -> NDArray[Any]:
-        """Momentum at the start."""
         return self._read("x0")
 
     @cached_property
     def attitude0(self) -> NDArray[np.float64] | None:
-        """Group element at the start, if one was carried."""
         return self._read("attitude0") if "attitude0" in self._arrays else None
 
     @cached_property
     def attitude(self) -> NDArray[np.float64] | None:
-        """Group elements, if they were carried."""
         return self._read("attitude") if "attitude" in self._arrays else None
 
     @cached_property
     def t_eval(self) -> NDArray[np.float64] | None:
-        """The times that were asked for; None where steps were saved."""
         return self.t if self._attributes["between_steps"] else None
 
     @cached_property
@@ -175,23 +167,19 @@ class ArchivedSolution(Solution):
 
     @cached_property
     def initial(self) -> Mapping[str, Any]:
-        """The energy and the Casimirs at the start."""
         values = self._stored["initial"]
         return {name: values[0, i] if self.failed is None else values[:, i] for i, name in enumerate(self._names)}
 
     @cached_property
     def energy(self) -> NDArray[np.float64]:
-        """The Hamiltonian."""
         return self._read("energy")
 
     @cached_property
     def casimirs(self) -> Mapping[str, NDArray[np.float64]]:
-        """Name -> values, read when they are asked for."""
         return self._series("casimir_")
 
     @cached_property
     def observed(self) -> Mapping[str, NDArray[np.float64]]:  # type: ignore[override]
-        """Name -> values, read when they are asked for."""
         return self._series("observed_")
 
     def _series(self, kind: str) -> Any:
@@ -202,7 +190,6 @@ class ArchivedSolution(Solution):
 
     @cached_property
     def work(self) -> Mapping[str, Mapping[str, NDArray[np.float64]]]:
-        """What each force has done since the start: its label -> "energy", or a Casimir -> values."""
         found: dict[str, dict[str, NDArray[np.float64]]] = {}
         for place, (force, invariant) in enumerate(self._accounts):
             found.setdefault(force, {})[invariant] = self._read("work")[..., place]
@@ -210,7 +197,6 @@ class ArchivedSolution(Solution):
 
     @cached_property
     def stats(self) -> Statistics:
-        """The work done."""
         attributes = self._attributes
         return Statistics(
             self.reached, int(attributes["evaluations"]), int(attributes["iterations"]), float(attributes["seconds"])
@@ -218,12 +204,10 @@ class ArchivedSolution(Solution):
 
     @cached_property
     def failed(self) -> NDArray[np.bool_] | None:
-        """Which members of an ensemble failed."""
         return self._read("failed") if "failed" in self._arrays else None
 
     @cached_property
     def carried(self) -> str | None:
-        """In which matrices the group element is."""
         said = str(self._attributes["attitude_carried"])
         return None if said == "none" else said
 
@@ -233,13 +217,6 @@ class ArchivedSolution(Solution):
         return worst[0] if self.failed is None else worst
 
     def to_xarray(self) -> xarray.Dataset:
-        """Return the archive as a dataset that reads what it is asked for.
-
-        Returns
-        -------
-        xarray.Dataset
-            As `Solution.to_xarray` makes it.
-        """
         import xarray
 
         found = xarray.open_zarr(self.path, chunks=None)
@@ -296,7 +273,10 @@ def open_archive(path: str | Path, system: Any = None) -> ArchivedSolution:
     (101, 3)
     """
     need("an archive of a run", "xarray", "zarr")
+    place = path_of(path)
     try:
-        return ArchivedSolution(Path(path), system)
+        return ArchivedSolution(place, system)
+    except ArchiveError:
+        raise
     except (LookupError, TypeError, ValueError) as reason:
         raise ArchiveError(f"{path}: the archive is damaged ({reason})") from None

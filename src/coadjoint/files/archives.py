@@ -12,7 +12,7 @@ import numpy as np
 
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
-from coadjoint.files.archive_store import ArchiveError, ArchiveStore, Kept, read_kept
+from coadjoint.files.archive_store import ArchiveError, ArchiveStore, Kept, path_of, read_kept
 from coadjoint.files.archived_run import ACCOUNTS, FINISHED, FIRST_STEP, STATES, ArchivedRun, first_step, new_arrays
 from coadjoint.files.archived_solution import ArchivedSolution, open_archive
 from coadjoint.files.export import attributes_of
@@ -70,14 +70,12 @@ def archive_run(
         raise ValueError("an archive keeps every save_every-th step, and looks for no events; give neither")
     target = check_new(archive)
     times, start = ready.times_of(t_span, save_every)[0], ready.start(x0)
-    with Unfinished(target) as unfinished:
-        store = begun(ready, times, start, unfinished.place)
-        try:
-            store.path = target
-            os.rename(unfinished.place, target)
-        except OSError as reason:
-            store.close()
-            raise ArchiveError(f"{target}: cannot be written ({reason.strerror}); give another name") from None
+    try:
+        with Unfinished(target) as unfinished:
+            store = begun(ready, times, start, unfinished.place)
+            store.moved(target)
+    except OSError as reason:
+        raise _unmade(target, reason) from None
     return _run_on(store, ready, times, start, None, progress, until)
 
 
@@ -111,13 +109,20 @@ def begun(ready: PreparedRun, times: Times, start: Start, place: Path) -> Archiv
 
 def check_new(archive: str | Path) -> Path:
     """Return the path of a new archive, or refuse one that exists, or cannot be made."""
-    target = Path(archive)
-    if os.path.lexists(target):
-        raise ArchiveError(f"{target}: exists; co.resume goes on with an archive, and a new one needs another name")
-    if not target.parent.is_dir():
-        raise ArchiveError(f"{target}: the folder {target.parent} does not exist; make it first")
-    remove_leftovers(target)
+    target = path_of(archive)
+    try:
+        if os.path.lexists(target):
+            raise ArchiveError(f"{target}: exists; co.resume goes on with an archive, and a new one needs another name")
+        if not target.parent.is_dir():
+            raise ArchiveError(f"{target}: the folder {target.parent} does not exist; make it first")
+        remove_leftovers(target)
+    except OSError as reason:
+        raise _unmade(target, reason) from None
     return target
+
+
+def _unmade(target: Path, reason: OSError) -> ArchiveError:
+    return ArchiveError(f"{target}: cannot be made ({reason.strerror}); give another name")
 
 
 def resume(
@@ -153,7 +158,9 @@ def resume(
     Raises
     ------
     ArchiveError
-        There is no archive, somebody else writes to it, it is damaged, or it cannot be written.
+        There is no archive, somebody else writes to it, or it is damaged.
+    ArchiveUnwritten
+        It could not be written while the run went on; it holds what was committed before.
     IntegrationError
         The run fails, or has failed.
 
@@ -170,7 +177,7 @@ def resume(
     from coadjoint.runs.prepared_run import PreparedRun
 
     need("an archive of a run", "xarray", "zarr")
-    place = Path(path)
+    place = path_of(path)
     found = open_archive(place, system)
     if found.finished:
         return _told(found)

@@ -106,8 +106,10 @@ class PiecewiseRun:
             raise
         if self.run.initial is None:
             first, order = self.run.saved["values"][0], self.run.loops.order
-            in_order = order is None or until == self.run.times.steps
-            self.run.initial = first.copy() if in_order else first[np.argsort(order)]
+            if order is None or until == self.run.times.steps:
+                self.run.initial = first.copy()
+            else:
+                self.run.initial = first[np.argsort(order)]
 
     def piece(self) -> Solution:
         """Return the run at the points that are held, with the drifts and the work of all of its steps so far.
