@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from types import BuiltinFunctionType, FunctionType, MethodType
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,21 @@ def short(value: Any, limit: int = 80) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
+def named_function(function: Any) -> str:
+    """Return what a function is called: its name, and no address.
+
+    Examples
+    --------
+    >>> import functools
+    >>> named_function(np.cosh), named_function(lambda x: x), named_function(functools.partial(max, 1))
+    ('cosh', '<lambda>', 'partial of max')
+    """
+    inner = getattr(function, "func", None)
+    if inner is not None and not hasattr(function, "__name__"):
+        return f"partial of {named_function(inner)}"
+    return getattr(function, "__name__", None) or f"a {type(function).__name__}"
+
+
 def _pieces(value: Any, limit: int, depth: int) -> Iterator[str]:
     """Yield the representation in pieces; whoever has enough stops asking."""
     shown_by: Any = type(value).__repr__
@@ -58,12 +74,18 @@ def _pieces(value: Any, limit: int, depth: int) -> Iterator[str]:
         yield repr(value) if digits < limit else f"<int of about {int(digits) + 1} digits>"
     elif shown_by in _BRACKETS:
         yield from _container(value, limit, depth)
+    elif isinstance(value, _FUNCTIONS):
+        name = getattr(value, "__name__", "?")
+        yield "a lambda" if name == "<lambda>" else f"the function {name}"
     elif isinstance(value, np.ndarray):
         yield from _array(value, limit, depth)
     else:
         yield _own(value, limit)
 
 
+_FUNCTIONS = (FunctionType, BuiltinFunctionType, MethodType, np.ufunc, type(np.linalg.norm))
+FEW_FUNCTIONS = 3
+"""Functions of a container that are shown one by one; of more their number is."""
 _BRACKETS: dict[Any, tuple[str, str]] = {
     list.__repr__: ("[", "]"),
     tuple.__repr__: ("(", ")"),
@@ -75,6 +97,10 @@ _BRACKETS: dict[Any, tuple[str, str]] = {
 
 def _container(value: Any, limit: int, depth: int) -> Iterator[str]:
     first, last = _BRACKETS[type(value).__repr__]
+    held = value.values() if isinstance(value, dict) else value
+    if len(value) > FEW_FUNCTIONS and all(_is_of_functions(entry) for entry in held):
+        yield f"{len(value)} functions"
+        return
     if not value and first.endswith("{") and not isinstance(value, dict):
         yield f"{type(value).__name__}()"
         return
@@ -95,6 +121,13 @@ def _container(value: Any, limit: int, depth: int) -> Iterator[str]:
     if isinstance(value, tuple) and len(value) == 1:
         yield ","
     yield last
+
+
+def _is_of_functions(value: Any) -> bool:
+    """Say whether a value is a function, or a tuple or list of them."""
+    if type(value) in (tuple, list):
+        return bool(value) and all(isinstance(entry, _FUNCTIONS) for entry in value)
+    return isinstance(value, _FUNCTIONS)
 
 
 def _array(value: Any, limit: int, depth: int) -> Iterator[str]:

@@ -6,11 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from coadjoint.given import read_number
-from coadjoint.wording import short
+from coadjoint.wording import named_function, short
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Invariant:
     """A function of the state that the motion keeps, given as a Python function.
 
@@ -56,5 +58,16 @@ class Invariant:
         object.__setattr__(self, "period", period)
 
     def __call__(self, x: Any) -> Any:
-        """Return the value at the state x, shape (n,)."""
-        return self.value(x)
+        """Return the value at the state x, shape (n,), or the values at states of the shape (..., n)."""
+        if np.ndim(x) < 2:
+            return self.value(x)
+        states = np.asarray(x)
+        values = np.array([self.value(row) for row in states.reshape(-1, states.shape[-1])])
+        return values.reshape(states.shape[:-1])
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({named_function(self.value)}{_periodic(self.period)})"
+
+
+def _periodic(period: float) -> str:
+    return f", period={period:g}" if period else ""

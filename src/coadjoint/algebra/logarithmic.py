@@ -73,6 +73,9 @@ class LogarithmicSum:
     dim: int
     terms: tuple[Term, ...]
 
+    def __str__(self) -> str:
+        return " + ".join(_written(term) for term in self.terms) or "0"
+
     @classmethod
     def quotient(cls, above: Polynomial, below: Polynomial) -> LogarithmicSum:
         """Return above/below.
@@ -214,7 +217,17 @@ class LogarithmicSum:
         )
 
 
-@dataclass(frozen=True)
+def _written(term: Term) -> str:
+    """Return one term as text."""
+    weight = "" if term.weight == 1 else f"{term.weight} "
+    if term.kind == QUOTIENT:
+        return f"{weight}({term.first!r})/({term.second!r})"
+    return (
+        f"{weight}log|{term.second!r}|" if term.kind == LOGARITHM else f"{weight}atan2({term.first!r}, {term.second!r})"
+    )
+
+
+@dataclass(frozen=True, repr=False)
 class LogarithmicInvariant(Invariant):
     """An `Invariant` that knows its formula, so that it can be written in other coordinates.
 
@@ -226,6 +239,9 @@ class LogarithmicInvariant(Invariant):
     """
 
     formula: LogarithmicSum = LogarithmicSum(0, ())
+
+    def __repr__(self) -> str:
+        return str(self.formula)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return LogarithmicSum.invariant, (self.formula,)  # closures cannot be pickled; the formula can

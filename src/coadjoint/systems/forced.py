@@ -12,7 +12,7 @@ import numpy.typing as npt
 from coadjoint.given import array_given, read_list, read_number, read_numbers, title
 from coadjoint.systems.closed_form import solution_of
 from coadjoint.systems.forces.base import Force
-from coadjoint.systems.points import QUIET, point
+from coadjoint.systems.points import QUIET, over_states, point
 from coadjoint.wording import short
 
 
@@ -149,20 +149,22 @@ class ForcedSystem:
         """Return J(x), shape (n, n)."""
         return np.asarray(self.system.structure_matrix(x))
 
+    @over_states
     @QUIET
-    def vector_field(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+    def vector_field(self, x: npt.ArrayLike, t: Any = 0.0) -> npt.NDArray[Any]:
         """Return x', with all forces.
 
         Parameters
         ----------
-        x : (n,)
-            The state.
-        t : float
-            The time.
+        x : (n,) or (..., n)
+            The state, or many.
+        t : float or (k,)
+            The time, or one for each along the first axis of many states.
 
         Returns
         -------
-        ndarray, shape (n,)
+        ndarray, shape (n,) or (..., n)
+            Each with the bits that it has alone.
 
         Raises
         ------
@@ -183,8 +185,9 @@ class ForcedSystem:
         """Refuse: no closed form of a motion with forces is known here."""
         return solution_of(None, self.name)(x0, t, attitude)
 
-    def energy(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
-        """Return H(x, t)."""
+    @over_states
+    def energy(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
+        """Return H(x, t), of one state or of many; see `LiePoissonSystem.energy`."""
         return self.system.energy(x, t)
 
     @QUIET

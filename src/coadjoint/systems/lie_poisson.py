@@ -18,7 +18,7 @@ from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.known_integrals import checked_integrals
-from coadjoint.systems.points import QUIET, checked_name, checked_sign, matching, point, scatter
+from coadjoint.systems.points import QUIET, checked_name, checked_sign, matching, over_states, point, scatter
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
 
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and what J(x) u needs
@@ -192,38 +192,48 @@ class LiePoissonSystem:
         products = np.abs(self._constants * x[self._states] * u[self._factors])
         return scatter(self._rows, products, self.dim)
 
+    @over_states
     @QUIET
-    def vector_field(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+    def vector_field(self, x: npt.ArrayLike, t: Any = 0.0) -> npt.NDArray[Any]:
         """Return ``sign * J(x) grad H(x, t)``, from the sparse structure constants.
 
         Parameters
         ----------
-        x : (n,)
-            The state, of floats, complex numbers or Python objects (fractions, multiprecision numbers).
-        t : float
-            The time.
+        x : (n,) or (..., n)
+            The state, or many; of floats, complex numbers or Python objects (fractions, multiprecision numbers).
+        t : float or (k,)
+            The time, or one for each along the first axis of many states.
 
         Returns
         -------
-        ndarray, shape (n,)
+        ndarray, shape (n,) or (..., n)
+            Each with the bits that it has alone.
         """
         y = point(x, self.dim)
         return self.sign * self._product(y, self.hamiltonian.gradient(y, t))
 
+    @over_states
     @QUIET
-    def energy(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
+    def energy(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
         """Return H(x, t).
 
         Parameters
         ----------
-        x : (n,)
-            The state.
-        t : float
-            The time.
+        x : (n,) or (..., n)
+            The state, or many.
+        t : float or (k,)
+            The time, or one for each along the first axis of many states.
 
         Returns
         -------
-        float, or a number of the type of x
+        float, or a number of the type of x, or ndarray of the shape (...)
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 4))
+        >>> body.energy([[1.0, 0.0, 0.0], [1.0, 2.0, 4.0]])
+        array([0.5, 3.5])
         """
         return self.hamiltonian.value(point(x, self.dim), t)
 

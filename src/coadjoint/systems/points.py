@@ -6,13 +6,15 @@ numbers (for complex steps), and arrays of Python objects (fractions, multipreci
 
 from __future__ import annotations
 
-from typing import Any
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.exact import exact_numbers
-from coadjoint.given import REAL, array_given, is_real, read_title
+from coadjoint.given import REAL, array_given, is_real, read_numbers, read_title
 from coadjoint.wording import short
 
 QUIET = np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -26,6 +28,39 @@ def point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
         expected = "(n,)" if n is None else f"({n},)"
         raise ValueError(f"x has shape {array.shape}; a point of this system has shape {expected}")
     return array.astype(np.float64) if array.dtype.kind in REAL else array
+
+
+Of = TypeVar("Of", bound=Callable[..., Any])
+
+
+def over_states(method: Of) -> Of:
+    """Let a method of a state x (n,) and a time take many states (..., n), each with the bits that it has alone.
+
+    The time is one for all, or one for each along the first axis.
+    """
+
+    @functools.wraps(method)
+    def of_all(self: Any, x: npt.ArrayLike, t: Any = 0.0) -> Any:
+        array: npt.NDArray[Any] = x if type(x) is np.ndarray else array_given(x, "x", "iufc")
+        if array.ndim < 2 or len(getattr(self, "shape", ())) > 1:  # one state, or matrices
+            return method(self, x, t)
+        if array.shape[-1] != self.dim:
+            n = self.dim
+            raise ValueError(f"x has shape {array.shape}; a point of this system has shape ({n},), many have (k, {n})")
+        lead = array.shape[:-1]
+        times = read_numbers(t, "t")
+        if times.ndim > 1 or (times.ndim == 1 and len(times) != lead[0]):
+            raise ValueError(f"t has shape {times.shape}; give one time, or one for each of {lead[0]} states")
+        each = np.broadcast_to(times if times.ndim == 0 else times.reshape(-1, *[1] * (len(lead) - 1)), lead).ravel()
+        rows = array.reshape(-1, array.shape[-1])
+        found = [method(self, row, float(time)) for row, time in zip(rows, each, strict=True)]
+        if not found:  # of no states there are no values, of the shape that they would have
+            like = np.asarray(method(self, np.zeros(array.shape[-1])))
+            return np.empty((*lead, *like.shape))
+        values = np.asarray(found)
+        return values.reshape(*lead, *values.shape[1:])
+
+    return cast(Of, of_all)
 
 
 def matching(coefficients: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:

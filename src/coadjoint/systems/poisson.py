@@ -17,7 +17,7 @@ from coadjoint.systems.followed_casimirs import checked_casimirs
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
-from coadjoint.systems.points import QUIET, checked_name, checked_sign, point
+from coadjoint.systems.points import QUIET, checked_name, checked_sign, over_states, point
 from coadjoint.systems.user_functions import check_derivative, sample_points, takes_time
 from coadjoint.wording import short
 
@@ -175,27 +175,30 @@ class PoissonSystem:
         """Return J(x), shape (n, n)."""
         return np.asarray(self.structure_function(point(x, self.dim)))
 
+    @over_states
     @QUIET
-    def vector_field(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+    def vector_field(self, x: npt.ArrayLike, t: Any = 0.0) -> npt.NDArray[Any]:
         """Return ``sign * J(x) grad H(x, t)``, shape (n,).
 
         Parameters
         ----------
-        x : (n,)
-            The state.
-        t : float
-            The time.
+        x : (n,) or (..., n)
+            The state, or many.
+        t : float or (k,)
+            The time, or one for each along the first axis of many states.
 
         Returns
         -------
-        ndarray, shape (n,)
+        ndarray, shape (n,) or (..., n)
+            Each with the bits that it has alone.
         """
         y = point(x, self.dim)
         return self.sign * self._product(y, self.hamiltonian.gradient(y, t))
 
+    @over_states
     @QUIET
-    def energy(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
-        """Return H(x, t)."""
+    def energy(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
+        """Return H(x, t), of one state or of many; see `LiePoissonSystem.energy`."""
         return self.hamiltonian.value(point(x, self.dim), t)
 
     @QUIET

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.given import read_number, read_whole
+from coadjoint.given import array_given, read_number, read_whole
 from coadjoint.memory import check_room
 from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY, check_symmetric, real_array, sparse_entries
 from coadjoint.systems.points import QUIET, matching, point, scatter
@@ -288,6 +288,14 @@ class Quadratic:
             return (0.5 * (half @ y) + linear @ y + float(bound._constant)).item()
         constant = matching(np.array([bound._constant], dtype=object), y)[0]
         return (half @ y) / 2 + linear @ y + constant
+
+    def __call__(self, x: npt.ArrayLike) -> Any:
+        """Return the value at a state (n,), or the values at states (..., n), as other invariants do."""
+        array = array_given(x, "x", "iufc")
+        if array.ndim < 2:
+            return self.value(array)
+        rows = array.reshape(-1, array.shape[-1])
+        return np.array([self.value(row) for row in rows]).reshape(array.shape[:-1])
 
     @QUIET
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
