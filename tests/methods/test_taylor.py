@@ -189,6 +189,32 @@ def test_dependent_gradients_are_no_obstacle(system, x0):
         assert np.max(np.abs(sol.x - x0)) < 1e-6 * max(1.0, np.linalg.norm(x0))
 
 
+@pytest.mark.parametrize("size", [1.0, 2.0**-20, 2.0**20])
+@pytest.mark.parametrize("method", [co.Taylor(16), co.Taylor(tolerance=1e-12)], ids=str)
+def test_terms_of_a_gradient_may_cancel(method, size):
+    """Where C = (x2 + x3)^2 (2 x2 - x3) is all but flat, its rounding is larger than all that its slope can tell."""
+    algebra = co.LieAlgebra.from_brackets(3, {(0, 1): {1: -1.0, 2: 1.0}, (0, 2): {1: 2.0}})
+    shape = {(1, 0, 2): -0.25, (3, 1, 0): 0.375, (1, 0, 0): 0.5, (2, 0, 1): -1.125, (0, 1, 2): -1.25}
+    # The motion of states of another size is the same.
+    H = co.Polynomial({powers: value * size ** (1 - sum(powers)) for powers, value in shape.items()})
+    system = co.LiePoissonSystem(algebra, H)
+    (C,) = system.casimirs.values()
+    for start in (1e-3, 1e-4, 1e-5):
+        x0 = size * start * np.array([-0.5, -0.04, 0.56])
+        exact = co.integrate(system, x0, (0.0, 8.0), 1 / 64, co.Taylor(24, projected=False), watch=False).x[-1]
+        sol = co.integrate(system, x0, (0.0, 8.0), 1 / 16, method)
+        rounding = [4 * U * 3 * np.sum(np.abs([2, 3, -1]) * np.abs(x[1:]).max() ** 3) for x in sol.x]
+        moved = [error / np.linalg.norm(C.gradient(x)) for error, x in zip(rounding, sol.x, strict=True)]
+        assert np.max(np.abs(sol.x[-1] - exact)) < 2 * max(moved)
+        assert sol.drift()["C3"] < 2 * max(rounding)
+        crowd = co.integrate(system, np.array([x0, 0.5 * x0, x0]), (0.0, 8.0), 1 / 16, method, save_every=128)
+        assert np.array_equal(crowd.x[-1, [0, 2]], sol.x[[-1, -1]])
+        for x in sol.x[80:128:8]:
+            # Here the reading and the loops differ by no more than a defect that both take for rounding.
+            read, found = method.step(system, x, 0.0, 1 / 16), one_step(system, method, x, 1 / 16)
+            assert np.max(np.abs(read - found)) < 4 * max(moved)
+
+
 def test_a_step_that_is_too_long_says_so():
     system = systems()["so(4), full"]
     with pytest.raises(co.IntegrationError, match="take a smaller step"):

@@ -257,7 +257,7 @@ def test_attitude_at_events():
         sol = co.integrate(BODY, FLIPPING, (0, 20), 1 / 16, method, attitude=True, events=co.Event("x2"))
         # The error of the scheme over 20: some 320 steps of (1/16)^6, and less.
         assert abs(sol.events.attitude - precise.events.attitude).max() < 320 / 16.0**6
-    for method in (co.Splitting(order=4), co.GaussLegendre(3)):
+    for method in (co.Splitting(order=4), co.GaussLegendre(3), co.Taylor(24), co.Taylor(tolerance=1e-16)):
         for attitude in (True, "coadjoint"):
             sol = co.integrate(
                 BODY, FLIPPING, (0, 20), 0.125, method, attitude=attitude, events=[co.Event("x2"), co.Event("x3")]

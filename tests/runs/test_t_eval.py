@@ -1,6 +1,7 @@
 """States at any times: what is asked for is what is kept, the run itself has the bits that it always has."""
 
 import copy
+import pickle
 import re
 
 import numpy as np
@@ -135,8 +136,57 @@ def test_events_that_end_a_run_and_others():
     alone = co.integrate(BODY, X, (0, 40), STEP, events=co.Event(1))
     assert np.array_equal(seen.events.t, alone.events.t) and len(seen.events.t)
     assert np.array_equal(seen.x, co.integrate(BODY, X, (0, 40), STEP, t_eval=times).x)
-    with pytest.raises(ValueError, match="t_eval was given with an event that ends the run"):
-        co.integrate(BODY, X, (0, 40), STEP, t_eval=times, events=co.Event(1, terminal=True))
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Taylor(12), co.Taylor(tolerance=1e-9)], ids=str)
+@pytest.mark.parametrize("end", [80.0, -80.0])
+def test_an_event_ends_the_run_between_the_times(method, end):
+    """What comes before it is as without it, and its own state comes last."""
+    times, kind = random_times(0.0, end), kind_of(method)
+    options = {"step": STEP, "method": method, "attitude": kind, "t_eval": times}
+    whole = co.integrate(BODY, X, (0, end), **options)
+    for count in (1, 2):
+        event = co.Event(1, terminal=True, count=count)
+        there = co.integrate(BODY, X, (0, end), STEP, method, attitude=kind, events=co.Event(1)).events
+        sol = co.integrate(BODY, X, (0, end), events=event, **options)
+        k = int(np.count_nonzero(np.abs(times) < abs(there.t[count - 1])))
+        assert 0 < k < len(times) and len(sol.t) == k + 1
+        for name in ("t", "x", "energy"):
+            assert np.array_equal(getattr(sol, name)[:k], getattr(whole, name)[:k])
+        assert sol.t[-1] == there.t[count - 1] == sol.t_span[1] and np.array_equal(sol.x[-1], there.x[count - 1])
+        assert abs(sol.energy[-1] - BODY.energy(sol.x[-1])) < 4 * U
+        if kind:
+            assert np.array_equal(sol.attitude[:k], whole.attitude[:k])
+            assert np.array_equal(sol.attitude[-1], there.attitude[count - 1])
+        # Asked for again with the times that came out, which end with that of the event.
+        again = co.integrate(BODY, X, (0, end), events=event, **options | {"t_eval": sol.t})
+        assert np.array_equal(again.x, sol.x) and np.array_equal(again.t, sol.t)
+        # No time before it, or all of them.
+        early = co.integrate(BODY, X, (0, end), events=event, **options | {"t_eval": times[k:]})
+        assert np.array_equal(early.t, sol.t[-1:]) and np.array_equal(early.x, sol.x[-1:])
+        late = co.integrate(BODY, X, (0, end), events=event, **options | {"t_eval": times[:k]})
+        assert np.array_equal(late.x, sol.x) and late.stats.steps == sol.stats.steps
+    copied = pickle.loads(pickle.dumps(sol))
+    assert np.array_equal(copied.x, sol.x) and copied.t_span == sol.t_span
+
+
+def test_members_end_at_their_own_times():
+    x0 = np.random.default_rng(4).standard_normal((17, 3))
+    x0[3] = 0.0, 0.0, 1.0  # at rest
+    event, times = co.Event(1, terminal=True, count=2), random_times(0.0, 12.0)
+    sol = co.integrate(BODY, x0, (0, 12), STEP, t_eval=times, events=[co.Event(0), event])
+    whole = co.integrate(BODY, x0, (0, 12), STEP, t_eval=times)
+    ends = sol.events.ends(17)
+    assert np.isnan(ends[3]) and np.isfinite(ends).sum() > 8 and not sol.failed.any()
+    for m in range(17):
+        there = ~(times > ends[m])
+        assert np.array_equal(sol.x[there, m], whole.x[there, m]) and np.isnan(sol.x[~there, m]).all()
+        alone = co.integrate(BODY, x0[m], (0, 12), STEP, t_eval=times, events=[co.Event(0), event])
+        assert np.array_equal(alone.x[: there.sum()], sol.x[there, m])
+        assert alone.t[-1] == (ends[m] if np.isfinite(ends[m]) else times[-1])
+    # Its second crossing is not an end where a third is asked for, nor one of another event.
+    later = co.integrate(BODY, x0, (0, 12), STEP, events=[co.Event(0), co.Event(1, terminal=True, count=10**6)])
+    assert np.isnan(later.events.ends(17)).all()
 
 
 def test_accounts_of_forces_and_noise():
@@ -196,7 +246,7 @@ def test_a_part_of_a_step_that_fails_leaves_what_came_before(monkeypatch):
     assert (caught.value.step, caught.value.residual) == (5, 0.25)
 
 
-@pytest.mark.parametrize("end", [40.0, -40.0])
+@pytest.mark.parametrize("end", [80.0, -80.0])
 def test_what_has_several_values_goes_on(end):
     # The Casimir of A3,7 has an angle, which winds up along the run.
     M = np.array([[1.0, 0.2, 0.1], [0.2, 1.5, 0.0], [0.1, 0.0, 0.7]])
@@ -315,6 +365,48 @@ class TestAt:
         assert np.array_equal(sol.t_eval, [1.03, 2.07]) and whole.t_eval is None
         copied = copy.deepcopy(sol)
         assert np.array_equal(copied.at(0.5).x, found.x[0])
+
+    @pytest.mark.parametrize("end", [12.0, -12.0])
+    def test_members_that_events_have_ended(self, end):
+        """They have states before their ends, and none after; what would become of them later harms nobody."""
+        event, kind = co.Event(1, terminal=True), "coadjoint"
+        x0, times = np.random.default_rng(5).standard_normal((9, 3)), random_times(0.0, end)
+        asked = co.integrate(BODY, x0, (0, end), STEP, attitude=kind, t_eval=times, events=event)
+        sol = co.integrate(BODY, x0, (0, end), STEP, attitude=kind, save_every=7, events=event)
+        ends = sol.events.ends(9)
+        way = np.sign(end)
+        assert np.isfinite(ends).all() and len(set(ends)) == 9
+        some = times[way * times < np.max(way * ends)]
+        found = sol.at(some)
+        for name in ("x", "energy", "attitude"):
+            one, other = getattr(found, name), getattr(asked, name)[: len(some)]
+            assert np.array_equal(np.isnan(one), np.isnan(other))
+            assert np.nanmax(np.abs(one - other)) < 32 * 70 * U * np.abs(x0).max() ** 2
+        gone = way * some[:, None] > way * ends
+        assert gone.any() and np.array_equal(np.isnan(found.casimirs["|x|^2"]), gone)
+        # At its end a member is where its event is.
+        first = int(np.argmin(way * ends))
+        there = sol.at(ends[first])
+        assert np.abs(there.x[first] - sol.events.of(first).x[-1]).max() < 32 * 70 * U * np.abs(x0).max()
+        last = float(way * np.max(way * ends))
+        assert np.isfinite(sol.at(last).x).sum() == 3
+        with pytest.raises(ValueError, match=f"when events have ended the runs of all members, the last at {last:g}"):
+            sol.at([0.0, end])
+
+    def test_members_that_would_fail_after_their_ends(self):
+        """x' = x^2 ends at x = 10, a step before it would be infinite."""
+        line = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}})
+        system = co.LiePoissonSystem(line, co.Polynomial({(1, 1): -1.0}))
+        assert system.vector_field(np.array([0.0, 2.0]))[1] == 4.0
+        event = co.Event(co.Polynomial({(0, 1): 1.0, (0, 0): -10.0}), terminal=True)
+        x0 = np.array([[0.0, 1.0], [0.0, 0.25]])
+        sol = co.integrate(system, x0, (0, 2), 1 / 64, co.Taylor(16), save_every=128, events=event)
+        found = sol.at([0.5, 1.75])
+        exact = 1.0 / (1.0 / x0[:, 1] - found.t[:, None])
+        assert np.abs(found.x[..., 1] - exact)[[0, 0, 1], [0, 1, 1]].max() < 1e-12 and np.isnan(found.x[1, 0]).all()
+        bounded = co.systems.rigid_body(inertia=(1, 2, 3))
+        other = co.integrate(bounded, np.eye(3) + 0.1, (0, 2), STEP, events=co.Event(0))
+        assert np.array_equal(other.at(1.0).x, other.x[8])
 
     def test_refusals(self, monkeypatch):
         sol = co.integrate(BODY, X, (0, 4), STEP)

@@ -12,7 +12,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.stages import linear_solve
 from coadjoint.program.numbers import Number, array_of, roundoff
-from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
+from coadjoint.systems.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
 from coadjoint.systems.kinds import System
 from coadjoint.systems.quadratic import Quadratic
 
@@ -97,6 +97,8 @@ def project(
         raise TypeError("a projection solves equations that exact fractions do not settle: take projected=False")
     wanted = [C.value(x) for C in invariants]
     sizes = [max(sum(abs(y * C.gradient(y))) for y in (x, z)) for C in invariants]
+    # Where corrections no longer help, what rounding leaves of single terms, also where they cancel in a gradient.
+    most = [max(stagnant * size, *(_terms_of(C, y) for y in (x, z))) for C, size in zip(invariants, sizes, strict=True)]
     # Constant slopes are fractions, which mpmath before 1.4 does not subtract from.
     gradients = np.array([array_of(number, C.gradient(z)) for C in invariants])
     free = independent(gradients)
@@ -107,8 +109,8 @@ def project(
         before = residual
         defects = np.array([w - C.value(y) for w, C in zip(wanted, invariants, strict=True)])
         residual = float(max(abs(defects)))
-        allowed = exact * (stagnant if residual >= 0.5 * before else 1)
-        if all(abs(d) <= allowed * unit * size for d, size in zip(defects, sizes, strict=True)):
+        allowed = most if residual >= 0.5 * before else sizes
+        if all(abs(d) <= exact * unit * size for d, size in zip(defects, allowed, strict=True)):
             return OnLevelSet(y, [invariants[a] for a in free], directions, multipliers)
         if not residual - residual == 0:
             break
@@ -121,6 +123,15 @@ def project(
         time=time,
         residual=residual,
     )
+
+
+def _terms_of(C: HamiltonianLike, y: NDArray[Any]) -> Any:
+    """Return the sum of the absolute terms of y . dC/dy; 0 where they are not known one by one."""
+    if not isinstance(C, PolynomialHamiltonian):
+        return 0
+    monomials = C.polynomial.monomials
+    terms = Polynomial({powers: abs(float(value)) for powers, value in monomials.items()}, C.polynomial.dim)
+    return sum(abs(y) * terms.gradient(abs(y)))
 
 
 def independent(gradients: NDArray[Any]) -> list[int]:

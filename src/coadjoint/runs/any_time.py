@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ from coadjoint.runs.room import check_room_of_run
 from coadjoint.runs.times import Times
 
 if TYPE_CHECKING:
-    from coadjoint.runs.events import Event
+    from coadjoint.runs.events import Ending
     from coadjoint.runs.run import Run
 
 Floats = NDArray[np.float64]
@@ -104,19 +103,17 @@ def moments_of(t_eval: Any, times: Times, save_every: Any = 1) -> Moments:
     return Moments(t, number, np.where(at_step, 0.0, t - times.at(number)))
 
 
-def check_parts(system: Any, moments: Moments, events: Sequence[Event] = ()) -> None:
-    """Refuse moments between two steps where there is no state between them, or where the run may end before them."""
-    if any(event.until for event in events):
-        raise ValueError(
-            "t_eval was given with an event that ends the run, after which there would be no states; give one of them, "
-            "or let the event not be terminal"
-        )
+def check_parts(system: Any, moments: Moments) -> None:
+    """Refuse moments between two steps where there is no state between them."""
     if np.any(moments.length):
         check_no_noise(system)
 
 
 def look(run: Run, moments: Moments) -> None:
     """Put in place of the saved points of a run, the steps in `moments.marks`, its states at the moments.
+
+    Where an event has ended the run of the only member, these are the moments before it, and its own. Other members
+    that events have ended have no states after them.
 
     Parameters
     ----------
@@ -133,16 +130,25 @@ def look(run: Run, moments: Moments) -> None:
         A part of a step failed, which the whole one did not; with the solution before.
     """
     marked, members = run.saved, len(run.start.momenta)
+    way, ends = (1.0 if run.times.h > 0.0 else -1.0), run.ends
+    if run.ending is not None:
+        before = way * moments.t < way * run.ending.t
+        moments = Moments(moments.t[before], moments.number[before], moments.length[before])
     # At a step as many steps as there are, to the bit, whatever its time is rounded to.
     elapsed = moments.number * run.times.h + moments.length
     times = run.times.marking(moments.marks)._replace(marks=moments.ends, between=moments.t, elapsed=elapsed)
-    layout = Layout(run.plan.layout.extent._replace(points=len(moments.t)))
+    if run.ending is not None:
+        times = _with_ending(times, run.ending)
+        run.ending = run.ending._replace(points=times.points)
+    layout = Layout(run.plan.layout.extent._replace(points=times.points))
     check_room_of_run(layout, times, members)
     saved, place = NamedArrays(layout.saved), np.searchsorted(run.times.saved, moments.number)
     names = ("x", "group", "values")
     source, target = ([arrays[name] for name in names] for arrays in (marked, saved))
     for to, given in zip(target, source, strict=True):
-        given.take(place, axis=0, out=to)
+        to[: len(place)] = given[place]
+    if run.ending is not None:
+        saved["x"][-1, 0], saved["values"][-1, 0] = run.ending.x, run.ending.values
     inside = np.flatnonzero(moments.length)
     if len(inside):
         parts = PartsOfSteps(run.moved, run.method, run.loops, run.workers)
@@ -152,7 +158,7 @@ def look(run: Run, moments: Moments) -> None:
         for first in range(0, len(inside), chunk):
             some = inside[first : first + chunk]
             try:
-                _fill(parts, run, moments, some, last, target)
+                _fill(parts, run, moments, some, (last, way * ends), target)
             except IntegrationError as error:
                 run.initial, run.saved, run.times = marked["values"][0], saved, times
                 so_far = run.solution_to(int(some[0]))
@@ -162,13 +168,25 @@ def look(run: Run, moments: Moments) -> None:
     run.initial, run.saved, run.times = marked["values"][0], saved, times
 
 
+def _with_ending(times: Times, ending: Ending) -> Times:
+    """Return times between steps, and behind them that of an event that has ended the run."""
+    assert times.marks is not None and times.between is not None and times.elapsed is not None
+    return times._replace(
+        marks=np.append(times.marks, ending.steps),
+        between=np.append(times.between, ending.t),
+        elapsed=np.append(times.elapsed, ending.t - times.t0),
+    )
+
+
 def _fill(
-    parts: PartsOfSteps, run: Run, moments: Moments, some: NDArray[np.int64], last: Any, target: list[Floats]
+    parts: PartsOfSteps, run: Run, moments: Moments, some: NDArray[np.int64], lasting: Any, target: list[Floats]
 ) -> None:
-    """Take the states at some moments on from the steps before them."""
+    """Take the states at some moments on from the steps before them, as long as their members last."""
     x, group, values = target
     k, owners = (axis.ravel() for axis in np.meshgrid(some, np.arange(x.shape[1]), indexing="ij"))
-    going = moments.ends[k] < last[owners]
+    failing, ending = lasting
+    gone = (1.0 if run.times.h > 0.0 else -1.0) * moments.t[k] > ending[owners]
+    going = (moments.ends[k] < failing[owners]) & ~gone
     for array in target:
         array[k[~going], owners[~going]] = np.nan
     k, owners = k[going], owners[going]

@@ -162,8 +162,7 @@ class _Search:
 
     def values(self, rows: Whole, events: Whole, theta: Floats) -> Floats:
         """Return one event for each row."""
-        noted, none = self.noted, np.empty((len(rows), 0))
-        states, _ = self.parts.take(noted.states[rows], none, self.begin[rows], theta * self.h, noted.members[rows])
+        states, _ = self.part(rows, theta)
         return self.watched.values(states, self.begin[rows] + theta * self.h)[np.arange(len(rows)), events]
 
     def between(

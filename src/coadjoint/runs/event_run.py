@@ -115,10 +115,12 @@ class EventRun:
         if not run.start.single or last >= run.times.steps or run.wrong:
             return
         points = int(np.searchsorted(run.times.saved, last, side="right"))
-        run.saved["x"][points, 0] = found.states[-1]
-        t = float(found.t[-1])
-        run.saved["values"][points, 0] = run.loops.values_at(found.states[-1], t, run.state["last"][0])
-        run.ending = Ending(points + 1, last + 1, t, None if attitude is None else attitude[-1])
+        x, t = found.states[-1], float(found.t[-1])
+        values = run.loops.values_at(x, t, run.state["last"][0])
+        run.ending = Ending(points + 1, last + 1, t, x, values, None if attitude is None else attitude[-1])
+        if points < run.times.points:
+            # Where times are asked for, all of their steps may have been saved before.
+            run.saved["x"][points, 0], run.saved["values"][points, 0] = x, values
 
     def _move_up(self, going: NDArray[np.int64]) -> None:
         """Let the members that are going fill the lanes, where half of those that did have ended."""

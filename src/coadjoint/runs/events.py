@@ -205,6 +205,27 @@ class Events:
         """Return the crossings of a member."""
         return self.chosen(self.member == read_whole(member, "member", 0))
 
+    def ends(self, members: int) -> NDArray[np.float64]:
+        """Return when terminal events ended the runs of so many members: (members,), NaN where none did.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+        >>> flip = co.Event("x2", terminal=True)
+        >>> sol = co.integrate(body, [(0.01, 1.0, 0.01), (0.0, 0.0, 1.0)], (0, 100), 0.05, events=flip)
+        >>> sol.events.ends(2).round(6)
+        array([21.335034,       nan])
+        """
+        found = np.full(members, np.nan)
+        last = np.flatnonzero(np.diff(self.member, append=-1))  # the last crossing of each
+        for event, asked in enumerate(self.asked):
+            if asked.until:
+                seen = np.bincount(self.member[self.which == event], minlength=members)
+                ended = last[(self.which[last] == event) & (seen[self.member[last]] == asked.until)]
+                found[self.member[ended]] = self.t[ended]
+        return found
+
     def plot(self, components: tuple[Any, Any] | None = None, axes: Any = None) -> Figure:
         """Return a figure of the crossings: two components of the states, members by colours.
 
@@ -225,9 +246,14 @@ class Events:
 
 
 class Ending(NamedTuple):
-    """How an event ended the run of one member: the number of saved points, its step, its time, and the attitude."""
+    """How an event ended the run of one member: the number of saved points, its step, and what was then.
+
+    That is the time, the state and the invariants, as they are saved, and the attitude.
+    """
 
     points: int
     steps: int
     t: float
+    x: NDArray[np.float64]
+    values: NDArray[np.float64]
     attitude: NDArray[np.float64] | None

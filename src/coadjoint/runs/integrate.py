@@ -82,7 +82,8 @@ def integrate(
         Show a progress bar.
     events : Event or sequence of Event, optional
         Zeros of functions of the state that are looked for; ``sol.events`` has them. A terminal one ends the run, and
-        where there is one member, the last point of the solution is that of the event.
+        where there is one member, the last point of the solution is that of the event; of `t_eval` the times before it
+        are kept.
     archive : str or Path, optional
         A new folder, such as ``run.zarr``, to which the run is written while it runs, in the format Zarr. It takes the
         same memory however long it is, can be read at any time, and is gone on with by `resume` after whatever has cut

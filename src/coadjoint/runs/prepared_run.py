@@ -296,7 +296,7 @@ class PreparedRun:
         steps, where there are some.
         """
         if moments is not None:
-            check_parts(self.system, moments, events)
+            check_parts(self.system, moments)
             times = times.marking(moments.marks)
         run = self.begun(times, start, values)
         observed = self.observed(start)

@@ -118,6 +118,12 @@ class Run:
         self._hold(self.times.after(self.state.number), self._events_at)
         self.saved.numbers.fill(np.nan)
 
+    @property
+    def ends(self) -> NDArray[np.float64]:
+        """When events ended the runs of members, (members,); NaN where none did."""
+        members = len(self.start.momenta)
+        return np.full(members, np.nan) if self.events is None else self.events.ends(members)
+
     def look_for(self, events: int) -> None:
         """Let the loops look for events, at the address of their tables; these must live as long as the run."""
         times, self._events_at = self.times, events

@@ -496,7 +496,8 @@ class Solution:
 
         From the saved point before a time whole steps are taken again, and then a part of a step of the same scheme: of
         its order, and with what it keeps, where a polynomial through saved points has neither. Many times are better
-        asked for beforehand, by ``integrate(..., t_eval=times)``.
+        asked for beforehand, by ``integrate(..., t_eval=times)``. Members of an ensemble that events have ended are NaN
+        after their ends.
 
         Parameters
         ----------
@@ -512,8 +513,8 @@ class Solution:
         Raises
         ------
         ValueError
-            A time outside the run, too many steps from the saved points, a member that has failed, or a force that is a
-            noise, whose steps have no parts.
+            A time outside the run or after the ends of all members, too many steps from the saved points, a member that
+            has failed, or a force that is a noise, whose steps have no parts.
         IntegrationError
             A step fails, as it did in a run that ended early.
 

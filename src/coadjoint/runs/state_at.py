@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import IntegrationError
 from coadjoint.given import are_finite, read_numbers
 from coadjoint.runs.times import Times
 from coadjoint.wording import short
@@ -63,7 +64,8 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     Raises
     ------
     ValueError
-        A time outside the run, too many steps from the saved points, a member that has failed, or a noise.
+        A time outside the run, or after the ends of all members; too many steps from the saved points; a member that
+        has failed; or a noise.
     IntegrationError
         A step fails, as it did in a run that ended early.
     """
@@ -72,9 +74,10 @@ def state_at(solution: Solution, t: Any) -> StateAt:
         raise ValueError(f"t has the shape {given.shape}; it must be a time, or a row of times")
     if not are_finite(given):
         raise ValueError(f"t is {short(t)}; every time must be finite")
-    if not np.isfinite(solution.x).all():
-        raise ValueError("members of the run have failed; integrate those alone that have not, to see them at any time")
     wanted, way = np.atleast_1d(given), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
+    ends = _ends(solution)
+    if solution.failed is not None and (solution.failed & np.isnan(ends)).any():
+        raise ValueError("members of the run have failed; integrate those alone that have not, to see them at any time")
     known = np.append(solution.t_span[0], solution.t)  # the start may not have been saved
     end = float(solution.t[-1]) if solution.t_eval is None else solution.t_span[1]
     saved = way * known
@@ -82,6 +85,12 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     outside = np.flatnonzero((way * wanted < saved[0] - near) | (way * wanted > way * end + near))
     if len(outside):
         raise ValueError(f"t is {wanted[outside[0]]:g}; it must lie within the run, from {known[0]:g} to {end:g}")
+    late = np.flatnonzero(np.all(way * wanted[:, None] > way * ends + near, axis=1))
+    if len(late):
+        latest = float(way * np.max(way * ends))
+        raise ValueError(
+            f"t is {wanted[late[0]]:g}, when events have ended the runs of all members, the last at {latest:g}"
+        )
     before = np.clip(np.searchsorted(saved, way * wanted + near, side="right") - 1, 0, None)
     ahead = np.maximum(way * wanted - saved[before], 0.0)
     steps = np.ceil(np.where(ahead > near, ahead - near, 0.0) / solution.step).astype(np.int64)
@@ -96,7 +105,7 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     for j, count in zip(pieces.tolist(), last, strict=True):
         own = np.flatnonzero(before == j)
         own = own[np.argsort(way * wanted[own], kind="stable")]
-        found_there = _from_point(solution, j - 1, float(known[j]), count, wanted[own], way)
+        found_there = _from_point(solution, j - 1, float(known[j]), count, wanted[own], way, way * ends + near)
         for place, state in zip(own.tolist(), found_there, strict=True):
             found[place] = state
     if given.ndim == 0:
@@ -113,9 +122,12 @@ def state_at(solution: Solution, t: Any) -> StateAt:
 
 
 def _from_point(
-    solution: Solution, j: int, start: float, count: int, wanted: Floats, way: float
+    solution: Solution, j: int, start: float, count: int, wanted: Floats, way: float, until: Floats
 ) -> list[tuple[Any, ...]]:
-    """Return the states at times up to `count` steps after saved point j, in their order; -1 is the start."""
+    """Return the states at times up to `count` steps after saved point j, in their order; -1 is the start.
+
+    Members have them `until` a time, in the direction of the run; NaN is no end.
+    """
     x, element, values = solution.x0, solution.attitude0, solution.initial
     if j >= 0:
         x, element = solution.x[j], None if solution.attitude is None else solution.attitude[j]
@@ -123,19 +135,47 @@ def _from_point(
     times = Times(start, way * solution.step, count, 1)
     low, high = sorted((start, times.end))
     t_eval = np.concatenate([[start], np.clip(wanted, low, high)])
-    run = _prepared(solution).run(x, (start, times.end), t_eval=t_eval, attitude=element)
+    gone = way * t_eval[:, None] > until
+    if gone[0].any():
+        # Members that were ended before have no part in this; a start of theirs is as good as any.
+        x, element = _where(gone[0], solution.x0, x), _where(gone[0], solution.attitude0, element)
+    try:
+        run = _prepared(solution).run(x, (start, times.end), t_eval=t_eval, attitude=element)
+    except IntegrationError as error:
+        run = error.partial
+        # After its end a member may go where it fails, which nobody has asked for.
+        if run.failed is None or len(run.t) < len(t_eval) or not gone[-1][run.failed].all():
+            raise
     # What has several values goes on from the value that was followed to the saved point, by whole periods.
     turned = {name: values[name] - own[0] for name, own in run.casimirs.items()}
     casimirs = {name: np.where(turned[name] == 0.0, own, own + turned[name]) for name, own in run.casimirs.items()}
+    x, energy, attitude = run.x, run.energy, run.attitude
+    if gone.any():
+        x, energy, attitude = (_where(gone, np.nan, series) for series in (x, energy, attitude))
+        casimirs = {name: _where(gone, np.nan, series) for name, series in casimirs.items()}
     return [
         (
-            run.x[k],
-            run.energy[k],
+            x[k],
+            energy[k],
             {name: series[k] for name, series in casimirs.items()},
-            None if run.attitude is None else run.attitude[k],
+            None if attitude is None else attitude[k],
         )
         for k in range(1, len(t_eval))
     ]
+
+
+def _ends(solution: Solution) -> Floats:
+    """Return when events ended the runs of members; NaN where none did, and for a run of one state."""
+    if solution.failed is None or solution.events is None:
+        return np.full(1 if solution.failed is None else len(solution.failed), np.nan)
+    return solution.events.ends(len(solution.failed))
+
+
+def _where(chosen: NDArray[np.bool_], these: Any, others: Any) -> Any:
+    """Return these where members are chosen, and the others elsewhere; axes may follow theirs. None is none."""
+    if others is None:
+        return None
+    return np.where(chosen.reshape(chosen.shape + (1,) * (others.ndim - chosen.ndim)), these, others)
 
 
 def _prepared(solution: Solution) -> PreparedRun:

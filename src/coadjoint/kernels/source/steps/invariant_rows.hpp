@@ -113,14 +113,7 @@ struct InvariantRows {
 
     // The sum of |x_i dC/dx_i|, and of the terms of dC/dx_i where it is linear.
     NOINLINE double terms_of(size_t a, const Row* x) {
-        Row total(0.0);
-        for (int64_t row = invariants[a].first; row < invariants[a].last; ++row) {
-            Row rising = absolute(load<Row>(offsets.data() + row * W));
-            for (int64_t e = linear.first[row]; e < linear.first[row + 1]; ++e)
-                rising = fma(absolute(linear.at.at[e].weight), absolute(Newest<0, W>(x)(linear.at.at[e].left)), rising);
-            total = fma(absolute(x[block[row]]), rising, total);
-        }
-        double result = sum_of_lanes(total);
+        double result = quadratic_terms_of(a, x);
         for (const int64_t k : invariants[a].terms) {
             std::vector<double> slopes(offsets.size(), 0.0);
             further<true>(k, x, slopes.data());
@@ -130,8 +123,40 @@ struct InvariantRows {
         return result;
     }
 
+    // The sum of all terms of x . dC/dx: the same, but where terms of a dC/dx_i cancel.
+    NOINLINE double single_terms_of(size_t a, const Row* x) const {
+        double result = quadratic_terms_of(a, x);
+        for (const int64_t k : invariants[a].terms) result += monomials_of(k, reinterpret_cast<const double*>(x));
+        return result;
+    }
+
   private:
     INLINE Row gradient(int64_t row) const { return load<Row>(gradients.at + row * W); }
+
+    double quadratic_terms_of(size_t a, const Row* x) const {
+        Row total(0.0);
+        for (int64_t row = invariants[a].first; row < invariants[a].last; ++row) {
+            Row rising = absolute(load<Row>(offsets.data() + row * W));
+            for (int64_t e = linear.first[row]; e < linear.first[row + 1]; ++e)
+                rising = fma(absolute(linear.at.at[e].weight), absolute(Newest<0, W>(x)(linear.at.at[e].left)), rising);
+            total = fma(absolute(x[block[row]]), rising, total);
+        }
+        return sum_of_lanes(total);
+    }
+
+    double monomials_of(int64_t k, const double* x) const {
+        const Terms& terms = watch.terms;
+        double total = 0.0;
+        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
+            double product = constants.template number_at<double>(terms.coefficient, monomial), degree = 0.0;
+            for (uint32_t f = terms.factor[monomial]; f < terms.factor[monomial + 1]; ++f) {
+                product *= power(x[terms.target[terms.factor_row[f]]], terms.exponent[f]);
+                degree += double(terms.exponent[f]);
+            }
+            total += degree * std::fabs(product);
+        }
+        return total;
+    }
 
     // Whether two rows of a block have a coordinate in common.
     bool meet(int64_t one, int64_t other) const {

@@ -75,12 +75,14 @@ struct Projection {
         return false;
     }
 
-    // Where corrections no longer help: whether the defects are what rounding leaves where terms cancel.
+    // Where corrections no longer help: whether the defects are what rounding leaves where terms cancel, in a gradient
+    // too.
     NOINLINE bool settled(const Row* x, const double* kept) {
         bool all = true;
-        for (size_t a = 0; a < size; ++a)
-            all &= std::fabs(kept[a] - rows.template value<false>(a, Newest<0, W>(x), x)) <=
-                   double(PROJECTION_STAGNANT) * EXACT * rows.terms_of(a, x);
+        for (size_t a = 0; a < size; ++a) {
+            const double allowed = larger(double(PROJECTION_STAGNANT) * rows.terms_of(a, x), rows.single_terms_of(a, x));
+            all &= std::fabs(kept[a] - rows.template value<false>(a, Newest<0, W>(x), x)) <= EXACT * allowed;
+        }
         return all;
     }
 
