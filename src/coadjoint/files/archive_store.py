@@ -50,6 +50,10 @@ class ArchiveError(ValueError):
     """There is no archive, it is damaged or in use, or one cannot be made; found before anything runs."""
 
 
+class ArchiveMoved(ArchiveError):
+    """A file is missing that the root has named: somebody has committed since it was read, or the file was removed."""
+
+
 class ArchiveUnwritten(OSError):
     """An archive could not be written while its run went on; it holds what was committed before, and is resumed."""
 
@@ -345,6 +349,8 @@ def read_kept(path: Path, kept: Kept) -> dict[str, NDArray[Any]]:
     place = path / HIDDEN / Path(kept.file).name
     try:
         raw = place.read_bytes()
+    except FileNotFoundError:
+        raise ArchiveMoved(f"{path}: the state {kept.file} is missing") from None
     except OSError as reason:
         raise ArchiveError(f"{path}: the state {kept.file} cannot be read ({reason.strerror})") from None
     if hashlib.sha256(raw).hexdigest() != kept.digest:

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import in_one_line
 from coadjoint.extras import need
-from coadjoint.files.archive_store import ArchiveError, Kept, path_of, read_array, read_kept, read_root
+from coadjoint.files.archive_store import ArchiveError, ArchiveMoved, Kept, path_of, read_array, read_kept, read_root
 from coadjoint.files.archived_run import ACCOUNTS, FINISHED, STATES, STEPS
 from coadjoint.files.export import solution_inputs
 from coadjoint.files.stored_arrays import GROWING, StoredArray
@@ -30,6 +31,11 @@ if TYPE_CHECKING:
     import xarray
 
 
+REPORTED = (f"{STATE}worst", "earlier", "initial")
+"""What a solution needs of the state of its run."""
+ATTEMPTS = 20
+
+
 class ArchivedSolution(Solution):
     """A run in an archive, as far as it had come when it was opened; `open_archive` returns it.
 
@@ -44,10 +50,13 @@ class ArchivedSolution(Solution):
         Whether the run has come to its end; otherwise `resume` goes on with it.
     reached : int
         How many steps were taken.
+    attributes : dict
+        What the archive says of the run, as its dataset has it.
     """
 
     def __init__(self, path: Path, system: Any = None) -> None:
         arrays, attributes = read_root(path)
+        kept = read_kept(path, Kept(*json.loads(attributes[STATES])[-1]))
         self.__dict__.update(
             path=path,
             finished=bool(attributes[FINISHED]),
@@ -59,8 +68,8 @@ class ArchivedSolution(Solution):
             _began=None,
             _given=system,
             _arrays=arrays,
-            _attributes=attributes,
-            _kept_state=Kept(*json.loads(attributes[STATES])[-1]),
+            attributes=attributes,
+            _stored={name: kept[name] for name in REPORTED},
             _accounts=tuple((force, name) for force, name in json.loads(attributes[ACCOUNTS])),
         )
 
@@ -69,8 +78,8 @@ class ArchivedSolution(Solution):
     reached: int
     _given: Any
     _arrays: dict[str, StoredArray]
-    _attributes: dict[str, Any]
-    _kept_state: Kept
+    attributes: dict[str, Any]
+    _stored: dict[str, NDArray[Any]]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return open_archive, (self.path, self._given)
@@ -84,18 +93,14 @@ class ArchivedSolution(Solution):
         import xarray
 
         names: list[str] = [name for name in ("x0", "attitude0") if name in self._arrays]
-        if self._attributes["between_steps"]:
+        if self.attributes["between_steps"]:
             names.append("time")
         values = {name: (self._arrays[name].dims, self._whole(name)) for name in names}
-        return solution_inputs(xarray.Dataset(values, attrs=self._attributes), self._given, events)
+        return solution_inputs(xarray.Dataset(values, attrs=self.attributes), self._given, events)
 
     @cached_property
     def _inputs(self) -> dict[str, Any]:
         return self.inputs()
-
-    @cached_property
-    def _stored(self) -> dict[str, NDArray[Any]]:
-        return read_kept(self.path, self._kept_state)
 
     def _whole(self, name: str) -> NDArray[Any]:
         """Return all of an array."""
@@ -120,11 +125,11 @@ class ArchivedSolution(Solution):
 
     @cached_property
     def watched(self) -> bool:  # type: ignore[override]
-        return bool(self._attributes["watch"])
+        return bool(self.attributes["watch"])
 
     @cached_property
     def _times(self) -> Times:  # type: ignore[override]
-        attributes = self._attributes
+        attributes = self.attributes
         return times_of(json.loads(attributes["t_span"]), float(attributes["step"]), int(attributes["save_every"]))
 
     @cached_property
@@ -159,7 +164,7 @@ class ArchivedSolution(Solution):
 
     @cached_property
     def t_eval(self) -> NDArray[np.float64] | None:
-        return self.t if self._attributes["between_steps"] else None
+        return self.t if self.attributes["between_steps"] else None
 
     @cached_property
     def _names(self) -> list[str]:  # type: ignore[override]
@@ -197,7 +202,7 @@ class ArchivedSolution(Solution):
 
     @cached_property
     def stats(self) -> Statistics:
-        attributes = self._attributes
+        attributes = self.attributes
         return Statistics(
             self.reached, int(attributes["evaluations"]), int(attributes["iterations"]), float(attributes["seconds"])
         )
@@ -208,7 +213,7 @@ class ArchivedSolution(Solution):
 
     @cached_property
     def carried(self) -> str | None:
-        said = str(self._attributes["attitude_carried"])
+        said = str(self.attributes["attitude_carried"])
         return None if said == "none" else said
 
     @cached_property
@@ -274,9 +279,14 @@ def open_archive(path: str | Path, system: Any = None) -> ArchivedSolution:
     """
     need("an archive of a run", "xarray", "zarr")
     place = path_of(path)
-    try:
-        return ArchivedSolution(place, system)
-    except ArchiveError:
-        raise
-    except (LookupError, TypeError, ValueError) as reason:
-        raise ArchiveError(f"{path}: the archive is damaged ({reason})") from None
+    for attempt in range(ATTEMPTS):
+        try:
+            return ArchivedSolution(place, system)
+        except ArchiveMoved as reason:  # it was committed to while it was opened
+            if attempt == ATTEMPTS - 1:
+                raise ArchiveError(str(reason)) from None
+        except ArchiveError:
+            raise
+        except (LookupError, TypeError, ValueError) as reason:
+            raise ArchiveError(f"{path}: the archive is damaged ({in_one_line(str(reason), 100)})") from None
+    raise AssertionError

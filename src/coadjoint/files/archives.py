@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from coadjoint.files.archive_store import ArchiveError, ArchiveStore, Kept, path
 from coadjoint.files.archived_run import ACCOUNTS, FINISHED, FIRST_STEP, STATES, ArchivedRun, first_step, new_arrays
 from coadjoint.files.archived_solution import ArchivedSolution, open_archive
 from coadjoint.files.export import attributes_of
+from coadjoint.files.given_functions import asked_again, said_of_functions
 from coadjoint.files.unfinished import Unfinished, remove_leftovers
 from coadjoint.files.variables import accounts_of
 from coadjoint.runs.events import read_events
@@ -94,6 +96,7 @@ def begun(ready: PreparedRun, times: Times, start: Start, place: Path) -> Archiv
         attributes = {
             **attributes_of(piece),
             ACCOUNTS: json.dumps(accounts_of(piece)),
+            **said_of_functions(ready, ()),
             FIRST_STEP: first_step(ready, times, start),
             "platform": f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}",
             FINISHED: 0,
@@ -129,6 +132,8 @@ def resume(
     path: str | Path,
     *,
     system: Any = None,
+    observe: Mapping[str, Any] | None = None,
+    events: Any = None,
     threads: int | None = None,
     progress: bool = False,
     until: int | None = None,
@@ -141,8 +146,9 @@ def resume(
     ----------
     path : str or Path
         The folder that ``integrate(..., archive=path)`` has written.
-    system : optional
-        The system of the run, where it has functions, which are not stored.
+    system, observe, events : optional
+        Those of the run, where they have functions, which are not stored. What they are made of is compared with what
+        the run was begun with (`coadjoint.files.fingerprints` says what that can see), and another one is refused.
     threads : int, optional
         As for `integrate`; it changes no bit.
     progress : bool
@@ -184,7 +190,8 @@ def resume(
     store = ArchiveStore.opened(place)
     try:
         found = open_archive(place, system)
-        inputs = found.inputs()
+        given = asked_again(place, found, system, observe, events)
+        inputs = found.inputs(given.events)
         times = times_of(inputs["t_span"], inputs["step"], inputs["save_every"])
         ready = PreparedRun(
             inputs["system"],
@@ -192,6 +199,7 @@ def resume(
             inputs["step"],
             attitude=inputs["attitude"],
             watch=inputs["watch"],
+            observe=given.observe,
             threads=threads,
         )
         start = ready.start(inputs["x0"])
@@ -227,7 +235,7 @@ def _run_on(
 
 def _told(found: ArchivedSolution) -> ArchivedSolution:
     """Return a finished run, or raise the failure that it has ended by."""
-    said = found._attributes
+    said = found.attributes
     if not said.get("run_failed"):
         return found
     raise IntegrationError(

@@ -97,8 +97,8 @@ def _member_of(record: Entry, dim: int | None) -> Any:
     record.only("name", "sign", "algebra", "hamiltonian", "casimirs", "integrals", "representation", "not_stored")
     algebra = _algebra_of(record["algebra"], dim)
     hamiltonian = _hamiltonian_of(record["hamiltonian"], algebra.dim)
-    casimirs = _invariants_of(record["casimirs"], algebra.dim)
-    integrals = _invariants_of(record["integrals"], algebra.dim) if "integrals" in record else None
+    casimirs = invariants_of(record["casimirs"], algebra.dim)
+    integrals = invariants_of(record["integrals"], algebra.dim) if "integrals" in record else None
     representation = _matrices_of(record["representation"], algebra.dim) if "representation" in record else None
     sign = record["sign"].whole(-1, 1)
     with made_of(record):
@@ -139,7 +139,7 @@ def _algebra_of(record: Entry, wanted: int | None) -> LieAlgebra:
     constants = record["constants"].rows(dim, dim, dim)
     name = None if record["name"].value is None else record["name"].text()
     representation = _matrices_of(record["representation"], dim) if "representation" in record else None
-    casimirs = _invariants_of(record["casimirs"], dim) if "casimirs" in record else None
+    casimirs = invariants_of(record["casimirs"], dim) if "casimirs" in record else None
     with made_of(record):
         return LieAlgebra(
             constants,
@@ -161,7 +161,8 @@ def _matrices_of(record: Entry, dim: int) -> NDArray[np.float64]:
     return matrices
 
 
-def _invariants_of(record: Entry, dim: int) -> dict[str, Polynomial | Quadratic]:
+def invariants_of(record: Entry, dim: int) -> dict[str, Polynomial | Quadratic]:
+    """Return polynomials and quadratic forms by name."""
     return {
         name: _form_of(entry, dim) if isinstance(entry.value, dict) else _polynomial_of(entry, dim)
         for name, entry in record.table().items()

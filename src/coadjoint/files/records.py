@@ -82,12 +82,12 @@ def record_of(system: System | Batch) -> dict[str, Any]:
         "sign": system.sign,
         "algebra": _algebra_record(system.algebra),
         "hamiltonian": hamiltonian,
-        "casimirs": _invariants_record(followed),
+        "casimirs": invariants_record(followed),
     }
     if system.representation is not None and system.representation is not system.algebra.representation:
         record["representation"] = _matrices_record(system.representation)
     if system.integrals:
-        record["integrals"] = _invariants_record(system.integrals)
+        record["integrals"] = invariants_record(system.integrals)
     if missing:
         record["not_stored"] = missing
     return record
@@ -104,7 +104,7 @@ def _algebra_record(algebra: LieAlgebra) -> dict[str, Any]:
     if algebra.representation is not None:
         record["representation"] = _matrices_record(algebra.representation)
     if algebra.casimirs_known:
-        record["casimirs"] = _invariants_record(algebra.casimirs_known)
+        record["casimirs"] = invariants_record(algebra.casimirs_known)
     return record
 
 
@@ -114,7 +114,7 @@ def _matrices_record(matrices: NDArray[np.float64]) -> dict[str, Any]:
     return {"size": matrices.shape[1], "entries": [list(row) for row in zip(*columns, strict=True)]}
 
 
-def _invariants_record(casimirs: Mapping[str, Any]) -> dict[str, Any]:
+def invariants_record(casimirs: Mapping[str, Any]) -> dict[str, Any]:
     """Return polynomials as monomials, quadratic forms as those of a Hamiltonian; functions are left out."""
     return {
         name: _monomials(value) if isinstance(value, Polynomial) else _form_record(value)

@@ -49,8 +49,8 @@ class PreparedRun:
 
     Attributes
     ----------
-    system, method, step
-        What runs. With inputs the method has the parts written out that it chose for the system.
+    system, method, step, observe
+        What runs, and what is observed. With inputs the method has the parts written out that it chose for the system.
     """
 
     most_evaluations: float = math.inf
@@ -86,7 +86,7 @@ class PreparedRun:
         # The loops do not follow what is kept of matrices.
         self._attitude, self._watching = attitude, watching and not isinstance(system, MatrixSystem)
         self._representations = representations_of(cast(Any, system), self._scheme, attitude)
-        self._observe = check_observe({} if observe is None else observe)
+        self.observe = check_observe({} if observe is None else observe)
         self._threads = workers or members_at_once(rows_of(system))
         self._made: dict[float, Loops | InputLoops] = {}
         self._observed: Observed | None = None
@@ -346,12 +346,12 @@ class PreparedRun:
 
     def observed(self, start: Start) -> Observed | None:
         """Return what is to be observed along a run, if anything."""
-        if not self._observe:
+        if not self.observe:
             return None
         with self._making:
             if self._observed is None:
                 system = self.system[0] if isinstance(self.system, Batch) else self.system
-                self._observed = Observed(system, self._observe, start.momenta[0])
+                self._observed = Observed(system, self.observe, start.momenta[0])
         return self._observed
 
 

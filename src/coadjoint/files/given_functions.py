@@ -1,0 +1,110 @@
+"""What must be given again to go on with a run? What has functions: an archive knows their fingerprints alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from coadjoint.files.archive_store import ArchiveError
+from coadjoint.files.fingerprints import fingerprint_of, functions_in, made_of_system, same_fingerprint
+from coadjoint.files.record_entries import parsed
+from coadjoint.files.record_reading import invariants_of
+from coadjoint.files.records import STORED, invariants_record, record_of
+from coadjoint.runs.events import Event, read_events
+from coadjoint.runs.observed import check_observe
+from coadjoint.wording import short
+
+if TYPE_CHECKING:
+    from coadjoint.files.archived_solution import ArchivedSolution
+    from coadjoint.runs.prepared_run import PreparedRun
+
+GIVEN, OBSERVED = "archive_given", "archive_observed"
+
+
+class Given(NamedTuple):
+    """What a run is gone on with.
+
+    Parameters
+    ----------
+    observe : dict
+        What is observed along it.
+    events : tuple of Event, or None
+        What it looks for; None where the archive says it.
+    """
+
+    observe: dict[str, Any]
+    events: tuple[Event, ...] | None
+
+
+def said_of_functions(ready: PreparedRun, events: Sequence[Event]) -> dict[str, str]:
+    """Return the attributes that say what is observed, and what tells functions from others."""
+    observed, found = ready.observe, {}
+    functions = functions_in(ready.system)
+    if functions:
+        found["system"] = {"named": functions, **fingerprint_of(made_of_system(ready.system))}
+    named = [name for name, given in observed.items() if not isinstance(given, STORED)]
+    if named:
+        found["observe"] = {"named": named, **fingerprint_of(observed)}
+    called = [event.name or str(k) for k, event in enumerate(events) if not isinstance(event.g, int | str | STORED[0])]
+    if called:
+        found["events"] = {"named": called, **fingerprint_of(list(events))}
+    return {
+        GIVEN: json.dumps(found),
+        OBSERVED: json.dumps({"names": list(observed), "stored": invariants_record(observed)}),
+    }
+
+
+def asked_again(
+    path: Path, archive: ArchivedSolution, system: Any, observe: Mapping[str, Any] | None, events: Any
+) -> Given:
+    """Return what a run is gone on with, from what is given and what is stored.
+
+    Raises
+    ------
+    ArchiveError
+        Something is missing that has functions, or it is another one than the run was begun with.
+    """
+    attributes = archive.attributes
+    wanted = json.loads(attributes[GIVEN])
+    observed = json.loads(attributes[OBSERVED])
+    looked_for = None if events is None else read_events(events)
+    if system is not None:
+        _check(path, "system", made_of_system(system), wanted, system)
+        if json.loads(json.dumps(record_of(system))) != json.loads(attributes["system"]):
+            raise ArchiveError(f"{path}: system is {short(system)}, and the run is one of {attributes['system_repr']}")
+    elif "system" in wanted:
+        raise _missing(path, "system", wanted)
+    if observe is not None:
+        observe = check_observe(observe)
+        if list(observe) != observed["names"]:
+            raise ArchiveError(f"{path}: the run observes {observed['names']}, and observe has {list(observe)}")
+        _check(path, "observe", observe, wanted, observe)
+    elif "observe" in wanted:
+        raise _missing(path, "observe", wanted)
+    else:
+        dim = archive.inputs()["system"].dim if observed["names"] else 0
+        stored = invariants_of(parsed(json.dumps(observed["stored"]), OBSERVED), dim)
+        observe = {name: stored[name] for name in observed["names"]}
+    if looked_for is not None:
+        _check(path, "events", list(looked_for), wanted, events)
+    elif "events" in wanted:
+        raise _missing(path, "events", wanted)
+    return Given(dict(observe), looked_for)
+
+
+def _check(path: Path, what: str, made: Any, wanted: Mapping[str, Any], given: Any) -> None:
+    """Refuse what is another one than the run was begun with."""
+    if what in wanted and not same_fingerprint(wanted[what], fingerprint_of(made)):
+        raise ArchiveError(
+            f"{path}: {what} is {short(given)}, which is not what the run was begun with: its numbers, or the code of "
+            f"its functions ({short(', '.join(wanted[what]['named']))[1:-1]}), are others"
+        )
+
+
+def _missing(path: Path, what: str, wanted: Mapping[str, Any]) -> ArchiveError:
+    named = short(", ".join(wanted[what]["named"]))[1:-1]
+    return ArchiveError(
+        f"{path}: the run has functions, which are not stored ({named}); give them again: co.resume(path, {what}=...)"
+    )

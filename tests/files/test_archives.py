@@ -1,0 +1,220 @@
+"""Archives of runs: what is asked again, what is refused, and what there is of a run that has failed."""
+
+import json
+import os
+import pickle
+
+import numpy as np
+import pytest
+import xarray
+
+import coadjoint as co
+from coadjoint.files.archive_store import ArchiveError
+from coadjoint.files.archived_solution import ArchivedSolution
+from coadjoint.files.archives import archive_run
+from coadjoint.runs.prepared_run import PreparedRun
+from verification.test_archived_runs import assert_same
+
+BODY, X = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, -1.0, 0.7)
+SPAN, STEP = (0.0, 2.0), 0.125
+
+
+@pytest.fixture(autouse=True)
+def without_waiting_for_the_disk(monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+def cut(path, system=BODY, x0=X, until=5, method=None, every=2, **options):
+    """Leave a run after some of its steps."""
+    ready = PreparedRun(system, method or co.GaussLegendre(2), STEP, **options)
+    return archive_run(ready, x0, SPAN, every, path, until=until)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_peer_reads_what_a_dataset_of_the_run_has(tmp_path):
+    """Plain xarray: the same variables, dimensions, coordinates, attributes and bits as `to_xarray` gives."""
+    x0 = np.multiply.outer([1.0, 0.9], X)
+    method, options = co.GaussLegendre(2), {"attitude": "coadjoint", "observe": {"q": co.Polynomial({(1, 1, 0): 2.0})}}
+    whole = co.integrate(BODY, x0, SPAN, STEP, method, save_every=3, **options).to_xarray()
+    found = co.integrate(BODY, x0, SPAN, STEP, method, save_every=3, archive=tmp_path / "run.zarr", **options)
+    for dataset in (xarray.open_zarr(tmp_path / "run.zarr"), found.to_xarray()):
+        assert set(dataset.variables) == set(whole.variables) and dict(dataset.sizes) == dict(whole.sizes)
+        for name, variable in whole.variables.items():
+            assert dataset[name].dims == variable.dims and dataset[name].attrs == variable.attrs
+            assert np.array_equal(dataset[name].values, variable.values), name
+        assert all(dataset.attrs[name] == value for name, value in whole.attrs.items() if name != "seconds")
+    assert found.observed["q"].shape == (7, 2) and "platform" in dataset.attrs
+
+
+def well(y):
+    return 0.5 * y * y + 0.1 * y**4
+
+
+def slope(y):
+    return y + 0.4 * y**3
+
+
+def wells(factor=1.0):
+    def scaled(y):
+        return factor * 0.5 * y * y
+
+    def scaled_slope(y):
+        return factor * y
+
+    return co.LiePoissonSystem(co.algebras.so(3), co.Separable({0: (well, slope), 1: (scaled, scaled_slope)}))
+
+
+def far(x):
+    return x[0] * x[1]
+
+
+def farther(x):
+    return 2.0 * x[0] * x[1]
+
+
+def test_a_system_with_functions_is_asked_for_again_and_another_one_refused(tmp_path):
+    path, observe = tmp_path / "run.zarr", {"far": far, "q": co.Polynomial({(2, 0, 0): 1.0})}
+    whole = co.integrate(wells(), X, SPAN, STEP, co.GaussLegendre(2), save_every=2, observe=observe)
+    cut(path, wells(), observe=observe)
+    assert co.open_archive(path).x.shape == (3, 3)
+    with pytest.raises(ArchiveError, match=r"not stored \(hamiltonian: well, .*co.resume\(path, system=...\)"):
+        co.resume(path)
+    with pytest.raises(
+        ArchiveError, match="not what the run was begun with: its numbers, or the code of its functions"
+    ):
+        co.resume(path, system=wells(2.0), observe=observe)
+    with pytest.raises(ArchiveError, match=r"not stored \(far\); give them again: co.resume\(path, observe=...\)"):
+        co.resume(path, system=wells())
+    with pytest.raises(ArchiveError, match=r"not what the run was begun with: .* functions \(far\)"):
+        co.resume(path, system=wells(), observe={**observe, "far": farther})
+    with pytest.raises(ArchiveError, match=r"the run observes \['far', 'q'\], and observe has \['far'\]"):
+        co.resume(path, system=wells(), observe={"far": far})
+    found = co.resume(path, system=wells(), observe=observe)
+    assert found.finished
+    assert_same(found, whole)
+    assert co.open_archive(path, wells()).system.hamiltonian is not None
+
+
+def test_what_is_stored_of_what_is_observed_need_not_be_given(tmp_path):
+    observe = {"b": co.Polynomial({(2, 0, 0): 1.0}), "a": co.Quadratic([1.0, 2.0, 3.0], linear=[0.5, 0.0, 0.0])}
+    whole = co.integrate(BODY, X, SPAN, STEP, co.GaussLegendre(2), save_every=2, observe=observe)
+    cut(tmp_path / "run.zarr", observe=observe)
+    assert_same(co.resume(tmp_path / "run.zarr"), whole)
+
+
+def test_another_system_is_refused_also_without_functions(tmp_path):
+    cut(tmp_path / "run.zarr")
+    with pytest.raises(ArchiveError, match=r"system is .*, and the run is one of <rigid_body"):
+        co.resume(tmp_path / "run.zarr", system=co.systems.rigid_body(inertia=(1, 2, 3.5)))
+    assert co.resume(tmp_path / "run.zarr", system=BODY).finished
+
+
+def test_a_first_step_with_other_bits_is_noticed(tmp_path, monkeypatch):
+    """As on a machine, or by a library, that rounds in another way; or by a function that reads something else."""
+    cut(tmp_path / "run.zarr")
+    monkeypatch.setattr("coadjoint.files.archives.first_step", lambda *_: "other")
+    with pytest.raises(
+        ArchiveError, match="the first step, taken again, has other bits than when the archive was begun"
+    ):
+        co.resume(tmp_path / "run.zarr")
+
+
+def test_a_finished_run_is_resumed_at_once(tmp_path, monkeypatch):
+    found = co.integrate(BODY, X, SPAN, STEP, archive=tmp_path / "run.zarr")
+    monkeypatch.setattr("coadjoint.files.archives.ArchiveStore", None)
+    again = co.resume(tmp_path / "run.zarr")
+    assert again.finished and np.array_equal(again.x, found.x)
+
+
+def test_a_run_that_fails_says_so_whenever_it_is_asked(tmp_path):
+    # Far too long a step, so that the numbers grow until they overflow.
+    run, options = (BODY, (3.0, -20.0, 7.0), (0, 100), STEP, co.ExplicitRungeKutta("runge2")), {"save_every": 3}
+    with pytest.raises(co.IntegrationError) as plain:
+        co.integrate(*run, **options)
+    assert plain.value.step > 3
+    path = tmp_path / "run.zarr"
+    with pytest.raises(co.IntegrationError) as failure:
+        co.integrate(*run, archive=path, **options)
+    with pytest.raises(co.IntegrationError) as again:
+        co.resume(path)
+    for error in (failure.value, again.value):
+        assert (str(error), error.step, error.time) == (str(plain.value), plain.value.step, plain.value.time)
+        assert error.partial.finished and error.partial.attributes["run_failed"] == 1
+        assert np.array_equal(error.partial.x, plain.value.partial.x)
+        assert np.array_equal(error.partial.t, plain.value.partial.t)
+
+
+def test_members_that_fail_leave_the_others(tmp_path):
+    system = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, -1.0, 2.0]))
+    x0, path = np.array([[1.0, 1.0, 0.0], [1.0, 0.5, 0.25]]), tmp_path / "run.zarr"
+    with pytest.raises(co.IntegrationError) as plain:
+        co.integrate(system, x0, SPAN, 0.05, co.RadauEnergy(2))
+    ready = PreparedRun(system, co.RadauEnergy(2), 0.05)
+    archive_run(ready, x0, SPAN, 1, path, until=7)
+    with pytest.raises(co.IntegrationError) as failure:
+        co.resume(path)
+    assert str(failure.value) == str(plain.value)
+    assert failure.value.partial.failed.tolist() == [True, False]
+    assert_same(failure.value.partial, plain.value.partial)
+
+
+def test_it_is_opened_like_any_solution(tmp_path):
+    found = cut(tmp_path / "run.zarr", attitude=True)
+    assert isinstance(found, co.Solution) and isinstance(found, ArchivedSolution)
+    assert repr(found) == f"<archive {tmp_path}/run.zarr, at step 5 of 16: 3 points>"
+    copy = pickle.loads(pickle.dumps(found))
+    assert np.array_equal(copy.attitude, found.attitude) and copy.reached == 5
+    assert repr(co.resume(tmp_path / "run.zarr")) == f"<archive {tmp_path}/run.zarr, finished: 9 points>"
+    # As it was when it was opened.
+    assert found.x.shape == (3, 3) and found.to_xarray().sizes["time"] == 3
+    assert np.array_equal(found.at(0.3).x, co.integrate(BODY, X, SPAN, STEP, co.GaussLegendre(2)).at(0.3).x)
+
+
+def test_a_large_array_is_refused_before_memory_is_taken(tmp_path, monkeypatch):
+    found = co.integrate(BODY, X, (0, 4000), 0.125, archive=tmp_path / "run.zarr")
+    monkeypatch.setattr("coadjoint.memory.SMALL", 0)
+    monkeypatch.setattr("coadjoint.memory.available", lambda: 10**6)
+    with pytest.raises(
+        ValueError, match=r"x of the archive .* needs about 2 MB; .* read a part of to_xarray\(\)\['x'\]"
+    ):
+        _ = found.x
+    assert found.to_xarray()["x"][-1].shape == (3,)
+
+
+@pytest.mark.parametrize(
+    ("archive", "message"),
+    [
+        (3, "archive is 3; it must be the path of a folder"),
+        ("a\0b", "it must be the path of a folder"),
+        ("x" * 300, "its name is too long"),
+        ("none/run.zarr", "the folder none does not exist; make it first"),
+    ],
+)
+def test_an_archive_that_cannot_be_made_is_refused_before_the_run(tmp_path, monkeypatch, archive, message):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("coadjoint.runs.run.Run.advance", None)
+    with pytest.raises((ValueError, TypeError), match=message):
+        co.integrate(BODY, X, SPAN, STEP, archive=archive)
+    assert os.listdir(tmp_path) == []
+
+
+def test_an_archive_is_never_replaced(tmp_path):
+    co.integrate(BODY, X, SPAN, STEP, archive=tmp_path / "run.zarr")
+    with pytest.raises(
+        ArchiveError, match=r"exists; co\.resume goes on with an archive, and a new one needs another name"
+    ):
+        co.integrate(BODY, X, SPAN, STEP, archive=tmp_path / "run.zarr")
+    assert os.listdir(tmp_path) == ["run.zarr"]
+
+
+def test_damaged_attributes_are_one_sentence(tmp_path):
+    path = tmp_path / "run.zarr"
+    cut(path)
+    root = json.loads((path / "zarr.json").read_text())
+    for name in ("system", "method", "t_span", "archive_states", "archive_given", "archive_observed", "step", "steps"):
+        for value in (None, "{", 3):
+            attributes = {**root["attributes"], name: value}
+            (path / "zarr.json").write_text(json.dumps({**root, "attributes": attributes}))
+            with pytest.raises((ValueError, TypeError)) as refusal:
+                co.resume(path)
+            assert "\n" not in str(refusal.value), name
