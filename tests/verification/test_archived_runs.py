@@ -135,3 +135,41 @@ def test_cut_and_resumed(tmp_path, method, name, cuts, every, threads, members, 
 
 def test_there_are_enough_cases():
     assert len(list(cases())) >= 300 or len(list(cases())) == 0
+
+
+LATER = [(17, 29), (17, 18), (40, 400), (170, 1000), (1000, 1001), (999, 2000)]
+
+
+@pytest.mark.parametrize(("steps", "later"), LATER)
+@pytest.mark.parametrize("every", [1, 7, 50])
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8, tolerance=1e-9)], ids=str)
+@pytest.mark.parametrize(("direction", "watch", "pieces"), [(1, True, 1), (-1, True, 5), (1, False, 3)])
+def test_a_later_end(tmp_path, monkeypatch, steps, later, every, method, direction, watch, pieces):
+    """The same as a run that had this end from the beginning: points, and drifts in each of its tenths."""
+    system, x0 = systems()["e(3), heavy top"]
+    spans = [(T0, T0 + direction * count * STEP) for count in (steps, later)]
+    options = {"save_every": every, "watch": watch}
+    path = tmp_path / "run.zarr"
+    ready = PreparedRun(system, method, STEP, watch=watch)
+    cuts = [steps * piece // pieces for piece in range(1, pieces)] + [None]
+    archive_run(ready, x0, spans[0], every, path, until=cuts[0])
+    for cut in cuts[1:]:
+        co.resume(path, until=cut)
+    assert_same(co.open_archive(path), co.integrate(system, x0, spans[0], STEP, method, **options))
+    middle = co.resume(path, spans[1][1], until=(steps + later) // 2)
+    assert not middle.finished or later - steps == 1
+    assert_same(co.resume(path), co.integrate(system, x0, spans[1], STEP, method, **options))
+
+
+def test_an_unfinished_run_gets_another_end(tmp_path):
+    system, x0 = systems()["e(3), heavy top"]
+    path, method = tmp_path / "run.zarr", co.GaussLegendre(2)
+    archive_run(PreparedRun(system, method, STEP), x0, (0.0, 100 * STEP), 3, path, until=41)
+    found = co.resume(path, 60 * STEP)
+    assert_same(found, co.integrate(system, x0, (0.0, 60 * STEP), STEP, method, save_every=3))
+    assert co.resume(path, 60 * STEP).finished
+    for end in (0.0, 41 * STEP, 59 * STEP, -100 * STEP):
+        with pytest.raises(ValueError, match=r"the run has come to t = 3 on its way to 3; give a later end"):
+            co.resume(path, end)
+    with pytest.raises(ValueError, match="does not divide"):
+        co.resume(path, 61.5 * STEP)

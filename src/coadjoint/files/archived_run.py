@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import prod
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from coadjoint.runs.times import Times
 
 FINISHED, STEPS, STATES, ACCOUNTS = "archive_finished", "archive_steps", "archive_states", "archive_accounts"
-FIRST_STEP = "archive_first_step"
+FIRST_STEP, SAVE_EVERY = "archive_first_step", "archive_save_every"
+BLOCKS, LEAST_ROOM = 64, 2**24
+"""A run has about so many blocks, as long as their states take no more than a quarter of the archive, or 16 MB."""
 SECONDS_OF_STRETCH, FIRST_STRETCH = 0.25, 64
 SECONDS_OF_PIECE, SHARE_OF_COMMITS = 10.0, 20
 """A piece is committed after 10 s, or after 20 times as long as it took to commit the one before."""
@@ -54,6 +56,7 @@ class ArchivedRun:
         stored: Mapping[str, Any] | None = None,
     ) -> None:
         self.store, self.run = store, PiecewiseRun(ready, times, start, store.arrays["time"].chunk[0], stored)
+        self._states = states_of(store.attributes)
         self._seconds = float(store.attributes.get("seconds", 0.0))
         self._took = 0.0
         self._committed = self.run.number
@@ -102,25 +105,43 @@ class ArchivedRun:
                 self.store.write(name, values)
             self._failure = failure = run.failure(piece) if run.over else None
             lengths = {"time": run.first + run.held}
-            kept = self.store.keep(run.stored(), {"number": run.number, **lengths})
-            self.store.commit(
-                {**self._attributes(piece, kept), **(said_of(failure) if failure else {})}, lengths, [kept]
-            )
+            states = self._kept(lengths)
+            said = {**self._attributes(piece, states), **(said_of(failure) if failure else {})}
+            self.store.commit(said, lengths, states)
+            self._states = states
         except OSError as reason:
             raise unwritten(self.store, reason) from reason
         run.let_go()
         self._took, self._committed = time.perf_counter() - began, run.number
 
-    def _attributes(self, piece: Solution, kept: Kept) -> dict[str, Any]:
+    def _kept(self, lengths: Mapping[str, int]) -> list[Kept]:
+        """Keep the state, and return all that stay: those at which blocks begin, and the last of an unfinished run."""
+        run, store = self.run, self.store
+        blocks = [kept for kept in self._states if kept.about["block"]]
+        bytes_of_state = 8 * run.run.state.arrays.numbers.size
+        room = max(LEAST_ROOM, 8 * lengths["time"] * sum(prod(array.shape[1:]) for array in store.arrays.values()) // 4)
+        since = run.number - (blocks[-1].about["number"] if blocks else 0)
+        block = not run.over and since * BLOCKS >= run.run.times.steps and (len(blocks) + 1) * bytes_of_state <= room
+        kept = store.keep(run.stored(block), {"number": run.number, **lengths, "block": int(block)})
+        if run.over and not self._states[-1].about["block"]:
+            blocks.append(self._states[-1])
+        return [*blocks, kept]
+
+    def _attributes(self, piece: Solution, states: Sequence[Kept]) -> dict[str, Any]:
         stats = piece.stats
         return {
             STEPS: self.run.number,
             FINISHED: int(self.run.over),
-            STATES: json.dumps([list(kept)]),
+            STATES: json.dumps(states),
             "evaluations": stats.evaluations,
             "iterations": stats.iterations,
             "seconds": self._seconds + stats.seconds,
         }
+
+
+def states_of(attributes: Mapping[str, Any]) -> list[Kept]:
+    """Return the states that an archive keeps: of its blocks, and the last one."""
+    return [Kept(*kept) for kept in json.loads(attributes[STATES])]
 
 
 def growing_of(piece: Solution) -> Variables:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
 from coadjoint.extras import need
-from coadjoint.files.archive_store import ArchiveError, ArchiveMoved, Kept, path_of, read_array, read_kept, read_root
-from coadjoint.files.archived_run import ACCOUNTS, FINISHED, STATES, STEPS
+from coadjoint.files.archive_store import ArchiveError, ArchiveMoved, path_of, read_array, read_kept, read_root
+from coadjoint.files.archived_run import ACCOUNTS, FINISHED, STEPS, states_of
 from coadjoint.files.export import solution_inputs
 from coadjoint.files.stored_arrays import GROWING, StoredArray
 from coadjoint.memory import check_room
@@ -56,7 +56,7 @@ class ArchivedSolution(Solution):
 
     def __init__(self, path: Path, system: Any = None) -> None:
         arrays, attributes = read_root(path)
-        kept = read_kept(path, Kept(*json.loads(attributes[STATES])[-1]))
+        kept = read_kept(path, states_of(attributes)[-1])
         self.__dict__.update(
             path=path,
             finished=bool(attributes[FINISHED]),

@@ -13,16 +13,26 @@ import numpy as np
 
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
-from coadjoint.files.archive_store import ArchiveError, ArchiveStore, Kept, path_of, read_kept
-from coadjoint.files.archived_run import ACCOUNTS, FINISHED, FIRST_STEP, STATES, ArchivedRun, first_step, new_arrays
+from coadjoint.files.archive_store import ArchiveError, ArchiveStore, path_of, read_kept
+from coadjoint.files.archived_run import (
+    ACCOUNTS,
+    FINISHED,
+    FIRST_STEP,
+    SAVE_EVERY,
+    STATES,
+    ArchivedRun,
+    first_step,
+    new_arrays,
+    states_of,
+)
 from coadjoint.files.archived_solution import ArchivedSolution, open_archive
 from coadjoint.files.export import attributes_of
 from coadjoint.files.given_functions import asked_again, said_of_functions
+from coadjoint.files.longer_runs import lengthen, longer_times
 from coadjoint.files.unfinished import Unfinished, remove_leftovers
 from coadjoint.files.variables import accounts_of
 from coadjoint.runs.events import read_events
 from coadjoint.runs.piecewise_run import PiecewiseRun
-from coadjoint.runs.times import times_of
 
 if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
@@ -74,14 +84,14 @@ def archive_run(
     times, start = ready.times_of(t_span, save_every)[0], ready.start(x0)
     try:
         with Unfinished(target) as unfinished:
-            store = begun(ready, times, start, unfinished.place)
+            store = begun(ready, times, start, unfinished.place, int(save_every))
             store.moved(target)
     except OSError as reason:
         raise _unmade(target, reason) from None
     return _run_on(store, ready, times, start, None, progress, until)
 
 
-def begun(ready: PreparedRun, times: Times, start: Start, place: Path) -> ArchiveStore:
+def begun(ready: PreparedRun, times: Times, start: Start, place: Path, save_every: int) -> ArchiveStore:
     """Make an archive from which the run can be resumed, though no step was taken yet."""
     run = PiecewiseRun(ready, times, start, 1)
     run.advance(0)
@@ -92,7 +102,7 @@ def begun(ready: PreparedRun, times: Times, start: Start, place: Path) -> Archiv
         for name, (_, values, _) in (growing | fixed).items():
             store.write(name, values)
         lengths = {"time": run.held}
-        kept = store.keep(run.stored(), {"number": 0, **lengths})
+        kept = store.keep(run.stored(), {"number": 0, **lengths, "block": 1})
         attributes = {
             **attributes_of(piece),
             ACCOUNTS: json.dumps(accounts_of(piece)),
@@ -101,7 +111,8 @@ def begun(ready: PreparedRun, times: Times, start: Start, place: Path) -> Archiv
             "platform": f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}",
             FINISHED: 0,
             "archive_steps": 0,
-            STATES: json.dumps([list(kept)]),
+            STATES: json.dumps([kept]),
+            SAVE_EVERY: save_every,
         }
         store.commit(attributes, lengths, [kept])
     except BaseException:
@@ -130,6 +141,7 @@ def _unmade(target: Path, reason: OSError) -> ArchiveError:
 
 def resume(
     path: str | Path,
+    t_end: float | None = None,
     *,
     system: Any = None,
     observe: Mapping[str, Any] | None = None,
@@ -140,12 +152,16 @@ def resume(
 ) -> ArchivedSolution:
     """Go on with the run of an archive, to the same bits as if it had never been cut.
 
-    A run that is finished is opened as it is.
+    A run that is finished is opened as it is, unless a later end is given.
 
     Parameters
     ----------
     path : str or Path
         The folder that ``integrate(..., archive=path)`` has written.
+    t_end : float, optional
+        Another end than the run was begun with, a whole number of steps from its start and behind what was done. The
+        bits are those of a run that had this end from the beginning. So that the drifts in each tenth of it are known,
+        some steps are taken once more, as a rule less than a sixth of those that were taken.
     system, observe, events : optional
         Those of the run, where they have functions, which are not stored. What they are made of is compared with what
         the run was begun with (`coadjoint.files.fingerprints` says what that can see), and another one is refused.
@@ -177,22 +193,22 @@ def resume(
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     sol = co.integrate(body, (1.0, 0.2, 0.1), (0, 10), 0.1, archive=f"{folder}/run.zarr")
-    ...     co.resume(f"{folder}/run.zarr").t[-1]
-    10.0
+    ...     sol = co.resume(f"{folder}/run.zarr", t_end=20.0)
+    ...     sol.t[-1]
+    20.0
     """
     from coadjoint.runs.prepared_run import PreparedRun
 
     need("an archive of a run", "xarray", "zarr")
     place = path_of(path)
     found = open_archive(place, system)
-    if found.finished:
+    if found.finished and (t_end is None or found.attributes.get("run_failed")):
         return _told(found)
     store = ArchiveStore.opened(place)
     try:
         found = open_archive(place, system)
         given = asked_again(place, found, system, observe, events)
         inputs = found.inputs(given.events)
-        times = times_of(inputs["t_span"], inputs["step"], inputs["save_every"])
         ready = PreparedRun(
             inputs["system"],
             inputs["method"],
@@ -203,13 +219,22 @@ def resume(
             threads=threads,
         )
         start = ready.start(inputs["x0"])
+        times, _ = ready.times_of(inputs["t_span"], inputs["save_every"])
         if first_step(ready, times, start) != store.attributes[FIRST_STEP]:
             raise ArchiveError(
                 f"{place}: the first step, taken again, has other bits than when the archive was begun by coadjoint "
                 f"{store.attributes['coadjoint_version']} on {store.attributes['platform']}; go on there, or with the "
                 "same system"
             )
-        stored = read_kept(place, Kept(*json.loads(store.attributes[STATES])[-1]))
+        if t_end is not None:
+            longer = longer_times(store, times, ready, t_end)
+            if longer.steps != times.steps:
+                times = longer
+                lengthen(store, ready, times, start)
+        if store.attributes[FINISHED]:
+            store.close()
+            return found
+        stored = read_kept(place, states_of(store.attributes)[-1])
     except BaseException:
         store.close()
         raise

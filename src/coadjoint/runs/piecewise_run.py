@@ -6,6 +6,7 @@ Between two pieces it can be stored, whole, and gone on from with the same bits:
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -143,17 +144,26 @@ class PiecewiseRun:
         """The largest deviations in each tenth of the run so far, (members, tenths, invariants)."""
         return larger(self._earlier, self.run.state["worst"])
 
-    def begin_block(self) -> None:
-        """Let the state have the largest deviations from here on alone."""
-        self._earlier = self.worst
-        self.run.state["worst"][:] = 0.0
+    def stored(self, begin_block: bool = False) -> dict[str, Any]:
+        """Return numbers and arrays, by name, from which the run goes on with the same bits.
 
-    def stored(self) -> dict[str, Any]:
-        """Return numbers and arrays, by name, from which the run goes on with the same bits."""
+        Its steps are in blocks, of each of which the largest deviations are known: ``block`` (members, invariants) of
+        those since the last block was begun.
+
+        Parameters
+        ----------
+        begin_block : bool
+            Let another block begin here.
+        """
         assert self.run.initial is not None
+        block = reduce(larger, np.moveaxis(self.run.state["worst"], 1, 0))
+        if begin_block:
+            self._earlier = self.worst
+            self.run.state["worst"][:] = 0.0
         return {
             **{f"{STATE}{name}": value for name, value in self.run.state.to_mapping().items()},
             "earlier": self._earlier,
+            "block": block,
             "initial": self.run.initial,
             **{f"undefined {name}": found for name, found in self._undefined.items()},
         }
