@@ -108,7 +108,7 @@ RUNS = {
     "events": [co.Event(1), [co.Event(0, direction=-1, terminal=True)]],
 }
 # What changes no number of a solution; `observe` may be functions, and is named as not stored.
-CHANGES_NOTHING = {"system", "observe", "threads", "progress", "rtol", "atol"}
+CHANGES_NOTHING = {"system", "observe", "threads", "progress", "archive", "rtol", "atol"}
 
 
 def test_every_parameter_of_a_run_is_here():

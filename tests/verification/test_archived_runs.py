@@ -161,6 +161,15 @@ def test_a_later_end(tmp_path, monkeypatch, steps, later, every, method, directi
     assert_same(co.resume(path), co.integrate(system, x0, spans[1], STEP, method, **options))
 
 
+def test_a_run_of_no_steps_goes_on(tmp_path):
+    system, x0 = systems()["e(3), heavy top"]
+    path, method = tmp_path / "run.zarr", co.GaussLegendre(2)
+    found = co.integrate(system, x0, (1.0, 1.0), STEP, method, archive=path)
+    assert found.finished
+    assert_same(found, co.integrate(system, x0, (1.0, 1.0), STEP, method))
+    assert_same(co.resume(path, 1.0 + 3 * STEP), co.integrate(system, x0, (1.0, 1.0 + 3 * STEP), STEP, method))
+
+
 def test_an_unfinished_run_gets_another_end(tmp_path):
     system, x0 = systems()["e(3), heavy top"]
     path, method = tmp_path / "run.zarr", co.GaussLegendre(2)

@@ -20,6 +20,7 @@ from coadjoint.files.archived_run import (
     FIRST_STEP,
     SAVE_EVERY,
     STATES,
+    STEPS,
     ArchivedRun,
     first_step,
     new_arrays,
@@ -109,8 +110,8 @@ def begun(ready: PreparedRun, times: Times, start: Start, place: Path, save_ever
             **said_of_functions(ready, ()),
             FIRST_STEP: first_step(ready, times, start),
             "platform": f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}",
-            FINISHED: 0,
-            "archive_steps": 0,
+            FINISHED: int(run.over),
+            STEPS: 0,
             STATES: json.dumps([kept]),
             SAVE_EVERY: save_every,
         }

@@ -53,7 +53,8 @@ def longer_times(store: ArchiveStore, times: Times, ready: PreparedRun, t_end: A
 def lengthen(store: ArchiveStore, ready: PreparedRun, times: Times, start: Start) -> None:
     """Let a run have another end, and go back to the last state that does not depend on the old one."""
     states = states_of(store.attributes)
-    kept = [one for one in states if one.about["number"] < times.steps and not (one is states[-1] and _over(store))]
+    # Of a finished run the last one depends on the end; but for that of a run of no steps.
+    kept = (states[:-1] if store.attributes[FINISHED] else states) or states
     base = kept[-1]
     stored = read_kept(store.path, base)
     stored["earlier"] = _worst(store, kept, ready, times, start)
@@ -70,10 +71,6 @@ def lengthen(store: ArchiveStore, ready: PreparedRun, times: Times, start: Start
     }
     lengths = {name: length for name, length in base.about.items() if name not in ("number", "block")}
     store.commit(attributes, lengths, [*blocks, new])
-
-
-def _over(store: ArchiveStore) -> bool:
-    return bool(store.attributes[FINISHED])
 
 
 def _worst(
