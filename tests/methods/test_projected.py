@@ -1,6 +1,7 @@
 """Any scheme, projected: steps of every family, alone, in crowds and batches, and what comes out of the base."""
 
 import dataclasses
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ def full(n, seed=0):
 
 E3 = co.LiePoissonSystem(co.algebras.e(3), co.Quadratic(full(6), linear=np.linspace(-0.3, 0.4, 6)), sign=-1)
 SU3 = co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(0.5 * full(8)))
+SO5 = co.LiePoissonSystem(co.algebras.so(5), co.Quadratic(full(10)))
 SPIRAL = co.LiePoissonSystem(co.algebras.A3_7(0.7), co.Quadratic(full(3)))
 BASES = [
     co.Splitting(order=1),
@@ -35,6 +37,29 @@ BASES = [
 ]
 
 
+def random_polynomial(n, degrees, seed):
+    """Return a sum of a square and of products with so many factors, which may be equal."""
+    rng = np.random.default_rng(seed)
+    terms = {tuple(2 * (k == i) for k in range(n)): Fraction(1, 2) for i in range(n)}
+    for degree in degrees:
+        exponents = np.bincount(rng.integers(n, size=degree), minlength=n)
+        terms[tuple(map(int, exponents))] = Fraction(int(rng.integers(1, 9)), 16)
+    return co.Polynomial(terms)
+
+
+# The energy is written out for eight factors at most, and held in registers in two blocks of eight coordinates.
+OF_DEGREES = {
+    "degrees up to 8 in one block": (co.algebras.e(3), (0, 1, 2, 3, 3, 4, 5, 8, 8)),
+    "degrees up to 8 in two blocks": (co.algebras.so(5), (0, 1, 2, 3, 4, 4, 8)),
+    "degrees up to 4 in three blocks": (co.algebras.su(5), (1, 3, 3, 4, 4)),
+    "degrees up to 10": (co.algebras.sl(3), (1, 3, 9, 10)),
+}
+LARGE = {
+    name: co.LiePoissonSystem(algebra, random_polynomial(algebra.dim, degrees, seed))
+    for seed, (name, (algebra, degrees)) in enumerate(OF_DEGREES.items())
+} | {"so(5), quartic Casimir": SO5}
+
+
 def start_of(system):
     return np.linspace(0.7, -0.5, system.dim)
 
@@ -43,6 +68,17 @@ def start_of(system):
 @pytest.mark.parametrize("system", [E3, SU3, SPIRAL], ids=["e(3)", "su(3), cubic Casimir", "A3,7"])
 @pytest.mark.parametrize("h", [0.05, -0.05])
 def test_a_step_is_the_nearest_point_along_gradients(base, system, h):
+    check_nearest_point(base, system, h)
+
+
+@pytest.mark.parametrize("base", ["runge2", "rk4"])
+@pytest.mark.parametrize("name", LARGE)
+@pytest.mark.parametrize("h", [0.05, -0.05])
+def test_invariants_of_any_degree_in_any_number_of_coordinates(base, name, h):
+    check_nearest_point(co.ExplicitRungeKutta(base), LARGE[name], h)
+
+
+def check_nearest_point(base, system, h):
     """y - z is a combination of the gradients at the step z of the base, and the values at y are those at x."""
     method, x = co.Projected(base), start_of(system)
     z, y = co.stepper(system, base, h)(x), co.stepper(system, method, h)(x)

@@ -96,9 +96,7 @@ def project(
     if unit == 0:
         raise TypeError("a projection solves equations that exact fractions do not settle: take projected=False")
     wanted = [C.value(x) for C in invariants]
-    sizes = [max(sum(abs(y * C.gradient(y))) for y in (x, z)) for C in invariants]
-    # Where corrections no longer help, what rounding leaves of single terms, also where they cancel in a gradient.
-    most = [max(stagnant * size, *(_terms_of(C, y) for y in (x, z))) for C, size in zip(invariants, sizes, strict=True)]
+    sizes = [max(_terms_of(C, y) for y in (x, z)) for C in invariants]
     # Constant slopes are fractions, which mpmath before 1.4 does not subtract from.
     gradients = np.array([array_of(number, C.gradient(z)) for C in invariants])
     free = independent(gradients)
@@ -109,8 +107,8 @@ def project(
         before = residual
         defects = np.array([w - C.value(y) for w, C in zip(wanted, invariants, strict=True)])
         residual = float(max(abs(defects)))
-        allowed = most if residual >= 0.5 * before else sizes
-        if all(abs(d) <= exact * unit * size for d, size in zip(defects, allowed, strict=True)):
+        allowed = exact * (stagnant if residual >= 0.5 * before else 1)
+        if all(abs(d) <= allowed * unit * size for d, size in zip(defects, sizes, strict=True)):
             return OnLevelSet(y, [invariants[a] for a in free], directions, multipliers)
         if not residual - residual == 0:
             break
@@ -126,9 +124,9 @@ def project(
 
 
 def _terms_of(C: HamiltonianLike, y: NDArray[Any]) -> Any:
-    """Return the sum of the absolute terms of y . dC/dy; 0 where they are not known one by one."""
+    """Return the sum of the sizes of the terms of y . dC/dy, also where those of a polynomial cancel in a derivative."""
     if not isinstance(C, PolynomialHamiltonian):
-        return 0
+        return sum(abs(y * C.gradient(y)))
     monomials = C.polynomial.monomials
     terms = Polynomial({powers: abs(float(value)) for powers, value in monomials.items()}, C.polynomial.dim)
     return sum(abs(y) * terms.gradient(abs(y)))

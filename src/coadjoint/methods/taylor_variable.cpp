@@ -62,24 +62,20 @@ struct TaylorVariable final : OwnSteps {
         for (int64_t attempt = 0; attempt < ATTEMPTS; ++attempt) {
             scale_of(base) = std::copysign(whole_power_of_two(exponent), base.length);
             expand(scale_of(base));
-            double last = 0.0, sum = 0.0;
-            for (int64_t k = rule.last; k <= series.order; ++k) {
-                const double term = size_of_term(series, k);
-                last = larger(last, term), sum += term;
-            }
+            const StepLength::Sizes sizes = rule.sizes([this](int64_t k) { return size_of_term(series, k); });
             // Where a term overflows all that follow do, or their sum is no number.
-            const double first = size_of_term(series, 1);
+            const bool overflows = !(sizes.sum - sizes.sum == 0.0);
+            const bool lost = !overflows && !enlarged && !(sizes.largest > TINY * largest_of(base));
+            const double first = overflows || lost ? size_of_term(series, 1) : 0.0;
             const double faster = first > 0.0 ? std::floor(near_log2(first) - near_log2(size)) : 0.0;
-            if (!(sum - sum == 0.0)) {
+            if (overflows) {
                 exponent -= first - first == 0.0 && faster > 0.0 ? faster : FAR;
                 if (exponent < -ENDS) break;
-            } else if (!(last > TINY * largest_of(base)) && faster < 0.0 && !enlarged) {
+            } else if (lost && faster < 0.0) {
                 exponent = smaller(exponent - faster, ENDS);
                 enlarged = true;
             } else {
-                const double length =
-                    rule.logarithm(largest_of(base), [this](int64_t k) { return size_of_term(series, k); });
-                base.length = scale_of(base) * near_power_of_two(length);
+                base.length = scale_of(base) * near_power_of_two(rule.logarithm(largest_of(base), sizes));
                 return DONE;
             }
         }

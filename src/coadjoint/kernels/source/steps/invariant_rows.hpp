@@ -7,45 +7,54 @@
 #include "field/row_lanes.hpp"
 #include "numbers/sparse_factors.hpp"
 #include "recording/watching.hpp"
+#include "steps/product_rows.hpp"
 
 namespace coadjoint {
 
+constexpr uint32_t MOST_FACTORS = 8;  // products of more are not written out
+
 // The invariants of a table, from the last to the first. The first is the energy, which is coupled to most of the
-// others. Each invariant has a row of lanes for every block of coordinates that it depends on. Quadratic terms are
-// sparse sums; other terms are added to them.
+// others. Each invariant has a row of lanes for every block of coordinates that it depends on. The gradient is a sparse
+// sum there, of coordinates and of products of coordinates; products of very many factors are added to it.
 template <int W, class C>
 struct InvariantRows {
     typedef Lanes<W> Row;
     struct Invariant {
         int64_t first, last;  // rows of lanes
         double constant;
-        std::vector<int64_t> terms;  // those that are not quadratic
+        std::vector<int64_t> terms;  // those that are not written out
     };
     struct Pair {
         int64_t target, left, right;  // an entry of the Gram matrix, from two rows of lanes
     };
+    static constexpr int64_t MOST_HELD = W == 8 ? 2 : 1;  // blocks that fit in registers
     const Watch& watch;
     const C constants;
     std::vector<Invariant> invariants;
     Sums<W> linear;
     std::vector<int64_t> own;           // of each row: how many of its first vectors are the coordinates themselves
     std::vector<int64_t> block;         // of each row: its block of coordinates
-    std::vector<double> offsets, bends;  // no second derivative of a quadratic invariant is larger than its bend
+    ProductRows<W> products;
+    std::vector<double> offsets;
+    // No sum of the second derivatives in a row of an invariant is larger than the sum of these times powers of the
+    // largest coordinate: the power, and the factor.
+    std::vector<std::vector<std::pair<size_t, double>>> bends;
     std::vector<std::vector<std::pair<int64_t, int64_t>>> users;  // invariants and rows of a block of coordinates
     std::vector<int64_t> place;         // of each row of a term that is not quadratic: its place in `gradients`
     std::vector<Pair> pairs;
-    std::vector<double> products;
+    std::vector<double> before;
     Room<double> gradients;
-    bool few = false;      // all in one block, up to four, and quadratic
-    bool bounded = true;   // all are quadratic
+    bool few = false;       // up to four, written out, and in two blocks at most
+    bool quadratic = true;  // all of them are
+    bool bounded = true;    // all are written out
 
     InvariantRows(const Watch& watch, const C& constants, int64_t n)
         : watch(watch), constants(constants), users(blocks_of<W>(n)), place(watch.terms.row[watch.terms.size], -1),
-          products(watch.longest + 1), gradients(0) {
+          before(watch.longest + 1), gradients(0) {
         for (int64_t i = watch.size; i-- > 0;) lay_out(i, n);
         linear.finish();
         gradients.clear(int64_t(offsets.size()));
-        few = n <= W && watch.size >= 1 && watch.size <= 4 && bounded;
+        few = n <= MOST_HELD * W && watch.size >= 1 && watch.size <= 4 && bounded;
         for (size_t a = 0; a < invariants.size(); ++a)
             for (int64_t row = invariants[a].first; row < invariants[a].last; ++row)
                 users[block[row]].push_back({int64_t(a), row});
@@ -86,13 +95,20 @@ struct InvariantRows {
         return total;
     }
 
-    // The quadratic part of a row of the gradient.
+    // A row of the gradient, without products of very many factors. `whole` times the coordinates is twice the invariant.
     template <class Take>
-    INLINE Row slope(int64_t row, const Take& newest, const Row& x, const Row& offset) const {
+    INLINE Row slope(int64_t row, const Take& newest, const Row& x, Row& whole) const {
+        const Row offset = load<Row>(offsets.data() + row * W);
         Row total = offset;
         int64_t e = linear.first[row];
         for (const int64_t stop = e + own[row]; e < stop; ++e) total = fma(linear.at.at[e].weight, x, total);
         for (; e < linear.first[row + 1]; ++e) total = fma(linear.at.at[e].weight, newest(linear.at.at[e].left), total);
+        whole = total + offset;
+        for (int64_t s = products.first[row]; s < products.first[row + 1]; ++s) {
+            const Row more = products.sum(products.segments[s], newest);
+            total = total + more;
+            whole = fma(Row(2.0 / double(products.segments[s].factors + 1)), more, whole);
+        }
         return total;
     }
 
@@ -101,48 +117,42 @@ struct InvariantRows {
     INLINE double value(size_t a, const Take& newest, const Row* x) {
         Row total(0.0);
         for (int64_t row = invariants[a].first; row < invariants[a].last; ++row) {
-            const Row offset = load<Row>(offsets.data() + row * W);
-            const Row rising = slope(row, newest, x[block[row]], offset);
+            Row whole;
+            const Row rising = slope(row, newest, x[block[row]], whole);
             if (with_gradient) store(gradients.at + row * W, rising);
-            total = fma(x[block[row]], rising + offset, total);
+            total = fma(x[block[row]], whole, total);
         }
         double result = invariants[a].constant + 0.5 * sum_of_lanes(total);
         for (const int64_t k : invariants[a].terms) result += further<with_gradient>(k, x, gradients.at);
         return result;
     }
 
-    // The sum of |x_i dC/dx_i|, and of the terms of dC/dx_i where it is linear.
-    NOINLINE double terms_of(size_t a, const Row* x) {
-        double result = quadratic_terms_of(a, x);
-        for (const int64_t k : invariants[a].terms) {
-            std::vector<double> slopes(offsets.size(), 0.0);
-            further<true>(k, x, slopes.data());
-            for (int64_t row = invariants[a].first; row < invariants[a].last; ++row)
-                for (int lane = 0; lane < W; ++lane) result += std::fabs(x[block[row]][lane] * slopes[row * W + lane]);
-        }
-        return result;
+    // The largest sum of second derivatives in a row of invariant a, where no coordinate is larger than `largest`.
+    double bend(size_t a, double largest) const {
+        double total = 0.0;
+        for (const auto& [exponent, factor] : bends[a]) total += factor * power(largest, uint32_t(exponent));
+        return total;
     }
 
-    // The sum of all terms of x . dC/dx: the same, but where terms of a dC/dx_i cancel.
-    NOINLINE double single_terms_of(size_t a, const Row* x) const {
-        double result = quadratic_terms_of(a, x);
+    // The sum of the sizes of all terms of x . dC/dx: what rounding leaves of C is in proportion to it, also where terms
+    // of a dC/dx_i cancel.
+    NOINLINE double terms_of(size_t a, const Row* x) const {
+        Row total(0.0);
+        for (int64_t row = invariants[a].first; row < invariants[a].last; ++row) {
+            Row rising = absolute(load<Row>(offsets.data() + row * W));
+            for (int64_t e = linear.first[row]; e < linear.first[row + 1]; ++e)
+                rising = fma(absolute(linear.at.at[e].weight), absolute(Newest<0, W>(x)(linear.at.at[e].left)), rising);
+            for (int64_t s = products.first[row]; s < products.first[row + 1]; ++s)
+                rising = rising + products.sum_of_sizes(products.segments[s], x);
+            total = fma(absolute(x[block[row]]), rising, total);
+        }
+        double result = sum_of_lanes(total);
         for (const int64_t k : invariants[a].terms) result += monomials_of(k, reinterpret_cast<const double*>(x));
         return result;
     }
 
   private:
     INLINE Row gradient(int64_t row) const { return load<Row>(gradients.at + row * W); }
-
-    double quadratic_terms_of(size_t a, const Row* x) const {
-        Row total(0.0);
-        for (int64_t row = invariants[a].first; row < invariants[a].last; ++row) {
-            Row rising = absolute(load<Row>(offsets.data() + row * W));
-            for (int64_t e = linear.first[row]; e < linear.first[row + 1]; ++e)
-                rising = fma(absolute(linear.at.at[e].weight), absolute(Newest<0, W>(x)(linear.at.at[e].left)), rising);
-            total = fma(absolute(x[block[row]]), rising, total);
-        }
-        return sum_of_lanes(total);
-    }
 
     double monomials_of(int64_t k, const double* x) const {
         const Terms& terms = watch.terms;
@@ -165,27 +175,26 @@ struct InvariantRows {
         return false;
     }
 
+    // The gradient of an invariant, by coordinate.
+    struct Gradient {
+        std::map<int64_t, SparseSum> linear;
+        std::map<int64_t, SumOfProducts> products;
+        std::map<int64_t, double> offset;
+    };
+
     // The rows of invariant i.
     void lay_out(int64_t i, int64_t n) {
-        const Terms& terms = watch.terms;
-        std::map<int64_t, SparseSum> sums;  // by coordinate
-        std::map<int64_t, double> offset;
         Invariant found{int64_t(block.size()), 0, constants.template number_at<double>(watch.constant, i), {}};
-        for (uint32_t k = watch.first[i]; k < watch.first[i + 1]; ++k) {
-            if (terms.kind[k] != LINEAR) found.terms.push_back(k), bounded = false;
-            for (uint32_t row = terms.row[k]; row < terms.row[k + 1]; ++row) {
-                SparseSum& sum = sums[terms.target[row]];
-                if (terms.kind[k] != LINEAR) continue;
-                offset[terms.target[row]] += constants.template number_at<double>(terms.offset, row);
-                for (uint32_t e = terms.entry[row]; e < terms.entry[row + 1]; ++e)
-                    sum.push_back({constants.template number_at<double>(terms.weight, e), int64_t(terms.column[e]), 0});
-            }
-        }
-        if (n <= W) sums[0];  // one block of coordinates has a row of every invariant
-        double most = 0.0;
+        Gradient gradient;
+        for (uint32_t k = watch.first[i]; k < watch.first[i + 1]; ++k) read(k, gradient, found);
+        if (n <= MOST_HELD * W)
+            for (int64_t b = 0; b < n; b += W) gradient.linear[b];  // every block has a row of every invariant
+        std::map<size_t, double> bend;
+        auto& sums = gradient.linear;
         for (auto it = sums.begin(); it != sums.end();) {
             const int64_t b = it->first / W;
             std::vector<SparseSum> lanes(W);
+            std::vector<SumOfProducts> longer(W);
             offsets.resize((block.size() + 1) * W, 0.0);
             there.resize((block.size() + 1) * W, false);
             bool diagonal = false;
@@ -195,28 +204,83 @@ struct InvariantRows {
                 // The coordinate itself first.
                 std::stable_partition(sum.begin(), sum.end(), [&](const Entry& e) { return e.left == it->first; });
                 diagonal |= !sum.empty() && sum.front().left == it->first;
-                offsets[at] = offset.count(it->first) ? offset[it->first] : 0.0;
+                offsets[at] = gradient.offset.count(it->first) ? gradient.offset[it->first] : 0.0;
                 there[at] = true;
                 double total = 0.0;
                 for (const Entry& entry : sum) total += std::fabs(entry.weight);
-                most = larger(most, total);
+                bend[0] = larger(bend[0], total);
                 lanes[lane] = sum;
+                longer[lane] = gradient.products[it->first];
+                for (const auto& [factors, some] : longer[lane]) {
+                    double all = 0.0;
+                    for (const WeightedProduct& product : some) all += double(factors) * std::fabs(product.weight);
+                    bend[factors - 1] = larger(bend[factors - 1], all);
+                }
             }
             if (diagonal)
                 for (int lane = 0; lane < W; ++lane)
                     if (SparseSum& sum = lanes[lane]; sum.empty() || sum.front().left != b * W + lane)
                         sum.insert(sum.begin(), Entry{0.0, b * W + lane, 0});
             own.push_back(diagonal);
-            linear.add(lanes);
+            linear.add(lanes), products.add(longer);
             block.push_back(b);
         }
         for (const int64_t k : found.terms)
-            for (uint32_t row = terms.row[k]; row < terms.row[k + 1]; ++row)
+            for (uint32_t row = watch.terms.row[k]; row < watch.terms.row[k + 1]; ++row)
                 for (size_t r = found.first; r < block.size(); ++r)
-                    if (block[r] == terms.target[row] / W) place[row] = int64_t(r) * W + terms.target[row] % W;
-        bends.push_back(found.terms.empty() ? most : std::numeric_limits<double>::infinity());
+                    if (block[r] == watch.terms.target[row] / W)
+                        place[row] = int64_t(r) * W + watch.terms.target[row] % W;
+        quadratic &= bend.size() <= 1;
+        bends.emplace_back(bend.begin(), bend.end());
         found.last = int64_t(block.size());
         invariants.push_back(found);
+    }
+
+    // Add the gradient of a term, written out where no product has too many factors.
+    void read(uint32_t k, Gradient& gradient, Invariant& found) {
+        const Terms& terms = watch.terms;
+        for (uint32_t row = terms.row[k]; row < terms.row[k + 1]; ++row) {
+            SparseSum& sum = gradient.linear[terms.target[row]];
+            if (terms.kind[k] != LINEAR) continue;
+            gradient.offset[terms.target[row]] += constants.template number_at<double>(terms.offset, row);
+            for (uint32_t e = terms.entry[row]; e < terms.entry[row + 1]; ++e)
+                sum.push_back({constants.template number_at<double>(terms.weight, e), int64_t(terms.column[e]), 0});
+        }
+        if (terms.kind[k] == LINEAR) return;
+        std::vector<std::vector<int64_t>> monomials;
+        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
+            std::vector<int64_t> factors;
+            for (uint32_t f = terms.factor[monomial]; f < terms.factor[monomial + 1]; ++f) {
+                if (factors.size() + terms.exponent[f] > MOST_FACTORS) {
+                    found.terms.push_back(k), bounded = false;
+                    return;
+                }
+                factors.insert(factors.end(), terms.exponent[f], terms.target[terms.factor_row[f]]);
+            }
+            monomials.push_back(factors);
+        }
+        for (size_t m = 0; m < monomials.size(); ++m) {
+            const double weight = constants.template number_at<double>(terms.coefficient, terms.monomial[k] + m);
+            if (monomials[m].empty()) found.constant += weight;
+            differentiate(monomials[m], weight, gradient);
+        }
+    }
+
+    // Add the derivatives of a product; equal factors stand side by side.
+    static void differentiate(const std::vector<int64_t>& factors, double weight, Gradient& gradient) {
+        for (size_t f = 0, next; f < factors.size(); f = next) {
+            const int64_t i = factors[f];
+            for (next = f + 1; next < factors.size() && factors[next] == i;) ++next;
+            std::vector<int64_t> rest = factors;
+            rest.erase(rest.begin() + int64_t(f));
+            const double times = weight * double(next - f);
+            if (rest.empty())
+                gradient.offset[i] += times;
+            else if (rest.size() == 1)
+                gradient.linear[i].push_back({times, rest[0], 0});
+            else
+                gradient.products[i][rest.size()].push_back({times, rest});
+        }
     }
 
     void couple(const SparseFactors& factors) {
@@ -238,15 +302,15 @@ struct InvariantRows {
         double total = 0.0;
         for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
             const uint32_t low = terms.factor[monomial], high = terms.factor[monomial + 1];
-            double before = constants.template number_at<double>(terms.coefficient, monomial), behind = 1.0;
+            double product = constants.template number_at<double>(terms.coefficient, monomial), behind = 1.0;
             for (uint32_t f = low; f < high; ++f) {
-                products[f - low] = before;
-                before *= power(x[terms.target[terms.factor_row[f]]], terms.exponent[f]);
+                before[f - low] = product;
+                product *= power(x[terms.target[terms.factor_row[f]]], terms.exponent[f]);
             }
-            total += before;
+            total += product;
             for (uint32_t f = high; with_gradient && f-- > low;) {
                 const double y = x[terms.target[terms.factor_row[f]]], rest = power(y, terms.exponent[f] - 1);
-                slopes[place[terms.factor_row[f]]] += (products[f - low] * behind) * (double(terms.exponent[f]) * rest);
+                slopes[place[terms.factor_row[f]]] += (before[f - low] * behind) * (double(terms.exponent[f]) * rest);
                 behind *= rest * y;
             }
         }

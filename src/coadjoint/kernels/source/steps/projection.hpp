@@ -48,10 +48,9 @@ struct Projection {
     bool restore(Row* x, Row* dx, int64_t blocks, double* kept) {
         corrections = 0;
         if (rows.few) {
-            if (size == 1) return restore_few<1>(*x, *dx, kept);
-            if (size == 2) return restore_few<2>(*x, *dx, kept);
-            if (size == 3) return restore_few<3>(*x, *dx, kept);
-            return restore_few<4>(*x, *dx, kept);
+            if constexpr (W == 8)
+                if (blocks == 2) return restore_few<2>(x, dx, kept);
+            return restore_few<1>(x, dx, kept);
         }
         if (exact<true>(x, blocks, kept)) return true;
         rows.gram(factors);
@@ -69,35 +68,45 @@ struct Projection {
                 least = least + absolute(more), total = total + absolute(moved.at[b]);
             }
             const double product = sum_of_lanes(least) * sum_of_lanes(total);
-            if (rows.bounded && negligible(product, kept)) return true;
+            if (rows.bounded && negligible(product, largest_of(x, blocks), kept)) return true;
             if (exact<false>(x, blocks, kept) || (residual >= 0.5 * before && settled(x, kept))) return true;
         }
         return false;
     }
 
-    // Where corrections no longer help: whether the defects are what rounding leaves where terms cancel, in a gradient
-    // too.
+    // Where corrections no longer help: whether the defects are what rounding leaves where terms cancel.
     NOINLINE bool settled(const Row* x, const double* kept) {
         bool all = true;
-        for (size_t a = 0; a < size; ++a) {
-            const double allowed = larger(double(PROJECTION_STAGNANT) * rows.terms_of(a, x), rows.single_terms_of(a, x));
-            all &= std::fabs(kept[a] - rows.template value<false>(a, Newest<0, W>(x), x)) <= EXACT * allowed;
-        }
+        for (size_t a = 0; a < size; ++a)
+            all &= std::fabs(kept[a] - rows.template value<false>(a, Newest<0, W>(x), x)) <=
+                   double(PROJECTION_STAGNANT) * EXACT * rows.terms_of(a, x);
         return all;
     }
 
   private:
-    // Up to four quadratic invariants of coordinates in one block, all in registers.
-    template <int R>
-    NOINLINE bool restore_few(Row& x, Row& dx, double* kept) {
-        Row slope[R];
+    // Up to four invariants of coordinates in K blocks, all in registers.
+    template <int K>
+    bool restore_few(Row* x, Row* dx, double* kept) {
+        if (size == 1) return restore_these<1, K>(x, dx, kept);
+        if (size == 2) return restore_these<2, K>(x, dx, kept);
+        if (size == 3) return restore_these<3, K>(x, dx, kept);
+        return restore_these<4, K>(x, dx, kept);
+    }
+
+    template <int R, int K>
+    NOINLINE bool restore_these(Row* state, Row* owed, double* kept) {
+        Row x[K], dx[K], slope[R][K];
         double defect[R], L[R][R], inverse[R];
-        bool all = few<R>(x, kept, slope, defect);
-        if (all) return true;
+        for (int b = 0; b < K; ++b) x[b] = state[b], dx[b] = owed[b];
+        if (few<R, K>(x, kept, slope, defect)) return true;
 #pragma GCC unroll 4
         for (int i = 0; i < R; ++i)
 #pragma GCC unroll 4
-            for (int j = 0; j <= i; ++j) L[i][j] = sum_of_lanes(slope[i] * slope[j]);
+            for (int j = 0; j <= i; ++j) {
+                Row product = slope[i][0] * slope[j][0];
+                if constexpr (K == 2) product = fma(slope[i][1], slope[j][1], product);
+                L[i][j] = sum_of_lanes(product);
+            }
 #pragma GCC unroll 4
         for (int j = 0; j < R; ++j) {
             const double square = L[j][j];
@@ -109,10 +118,12 @@ struct Projection {
 #pragma GCC unroll 4
                 for (int k = 0; k < j; ++k) L[i][j] = fma(-L[i][k] * L[j][k], inverse[k], L[i][j]);
         }
-        Row unused[R], total(0.0);
+        Row unused[R][K], total[K];
+        for (int b = 0; b < K; ++b) total[b] = Row(0.0);
+        bool restored = false;
         for (corrections = 1; corrections <= PROJECTION_CORRECTIONS; ++corrections) {
             const double before = residual;
-            if (!(before - before == 0.0)) return false;
+            if (!(before - before == 0.0)) break;
 #pragma GCC unroll 4
             for (int j = 0; j < R; ++j) {
 #pragma GCC unroll 4
@@ -123,38 +134,58 @@ struct Projection {
             for (int j = R - 1; j >= 0; --j)
 #pragma GCC unroll 4
                 for (int k = j + 1; k < R; ++k) defect[j] = fma(-L[k][j] * inverse[j], defect[k], defect[j]);
-            Row more(0.0);
+            Row now(0.0), all(0.0);
+#pragma GCC unroll 2
+            for (int b = 0; b < K; ++b) {
+                Row more(0.0);
 #pragma GCC unroll 4
-            for (int i = 0; i < R; ++i) more = fma(Row(defect[i]), slope[i], more);
-            add_to(x, dx, more);
-            total = total + more;
-            if (negligible(sum_of_lanes(absolute(more)) * sum_of_lanes(absolute(total)), kept)) return true;
-            if (few<R>(x, kept, unused, defect) || (residual >= 0.5 * before && settled(&x, kept))) return true;
+                for (int i = 0; i < R; ++i) more = fma(Row(defect[i]), slope[i][b], more);
+                add_to(x[b], dx[b], more);
+                total[b] = total[b] + more;
+                now = b ? now + absolute(more) : absolute(more), all = b ? all + absolute(total[b]) : absolute(total[b]);
+            }
+            restored = negligible(sum_of_lanes(now) * sum_of_lanes(all), largest_of(x, K), kept) ||
+                       few<R, K>(x, kept, unused, defect) || (residual >= 0.5 * before && settled(x, kept));
+            if (restored) break;
         }
-        return false;
+        for (int b = 0; b < K; ++b) state[b] = x[b], owed[b] = dx[b];
+        return restored;
     }
 
-    template <int R>
-    INLINE bool few(const Row& x, double* kept, Row* slope, double* defect) {
-        const Newest<1, W> newest(&x);
+    template <int R, int K>
+    INLINE bool few(const Row* x, double* kept, Row (*slope)[K], double* defect) {
+        const Newest<K, W> newest(x);
         bool all = true;
         residual = 0.0;
 #pragma GCC unroll 4
         for (int i = 0; i < R; ++i) {
-            const Row offset = load<Row>(rows.offsets.data() + i * W);
-            slope[i] = rows.slope(i, newest, x, offset);
-            defect[i] = kept[i] - (rows.invariants[i].constant + 0.5 * sum_of_lanes(x * (slope[i] + offset)));
-            all &= rounding_alone(i, defect[i], &x, kept[R + i]);
+            Row total, whole;
+#pragma GCC unroll 2
+            for (int b = 0; b < K; ++b) {
+                slope[i][b] = rows.slope(i * K + b, newest, x[b], whole);
+                total = b ? fma(x[b], whole, total) : x[b] * whole;
+            }
+            defect[i] = kept[i] - (rows.invariants[i].constant + 0.5 * sum_of_lanes(total));
+            all &= rounding_alone(i, defect[i], x, kept[R + i]);
             residual += std::fabs(defect[i]);
         }
         return all;
     }
 
+    // The largest coordinate, where second derivatives depend on it.
+    INLINE double largest_of(const Row* x, int64_t blocks) const {
+        double largest = 0.0;
+        if (!rows.quadratic)
+            for (int64_t b = 0; b < blocks; ++b)
+                for (int lane = 0; lane < W; ++lane) largest = larger(largest, std::fabs(x[b][lane]));
+        return largest;
+    }
+
     // Whether a correction leaves no more than rounding. It leaves second derivatives times itself times all
     // corrections together.
-    INLINE bool negligible(double product, const double* kept) const {
+    INLINE bool negligible(double product, double largest, const double* kept) const {
         bool all = true;
-        for (size_t a = 0; a < size; ++a) all &= product * rows.bends[a] <= 0.25 * kept[size + a];
+        for (size_t a = 0; a < size; ++a) all &= product * rows.bend(a, largest) <= 0.25 * kept[size + a];
         return all;
     }
 

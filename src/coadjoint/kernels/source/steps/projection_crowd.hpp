@@ -15,7 +15,7 @@ class ProjectionCrowd {
     A corrections{0.0}, residual{0.0};
 
     ProjectionCrowd(Projection<W, Own>& one, int64_t n)
-        : one(one), n(n), size(int64_t(one.size)), few(one.rows.few && n <= W), kept(2 * size), slopes(size * n),
+        : one(one), n(n), size(int64_t(one.size)), few(one.rows.few && one.rows.quadratic && n <= W), kept(2 * size), slopes(size * n),
           unused(few ? n : 0), row(blocks_of<W>(n)), owed(blocks_of<W>(n)), numbers(2 * size) {}
 
     // Read what a member remembers, and write it.
@@ -124,7 +124,7 @@ class ProjectionCrowd {
             const A product = sum([&](int64_t c) { return moved[c]; }) * sum([&](int64_t c) { return absolute(total[c]); });
             Mask found = running;
             for (int64_t a = 0; a < R; ++a)
-                found = found & (product * A(one.rows.bends[a]) <= A(0.25) * kept.at[R + a]);
+                found = found & (product * A(one.rows.bend(a, 0.0)) <= A(0.25) * kept.at[R + a]);
             done = done | found, running = running & !found;
             if (!any(running)) return done;
             A now(0.0);

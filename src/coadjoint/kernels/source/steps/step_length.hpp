@@ -50,27 +50,44 @@ struct StepLength {
         : order(order), last(std::max<int64_t>(1, order + 1 - DECIDING)),
           middle(order >= 2 * DECIDING ? order / 2 + 1 - DECIDING : 0), tolerance(near_log2(tolerance) / double(order)) {}
 
+    // The sizes of the terms that decide.
+    struct Sizes {
+        double last[DECIDING] = {0.0, 0.0, 0.0, 0.0}, largest = 0.0, sum = 0.0;  // of the last terms
+        double before = 0.0;                                                     // the largest of those in the middle
+    };
+
+    template <class SizeOf>
+    INLINE Sizes sizes(SizeOf size_of) const {
+        Sizes found;
+#pragma GCC unroll 4
+        for (int64_t k = 0; k < DECIDING; ++k) {
+            if (last + k > order) break;
+            const double term = found.last[k] = size_of(last + k);
+            found.largest = larger(found.largest, term), found.sum += term;
+        }
+        if (middle > 0)
+#pragma GCC unroll 4
+            for (int64_t k = 0; k < DECIDING; ++k) found.before = larger(found.before, size_of(middle + k));
+        return found;
+    }
+
     // The logarithm of the length in units of h: the last terms would be the tolerance times `size`, if they fell as a
     // geometric sequence from `size` on; and no longer than half the radius of convergence, which the terms from the
     // middle to the last tell: what is left out is then less than the last term, and what dies away does so in the
-    // series too. `size_of(k)` is the size of a term.
-    template <class SizeOf>
-    double logarithm(double size, SizeOf size_of) const {
+    // series too.
+    INLINE double logarithm(double size, const Sizes& terms) const {
         const double whole = near_log2(size);
-        double radius = 2.0 * NO_LIMIT, largest = 0.0;
-        for (int64_t k = last; k <= order; ++k) {
-            const double term = size_of(k);
-            largest = larger(largest, term);
-            if (term > 0.0) radius = smaller(radius, (whole - near_log2(term)) / double(k));
+        double radius = 2.0 * NO_LIMIT, of_largest = 0.0;
+#pragma GCC unroll 4
+        for (int64_t k = 0; k < DECIDING; ++k) {
+            const double one = near_log2(terms.last[k]);
+            if (terms.last[k] > 0.0) radius = smaller(radius, (whole - one) / double(last + k));
+            if (terms.last[k] == terms.largest) of_largest = one;
         }
         double length = radius + tolerance;
-        if (middle > 0 && largest > 0.0) {
-            double before = 0.0;
-            for (int64_t k = middle; k < middle + DECIDING; ++k) before = larger(before, size_of(k));
-            if (before > 0.0) {
-                const double converging = (near_log2(before) - near_log2(largest)) / double(order - order / 2);
-                length = smaller(length, converging - 1.0);
-            }
+        if (terms.largest > 0.0 && terms.before > 0.0) {
+            const double converging = (near_log2(terms.before) - of_largest) / double(order - order / 2);
+            length = smaller(length, converging - 1.0);
         }
         return larger(smaller(length, NO_LIMIT), -NO_LIMIT);
     }

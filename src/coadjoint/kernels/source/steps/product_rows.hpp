@@ -1,0 +1,82 @@
+// Sparse sums of products of several coordinates, the rows in blocks of W.
+#pragma once
+
+#include <deque>
+#include <map>
+
+#include "field/row_lanes.hpp"
+
+namespace coadjoint {
+
+// weight x[factors[0]] x[factors[1]] ...
+struct WeightedProduct {
+    double weight;
+    std::vector<int64_t> factors;
+};
+typedef std::map<size_t, std::vector<WeightedProduct>> SumOfProducts;  // by the number of factors
+
+// Every block of rows has segments. The products of a segment have as many factors. Rows with fewer products than
+// others of their block have products of weight zero.
+template <int W>
+struct ProductRows {
+    typedef Lanes<W> Row;
+    struct Segment {
+        int64_t factors, count;
+        const Row* weight;
+        const Places<W>* place;
+    };
+    std::vector<Segment> segments;
+    std::vector<int64_t> first{0};  // block b has the segments first[b] to first[b + 1]
+
+    // Add W rows; some may be empty.
+    void add(const std::vector<SumOfProducts>& rows) {
+        std::map<size_t, size_t> longest;
+        for (const auto& row : rows)
+            for (const auto& [factors, products] : row) longest[factors] = std::max(longest[factors], products.size());
+        for (const auto& [factors, count] : longest) {
+            weights.emplace_back(int64_t(count)), places.emplace_back(int64_t(count * factors));
+            for (size_t e = 0; e < count; ++e)
+                for (int lane = 0; lane < W; ++lane) {
+                    const auto found = rows[lane].find(factors);
+                    const bool there = found != rows[lane].end() && e < found->second.size();
+                    weights.back().at[e].set(lane, there ? found->second[e].weight : 0.0);
+                    for (size_t f = 0; f < factors; ++f)
+                        places.back().at[e * factors + f].lane[lane] = there ? found->second[e].factors[f] : 0;
+                }
+            segments.push_back({int64_t(factors), int64_t(count), weights.back().at, places.back().at});
+        }
+        first.push_back(int64_t(segments.size()));
+    }
+
+    // The sums of a segment.
+    template <class Take>
+    INLINE Row sum(const Segment& segment, const Take& newest) const {
+        Row total(0.0);
+        const Places<W>* place = segment.place;
+        for (int64_t e = 0; e < segment.count; ++e) {
+            Row product = segment.weight[e];
+            for (int64_t f = 1; f < segment.factors; ++f) product = product * newest(*place++);
+            total = fma(product, newest(*place++), total);
+        }
+        return total;
+    }
+
+    // The sums of the sizes of the products.
+    Row sum_of_sizes(const Segment& segment, const Row* x) const {
+        const Newest<0, W> newest(x);
+        Row total(0.0);
+        for (int64_t e = 0; e < segment.count; ++e) {
+            Row product = segment.weight[e];
+            for (int64_t f = 0; f < segment.factors; ++f)
+                product = product * newest(segment.place[e * segment.factors + f]);
+            total = total + absolute(product);
+        }
+        return total;
+    }
+
+  private:
+    std::deque<Room<Row>> weights;
+    std::deque<Room<Places<W>>> places;
+};
+
+}  // namespace coadjoint
