@@ -57,7 +57,12 @@ OF_DEGREES = {
 LARGE = {
     name: co.LiePoissonSystem(algebra, random_polynomial(algebra.dim, degrees, seed))
     for seed, (name, (algebra, degrees)) in enumerate(OF_DEGREES.items())
-} | {"so(5), quartic Casimir": SO5}
+}
+LARGE["so(5), quartic Casimir"] = SO5
+# No quadratic invariant asks for further corrections.
+LARGE["cubic alone"] = co.LiePoissonSystem(
+    co.algebras.A3_7(0.7), co.Polynomial({(3, 0, 0): 2, (0, 3, 0): Fraction(1, 2), (1, 1, 1): 3, (0, 0, 3): 1})
+)
 
 
 def start_of(system):

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.given import read_flag, read_number, read_whole
 from coadjoint.memory import check_room
 from coadjoint.methods.base import OWN_LOOKS, Finer, Method, Representation
@@ -24,12 +23,11 @@ from coadjoint.methods.projection import (
     restored_invariants,
 )
 from coadjoint.methods.properties import Properties
+from coadjoint.methods.series_work import LANES, series_operations
 from coadjoint.methods.step_length import TOO_SHORT, through_own_steps
 from coadjoint.methods.work import SERIES_OF_A_CROWD, Operations, Work, work_of_operations, work_of_own_steps
 from coadjoint.program.numbers import Number
-from coadjoint.systems.hamiltonian import HamiltonianLike
 from coadjoint.systems.kinds import System, check_vectors
-from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -39,7 +37,6 @@ USUAL, LEAST_ORDER = 16, 4
 ORDERS = range(6, 25, 2)  # sums of higher orders are not written out
 FINER = 32.0  # times smaller tolerances tell an error
 TOO_FAR = "the group element turns too far in a step for its series"
-LANES = 8
 # The terms that the series of a group element takes, mostly, and those that it may take beyond the order.
 TERMS_OF_GROUP, MORE_TERMS = 16, 40
 # Members go side by side up to this dimension, see `SMALL` in ``stepping.cpp``.
@@ -241,18 +238,7 @@ class Taylor(CompiledStepMethod):
 
     def operations(self, system: System) -> Operations:
         """Return the work of a step: products of series, sparse sums for each coefficient, and the projection."""
-        assert system.algebra is not None
-        looks, energy = 0.0, _Products(system.hamiltonian)
-        if self.projected:
-            casimirs = polynomial_casimirs(system).values()
-            higher = sum(_factors(C) for C in casimirs if isinstance(C, Polynomial) and C.degree > 2)
-            looks = 1.0 + len(casimirs) + (energy.in_value + higher) / LANES
-        lanes = 4 if system.dim <= 4 else LANES
-        products = _vectors_of_products(system, lanes) * lanes / LANES
-        sums = 2.0 * products + np.ceil(energy.in_gradient / LANES)
-        # More vectors of rows are not kept in registers.
-        waiting = self.order * (1.0 + sums * (1.0 if system.dim <= 2 * LANES else 2.0))
-        return Operations(float(0.5 * self.order**2 * products), float(waiting), float(looks))
+        return series_operations(system, self.order, restored_invariants(system) if self.projected else ())
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, read in NumPy for any number type; the values that are kept are those at x.
@@ -335,43 +321,3 @@ def _order_for(tolerance: float | None) -> int:
     if tolerance is None:
         return USUAL
     return max(LEAST_ORDER, math.ceil(math.log(1.0 / tolerance) / 1.5) + 1)
-
-
-def _vectors_of_products(system: System, lanes: int) -> float:
-    """Return how many vectors of rows multiply series, as ``series_field.hpp`` lays them out."""
-    assert system.algebra is not None
-    i, j, k, _ = system.algebra.triples
-    row, moved, other = np.concatenate([i, j]), np.concatenate([k, k]), np.concatenate([j, i])
-    terms = system.hamiltonian.terms()
-    form = terms[0].form if len(terms) == 1 else None
-    if form is not None and np.all(form.rows == form.indices):
-        # Products are written out, each once. Those with a coordinate that is not in H are left out.
-        there = np.isin(other, form.indices)
-        pairs = np.stack([row, np.minimum(moved, other), np.maximum(moved, other)], axis=1)[there]
-        row = np.unique(pairs, axis=0)[:, 0] if len(pairs) else pairs[:, 0]
-    counts = np.bincount(row, minlength=-(-system.dim // lanes) * lanes)
-    return float(np.max(counts.reshape(-1, lanes), axis=1).sum())
-
-
-class _Products:
-    """How many products of series are in a gradient, and of numbers in the value of what is of higher degree."""
-
-    def __init__(self, H: HamiltonianLike) -> None:
-        self.in_gradient, self.in_value = 0.0, 0.0
-        for term in H.terms():
-            term.given_to(self)
-
-    def quadratic(self, term: QuadraticTerm) -> None:
-        self.in_gradient += len(term.values)
-
-    def polynomial(self, term: PolynomialTerm) -> None:
-        self.in_gradient += sum(sum(exponents) ** 2 for exponents in term.polynomial.monomials)
-        self.in_value += _factors(term.polynomial)
-
-    def function(self, term: FunctionTerm) -> None:
-        """Is refused."""
-
-
-def _factors(polynomial: Polynomial) -> float:
-    """Return how many products make the value of a polynomial, with its gradient: three for each factor."""
-    return sum(3.0 * sum(exponents) for exponents in polynomial.monomials)

@@ -32,19 +32,22 @@ BOND_COMPENSATED = 12.0
 ITERATION = 0.5
 LANES = 8
 VECTOR_MULTIPLICATION = 0.05
-# An iteration in few dimensions, where all stages of a quadratic H stay in registers; half as wide for few stages.
-FEW_DIMENSIONS, FEW_STAGES = 6, 4
-IN_REGISTERS = 0.65
+# Dimensions and products of fields whose stages stay in registers where H is quadratic (so(3), e(3), so(4), see
+# ``brackets.hpp``); half as wide for few stages.
+HELD, FEW_STAGES = ((3, 6), (6, 18), (6, 24)), 4
+IN_REGISTERS = 0.7
 NARROW = 0.65
-IMPLICIT_STEP = 2.0
+# A product of a polynomial is found by its indices.
+BY_INDEX = 2.0
+IMPLICIT_STEP = 5.0
 # A step that does not iterate: products of series, sums that wait for each other, looks at invariants (after the first
 # correction, and after those that follow).
-EXPLICIT_STEP = 1.0
-VECTOR = 0.025
-WAITING = 0.06
-LOOK = 0.5
+EXPLICIT_STEP = 2.7
+VECTOR = 0.017
+WAITING = 0.136
+LOOK = 0.25
 # To find how long a step is to be.
-OWN_STEP = 5.0
+OWN_STEP = 6.0
 FIRST_CORRECTION = 3.2
 NEXT_CORRECTION = 1.0
 # With so many members, in up to so many dimensions, flows turn many members at once, and series are multiplied for many
@@ -144,15 +147,23 @@ def iteration_work(system: System, stages: float, group: Any) -> float:
         entries = 2 * len(system.algebra.triples[3]) if isinstance(group, str) else np.count_nonzero(group)
         edge = system.dim if isinstance(group, str) else group.shape[1]
         vectors += edge * entries + stages * edge * edge
-    elif system.dim <= FEW_DIMENSIONS and stages <= LANES and not functions:
+    elif stages <= LANES and _held(system):
         vectors *= IN_REGISTERS * (NARROW if stages <= FEW_STAGES else 1.0)
     return ITERATION + VECTOR_MULTIPLICATION * math.ceil(stages / LANES) * vectors + FUNCTION * stages * functions
 
 
-def field_work(system: System) -> tuple[int, int]:
+def _held(system: System) -> bool:
+    """Return whether the stages of a system stay in registers."""
+    quadratic = all(term.form is not None for term in system.hamiltonian.terms())
+    algebra = system.algebra
+    return quadratic and algebra is not None and (system.dim, 2 * len(algebra.triples[3])) in HELD
+
+
+def field_work(system: System) -> tuple[float, int]:
     """Return the multiplications, and the calls of functions, in one evaluation of the vector field."""
     terms = system.hamiltonian.terms()
-    multiplications, functions = sum(term.multiplications for term in terms), sum(term.called for term in terms)
+    multiplications = sum(term.multiplications * (1.0 if term.form is not None else BY_INDEX) for term in terms)
+    functions = sum(term.called for term in terms)
     if isinstance(system, LiePoissonSystem):
         return multiplications + 2 * len(system.algebra.triples[3]), functions
     return multiplications + system.dim**2, functions + 1
