@@ -124,7 +124,7 @@ def project(
 
 
 def _terms_of(C: HamiltonianLike, y: NDArray[Any]) -> Any:
-    """Return the sum of the sizes of the terms of y . dC/dy, also where those of a polynomial cancel in a derivative."""
+    """Return the sum of the sizes of the terms of y . dC/dy, also where those of a derivative cancel."""
     if not isinstance(C, PolynomialHamiltonian):
         return sum(abs(y * C.gradient(y)))
     monomials = C.polynomial.monomials
