@@ -15,7 +15,7 @@ from coadjoint.methods.flow_method import FlowMethod
 from coadjoint.methods.properties import Properties
 from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES, SplittingScheme
 from coadjoint.program.chosen_parts import ChosenParts
-from coadjoint.program.decompose import CALLED, check_called
+from coadjoint.program.decompose import CALLED, check_parts
 from coadjoint.program.sweeps import Sweep
 from coadjoint.systems.kinds import System, check_vectors
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -257,8 +257,8 @@ class Splitting(FlowMethod):
         Raises
         ------
         ValueError
-            For a system without a Lie algebra, whose split flows are not linear; with ``parts="free_body"`` or
-            ``"bonds"`` for one without any.
+            For a system without a Lie algebra, whose split flows are not linear; for a Hamiltonian that does not split
+            into functions of commuting coordinates; for parts that do not fit it.
         """
         check_vectors(system)
         if isinstance(system, PoissonSystem):
@@ -266,8 +266,7 @@ class Splitting(FlowMethod):
                 f"Splitting needs a Lie algebra, which {system.name} does not have (its split flows are not linear); "
                 "use GaussLegendre or ModifiedGaussLegendre"
             )
-        if isinstance(self.parts, str) and self.parts in CALLED:
-            check_called(system, self.parts, type(self).__name__)
+        check_parts(system, self.parts, type(self).__name__)
         return Properties(poisson=True, energy=False, casimirs="all", attitude="every representation")
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:

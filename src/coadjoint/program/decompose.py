@@ -20,7 +20,7 @@ from coadjoint.program.order_of_parts import CLEARLY, best_orders
 from coadjoint.program.parts import Parts
 from coadjoint.program.shift import QuadraticCasimir, Shift, candidate_shifts, quadratic_casimirs, shifted_terms
 from coadjoint.program.shift_counts import numbers_of_parts
-from coadjoint.program.split import NotSplit, split
+from coadjoint.program.split import NotSplit, check_splits, split
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.linear_term import linear_of, with_all_present
 
@@ -112,6 +112,7 @@ _FOUND: WeakKeyDictionary[LiePoissonSystem, Decomposition] = WeakKeyDictionary()
 _CALLED: Mapping[str, WeakKeyDictionary[LiePoissonSystem, Decomposition]] = {
     choice: WeakKeyDictionary() for choice in CALLED
 }
+_CHECKED: WeakKeyDictionary[LiePoissonSystem, set[Any]] = WeakKeyDictionary()
 
 
 class Candidate(NamedTuple):
@@ -193,18 +194,30 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
     return found
 
 
-def check_called(system: LiePoissonSystem, choice: str, scheme: str) -> None:
-    """Refuse by name a system that has no free bodies or bonds, or whose other terms do not split."""
+def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
+    """Refuse by name a system that does not split, or to which the parts that were chosen do not fit.
+
+    The parts that a run finds by itself are not found here, which may take long. What was checked once is not checked
+    again.
+    """
+    key = choice if isinstance(choice, str | tuple | ChosenParts) else None
+    if key is not None and key in _CHECKED.get(system, ()):
+        return
     try:
-        decompose(system, choice)
+        if isinstance(choice, str) and choice not in CALLED:
+            check_splits(system)
+        else:
+            decompose(system, choice)
     except NotSplit as reason:
         raise ValueError(f"{scheme} cannot serve {system.name}: {reason}") from None
+    if key is not None:
+        _CHECKED.setdefault(system, set()).add(key)
 
 
 def check_inputs_of_called(system: Any, choice: str, coordinates: Sequence[int]) -> None:
     """Refuse inputs that would turn the axis of a part: coefficients of the coordinates of free bodies and of bonds."""
     if isinstance(system, LiePoissonSystem):
-        check_called(system, choice, "Splitting")
+        check_parts(system, choice, "Splitting")
         bodies = decompose(system, choice).parts.bodies.values()
         every = {i for body in bodies for i in (*body.coordinates, *(body.other or ()))}
         inside = sorted(every.intersection(coordinates))

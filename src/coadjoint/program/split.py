@@ -165,6 +165,47 @@ def _function_atom(system: LiePoissonSystem, term: FunctionTerm, commutation: Co
     return Parts.single(FunctionShare(term), coordinates, term.timed)
 
 
+class _Clashes:
+    """What stands in the way of splitting a term: nothing of a quadratic one, whose squares are completed."""
+
+    def __init__(self, system: LiePoissonSystem, commutation: Commutation) -> None:
+        self._system, self._commutation = system, commutation
+
+    def quadratic(self, term: QuadraticTerm) -> None:
+        pass
+
+    def polynomial(self, term: PolynomialTerm) -> None:
+        for exponents, coefficient in term.polynomial.monomials.items():
+            if sum(exponents) > 2:
+                clash = self._commutation.first_clash([k for k, power in enumerate(exponents) if power])
+                if clash is not None:
+                    raise _not_split(self._system, f"its monomial {short(Polynomial({exponents: coefficient}))}", clash)
+
+    def function(self, term: FunctionTerm) -> None:
+        _function_atom(self._system, term, self._commutation)
+
+
+def check_splits(system: LiePoissonSystem) -> None:
+    """Refuse a Hamiltonian that is no sum of functions of commuting forms, without taking it apart.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        The system.
+
+    Raises
+    ------
+    NotSplit
+        With the first piece whose coordinates do not commute.
+    """
+    terms = system.hamiltonian.terms()
+    if all(term.form is not None for term in terms):
+        return
+    clashes = _Clashes(system, Commutation(system.algebra))
+    for term in terms:
+        term.given_to(clashes)
+
+
 class NotSplit(ValueError):
     """A Hamiltonian is no sum of functions whose flows are known. The message says which piece, and why."""
 

@@ -1,0 +1,76 @@
+"""What `integrate` refuses, `properties` and `stepper` refuse as well, with the same words."""
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.methods.registry import scheme
+
+
+def _systems():
+    so3, a = co.algebras.so(3), co.algebras.get("A4_8")
+    rng = np.random.default_rng(7)
+    full = rng.normal(size=(6, 6))
+    cosh = co.Hamiltonian(lambda x: np.cosh(x[0]) + x[1] ** 2, lambda x: np.array([np.sinh(x[0]), 2 * x[1], 0.0]))
+    timed = co.Hamiltonian(lambda x, t: np.cos(t) * x[2], lambda x, t: np.array([0.0, 0.0, np.cos(t)]))
+    J = lambda x: np.array([[0, x[2], -x[1]], [-x[2], 0, x[0]], [x[1], -x[0], 0]])  # noqa: E731
+    yield "coupled cubic", co.LiePoissonSystem(so3, co.Polynomial({(1, 1, 1): 1.0}))
+    yield "cubic powers", co.LiePoissonSystem(so3, co.Polynomial({(3, 0, 0): 1.0, (0, 2, 0): 0.5}))
+    yield "cubic and coupled quadratic", co.LiePoissonSystem(so3, co.Polynomial({(3, 0, 0): 1.0, (1, 1, 0): 0.5}))
+    yield "commuting cubic", co.LiePoissonSystem(a, co.Polynomial({(1, 1, 0, 0): 1.0, (2, 1, 0, 0): 0.5}))
+    yield "coupled quartic", co.LiePoissonSystem(a, co.Polynomial({(0, 2, 2, 0): 1.0, (0, 0, 0, 2): 1.0}))
+    yield "full quadratic", co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(full + full.T))
+    yield "a function", co.LiePoissonSystem(so3, cosh)
+    yield "a function of time", co.LiePoissonSystem(so3, timed)
+    yield "separable", co.LiePoissonSystem(so3, co.Separable({0: (np.cosh, np.sinh)}))
+    yield "a function J", co.PoissonSystem(J, co.Quadratic([1.0, 2.0, 3.0]))
+    yield "forces", co.systems.rigid_body((1, 2, 3)).with_forces(co.forces.LinearDamping(0.1))
+    yield (
+        "forces on what does not split",
+        co.LiePoissonSystem(so3, co.Polynomial({(1, 1, 1): 1.0})).with_forces(co.forces.LinearDamping(0.1)),
+    )
+    yield "matrices", co.systems.matrix_body((1.0, 2.0, 3.0))
+
+
+SYSTEMS = dict(_systems())
+METHODS = {str(method): method for name in co.methods.names() for method in scheme(name).examples()}
+METHODS |= {f"{parts}": co.Splitting(parts=parts) for parts in ("free_body", "bonds", ((0,), (1,)), ((0,), (1,), (2,)))}
+
+
+def _refusal(call):
+    try:
+        call()
+    except (TypeError, ValueError) as reason:
+        return type(reason), str(reason)
+    except co.IntegrationError:
+        return None
+    return None
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_declarations_refuse_what_a_run_refuses(name):
+    system = SYSTEMS[name]
+    x0 = 0.1 + 0.05 * np.arange(system.dim)
+    if name == "matrices":
+        x0 = np.array([[0.0, 0.1, 0.2], [-0.1, 0.0, 0.3], [-0.2, -0.3, 0.0]])
+    for told, method in METHODS.items():
+        run = _refusal(lambda m=method: co.integrate(system, x0, (0.0, 0.01), 0.01, m))
+        scheme = co.methods.Forced(method) if "forces" in name else method
+        declared = _refusal(lambda s=scheme: s.properties(system))
+        step = _refusal(lambda m=method: co.stepper(system, m, 0.01))
+        assert (run is None) == (declared is None) == (step is None), (told, run, declared, step)
+        if run is not None:
+            assert run == declared == step, told
+
+
+def test_the_words_of_a_refusal():
+    system = SYSTEMS["coupled cubic"]
+    said = (
+        r"Splitting cannot serve .*: its monomial x1\*x2\*x3 couples e1 and e2, which do not commute; give H as a sum"
+    )
+    with pytest.raises(ValueError, match=said):
+        co.Splitting(order=4).properties(system)
+    with pytest.raises(ValueError, match=said):
+        co.stepper(system, co.Splitting(), 0.1)
+    with pytest.raises(ValueError, match="parts leave out e3"):
+        co.Splitting(parts=((0,), (1,))).properties(co.systems.rigid_body((1, 2, 3)))
