@@ -162,6 +162,10 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
         columns["balance"] = {name: balance[name] if name in balance else math.nan for name in solution.change()}
     click.echo(f"{next(iter(columns))}, over {over}:")
     names = {name: in_one_line(name, 60) for name in solution.change()}
+    from coadjoint.runs.summary import is_driven
+
+    if is_driven(solution.system):
+        names["energy"] = "energy (driven, so that it changes)"
     width = max(map(len, names.values()))
     for name, shown in names.items():
         click.echo(f"  {shown:{width}}  " + "  ".join(f"{column[name]:.3g}" for column in columns.values()))

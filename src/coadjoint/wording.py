@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from types import BuiltinFunctionType, FunctionType, MethodType
 from typing import Any
 
@@ -45,6 +45,20 @@ def short(value: Any, limit: int = 80) -> str:
             text = f"{text[: limit - 3]}..."
             break
     return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
+def html_table(title: str, rows: Mapping[str, Any]) -> str:
+    """Return a small table for notebooks: a title, and names with values beside them.
+
+    Examples
+    --------
+    >>> html_table("a < b", {"steps": 3})
+    '<table><caption><b>a &lt; b</b></caption><tr><th>steps</th><td>3</td></tr></table>'
+    """
+    from html import escape
+
+    lines = [f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in rows.items()]
+    return f"<table><caption><b>{escape(title)}</b></caption>{''.join(lines)}</table>"
 
 
 def named_function(function: Any) -> str:

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.shown_brackets import count_of_brackets, shown_brackets
+from coadjoint.algebra.written_brackets import read_brackets
 
 ALGEBRAS = [
     catalogue.so(3),
@@ -197,8 +199,26 @@ def test_equality_is_by_value_and_repr_is_short():
     assert g == other
     assert len({g, other, catalogue.e(3)}) == 2
     assert g != "so(4)"
-    assert repr(g) == "LieAlgebra('so(4)', dim=6)"
-    assert repr(LieAlgebra([], dim=2)) == "LieAlgebra(dim=2)"
+    assert repr(g) == "LieAlgebra('so(4)', dim=6, 12 brackets)"
+    assert repr(LieAlgebra([], dim=2)) == "LieAlgebra(dim=2, commutative)"
+    assert (
+        repr(catalogue.get("A3_7", a=2.0))
+        == "LieAlgebra('A3_7(a=2)', dim=3: [e1, e3] = 2 e1 - e2, [e2, e3] = e1 + 2 e2)"
+    )
+    shown = str(catalogue.so(6)).splitlines()
+    assert shown[0] == "so(6), of dimension 15" and len(shown) == 32 and shown[-1].strip() == "and 30 more"
+    assert len(repr(catalogue.copies(catalogue.so(3), 1000))) < 60
+
+
+def test_brackets_that_are_shown_are_read_again():
+    for g in (catalogue.so(4), catalogue.get("A5_13", a=0.5, p=0.25, s=2), catalogue.sl(3), catalogue.heisenberg(2)):
+        lines = shown_brackets(g.triples, g.basis, 1000)
+        assert len(lines) == count_of_brackets(g.triples)
+        assert LieAlgebra.from_brackets(g.dim, read_brackets(lines, g.basis)) == g
+
+
+def test_the_basis_has_the_names_that_were_given():
+    other = LieAlgebra(catalogue.so(4).triples, dim=6, basis=tuple("abcdef"), name="other")
     assert other.basis == tuple("abcdef")
 
 

@@ -273,7 +273,8 @@ def test_known_names_coincide():
     assert co.algebras.get("A3,7", a=0) == co.algebras.get("A3,6")
     assert co.algebras.get("A3,7", a=np.float32(0.5)) == co.algebras.A3_7(Fraction(1, 2))
     assert repr(co.algebras.get("A5,13", a=0.5, p=1 / 3, s=2)) == (
-        "LieAlgebra('A5_13(a=0.5, p=0.3333333333333333, s=2)', dim=5)"
+        "LieAlgebra('A5_13(a=0.5, p=0.3333333333333333, s=2)', dim=5: [e1, e5] = e1, [e2, e5] = 0.5 e2, "
+        "[e3, e5] = 0.333333 e3 - 2 e4, [e4, e5] = 2 e3 + 0.333333 e4)"
     )
 
 

@@ -121,9 +121,9 @@ def get(name: str, **parameters: Any) -> LieAlgebra:
     Examples
     --------
     >>> get("so(5)")
-    LieAlgebra('so(5)', dim=10)
+    LieAlgebra('so(5)', dim=10, 30 brackets)
     >>> get("A5,23", b=0.5)
-    LieAlgebra('A5_23(b=0.5)', dim=5)
+    LieAlgebra('A5_23(b=0.5)', dim=5...)
     >>> get("sp(2n)", n=2) == get("sp(4)")
     True
     """

@@ -70,7 +70,7 @@ def sl(n: int = 2) -> LieAlgebra:
     >>> sl(2).bracket([1, 0, 0], [0, 0, 1])
     array([ 0., -2.,  0.])
     >>> sl(3)
-    LieAlgebra('sl(3)', dim=8)
+    LieAlgebra('sl(3)', dim=8, 21 brackets)
     """
     n = read_whole(n, "n of sl(n)", 2)
     check_room_of_algebra(f"sl({short(n)})", n * n - 1, 2 * n**3)

@@ -13,8 +13,15 @@ from coadjoint.algebra.identities import antisymmetric, check_jacobi
 from coadjoint.algebra.joins import Floats
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
+from coadjoint.algebra.shown_brackets import count_of_brackets, shown_brackets
 from coadjoint.algebra.structure import Structure
 from coadjoint.given import read_title
+from coadjoint.wording import html_table, short
+
+FEW_BRACKETS = 6
+"""Brackets that a representation in one line shows."""
+MOST_BRACKETS = 30
+"""Brackets that `print` and notebooks show."""
 
 
 class LieAlgebra(Structure):
@@ -61,7 +68,7 @@ class LieAlgebra(Structure):
     --------
     >>> g = LieAlgebra([(0, 1, 2, 1.0), (1, 2, 0, 1.0), (2, 0, 1, 1.0)], dim=3, name="so(3)")
     >>> g
-    LieAlgebra('so(3)', dim=3)
+    LieAlgebra('so(3)', dim=3: [e1, e2] = e3, [e1, e3] = -e2, [e2, e3] = e1)
     >>> g.structure_matrix([1.0, 2.0, 3.0])
     array([[ 0.,  3., -2.],
            [-3.,  0.,  1.],
@@ -183,7 +190,22 @@ class LieAlgebra(Structure):
 
     def __repr__(self) -> str:
         label = "" if self._name is None else f"{self._name!r}, "
-        return f"LieAlgebra({label}dim={self._dim})"
+        count = count_of_brackets(self._triples)
+        if not 0 < count <= FEW_BRACKETS:
+            return f"LieAlgebra({label}dim={self._dim}{f', {count} brackets' if count else ', commutative'})"
+        return f"LieAlgebra({label}dim={self._dim}: {', '.join(shown_brackets(self._triples, self._basis, count))})"
+
+    def __str__(self) -> str:
+        head = f"{self._name or 'a Lie algebra'}, of dimension {self._dim}"
+        count, lines = count_of_brackets(self._triples), shown_brackets(self._triples, self._basis, MOST_BRACKETS)
+        left = [f"and {count - len(lines)} more"] if count > len(lines) else []
+        return "\n  ".join([head, *lines, *left])
+
+    def _repr_html_(self) -> str:
+        count, lines = count_of_brackets(self._triples), shown_brackets(self._triples, self._basis, MOST_BRACKETS)
+        left = f", and {count - len(lines)} more" if count > len(lines) else ""
+        rows = {"dimension": self._dim, "basis": short(self._basis), "brackets": (", ".join(lines) or "none") + left}
+        return html_table(self._name or "a Lie algebra", rows)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, LieAlgebra):

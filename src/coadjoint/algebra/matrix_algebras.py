@@ -167,7 +167,7 @@ def matrix_algebra(
     --------
     >>> affine = [(0, 0, 0, 1.0), (1, 0, 1, 1.0)]
     >>> matrix_algebra("affine", affine, affine, 2, {})
-    LieAlgebra('affine', dim=2)
+    LieAlgebra('affine', dim=2: [e1, e2] = e2)
     """
     given = Sparse(basis)
     dim = int(given.number.max()) + 1

@@ -56,7 +56,7 @@ def so(n: int, q: int = 0) -> LieAlgebra:
     Examples
     --------
     >>> so(4)
-    LieAlgebra('so(4)', dim=6)
+    LieAlgebra('so(4)', dim=6, 12 brackets)
     >>> so(4).casimirs_known["Pfaffian"]
     x1*x6 - x2*x5 + x3*x4
     >>> so(3, 1).casimirs_known["quadratic"]

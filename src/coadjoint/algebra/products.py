@@ -73,7 +73,7 @@ def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
     >>> from coadjoint.algebra.orthogonal import so
     >>> g = direct_sum(so(3), so(4))
     >>> g
-    LieAlgebra('so(3) + so(4)', dim=9)
+    LieAlgebra('so(3) + so(4)', dim=9, 15 brackets)
     >>> list(g.casimirs_known)
     ['|x|^2 [1]', '|x|^2 [2]', 'Pfaffian [2]']
     """
@@ -127,7 +127,7 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     >>> from coadjoint.algebra.orthogonal import so
     >>> lattice = copies(so(3), 1000)
     >>> lattice, lattice.triples.c.size, lattice.basis[3]
-    (LieAlgebra('1000 so(3)', dim=3000), 3000, 'e1[2]')
+    (LieAlgebra('1000 so(3)', dim=3000, 3000 brackets), 3000, 'e1[2]')
     """
     if not isinstance(g, LieAlgebra):
         raise TypeError(f"copies are made of a LieAlgebra, not of a {type(g).__name__}")

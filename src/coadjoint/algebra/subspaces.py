@@ -268,7 +268,7 @@ def quotient(g: LieAlgebra, ideal: Any) -> LieAlgebra:
     --------
     >>> from coadjoint.algebra.orthogonal import e
     >>> quotient(e(3), ["e4", "e5", "e6"])
-    LieAlgebra('e(3) / ideal', dim=3)
+    LieAlgebra('e(3) / ideal', dim=3: [e1, e2] = e3, [e1, e3] = -e2, [e2, e3] = e1)
     """
     given = _vectors(g, ideal, "the ideal")
     span, rows = _span(given, "the ideal"), _by_element(g)

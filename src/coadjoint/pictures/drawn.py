@@ -16,6 +16,7 @@ from coadjoint.pictures.between import few_times, times_between
 from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.style import coordinate
 from coadjoint.runs.solution import Solution
+from coadjoint.runs.summary import is_driven
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinate_names import coordinate_names
 from coadjoint.systems.kinds import shape_of
@@ -173,7 +174,7 @@ class Drawn:
     @property
     def driven(self) -> bool:
         """Whether the Hamiltonian depends on time, so that the energy is no invariant."""
-        return bool(getattr(self.system.hamiltonian, "timed", False))
+        return is_driven(self.system)
 
     @cached_property
     def left(self) -> Mapping[str, Floats] | None:

@@ -190,7 +190,13 @@ class Solution:
 
     def __repr__(self) -> str:
         points = f"{len(self.t)} points from t = {self.t_span[0]:g} to {self.t_span[1]:g}"
-        return f"<solution of {self.system!r} by {self.method}, {points}, step {self.step:g}>"
+        crowd = "" if self.failed is None else f", {len(self.failed)} members"
+        return f"<solution of {self.system.name} by {self.method}: {points}, step {self.step:g}{crowd}>"
+
+    def _repr_html_(self) -> str:
+        from coadjoint.runs.summary import table_of_run
+
+        return table_of_run(self)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all parts, for copies and for `pickle`."""

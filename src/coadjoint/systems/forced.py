@@ -225,3 +225,8 @@ class ForcedSystem:
 
     def __repr__(self) -> str:
         return f"<{self.system!r} with {', '.join(map(str, self.forces))}>"
+
+    def _repr_html_(self) -> str:
+        from coadjoint.systems.table import table_of
+
+        return table_of(self, forces=", ".join(map(str, self.forces)))

@@ -317,3 +317,8 @@ class LiePoissonSystem:
     def __repr__(self) -> str:
         where = self.algebra.name or f"an algebra of dimension {self.dim}"
         return f"<{self.name}: {self.hamiltonian!r} on {where}, sign={self.sign:+d}>"
+
+    def _repr_html_(self) -> str:
+        from coadjoint.systems.table import table_of
+
+        return table_of(self)

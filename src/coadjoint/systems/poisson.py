@@ -237,3 +237,8 @@ class PoissonSystem:
 
     def __repr__(self) -> str:
         return f"<{self.name}: {self.hamiltonian!r}, J a function of x, sign={self.sign:+d}>"
+
+    def _repr_html_(self) -> str:
+        from coadjoint.systems.table import table_of
+
+        return table_of(self)

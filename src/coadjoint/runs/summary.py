@@ -1,0 +1,58 @@
+"""A run as a small table, for notebooks: what was run, and how far its invariants went."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from coadjoint.systems.batch import Batch
+from coadjoint.wording import html_table
+
+if TYPE_CHECKING:
+    from coadjoint.runs.solution import Solution
+
+MOST = 4
+"""Casimirs that are shown: those that went farthest."""
+
+
+def is_driven(system: Any) -> bool:
+    """Say whether the Hamiltonian depends on time, so that the energy changes as it should, and does not drift."""
+    first = system[0] if isinstance(system, Batch) else system
+    return bool(getattr(first.hamiltonian, "timed", False))
+
+
+def table_of_run(solution: Solution) -> str:
+    """Return a run as a table in HTML.
+
+    Parameters
+    ----------
+    solution : Solution
+        The run.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 1), step=0.1)
+    >>> "<th>drift of energy</th>" in table_of_run(sol), "<th>drift of |x|^2</th>" in table_of_run(sol)
+    (True, True)
+    """
+    rows: dict[str, Any] = {
+        "time": f"{solution.t_span[0]:g} to {solution.t_span[1]:g}, {len(solution.t)} points are kept",
+        "step": f"{solution.step:g}, {solution.stats.steps} of them in {solution.stats.seconds:.3g} s",
+    }
+    if solution.failed is not None:
+        count = int(solution.failed.sum())
+        rows["members"] = f"{len(solution.failed)}" + (f", of which {count} have failed" if count else "")
+    changes = solution.change()
+    energy = changes.pop("energy")
+    moved = is_driven(solution.system) or bool(solution.work)
+    rows[f"{'change' if moved else 'drift'} of energy"] = f"{energy:.2g}"
+    worst = sorted(changes, key=lambda name: -float(changes[name]))
+    for name in worst[:MOST]:
+        rows[f"{'change' if solution.work else 'drift'} of {name}"] = f"{changes[name]:.2g}"
+    if len(worst) > MOST:
+        rows["other Casimirs"] = f"{len(worst) - MOST}, none beyond {changes[worst[MOST]]:.2g}"
+    return html_table(f"{solution.system.name} by {solution.method}", rows)

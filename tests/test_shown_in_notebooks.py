@@ -1,0 +1,82 @@
+"""What objects say of themselves: short in one line, a small table in a notebook, and no address of a function."""
+
+import re
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.runs.summary import is_driven
+
+
+def _driven():
+    H = co.Hamiltonian(lambda x, t: np.cos(t) * x[2] + 0.5 * x[0] ** 2, lambda x, t: np.array([x[0], 0.0, np.cos(t)]))
+    return co.LiePoissonSystem(co.algebras.so(3), H, name="driven")
+
+
+def _own_functions():
+    H = co.Separable({i: (np.cosh, np.sinh) for i in range(3)})
+    return co.LiePoissonSystem(co.algebras.so(3), H, casimirs={"own": lambda x: x[0] ** 2 + x[1] ** 2 + x[2] ** 2})
+
+
+SYSTEMS = {
+    "rigid_body": co.systems.rigid_body,
+    "a37": co.systems.paper_a37,
+    "top": co.systems.heavy_top,
+    "lattice": lambda: co.systems.spin_lattice("chain", 100),
+    "forces": lambda: co.systems.rigid_body().with_forces(co.forces.LinearDamping(0.1), co.forces.Torque((0, 0, 1))),
+    "J": co.systems.sklyanin,
+    "driven": _driven,
+    "functions": _own_functions,
+}
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_systems_say_what_they_are(name):
+    system = SYSTEMS[name]()
+    table = system._repr_html_()
+    assert table.startswith("<table>") and table.endswith("</table>")
+    assert len(re.findall("<tr>", table)) == len(re.findall("</tr>", table)) >= 5
+    for text in (repr(system), table, repr(system.casimirs), repr(system.hamiltonian)):
+        assert " at 0x" not in text
+    assert len(repr(system)) < 200 and len(table) < 3000
+
+
+def test_a_table_of_a_body():
+    table = co.systems.rigid_body(inertia=(1, 2, 4))._repr_html_()
+    for text in (
+        "<b>rigid_body</b>",
+        "3: x1, x2, x3",
+        "<td>so(3)</td>",
+        "0.5*x1^2 + 0.25*x2^2 + 0.125*x3^2",
+        "<td>-1</td>",
+    ):
+        assert text in table, table
+    assert "|x|^2 = x1^2 + x2^2 + x3^2" in table and "inertia = (1.0, 2.0, 4.0)" in table
+
+
+def test_a_table_of_a_run():
+    sol = co.integrate(co.systems.rigid_body((1, 2, 3)), (1, 0.2, 0.1), (0, 1), 0.1)
+    assert repr(sol) == "<solution of rigid_body by Splitting(order=2): 11 points from t = 0 to 1, step 0.1>"
+    table = sol._repr_html_()
+    assert "<b>rigid_body by Splitting(order=2)</b>" in table and "11 points are kept" in table
+    assert f"<th>drift of energy</th><td>{sol.drift()['energy']:.2g}</td>" in table
+    crowd = co.integrate(co.systems.rigid_body((1, 2, 3)), np.ones((4, 3)), (0, 1), 0.1)
+    assert repr(crowd).endswith("step 0.1, 4 members>") and "<th>members</th><td>4</td>" in crowd._repr_html_()
+
+
+def test_what_is_driven_or_forced_changes_and_does_not_drift():
+    driven = co.integrate(_driven(), (1, 0.2, 0.1), (0, 1), 0.1, co.GaussLegendre(2))
+    assert is_driven(driven.system) and not is_driven(co.systems.rigid_body())
+    table = driven._repr_html_()
+    assert "<th>change of energy</th>" in table and "<th>drift of |x|^2</th>" in table
+    forced = co.integrate(SYSTEMS["forces"](), (1, 0.2, 0.1), (0, 1), 0.1)._repr_html_()
+    assert "<th>change of energy</th>" in forced and "<th>change of |x|^2</th>" in forced and "drift" not in forced
+
+
+def test_of_many_casimirs_the_worst_are_shown():
+    x0 = np.random.default_rng(2).normal(size=(10, 3))
+    sol = co.integrate(co.systems.spin_lattice("chain", 10), x0.ravel(), (0, 5), 0.1)
+    table, moved = sol._repr_html_(), sol.drift()
+    worst = max((name for name in moved if name != "energy"), key=lambda name: moved[name])
+    assert f"<th>drift of {worst}</th>" in table and "<th>other Casimirs</th><td>6, none beyond" in table
