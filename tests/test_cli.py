@@ -141,7 +141,8 @@ def test_failed_run_without_output(folder, capsys):
         (["rnu"], "coadjoint: unknown command 'rnu'; did you mean 'run'?"),
         (
             ["zzzzz"],
-            "coadjoint: unknown command 'zzzzz'; there are certify, gallery, methods, reproduce, run, schema, systems",
+            "coadjoint: unknown command 'zzzzz'; there are certify, gallery, methods, reproduce, resume, run, schema, "
+            "systems",
         ),
         (["run"], "coadjoint: missing argument 'FILE' (see 'coadjoint run --help')"),
         (["run", "body.toml", "--ot", "x"], "coadjoint: unknown option '--ot'; did you mean '--out'?"),

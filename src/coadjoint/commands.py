@@ -7,8 +7,7 @@ import inspect
 import math
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +16,12 @@ import click
 from coadjoint import __version__
 from coadjoint.errors import in_one_line, nearest
 from coadjoint.extras import need
+from coadjoint.run_endings import ending, writing
 from coadjoint.wording import short
 
 UNREAD = 141  # nobody reads what is printed
 
 if TYPE_CHECKING:
-    from coadjoint.errors import IntegrationError
     from coadjoint.files.configuration import Configuration
     from coadjoint.runs.solution import Solution
 
@@ -52,38 +51,47 @@ def commands(context: click.Context) -> None:
 @commands.command("run")
 @click.argument("file", type=click.Path())
 @click.option("--out", metavar="PATH", help="Where to write the solution: .nc or .zarr; otherwise what the file says.")
+@click.option("--archive", metavar="PATH", help="Where to write the run while it runs, to be resumed: a new folder.")
 @click.option("--figure", metavar="PATH", help="Where to draw it: .png, .pdf or .svg; otherwise what the file says.")
 @click.option("--movie", metavar="PATH", help="Where to show it move: .mp4 or .gif; otherwise what the file says.")
 @click.option("--progress", is_flag=True, help="Show a progress bar.")
 @click.option("--quiet", is_flag=True, help="Print nothing.")
-def run_file(file: str, out: str | None, figure: str | None, movie: str | None, progress: bool, quiet: bool) -> None:
+def run_file(
+    file: str,
+    out: str | None,
+    archive: str | None,
+    figure: str | None,
+    movie: str | None,
+    progress: bool,
+    quiet: bool,
+) -> None:
     """Run the configuration FILE (TOML).
 
-    A run that fails while running writes what it had, marked as failed, and ends with exit status 1.
+    A run that fails while running writes what it had, marked as failed, and ends with exit status 1. One that is
+    interrupted writes what it had, marked as incomplete; an archive is gone on with by `coadjoint resume`.
     """
-    from coadjoint.errors import IntegrationError
+    from coadjoint.files.archives import check_new
     from coadjoint.files.configuration import load
     from coadjoint.files.output import DATASETS, FIGURES, check_target, write_dataset, write_figure
 
     configuration = load(file)
+    kept = _place(configuration, "archive", archive, check_new)
     target = _place(configuration, "file", out, lambda path: check_target(path, DATASETS))
     drawing = _place(configuration, "figure", figure, lambda path: check_target(path, FIGURES))
     moving = _place(configuration, "movie", movie, lambda path: _movie_target(configuration, path))
-    try:
-        solution = configuration.integrate(progress=progress)
-    except IntegrationError as error:
-        raise _failed(configuration, error, target) from error
+    with ending(configuration.path, kept, target, configuration.dataset):
+        solution = configuration.integrate(progress=progress, archive=kept)
     if target is not None:
-        with _writing(configuration, target):
+        with writing(configuration.path, target):
             write_dataset(configuration.dataset(solution), target)
     if drawing is not None:
-        with _writing(configuration, drawing):
+        with writing(configuration.path, drawing):
             write_figure(solution.plot(), drawing)
     if moving is not None:
-        with _writing(configuration, moving):
+        with writing(configuration.path, moving):
             solution.movie(moving)
     if not quiet:
-        _summarize(solution, [place for place in (target, drawing, moving) if place is not None])
+        _summarize(solution, [place for place in (kept, target, drawing, moving) if place is not None])
 
 
 def _place(configuration: Configuration, key: str, option: str | None, check: Callable[[str], Path]) -> Path | None:
@@ -92,7 +100,12 @@ def _place(configuration: Configuration, key: str, option: str | None, check: Ca
 
     if option is not None:
         return check(option)
-    written = {"file": configuration.output, "figure": configuration.figure, "movie": configuration.movie}[key]
+    written = {
+        "file": configuration.output,
+        "archive": configuration.archive,
+        "figure": configuration.figure,
+        "movie": configuration.movie,
+    }[key]
     if written is None:
         return None
     with section(configuration.path, f"output.{key}"):
@@ -109,43 +122,6 @@ def _movie_target(configuration: Configuration, path: str) -> Path:
     with section(configuration.path, "output.movie"):
         declared_picture(getattr(configuration.system, "system", configuration.system).name)
     return target
-
-
-class _RunFailed(click.ClickException):
-    """A run that failed while running, or whose result could not be written: exit status 1."""
-
-    exit_code = 1
-
-
-@contextmanager
-def _writing(configuration: Configuration, target: Path) -> Iterator[None]:
-    """Say in one line that a result cannot be written, after its run."""
-    from coadjoint.files.output import OutputError
-
-    try:
-        yield
-    except (OSError, OutputError, MemoryError) as reason:
-        raise _RunFailed(f"{configuration.path}: {_unwritten(target, reason)}") from reason
-
-
-def _unwritten(target: Path, reason: BaseException) -> str:
-    said = getattr(reason, "strerror", None) or str(reason) or "it does not fit into memory"
-    return f"{target} could not be written ({said}); nothing was replaced"
-
-
-def _failed(configuration: Configuration, error: IntegrationError, target: Path | None) -> _RunFailed:
-    """Write what there is, and return what is to be said."""
-    written = ""
-    if target is not None and error.partial is not None:
-        from coadjoint.files.export import mark_failed
-        from coadjoint.files.output import OutputError, write_dataset
-
-        try:
-            write_dataset(mark_failed(configuration.dataset(error.partial), error), target)
-            written = f"; the solution so far is in {target}"
-        except (OSError, OutputError, MemoryError) as reason:
-            written = f"; the solution so far is lost: {_unwritten(target, reason)}"
-    return _RunFailed(f"{configuration.path}: the run failed: {error}{written}")
 
 
 def _summarize(solution: Solution, written: Sequence[Path]) -> None:
@@ -171,6 +147,33 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
         click.echo(f"  {shown:{width}}  " + "  ".join(f"{column[name]:.3g}" for column in columns.values()))
     for place in written:
         click.echo(f"written: {place}")
+
+
+@commands.command("resume")
+@click.argument("path", type=click.Path())
+@click.option("--t-end", type=float, metavar="T", help="A later end than the run was begun with.")
+@click.option("--threads", type=int, metavar="N", help="Threads for the members of an ensemble; one for each core.")
+@click.option("--progress", is_flag=True, help="Show a progress bar.")
+@click.option("--quiet", is_flag=True, help="Print nothing.")
+def resume_archive(path: str, t_end: float | None, threads: int | None, progress: bool, quiet: bool) -> None:
+    """Go on with the run of the archive PATH, to the same bits as if it had never been cut.
+
+    A run that is finished is left as it is, unless a later end is given.
+    """
+    from coadjoint.files.archived_solution import open_archive
+    from coadjoint.files.archives import resume
+    from coadjoint.files.configuration import CONFIGURATION, system_of_text
+    from coadjoint.files.given_functions import asks_for
+
+    place, system = Path(path), None
+    said = open_archive(place).attributes
+    if CONFIGURATION in said and asks_for(said, "system"):
+        # Algebras of the catalogue may have Casimirs that are functions; the file that was run names them.
+        system = system_of_text(said[CONFIGURATION])
+    with ending(path, place, None, None):
+        solution = resume(place, t_end, system=system, threads=threads, progress=progress)
+    if not quiet:
+        _summarize(solution, [place])
 
 
 @commands.command("certify")
@@ -199,10 +202,10 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
     )
     click.echo(str(found))
     if target is not None:
-        with _writing(configuration, target):
+        with writing(configuration.path, target):
             write_text(found.to_json(), target)
     if drawing is not None:
-        with _writing(configuration, drawing):
+        with writing(configuration.path, drawing):
             write_figure(found.plot(), drawing)
     for place in (target, drawing):
         if place is not None:
@@ -373,6 +376,7 @@ def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
 
 
 def _performed(arguments: list[str]) -> tuple[int, str]:
+    from coadjoint.files.archive_store import ArchiveError
     from coadjoint.files.configuration import ConfigurationError
     from coadjoint.files.output import OutputError
 
@@ -384,7 +388,7 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
         return done.exit_code, ""
     except click.ClickException as error:
         return error.exit_code, in_one_line(_said(error))
-    except (ConfigurationError, OutputError) as error:
+    except (ArchiveError, ConfigurationError, OutputError) as error:
         return 2, in_one_line(str(error))
     except ImportError as error:
         # A package is missing, or does not fit the others. The sentence of the error says which.

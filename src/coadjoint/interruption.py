@@ -1,7 +1,9 @@
 """How does the command end when it is told to stop? At once, in one line, with nothing half written left behind.
 
 An exception will not do: Python drops those that are raised while a weak reference is cleared or a module is loaded,
-and the run would go on. Nothing is imported here that takes time: an interrupt is heard from the first line on.
+and the run would go on. Only while steps are taken the first one raises `Told`, so that what there is of the run can be
+written; the second one ends the process all the same. Nothing is imported here that takes time: an interrupt is heard
+from the first line on.
 """
 
 from __future__ import annotations
@@ -17,6 +19,43 @@ if TYPE_CHECKING:
 
 _SAID = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
 _unfinished: list[Callable[[], object]] = []
+_raises = False
+_told = 0
+
+
+class Told(KeyboardInterrupt):
+    """The process was told to stop, by the signal of a number, while `raising`.
+
+    Attributes
+    ----------
+    partial : object
+        What there is of what was interrupted.
+    """
+
+    partial: object = None
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+    @property
+    def said(self) -> str:
+        """What has happened, in a word."""
+        return _SAID[signal.Signals(self.number).name]
+
+
+class raising:
+    """A context in which the first interrupt that `hear` would end the process at raises `Told`."""
+
+    def __enter__(self) -> None:
+        global _raises, _told
+        _raises, _told = True, 0
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        global _raises
+        _raises = False
+        if _told and not isinstance(error, Told):
+            _leave(_told, None)  # Python has dropped it
 
 
 def hear() -> None:
@@ -66,6 +105,10 @@ def _heard() -> list[signal.Signals]:
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
+    global _told
+    if _raises and not _told:
+        _told = number
+        raise Told(number)
     ignore()
     for act in (*reversed(_unfinished), sys.stdout.flush):
         try:

@@ -149,10 +149,10 @@ def growing_of(piece: Solution) -> Variables:
     return {**over_time(piece), "time": (("time",), piece.t, {})}
 
 
-def new_arrays(piece: Solution) -> tuple[dict[str, StoredArray], Variables, Variables]:
+def new_arrays(piece: Solution, others: Variables) -> tuple[dict[str, StoredArray], Variables, Variables]:
     """Return the arrays of the archive of a run, with what those that grow begin with, and the values of the others."""
     growing = growing_of(piece)
-    fixed: Variables = {**starts_of(piece), **summaries_of(piece)}
+    fixed: Variables = {**starts_of(piece), **summaries_of(piece), **others}
     for name, values in coordinates_of(piece).items():
         if name != "time":
             fixed[name] = ((name,), np.asarray(values), {})

@@ -225,6 +225,9 @@ class ArchivedSolution(Solution):
         import xarray
 
         found = xarray.open_zarr(self.path, chunks=None)
+        text = [name for name, array in self._arrays.items() if array.kind == "string"]
+        names = {name: (found[name].dims, list(map(str, found[name].values)), found[name].attrs) for name in text}
+        found = found.assign_coords(names)
         # It may have grown since it was opened.
         return found.isel({dim: slice(self._arrays[dim].shape[0]) for dim in GROWING if dim in self._arrays})
 

@@ -31,7 +31,7 @@ from coadjoint.files.export import attributes_of
 from coadjoint.files.given_functions import asked_again, said_of_functions
 from coadjoint.files.longer_runs import lengthen, longer_times
 from coadjoint.files.unfinished import Unfinished, remove_leftovers
-from coadjoint.files.variables import accounts_of
+from coadjoint.files.variables import NOTHING, About, accounts_of
 from coadjoint.runs.events import read_events
 from coadjoint.runs.piecewise_run import PiecewiseRun
 
@@ -52,6 +52,7 @@ def archive_run(
     progress: bool = False,
     events: Any = None,
     until: int | None = None,
+    about: About = NOTHING,
 ) -> ArchivedSolution:
     """Run into a new archive.
 
@@ -65,6 +66,8 @@ def archive_run(
         A new folder.
     until : int, optional
         After how many steps the run is left, to be resumed.
+    about : About
+        What else is written.
 
     Returns
     -------
@@ -85,19 +88,19 @@ def archive_run(
     times, start = ready.times_of(t_span, save_every)[0], ready.start(x0)
     try:
         with Unfinished(target) as unfinished:
-            store = begun(ready, times, start, unfinished.place, int(save_every))
+            store = begun(ready, times, start, unfinished.place, int(save_every), about)
             store.moved(target)
     except OSError as reason:
         raise _unmade(target, reason) from None
     return _run_on(store, ready, times, start, None, progress, until)
 
 
-def begun(ready: PreparedRun, times: Times, start: Start, place: Path, save_every: int) -> ArchiveStore:
+def begun(ready: PreparedRun, times: Times, start: Start, place: Path, save_every: int, about: About) -> ArchiveStore:
     """Make an archive from which the run can be resumed, though no step was taken yet."""
     run = PiecewiseRun(ready, times, start, 1)
     run.advance(0)
     piece = run.piece()
-    arrays, growing, fixed = new_arrays(piece)
+    arrays, growing, fixed = new_arrays(piece, about.coordinates)
     store = ArchiveStore.begun(place, arrays)
     try:
         for name, (_, values, _) in (growing | fixed).items():
@@ -106,6 +109,8 @@ def begun(ready: PreparedRun, times: Times, start: Start, place: Path, save_ever
         kept = store.keep(run.stored(), {"number": 0, **lengths, "block": 1})
         attributes = {
             **attributes_of(piece),
+            **about.attributes,
+            **({"coordinates": " ".join(about.coordinates)} if about.coordinates else {}),
             ACCOUNTS: json.dumps(accounts_of(piece)),
             **said_of_functions(ready, ()),
             FIRST_STEP: first_step(ready, times, start),

@@ -18,6 +18,7 @@ from coadjoint.files.states_by_name import check_named, state_by_name
 from coadjoint.files.sweeps import Sweep, read_sweep
 from coadjoint.files.swept_members import swept_states, swept_system
 from coadjoint.files.swept_settings import as_coordinates
+from coadjoint.files.variables import About, Variables
 from coadjoint.files.written_events import event_of_file
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import Method
@@ -30,6 +31,9 @@ from coadjoint.runs.start import start_of
 from coadjoint.runs.times import times_of
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+
+CONFIGURATION = "configuration"
+"""The attribute that has the text of the file."""
 
 __all__ = ["Configuration", "ConfigurationError", "load"]
 
@@ -53,7 +57,7 @@ class Configuration:
         The file, for messages.
     system, x0, t_span, step, method, save_every, t_eval, attitude, watch, observe, events, threads
         As for `coadjoint.integrate`.
-    output, figure, movie : str or None
+    output, archive, figure, movie : str or None
         Where the file wants the results; relative to the current directory.
     swept : mapping
         Of a sweep: place of the file -> what it is set to, one for each member.
@@ -90,18 +94,21 @@ class Configuration:
     events: tuple[Event, ...] = ()
     threads: int | None = None
     output: str | None = None
+    archive: str | None = None
     figure: str | None = None
     movie: str | None = None
     swept: Mapping[str, list[Any]] = field(default_factory=dict, repr=False)
     text: str = field(default="", repr=False)
 
-    def integrate(self, progress: bool = False) -> Solution:
+    def integrate(self, progress: bool = False, archive: str | Path | None = None) -> Solution:
         """Run it.
 
         Parameters
         ----------
         progress : bool
             Show a progress bar.
+        archive : str or Path, optional
+            A new folder to which the run is written while it runs.
 
         Returns
         -------
@@ -116,6 +123,8 @@ class Configuration:
         """
         from coadjoint.runs.integrate import integrate
 
+        if archive is not None:
+            return self._integrate_into(archive, progress)
         self._check_memory()
         # `load` checked everything else. What is still refused here was found when the scheme was made ready.
         with section(self.path, "method"):
@@ -134,6 +143,32 @@ class Configuration:
                 threads=self.threads,
                 progress=progress,
             )
+
+    def _integrate_into(self, archive: str | Path, progress: bool) -> Solution:
+        from coadjoint.files.archives import archive_run
+        from coadjoint.runs.prepared_run import PreparedRun
+
+        with section(self.path, "method"):
+            ready = PreparedRun(
+                self.system,
+                self.method,
+                self.step,
+                attitude=self.attitude,
+                watch=self.watch,
+                observe=self.observe,
+                threads=self.threads,
+            )
+        return archive_run(
+            ready,
+            self.x0,
+            self.t_span,
+            self.save_every,
+            archive,
+            t_eval=self.t_eval,
+            events=self.events,
+            progress=progress,
+            about=About(self.swept_coordinates(), {CONFIGURATION: self.text}),
+        )
 
     def _check_memory(self) -> None:
         """Refuse more saved states than there is memory for, before the first of them."""
@@ -163,13 +198,22 @@ class Configuration:
         -------
         xarray.Dataset
         """
-        found = solution.to_xarray().assign_attrs(configuration=self.text)
-        return found.assign_coords(
-            {
-                name: ("member", values, {"long_name": place})
-                for name, (place, values) in as_coordinates(self.swept).items()
-            }
-        )
+        found = solution.to_xarray().drop_encoding().assign_attrs({CONFIGURATION: self.text})
+        return found.assign_coords(self.swept_coordinates())
+
+    def swept_coordinates(self) -> Variables:
+        """Return what a sweep sets, over the members."""
+        return {
+            name: (("member",), values, {"long_name": place})
+            for name, (place, values) in as_coordinates(self.swept).items()
+        }
+
+
+def system_of_text(text: str) -> Any:
+    """Return the system of a configuration by the text of its file, kept with a result."""
+    name = "the configuration of this run"
+    raw = tables_of(name, text)
+    return _configured(name, text, raw).system
 
 
 def load(path: str | Path) -> Configuration:
@@ -197,10 +241,14 @@ def load(path: str | Path) -> Configuration:
     coadjoint.files.configuration_parts.ConfigurationError: none.toml: cannot be read (No such file or directory)
     """
     need("reading a configuration file", "pydantic")
+    name, text = str(path), text_of(path)
+    return _configured(name, text, tables_of(name, text))
+
+
+def _configured(name: str, text: str, raw: dict[str, Any]) -> Configuration:
     from coadjoint.files.configuration_models import File, OfSweep
 
-    name, text = str(path), text_of(path)
-    raw, sweep = tables_of(name, text), None
+    sweep = None
     if "sweep" in raw:
         sweep = read_sweep(name, raw, _checked(name, OfSweep, raw).sweep)
         raw = sweep.raw_of(0)
@@ -270,6 +318,7 @@ def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Con
         events=tuple(events),
         threads=file.run.threads,
         output=file.output.file,
+        archive=file.output.archive,
         figure=file.output.figure,
         movie=file.output.movie,
         swept={} if sweep is None else sweep.values,

@@ -135,6 +135,8 @@ class OutputTable(Table):
 
     file: Annotated[str, ending(".nc", ".zarr")] | None = None
     """The solution as a dataset, .nc or .zarr."""
+    archive: str | None = None
+    """A new folder, such as run.zarr, to which the run is written while it runs; `coadjoint resume` goes on with it."""
     figure: Annotated[str, ending(".png", ".pdf", ".svg")] | None = None
     """A picture of it, .png, .pdf or .svg."""
     movie: Annotated[str, ending(".mp4", ".gif")] | None = None

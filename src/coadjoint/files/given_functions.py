@@ -56,6 +56,11 @@ def said_of_functions(ready: PreparedRun, events: Sequence[Event]) -> dict[str, 
     }
 
 
+def asks_for(attributes: Mapping[str, Any], what: str) -> bool:
+    """Return whether the run of an archive needs its system, what it observes, or its events given again."""
+    return what in json.loads(attributes[GIVEN])
+
+
 def asked_again(
     path: Path, archive: ArchivedSolution, system: Any, observe: Mapping[str, Any] | None, events: Any
 ) -> Given:

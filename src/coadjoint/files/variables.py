@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,16 @@ if TYPE_CHECKING:
     from coadjoint.runs.solution import Drift, Solution
 
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
+
+
+class About(NamedTuple):
+    """What else is written beside a solution: coordinates, and attributes."""
+
+    coordinates: Variables
+    attributes: Mapping[str, Any]
+
+
+NOTHING = About({}, {})
 
 
 def over_time(solution: Solution) -> Variables:

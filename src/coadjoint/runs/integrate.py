@@ -102,6 +102,8 @@ def integrate(
         For wrong input, before the first step.
     IntegrationError
         If an iteration does not converge or a number overflows, with step, time, residual and the solution so far.
+    KeyboardInterrupt
+        With what there is of the run in ``.partial``: the points that were saved, and their drifts; or the archive.
     ArchiveError, ArchiveUnwritten
         The archive exists or cannot be made; or it could not be written while the run went on, and is to be resumed.
 

@@ -300,11 +300,15 @@ class PreparedRun:
             times = times.marking(moments.marks)
         run = self.begun(times, start, values)
         observed = self.observed(start)
-        if events:
-            parts = PartsOfSteps(self.system, self.method, run.loops, run.workers)
-            EventRun(run, self._watched(events, start.momenta[0], times.t0), parts).advance(progress)
-        else:
-            run.advance(progress)
+        try:
+            if events:
+                parts = PartsOfSteps(self.system, self.method, run.loops, run.workers)
+                EventRun(run, self._watched(events, start.momenta[0], times.t0), parts).advance(progress)
+            else:
+                run.advance(progress)
+        except KeyboardInterrupt as stopped:
+            stopped.partial = run.interrupted(observed)  # type: ignore[attr-defined]
+            raise
         if moments is not None:
             look(run, moments)
         return run.solution(observed)

@@ -216,6 +216,34 @@ class Run:
             kept = int(np.searchsorted(self.times.saved, self.state["step"][0]))
         raise self.failure(self._solution(kept, observed))
 
+    def interrupted(self, observed: Observed | None) -> Solution:
+        """Return what was saved before the loops were interrupted; after that the run cannot go on.
+
+        Members that were not yet at a point are not a number there. The drifts are those over the saved points.
+        """
+        order, numbers = self.loops.order, self.times.saved
+        if order is not None:
+            self.saved = self.saved.take(np.argsort(order), 1)
+        x = self.saved["x"]
+        if len(numbers):
+            # Of members that the loops have not come to there is nothing in the arrays.
+            first = x[0, :, : self.start.momenta.shape[1]]
+            waiting = ~((first == self.start.momenta) | np.isnan(first)).all(axis=1)
+            for name in ("x", "group", "values"):
+                self.saved[name][:, waiting] = np.nan
+        there = np.isfinite(x).any(axis=(1, 2))
+        kept = int(np.flatnonzero(there)[-1]) + 1 if there.any() else 0
+        worst, values = self.state["worst"], self.saved["values"]
+        worst[:], self.state["status"][:], self.watching = 0.0, 0, False
+        if self.loops.measures:
+            self.loops.measure(self.times, self.start, self.saved, worst, np.arange(kept))
+        tenths = np.maximum(0, numbers[:kept] - 1) * worst.shape[1] // max(1, self.times.steps)
+        with np.errstate(invalid="ignore"):
+            for tenth in np.unique(tenths):
+                own = np.abs(values[:kept][tenths == tenth] - values[0])
+                worst[:, tenth] = np.fmax.reduce(own, axis=0, initial=0.0)
+        return self._solution(kept, observed)
+
     def failure(self, partial: Any) -> IntegrationError:
         """Return what went wrong, with what there is of the run."""
         failed = self.state["status"].nonzero()[0]

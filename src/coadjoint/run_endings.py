@@ -1,0 +1,104 @@
+"""What does the command say, and write, of a run that has not come to its end? One line, and what there is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coadjoint import interruption
+
+if TYPE_CHECKING:
+    import xarray
+
+    from coadjoint.errors import IntegrationError
+
+
+class RunFailed(click.ClickException):
+    """A run that failed while running, or whose result could not be written: exit status 1."""
+
+    exit_code = 1
+
+
+class RunStopped(click.ClickException):
+    """A run that was told to stop: exit status 128 and the number of the signal."""
+
+    def __init__(self, said: str, number: int) -> None:
+        super().__init__(said)
+        self.__dict__["exit_code"] = 128 + number
+
+
+@contextmanager
+def ending(
+    name: str, archive: Path | None, target: Path | None, dataset: Callable[[Any], xarray.Dataset] | None
+) -> Iterator[None]:
+    """Write what there is of a run that fails or is interrupted here, and say so in one line.
+
+    Parameters
+    ----------
+    name : str
+        Of the run, for the line.
+    archive, target : Path or None
+        The archive to which it is written while it runs, and where its result goes.
+    dataset : callable or None
+        Returns the dataset of a solution.
+    """
+    from coadjoint.errors import IntegrationError
+
+    try:
+        with interruption.raising():
+            yield
+    except IntegrationError as error:
+        raise _failed(name, error, archive, target, dataset) from error
+    except interruption.Told as told:
+        raise _stopped(name, told, archive, target, dataset) from told
+
+
+@contextmanager
+def writing(name: str, target: Path) -> Iterator[None]:
+    """Say in one line that a result cannot be written, after its run."""
+    from coadjoint.files.output import OutputError
+
+    try:
+        yield
+    except (OSError, OutputError, MemoryError) as reason:
+        raise RunFailed(f"{name}: {_unwritten(target, reason)}") from reason
+
+
+def _unwritten(target: Path, reason: BaseException) -> str:
+    said = getattr(reason, "strerror", None) or str(reason) or "it does not fit into memory"
+    return f"{target} could not be written ({said}); nothing was replaced"
+
+
+def _failed(name: str, error: IntegrationError, archive: Path | None, target: Path | None, dataset: Any) -> RunFailed:
+    """Write what there is, and return what is to be said."""
+    from coadjoint.files.export import said_of
+
+    written = "" if archive is None else f"; the archive {archive} holds the solution so far"
+    if target is not None and error.partial is not None:
+        written = _write(dataset(error.partial).assign_attrs(said_of(error)), target)
+    return RunFailed(f"{name}: the run failed: {error}{written}")
+
+
+def _stopped(name: str, told: interruption.Told, archive: Path | None, target: Path | None, dataset: Any) -> RunStopped:
+    partial: Any = told.partial
+    written = ""
+    if archive is not None and partial is not None:
+        written = f"; {archive} holds the run up to step {partial.reached}: coadjoint resume {archive} goes on with it"
+    elif target is not None and partial is not None and len(partial.t):
+        reason = {"run_incomplete": 1, "incomplete_reason": told.said, "incomplete_time": float(partial.t[-1])}
+        written = _write(dataset(partial).assign_attrs(reason), target, ", marked as incomplete")
+    return RunStopped(f"{name}: {told.said}{written}" if written else f"coadjoint: {told.said}", told.number)
+
+
+def _write(dataset: xarray.Dataset, target: Path, marked: str = "") -> str:
+    from coadjoint.files.output import OutputError, write_dataset
+
+    try:
+        write_dataset(dataset, target)
+    except (OSError, OutputError, MemoryError) as reason:
+        return f"; the solution so far is lost: {_unwritten(target, reason)}"
+    return f"; the solution so far is in {target}{marked}"

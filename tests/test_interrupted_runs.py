@@ -1,0 +1,177 @@
+"""Runs that are interrupted while they take steps: what is written, what is said, and that they go on."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+
+import coadjoint
+import coadjoint as co
+from coadjoint import cli
+
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
+LONG = """
+[system]
+name = "rigid_body"
+[initial]
+x = [1.0, 0.1, 0.5]
+[run]
+t_span = [0.0, 1000000000.0]
+step = 0.1
+save_every = 1000000
+"""
+# Sends a signal as soon as the loops are at work: by then the run has been made ready, and 0.3 s of it are taken.
+SIGNAL = """
+import os, signal, sys, threading, time
+from coadjoint.kernels import loop
+original = loop.Crew.advance
+def advance(self, *given):
+    global original
+    act, original_of = original, None
+    if not getattr(loop, "begun", False):
+        loop.begun = True
+        threading.Thread(target=lambda: (time.sleep(0.3), os.kill(os.getpid(), signal.{name})), daemon=True).start()
+    return act(self, *given)
+loop.Crew.advance = advance
+from coadjoint.cli import run
+sys.argv = ["coadjoint", *{arguments!r}]
+run()
+"""
+
+
+def child(code):
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=120)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "long.toml").write_text(LONG)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "said"),
+    [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up")],
+)
+def test_without_an_archive_the_command_writes_what_there_is(folder, name, status, said):
+    done = child(SIGNAL.format(name=name, arguments=["run", "long.toml", "--out", "run.nc"]))
+    line = f"long.toml: {said}; the solution so far is in run.nc, marked as incomplete\n"
+    assert (done.returncode, done.stdout, done.stderr) == (status, "", line)
+    assert sorted(os.listdir(folder)) == ["long.toml", "run.nc"]
+    with xarray.open_dataset("run.nc", engine="h5netcdf") as found:
+        assert found.attrs["run_incomplete"] == 1 and found.attrs["incomplete_reason"] == said
+        assert found.attrs["incomplete_time"] == found["time"][-1] and len(found["time"]) >= 1
+        assert np.isfinite(found["x"]).all() and np.array_equal(found["x"][0], [1.0, 0.1, 0.5])
+        body = co.systems.rigid_body()
+        count = min(len(found["time"]), 3)
+        first = co.integrate(body, [1.0, 0.1, 0.5], (0.0, (count - 1) * 1e5), 0.1, save_every=10**6)
+        assert np.array_equal(found["x"][:count], first.x)
+
+
+@pytest.mark.parametrize(("name", "status", "said"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")])
+def test_an_archive_goes_on(folder, capsys, name, status, said):
+    (folder / "long.toml").write_text(LONG.replace("1000000000.0", "1000000.0").replace("1000000\n", "1000\n"))
+    done = child(SIGNAL.format(name=name, arguments=["run", "long.toml", "--archive", "run.zarr"]))
+    reached = co.open_archive("run.zarr").reached
+    line = (
+        f"long.toml: {said}; run.zarr holds the run up to step {reached}: coadjoint resume run.zarr goes on with it\n"
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (status, "", line)
+    assert sorted(os.listdir(folder)) == ["long.toml", "run.zarr"] and 0 < reached < 10**7
+    assert cli.main(["resume", "run.zarr"]) == 0
+    assert capsys.readouterr().out.endswith("written: run.zarr\n")
+    whole = co.integrate(co.systems.rigid_body(), [1.0, 0.1, 0.5], (0.0, 1e6), 0.1, save_every=1000)
+    found = co.open_archive("run.zarr")
+    assert found.finished and np.array_equal(found.x, whole.x) and found.attributes["configuration"]
+    assert np.array_equal(found.drift()["energy"].tenths, whole.drift()["energy"].tenths)
+
+
+def test_a_second_interrupt_ends_it_at_once(folder):
+    code = SIGNAL.format(name="SIGINT", arguments=["run", "long.toml", "--out", "run.nc"])
+    twice = "import coadjoint.files.output as output, os, signal\n"
+    twice += "output.write_netcdf = lambda *given: os.kill(os.getpid(), signal.SIGINT)\n"
+    done = child(twice + code)
+    assert (done.returncode, done.stderr) == (130, "coadjoint: interrupted\n")
+    assert os.listdir(folder) == ["long.toml"]
+
+
+def interrupted_after(calls, monkeypatch):
+    """Let a run be interrupted in one of the calls of its loops, after some of its steps."""
+    from coadjoint.kernels.loop import Crew
+
+    original, left = Crew.advance, [calls]
+
+    def advance(self, layout, schedule, saved, state, k0, k1, stop):
+        left[0] -= 1
+        if left[0]:
+            return original(self, layout, schedule, saved, state, k0, k1, stop)
+        original(self, layout, schedule, saved, state, k0, (k0 + k1) // 2, stop)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Crew, "advance", advance)
+
+
+BODY, X = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, -1.0, 0.7)
+
+
+@pytest.mark.parametrize("options", [{}, {"attitude": True}, {"watch": False, "save_every": 7}, {"threads": 2}])
+def test_a_keyboard_interrupt_brings_what_there_is(monkeypatch, options):
+    x0 = np.multiply.outer(1.0 - 0.01 * np.arange(70), X) if "threads" in options else X
+    whole = co.integrate(BODY, x0, (0, 10), 0.125, **options)
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt) as stopped:
+        interrupted_after(1, patched)
+        co.integrate(BODY, x0, (0, 10), 0.125, **options)
+    found = stopped.value.partial
+    count = len(found.t)
+    there = np.isfinite(found.x)
+    # Of two crews the first one is done.
+    assert 1 < count < len(whole.t) or not there.all()
+    assert np.array_equal(found.t, whole.t[:count])
+    assert there.any(axis=-1).reshape(count, -1).any(axis=1).all()
+    assert np.array_equal(found.x[there], whole.x[:count][there])
+    assert np.array_equal(found.energy[np.isfinite(found.energy)], whole.energy[:count][np.isfinite(found.energy)])
+    deviation = np.nanmax(np.abs(found.energy - whole.energy[0]))
+    assert found.drift()["energy"] == deviation and not found.watched
+    if options.get("attitude"):
+        assert np.array_equal(found.attitude, whole.attitude[:count])
+
+
+def test_a_run_that_had_not_begun_has_nothing(monkeypatch):
+    def stop(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("coadjoint.kernels.loop.Crew.advance", stop)
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        co.integrate(BODY, X, (0, 10), 0.125)
+    assert len(stopped.value.partial.t) == 0 and stopped.value.partial.x.shape == (0, 3)
+
+
+def test_a_keyboard_interrupt_leaves_an_archive_that_goes_on(tmp_path, monkeypatch):
+    whole = co.integrate(BODY, X, (0, 100), 0.125)
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt) as stopped:
+        interrupted_after(5, patched)
+        co.integrate(BODY, X, (0, 100), 0.125, archive=tmp_path / "run.zarr")
+    partial = stopped.value.partial
+    assert 0 < partial.reached < 800 and np.array_equal(partial.x, whole.x[: partial.reached + 1])
+    assert np.array_equal(co.resume(tmp_path / "run.zarr").x, whole.x)
+
+
+def test_the_signal_of_a_context_is_told_once():
+    from coadjoint import interruption
+
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        interruption.hear()
+        with pytest.raises(interruption.Told) as told, interruption.raising():
+            signal.raise_signal(signal.SIGTERM)
+        assert told.value.number == signal.SIGTERM and told.value.said == "terminated"
+    finally:
+        for number in (signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
+        signal.signal(signal.SIGTERM, before)
