@@ -57,6 +57,7 @@ _HOME = {
     "PreparedRun": "coadjoint.runs.prepared_run",
     "Section": "coadjoint.runs.section",
     "Solution": "coadjoint.runs.solution",
+    "ensemble": "coadjoint.files.ensemble",
     "integrate": "coadjoint.runs.integrate",
     "prepare": "coadjoint.runs.prepared_run",
     "section": "coadjoint.runs.section",
@@ -122,6 +123,7 @@ if TYPE_CHECKING:
     from coadjoint.errors import IntegrationError as IntegrationError
     from coadjoint.files.archived_solution import open_archive as open_archive
     from coadjoint.files.archives import resume as resume
+    from coadjoint.files.ensemble import ensemble as ensemble
     from coadjoint.methods.commutator_free import CommutatorFree as CommutatorFree
     from coadjoint.methods.composition import Composition as Composition
     from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta as ExplicitRungeKutta

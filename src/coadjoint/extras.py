@@ -20,6 +20,7 @@ EXTRAS = {
     "mpmath": "precision",
     "sympy": "algebra",
     "ducc0": "fluids",
+    "distributed": "cluster",
 }
 """Package -> the extra that brings it, as pyproject.toml declares it; all others that are imported are requirements."""
 

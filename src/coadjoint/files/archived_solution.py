@@ -16,6 +16,7 @@ from coadjoint.errors import in_one_line
 from coadjoint.extras import need
 from coadjoint.files.archive_store import ArchiveError, ArchiveMoved, path_of, read_array, read_kept, read_root
 from coadjoint.files.archived_run import ACCOUNTS, FINISHED, STEPS, states_of
+from coadjoint.files.blocks import SIZE
 from coadjoint.files.export import solution_inputs
 from coadjoint.files.stored_arrays import GROWING, StoredArray
 from coadjoint.memory import check_room
@@ -250,6 +251,14 @@ class Read(Mapping[str, NDArray[Any]]):
         return len(self._labels)
 
 
+def _opened(path: Path, system: Any) -> ArchivedSolution:
+    if SIZE in read_root(path)[1]:
+        from coadjoint.files.archived_ensemble import ArchivedEnsemble
+
+        return ArchivedEnsemble(path, system)
+    return ArchivedSolution(path, system)
+
+
 def open_archive(path: str | Path, system: Any = None) -> ArchivedSolution:
     """Open the archive of a run, finished or not, also while it is written.
 
@@ -284,7 +293,7 @@ def open_archive(path: str | Path, system: Any = None) -> ArchivedSolution:
     place = path_of(path)
     for attempt in range(ATTEMPTS):
         try:
-            return ArchivedSolution(place, system)
+            return _opened(place, system)
         except ArchiveMoved as reason:  # it was committed to while it was opened
             if attempt == ATTEMPTS - 1:
                 raise ArchiveError(str(reason)) from None

@@ -109,7 +109,7 @@ class PreparedRun:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, _observed=None, _events=None, _making=threading.RLock(), _ends=[])
 
-    def among(self, first: int, last: int) -> PreparedRun:
+    def among(self, first: int, last: int, threads: int | None = None) -> PreparedRun:
         """Return the run of the members `first` to `last` - 1 alone, with the bits that they have among all.
 
         Of a batch it has their tables, and derives nothing. Members with noise keep that of their numbers.
@@ -118,6 +118,8 @@ class PreparedRun:
         ----------
         first, last : int
             Members of an ensemble.
+        threads : int, optional
+            For these members; None is as many as for all.
 
         Returns
         -------
@@ -133,6 +135,9 @@ class PreparedRun:
             state["_made"] = self._made if state["system"] is system else {}
         else:
             state["_made"] = self._made
+        if isinstance(self._attitude, np.ndarray) and self._attitude.ndim > 2:
+            state["_attitude"] = self._attitude[first:last]
+        state["_threads"] = threads or self._threads
         found: PreparedRun = object.__new__(PreparedRun)
         found.__setstate__(state)
         return found

@@ -332,14 +332,14 @@ def read_progress(progress: Any) -> bool:
 
 
 class progress_bar:
-    """A progress bar over the steps, or nothing."""
+    """A progress bar over the steps, or over what else is counted; or nothing."""
 
-    def __init__(self, steps: int, shown: bool) -> None:
+    def __init__(self, steps: int, shown: bool, unit: str = "step") -> None:
         self._bar: Any = None
         if shown:
             from tqdm import tqdm
 
-            self._bar = tqdm(total=steps, unit="step", unit_scale=True)
+            self._bar = tqdm(total=steps, unit=unit, unit_scale=True)
 
     def __enter__(self) -> Callable[[int], None]:
         return (lambda count: None) if self._bar is None else (lambda count: self._bar.update(count))

@@ -1,0 +1,102 @@
+"""What does the archive of an ensemble have to say? As that of one run, with members that may not be computed yet."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.files.archive_store import read_root
+from coadjoint.files.archived_run import ACCOUNTS, FINISHED, STEPS
+from coadjoint.files.archived_solution import ArchivedSolution, open_archive
+from coadjoint.files.blocks import NOT_YET, SIZE, STATUS, Block, blocks_of, read_about
+from coadjoint.runs.solution import Statistics
+
+
+class ArchivedEnsemble(ArchivedSolution):
+    """An ensemble in an archive, as far as its blocks had come when it was opened.
+
+    All times are there from the beginning. What was not computed yet is NaN, and `status` says which members are done.
+
+    Attributes
+    ----------
+    finished : bool
+        Whether every member has been computed to its end, or has failed.
+    reached : int
+        How many steps every member has taken.
+    status : ndarray of int, shape (members,)
+        0 for members that are not computed yet, 1 for those that are, 2 for those that have failed.
+    """
+
+    def __init__(self, path: Path, system: Any = None, folder: Any = None) -> None:
+        arrays, attributes = read_root(path)
+        self.__dict__.update(
+            path=path,
+            choice=None,
+            events=None,
+            _ending=None,
+            _error=None,
+            _began=None,
+            _given=system,
+            _arrays=arrays,
+            _attributes=attributes,
+            _accounts=tuple((force, name) for force, name in json.loads(attributes[ACCOUNTS])),
+            _folder=folder,
+        )
+
+    _folder: Any
+    """Removes the archive of a solution that is kept nowhere else."""
+
+    @cached_property
+    def blocks(self) -> list[Block]:
+        """Which members go together."""
+        return blocks_of(self._arrays["x0"].shape[0], int(self._attributes[SIZE]))
+
+    @cached_property
+    def _abouts(self) -> list[dict[str, Any]]:
+        """What the markers of the blocks say; nothing of those that have not begun."""
+        return [read_about(self.path, block.number) or {} for block in self.blocks]
+
+    @cached_property
+    def finished(self) -> bool:  # type: ignore[override]
+        """Whether every block is over."""
+        return all(about.get(FINISHED, 0) for about in self._abouts)
+
+    @cached_property
+    def reached(self) -> int:  # type: ignore[override]
+        """How many steps every member has taken."""
+        return min(int(about.get(STEPS, 0)) for about in self._abouts)
+
+    @cached_property
+    def status(self) -> NDArray[np.int64]:
+        """How far the members are."""
+        return self._whole(STATUS)
+
+    @cached_property
+    def stats(self) -> Statistics:
+        """The work done; the seconds are those of all workers together."""
+        done = {name: sum(about.get(name, 0) for about in self._abouts) for name in ("evaluations", "iterations")}
+        return Statistics(self.reached, **done, seconds=sum(float(about.get("seconds", 0.0)) for about in self._abouts))
+
+    @cached_property
+    def initial(self) -> Mapping[str, Any]:
+        """The energy and the Casimirs at the start."""
+        values = [self.energy, *self.casimirs.values()]
+        return {name: series[0] for name, series in zip(self._names, values, strict=True)}
+
+    @cached_property
+    def _worst(self) -> NDArray[np.float64]:
+        names = ("change", "balance") if self._accounts else ("drift",)
+        return np.concatenate([np.moveaxis(self._whole(name), 1, 2) for name in names], axis=-1)
+
+    def __repr__(self) -> str:
+        done = int(np.count_nonzero(self.status != NOT_YET))
+        return f"<archive {self.path}: {done} of {len(self.status)} members are computed>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return open_archive, (self.path, self._given)

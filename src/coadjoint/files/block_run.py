@@ -1,0 +1,172 @@
+"""How does a worker run one block of an ensemble? From the archive, into its own chunks of it, and to its marker."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint import __version__
+from coadjoint.files.archive_store import ArchiveError, ArchiveStore, array_key, read_root
+from coadjoint.files.archived_run import FINISHED, STEPS, ArchivedRun
+from coadjoint.files.blocks import DONE, FAILED, NOT_YET, STATUS, Block, lock_path, read_marker, write_marker
+from coadjoint.files.export import said_of
+from coadjoint.files.unfinished import locked
+from coadjoint.files.variables import over_time, summaries_of
+from coadjoint.files.whole_files import settle
+from coadjoint.runs.piecewise_run import PiecewiseRun
+from coadjoint.runs.times import times_of
+
+if TYPE_CHECKING:
+    from coadjoint.errors import IntegrationError
+    from coadjoint.files.stored_arrays import StoredArray
+    from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.times import Times
+
+BUSY = {"busy": True}
+
+
+class BlockRun(ArchivedRun):
+    """The run of a block, which writes itself down as that of an archive does.
+
+    Parameters
+    ----------
+    store : ArchiveStore
+        The archive of the ensemble.
+    ready : PreparedRun
+        The members of the block, made ready.
+    times : Times
+        The steps.
+    block : Block
+        Which members.
+    """
+
+    def __init__(self, store: ArchiveStore, ready: PreparedRun, times: Times, block: Block) -> None:
+        marker = read_marker(store.path, block.number)
+        x0, attitude = (_of_block(store, name, block) for name in ("x0", "attitude0"))
+        start = ready.start(x0, attitude)
+        rows, stored = store.arrays["time"].chunk[0], None if marker is None else marker.stored
+        self.store, self.block, self.run = store, block, PiecewiseRun(ready, times, start, rows, stored)
+        self.about: dict[str, Any] = {FINISHED: 0} if marker is None else marker.about
+        self._seconds = float(self.about.get("seconds", 0.0))
+        self._took, self._failure = 0.0, None
+        self._committed = -1 if marker is None else self.run.number
+
+    _committed: int
+    _failure: IntegrationError | None
+
+    def commit(self) -> None:
+        """Let everything count that the block has done."""
+        run, store, block, began = self.run, self.store, self.block, time.perf_counter()
+        if run.number == self._committed:
+            return
+        piece = run.piece()
+        written = {**over_time(piece), **summaries_of(piece)}
+        for name, (dims, values, _) in written.items():
+            store.write(name, values, (run.first, block.first) if dims[0] == "time" else (block.first,))
+        self._failure = run.failure(piece) if run.over else None
+        failed = np.asarray(piece.failed)
+        status = np.where(failed, FAILED, DONE) if run.over else np.full(len(failed), NOT_YET)
+        store.write(STATUS, status, (block.first,))
+        settle([store.path / name for name in (*written, STATUS)])
+        stats = piece.stats
+        self.about = {
+            STEPS: run.number,
+            FINISHED: int(run.over),
+            "evaluations": stats.evaluations,
+            "iterations": stats.iterations,
+            "seconds": self._seconds + stats.seconds,
+            "failed": int(failed.sum()),
+            "first_failed": block.first + int(failed.argmax()) if failed.any() else -1,
+            "rows": run.first + run.held,
+        }
+        if self._failure is not None:
+            self.about |= said_of(self._failure)
+            # The members of the block are numbered from its first; who failed is said of all of them.
+            who = f" for {failed.sum()} of {len(failed)} members (first: member {failed.argmax()})"
+            self.about["failed_reason"] = str(self._failure).replace(who, "")
+        write_marker(store.path, block.number, self.about, run.stored())
+        run.let_go()
+        self._took, self._committed = time.perf_counter() - began, run.number
+
+
+def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threads: int | None) -> dict[str, Any]:
+    """Run a block to its end, from where its marker says it is.
+
+    Parameters
+    ----------
+    archive : str
+        The archive of the ensemble.
+    block : Block
+        Which members.
+    ready : PreparedRun
+        All members, or those of the block alone, made ready.
+    whole : bool
+        Whether it is that of all members.
+    threads : int or None
+        As for `integrate`.
+
+    Returns
+    -------
+    dict
+        What the marker says: some numbers, and text where the block failed. ``{"busy": True}`` where another process
+        runs it.
+
+    Raises
+    ------
+    ArchiveError
+        The archive is not there, or cannot be written.
+    """
+    path = Path(archive)
+    try:
+        arrays, attributes = read_root(path)
+    except ArchiveError as reason:
+        raise ArchiveError(
+            f"{reason} on the machine {platform.node()}; every worker must see the folder by the same name"
+        ) from None
+    if attributes["coadjoint_version"] != __version__:
+        raise ArchiveError(
+            f"{path}: was begun by coadjoint {attributes['coadjoint_version']}, and the worker on {platform.node()} "
+            f"has {__version__}; install the same version everywhere"
+        )
+    lock = locked(lock_path(path, block.number), os.O_CREAT)
+    if lock is None:
+        return BUSY
+    try:
+        times = times_of(_span(attributes), float(attributes["step"]), int(attributes["save_every"]))
+        first, last = (block.first, block.last) if whole else (0, block.last - block.first)
+        own = ready.among(first, last, threads)
+        run = BlockRun(ArchiveStore(path, arrays, attributes, None), own, times, block)
+        if not run.about[FINISHED]:
+            run.advance()
+            run.commit()
+        return run.about
+    except ArchiveError:
+        raise
+    except OSError as reason:
+        said = reason.strerror or str(reason)
+        raise ArchiveError(
+            f"{path}: members {block.first} to {block.last - 1} could not be written on {platform.node()} ({said}); "
+            "the next call with this archive goes on"
+        ) from reason
+    finally:
+        os.close(lock)
+
+
+def _span(attributes: dict[str, Any]) -> Any:
+    return tuple(json.loads(attributes["t_span"]))
+
+
+def _of_block(store: ArchiveStore, name: str, block: Block) -> Any:
+    """Return the numbers of the members of a block at the start, or None where the archive has no such numbers."""
+    array: StoredArray | None = store.arrays.get(name)
+    if array is None:
+        return None
+    chunk = array.decoded((store.path / name / array_key((block.number, *(0,) * (len(array.shape) - 1)))).read_bytes())
+    values = chunk[: block.last - block.first]
+    return values[..., 0] + 1j * values[..., 1] if array.dims[-1] == "part" else values

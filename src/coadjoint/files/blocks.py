@@ -1,0 +1,166 @@
+"""Which members go together, and what is known of them? Blocks of an ensemble in an archive, each with one writer.
+
+Members go in blocks of one size; along the members each chunk of an array is one block, so that no two blocks share a
+file. Beside the arrays each block has in the hidden folder of the archive::
+
+    block-000012           how far it is, and the numbers from which it goes on: its marker
+    block-000012.lock      locked as long as somebody runs it
+
+A marker is replaced whole, after all chunks that it speaks of. A block is done when its marker says so. One that is
+damaged counts as none: the block is run again, to the same bits.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import itertools
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.files.archive_store import HIDDEN, array_key
+from coadjoint.files.whole_files import settle, write_whole
+
+if TYPE_CHECKING:
+    from coadjoint.files.stored_arrays import StoredArray
+
+SIZE = "archive_block"
+"""The attribute of an archive that says how many members a block has."""
+MEMBER = "member"
+STARTS = ("x0", "attitude0")
+STATUS = "status"
+NOT_YET, DONE, FAILED = 0, 1, 2
+ABOUT_STATUS = {
+    "long_name": "whether the member has been computed to its end",
+    "flag_values": [NOT_YET, DONE, FAILED],
+    "flag_meanings": "not_computed done failed",
+}
+BYTES = 2**22
+"""Of what the members of a block have at one time, at most, where the size of blocks is not given."""
+SIDE_BY_SIDE = 32
+"""Members that go side by side in the kernels."""
+BLOCKS_OF_A_WORKER = 4
+
+
+class Block(NamedTuple):
+    """The members `first` to `last` - 1 of an ensemble."""
+
+    number: int
+    first: int
+    last: int
+
+
+def blocks_of(members: int, size: int) -> list[Block]:
+    """Return all blocks of an ensemble.
+
+    Examples
+    --------
+    >>> blocks_of(5, 2)
+    [Block(number=0, first=0, last=2), Block(number=1, first=2, last=4), Block(number=2, first=4, last=5)]
+    """
+    return [Block(k, first, min(first + size, members)) for k, first in enumerate(range(0, members, size))]
+
+
+def size_of_blocks(members: int, numbers: int, workers: int) -> int:
+    """Return how many members a block has where that is not given.
+
+    There are some blocks for each worker, so that none waits long at the end; lanes are full, and chunks not large.
+
+    Examples
+    --------
+    >>> size_of_blocks(1000, 3, 2), size_of_blocks(10, 3, 2), size_of_blocks(1000, 10**6, 2)
+    (128, 2, 1)
+    """
+    fair = -(-members // (BLOCKS_OF_A_WORKER * workers))
+    if fair > SIDE_BY_SIDE:
+        fair = -(-fair // SIDE_BY_SIDE) * SIDE_BY_SIDE
+    return max(1, min(fair, members, BYTES // (8 * max(1, numbers))))
+
+
+class Marker(NamedTuple):
+    """How far a block is.
+
+    Parameters
+    ----------
+    about : dict
+        Plain numbers and text: steps that were taken, whether it is over, the work of it, and its failure if it failed.
+    stored : dict
+        Numbers and arrays from which it goes on.
+    """
+
+    about: dict[str, Any]
+    stored: dict[str, NDArray[Any]]
+
+
+def marker_path(archive: Path, number: int) -> Path:
+    """Return the file of the marker of a block."""
+    return archive / HIDDEN / f"block-{number:06d}"
+
+
+def lock_path(archive: Path, number: int) -> Path:
+    """Return the file that is locked while a block is run."""
+    return archive / HIDDEN / f"block-{number:06d}.lock"
+
+
+def write_marker(archive: Path, number: int, about: Mapping[str, Any], stored: Mapping[str, Any]) -> None:
+    """Write the marker of a block, whole; a first line of text, and the numbers after it."""
+    content = io.BytesIO()
+    np.savez(content, **{name: np.asarray(value) for name, value in stored.items()})  # type: ignore[arg-type]
+    raw = content.getvalue()
+    head = json.dumps({"about": dict(about), "bytes": len(raw), "numbers": hashlib.sha256(raw).hexdigest()})
+    line = f"{hashlib.sha256(head.encode()).hexdigest()} {head}\n"
+    write_whole(marker_path(archive, number), line.encode() + raw)
+    settle([archive / HIDDEN])
+
+
+def read_about(archive: Path, number: int) -> dict[str, Any] | None:
+    """Return what the marker of a block says, without its numbers; None where there is none, or a damaged one."""
+    try:
+        with open(marker_path(archive, number), "rb") as file:
+            return dict(_head(file.readline())["about"])
+    except (OSError, ValueError, LookupError, TypeError):
+        return None
+
+
+def read_marker(archive: Path, number: int) -> Marker | None:
+    """Return the marker of a block; None where there is none, or a damaged one."""
+    try:
+        line, _, raw = marker_path(archive, number).read_bytes().partition(b"\n")
+        head = _head(line)
+        if hashlib.sha256(raw).hexdigest() != head["numbers"]:
+            return None
+        with np.load(io.BytesIO(raw), allow_pickle=False) as arrays:
+            return Marker(dict(head["about"]), {name: arrays[name] for name in arrays.files})
+    except (OSError, ValueError, LookupError, TypeError):
+        return None
+
+
+def _head(line: bytes) -> dict[str, Any]:
+    digest, _, text = line.decode("utf-8").rstrip("\n").partition(" ")
+    if hashlib.sha256(text.encode()).hexdigest() != digest:
+        raise ValueError("the marker is damaged")
+    found: dict[str, Any] = json.loads(text)
+    return found
+
+
+def chunks_of(arrays: Mapping[str, StoredArray], block: Block, rows: int) -> Iterator[tuple[str, tuple[int, ...]]]:
+    """Yield the chunks of a block of which so many rows are written: array, and numbers along the axes."""
+    for name, array in arrays.items():
+        if MEMBER not in array.dims or name in STARTS:
+            continue
+        along = [range(-(-size // chunk)) for size, chunk in zip(array.shape, array.chunk, strict=True)]
+        along[array.dims.index(MEMBER)] = range(block.number, block.number + 1)
+        if array.grows:
+            along[0] = range(-(-rows // array.chunk[0]))
+        for place in itertools.product(*along):
+            yield name, place
+
+
+def is_whole(archive: Path, arrays: Mapping[str, StoredArray], block: Block, rows: int) -> bool:
+    """Return whether all chunks are there of which a marker speaks: somebody may have removed some."""
+    return all((archive / name / array_key(place)).is_file() for name, place in chunks_of(arrays, block, rows))

@@ -1,0 +1,212 @@
+"""How is the archive of an ensemble begun, and gone on with? Preallocated: all times and members are known."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Mapping
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from coadjoint.files.archive_store import ArchiveError, ArchiveStore, array_key
+from coadjoint.files.archived_run import ACCOUNTS, FINISHED, FIRST_STEP, STEPS, first_step
+from coadjoint.files.archives import check_new
+from coadjoint.files.blocks import (
+    ABOUT_STATUS,
+    MEMBER,
+    NOT_YET,
+    SIZE,
+    STATUS,
+    Block,
+    blocks_of,
+    is_whole,
+    lock_path,
+    marker_path,
+    read_about,
+    size_of_blocks,
+)
+from coadjoint.files.export import attributes_of
+from coadjoint.files.stored_arrays import TYPES, StoredArray, rows_of_chunk
+from coadjoint.files.unfinished import Unfinished
+from coadjoint.files.variables import Variables, accounts_of, coordinates_of, over_time, starts_of, summaries_of
+from coadjoint.runs.piecewise_run import PiecewiseRun
+
+if TYPE_CHECKING:
+    from coadjoint.runs.prepared_run import PreparedRun
+    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.start import Start
+    from coadjoint.runs.times import Times
+
+SAME = {
+    "system": "the system",
+    "sign": "the sign of the system",
+    "method": "the scheme",
+    "t_span": "t_span",
+    "step": "the step",
+    "save_every": "save_every",
+    "watch": "watch",
+    "attitude_carried": "the attitude",
+    "not_stored": "the functions",
+    ACCOUNTS: "the forces",
+    "coadjoint_version": "the version of coadjoint",
+    FIRST_STEP: "the first step, by a function or a number that is not stored,",
+}
+"""What an archive must have in common with a run that goes on with it, and what it is called in a message."""
+
+
+class Ensemble(NamedTuple):
+    """All members of a run, made ready, with their start and times."""
+
+    ready: PreparedRun
+    times: Times
+    start: Start
+
+    def at_start(self) -> Solution:
+        """Return the run before its first step."""
+        run = PiecewiseRun(self.ready, self.times, self.start, 1)
+        run.advance(0)
+        return run.piece()
+
+
+def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: int, beside: Variables) -> ArchiveStore:
+    """Make a new archive, with the starts of all members and no more.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+        What will run.
+    archive : str or Path
+        A new folder.
+    size : int or None
+        How many members go together.
+    workers : int
+        For how many workers blocks are made, where their size is not given.
+    beside : mapping
+        Further coordinates along the members.
+    """
+    target = check_new(archive)
+    piece = ensemble.at_start()
+    members = len(ensemble.start.momenta)
+    growing = over_time(piece)
+    longest = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values()) // members
+    size = min(members, size or size_of_blocks(members, longest, workers))
+    rows = rows_of_chunk(longest * size, ensemble.times.every_point)
+    fixed: Variables = {**starts_of(piece), **beside}
+    for name, values in coordinates_of(piece).items():
+        fixed[name] = ((name,), np.asarray(ensemble.times.seen if name == "time" else values), {})
+    later: Variables = {**growing, **summaries_of(piece), STATUS: ((MEMBER,), np.full(members, NOT_YET), ABOUT_STATUS)}
+    points = ensemble.times.every_point
+    arrays = {name: _array(*entry, size, rows, points) for name, entry in (fixed | later).items()}
+    with Unfinished(target) as unfinished:
+        store = ArchiveStore.begun(unfinished.place, arrays)
+        try:
+            for name, (_, values, _) in fixed.items():
+                store.write(name, np.asarray(values))
+            about = f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}"
+            attributes: dict[str, Any] = {"platform": about}
+            attributes |= {**described(ensemble, piece), SIZE: size, FINISHED: 0, STEPS: 0}
+            if beside:
+                attributes["coordinates"] = " ".join(beside)
+            store.commit(attributes, {"time": points})
+            store.path = target
+            os.rename(unfinished.place, target)
+        except OSError as reason:
+            store.close()
+            raise ArchiveError(f"{target}: cannot be written ({reason.strerror}); give another name") from None
+        except BaseException:
+            store.close()
+            raise
+    return store
+
+
+def described(ensemble: Ensemble, piece: Solution) -> dict[str, Any]:
+    """Return what tells a run from others."""
+    return {
+        **attributes_of(piece),
+        ACCOUNTS: json.dumps(accounts_of(piece)),
+        FIRST_STEP: first_step(ensemble.ready, ensemble.times, ensemble.start),
+    }
+
+
+def _array(
+    dims: tuple[str, ...], values: Any, attributes: Mapping[str, Any], size: int, rows: int, points: int
+) -> StoredArray:
+    """Return an array whose chunks along the members are blocks."""
+    shape = list(np.shape(values))
+    if dims[0] == "time":
+        shape[0] = points
+    lengths = {"time": rows, MEMBER: size}
+    chunk = [max(1, lengths.get(name, length)) for name, length in zip(dims, shape, strict=True)]
+    kind = TYPES.get(np.asarray(values).dtype.kind, "string")
+    return StoredArray(dims, kind, tuple(shape), tuple(chunk), dict(attributes))
+
+
+def check_same(ensemble: Ensemble, store: ArchiveStore) -> None:
+    """Refuse an archive of another run, by the name of the first thing that differs."""
+    piece = ensemble.at_start()
+    mine, theirs = described(ensemble, piece), store.attributes
+    if SIZE not in theirs:
+        raise ArchiveError(f"{store.path}: is the archive of one run, not of an ensemble; give another name")
+    for name, (_, values, _) in starts_of(piece).items():
+        array = store.arrays.get(name)
+        if array is None or not _equal(store, name, array, np.asarray(values)):
+            what = {"x0": "x0", "attitude0": "the initial attitude"}[name]
+            raise ArchiveError(f"{store.path}: is the archive of another ensemble: {what} differs; give another name")
+    for key, what in SAME.items():
+        if mine.get(key) != theirs.get(key):
+            raise ArchiveError(f"{store.path}: is the archive of another ensemble: {what} differs; give another name")
+    if set(over_time(piece)) - set(store.arrays):
+        raise ArchiveError(f"{store.path}: is the archive of another ensemble: observe differs; give another name")
+
+
+def _equal(store: ArchiveStore, name: str, array: StoredArray, values: Any) -> bool:
+    """Return whether an array has these numbers, to the bit; it is read chunk after chunk."""
+    if array.shape != values.shape:
+        return False
+    for place, inside, outside in array.chunks_at((0,) * len(array.shape), array.shape):
+        held = array.decoded((store.path / name / array_key(place)).read_bytes())[inside]
+        if held.tobytes() != np.ascontiguousarray(values[outside]).tobytes():
+            return False
+    return True
+
+
+def left_of(store: ArchiveStore) -> list[Block]:
+    """Return the blocks that are not done."""
+    found = []
+    for block in blocks_of(store.arrays["x0"].shape[0], int(store.attributes[SIZE])):
+        about = read_about(store.path, block.number)
+        if about is not None and not is_whole(store.path, store.arrays, block, int(about["rows"])):
+            marker_path(store.path, block.number).unlink()
+            about = None
+        if about is None or not about[FINISHED]:
+            found.append(block)
+    return found
+
+
+def finish(store: ArchiveStore) -> dict[str, Any]:
+    """Say in the root that every block is done, and return what it says of failures."""
+    blocks = blocks_of(store.arrays["x0"].shape[0], int(store.attributes[SIZE]))
+    abouts = [read_about(store.path, block.number) or {} for block in blocks]
+    said: dict[str, Any] = {
+        FINISHED: 1,
+        STEPS: min(int(about[STEPS]) for about in abouts),
+        "evaluations": sum(int(about["evaluations"]) for about in abouts),
+        "iterations": sum(int(about["iterations"]) for about in abouts),
+        "seconds": sum(float(about["seconds"]) for about in abouts),
+    }
+    broken = [about for about in abouts if about.get("run_failed")]
+    if broken:
+        count, first = sum(about["failed"] for about in abouts), broken[0]
+        members = store.arrays["x0"].shape[0]
+        said |= {name: value for name, value in first.items() if name.startswith(("run_failed", "failed_"))}
+        if count:
+            who = f"{count} of {members} members failed, the first of them is member {first['first_failed']}: "
+            said["failed_reason"] = f"{who}{first['failed_reason']}"
+    store.commit(said, {"time": store.arrays["time"].shape[0]})
+    for block in blocks:
+        lock_path(store.path, block.number).unlink(missing_ok=True)
+    return said

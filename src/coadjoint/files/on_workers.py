@@ -1,0 +1,141 @@
+"""Who runs the blocks of an ensemble? Workers of Dask, which send back some numbers each and nothing else."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import multiprocessing
+import secrets
+import time
+from typing import TYPE_CHECKING, Any
+
+from coadjoint.files.archive_store import ArchiveError, ArchiveStore
+from coadjoint.files.block_run import BUSY, run_block
+from coadjoint.runs.run import progress_bar
+from coadjoint.systems.batch import Batch
+
+if TYPE_CHECKING:
+    from coadjoint.files.blocks import Block
+    from coadjoint.runs.prepared_run import PreparedRun
+
+RETRIES = 3
+"""How often a block is run again where its worker, or what was sent to it, is lost by no fault of the cluster."""
+SECONDS_BETWEEN_LOOKS = 0.5
+SECONDS_WITHOUT_SCHEDULER = 10.0
+SECONDS_BETWEEN_TRIES = 2.0
+
+
+def on_processes(
+    workers: int, store: ArchiveStore, left: list[Block], ready: PreparedRun, threads: int | None, progress: bool
+) -> None:
+    """Run blocks in processes of this machine, which end with this call.
+
+    Raises
+    ------
+    RuntimeError
+        This process is one that imports the script of another.
+    """
+    if not left:
+        return
+    if multiprocessing.parent_process() is not None and multiprocessing.current_process().daemon:
+        raise RuntimeError(
+            "ensemble(workers=) was called while a worker imports the script; put the call below "
+            'if __name__ == "__main__":'
+        )
+    distributed: Any = importlib.import_module("distributed")
+    alone = {"threads_per_worker": 1, "processes": True, "dashboard_address": None, "memory_limit": None}
+    with (
+        distributed.LocalCluster(n_workers=min(workers, len(left)), **alone) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        on_client(client, store, left, ready, threads, progress)
+
+
+def on_client(
+    client: Any,
+    store: ArchiveStore,
+    left: list[Block],
+    ready: PreparedRun,
+    threads: int | None,
+    progress: bool,
+) -> None:
+    """Run blocks on the workers of a client.
+
+    Tables go to each worker once. Where members have tables of their own, each block gets those of its members.
+
+    Raises
+    ------
+    ArchiveError
+        The cluster is lost, or a block cannot be written.
+    """
+    with progress_bar(sum(block.last - block.first for block in left), progress, "member") as bar:
+        for _ in range(RETRIES):
+            left, failure = _round(client, store, left, ready, threads or 1, bar)
+            if not left:
+                return
+            if isinstance(failure, ArchiveError):
+                raise failure
+    members = sum(block.last - block.first for block in left)
+    raise ArchiveError(
+        f"{store.path}: {members} members could not be computed, since workers were lost again and again "
+        f"({type(failure).__name__}: {failure}); the next call with this archive goes on"
+    ) from failure
+
+
+def _round(
+    client: Any, store: ArchiveStore, left: list[Block], ready: PreparedRun, threads: int, bar: Any
+) -> tuple[list[Block], BaseException | None]:
+    """Submit blocks and wait for them; return those that are not done, and why the first of them is not."""
+    distributed: Any = importlib.import_module("distributed")
+    archive, token, whole = str(store.path), secrets.token_hex(4), not isinstance(ready.system, Batch)
+    ready.loops(_signed(store, ready)).make_all()  # here, so that no worker makes them
+    everything: Any = client.scatter(ready, broadcast=True, hash=False) if whole else None
+
+    def submitted(block: Block, again: int) -> Any:
+        given = everything if whole else ready.among(block.first, block.last)
+        key = f"coadjoint-{token}-{block.number}-{again}"
+        return client.submit(run_block, archive, block, given, whole, threads, key=key, pure=False)
+
+    tasks = {submitted(block, 0): block for block in left}
+    undone: list[Block] = []
+    failure: BaseException | None = None
+    tries, seen = 0, time.monotonic()
+    try:
+        while tasks:
+            try:
+                done = distributed.wait(list(tasks), timeout=SECONDS_BETWEEN_LOOKS, return_when="FIRST_COMPLETED").done
+            except TimeoutError:
+                done = set()
+            seen = time.monotonic() if client.status == "running" else seen
+            if time.monotonic() - seen > SECONDS_WITHOUT_SCHEDULER:
+                raise ArchiveError(
+                    f"{store.path}: the scheduler of the cluster is lost; what was done is kept, and the next call "
+                    "with this archive goes on"
+                )
+            busy = []
+            for task in done:
+                block = tasks.pop(task)
+                reason = task.exception() if task.status == "error" else None
+                if task.status != "finished":
+                    undone.append(block)
+                    failure = failure or reason or RuntimeError(f"a task is {task.status}")
+                elif task.result() == BUSY:
+                    busy.append(block)
+                else:
+                    bar(block.last - block.first)
+            if busy:
+                # A task of an earlier call still runs them; it ends, or is lost with its worker.
+                time.sleep(SECONDS_BETWEEN_TRIES)
+                tries += 1
+                tasks |= {submitted(block, tries): block for block in busy}
+    except BaseException:
+        if client.status == "running":
+            client.cancel(list(tasks), force=True)
+        raise
+    return undone, failure
+
+
+def _signed(store: ArchiveStore, ready: PreparedRun) -> float:
+    """Return the step with its sign."""
+    first, last = json.loads(store.attributes["t_span"])
+    return ready.step if last >= first else -ready.step
