@@ -118,7 +118,7 @@ def test_the_extras_are_those_of_the_project():
     }
     assert all(package in declared[extra] for package, extra in EXTRAS.items())
     assert set().union(*(declared[extra] for extra in EXTRAS.values())) == set(EXTRAS)
-    assert declared["all"] == {"coadjoint[functions,io,plot,cli,precision,algebra,fluids]"}
+    assert declared["all"] == {"coadjoint[functions,io,plot,cli,precision,algebra,fluids,cluster]"}
     assert "coadjoint[all]" in declared["dev"]
     needed = {requirement.partition(">=")[0] for requirement in project["dependencies"]}
     assert {modules.get(name, name) for name in needed} == CORE - {"coadjoint"}

@@ -44,7 +44,7 @@ class ArchivedEnsemble(ArchivedSolution):
             _began=None,
             _given=system,
             _arrays=arrays,
-            _attributes=attributes,
+            attributes=attributes,
             _accounts=tuple((force, name) for force, name in json.loads(attributes[ACCOUNTS])),
             _folder=folder,
         )
@@ -55,7 +55,7 @@ class ArchivedEnsemble(ArchivedSolution):
     @cached_property
     def blocks(self) -> list[Block]:
         """Which members go together."""
-        return blocks_of(self._arrays["x0"].shape[0], int(self._attributes[SIZE]))
+        return blocks_of(self._arrays["x0"].shape[0], int(self.attributes[SIZE]))
 
     @cached_property
     def _abouts(self) -> list[dict[str, Any]]:
@@ -85,7 +85,7 @@ class ArchivedEnsemble(ArchivedSolution):
 
     @cached_property
     def initial(self) -> Mapping[str, Any]:
-        """The energy and the Casimirs at the start."""
+        """The invariants at the first time, which for members that have not begun are NaN."""
         values = [self.energy, *self.casimirs.values()]
         return {name: series[0] for name, series in zip(self._names, values, strict=True)}
 

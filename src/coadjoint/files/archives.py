@@ -91,7 +91,7 @@ def archive_run(
             store = begun(ready, times, start, unfinished.place, int(save_every), about)
             store.moved(target)
     except OSError as reason:
-        raise _unmade(target, reason) from None
+        raise unmade(target, reason) from None
     return _run_on(store, ready, times, start, None, progress, until)
 
 
@@ -137,11 +137,12 @@ def check_new(archive: str | Path) -> Path:
             raise ArchiveError(f"{target}: the folder {target.parent} does not exist; make it first")
         remove_leftovers(target)
     except OSError as reason:
-        raise _unmade(target, reason) from None
+        raise unmade(target, reason) from None
     return target
 
 
-def _unmade(target: Path, reason: OSError) -> ArchiveError:
+def unmade(target: Path, reason: OSError) -> ArchiveError:
+    """Return the error for a new archive that cannot be made."""
     return ArchiveError(f"{target}: cannot be made ({reason.strerror}); give another name")
 
 

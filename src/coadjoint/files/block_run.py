@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint import __version__
-from coadjoint.files.archive_store import ArchiveError, ArchiveStore, array_key, read_root
+from coadjoint.files.archive_store import ArchiveError, ArchiveStore, ArchiveUnwritten, array_key, read_root
 from coadjoint.files.archived_run import FINISHED, STEPS, ArchivedRun
 from coadjoint.files.blocks import DONE, FAILED, NOT_YET, STATUS, Block, lock_path, read_marker, write_marker
 from coadjoint.files.export import said_of
@@ -56,6 +56,8 @@ class BlockRun(ArchivedRun):
         self._seconds = float(self.about.get("seconds", 0.0))
         self._took, self._failure = 0.0, None
         self._committed = -1 if marker is None else self.run.number
+        if marker is None:
+            self.run.advance(0)
 
     _committed: int
     _failure: IntegrationError | None
@@ -120,7 +122,9 @@ def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threa
     Raises
     ------
     ArchiveError
-        The archive is not there, or cannot be written.
+        The archive is not there, or of another version of the library.
+    ArchiveUnwritten
+        It cannot be written.
     """
     path = Path(archive)
     try:
@@ -146,11 +150,11 @@ def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threa
             run.advance()
             run.commit()
         return run.about
-    except ArchiveError:
+    except ArchiveUnwritten:
         raise
     except OSError as reason:
         said = reason.strerror or str(reason)
-        raise ArchiveError(
+        raise ArchiveUnwritten(
             f"{path}: members {block.first} to {block.last - 1} could not be written on {platform.node()} ({said}); "
             "the next call with this archive goes on"
         ) from reason

@@ -11,7 +11,7 @@ import numpy as np
 
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
-from coadjoint.files.archive_store import ArchiveError, ArchiveStore
+from coadjoint.files.archive_store import ArchiveStore, ArchiveUnwritten, path_of
 from coadjoint.files.archived_ensemble import ArchivedEnsemble
 from coadjoint.files.archived_solution import open_archive
 from coadjoint.files.block_run import BUSY, run_block
@@ -90,8 +90,9 @@ def ensemble(
     ValueError, TypeError
         For wrong input, before the first step.
     ArchiveError
-        The archive is of another ensemble, somebody else is writing to it, it cannot be written, or the cluster is
-        lost. What was done is kept.
+        The archive is of another ensemble, somebody else is writing to it, or it cannot be made.
+    ArchiveUnwritten
+        It could not be written while members ran, or the cluster is lost. What was done is kept: call again.
     IntegrationError
         Members fail. The others are computed to their ends first; ``.partial`` is the ensemble.
 
@@ -124,7 +125,7 @@ def ensemble(
     whole = Ensemble(ready, times, start)
     beside = _along_members({} if coordinates is None else coordinates, len(start.momenta))
     folder = tempfile.TemporaryDirectory(prefix="coadjoint-") if archive is None else None
-    path = Path(folder.name, "ensemble.zarr") if folder is not None else Path(str(archive)).absolute()
+    path = Path(folder.name, "ensemble.zarr") if folder is not None else path_of(archive).absolute()
     if path.exists():
         store = ArchiveStore.opened(path)
         try:
@@ -197,7 +198,7 @@ def _here(store: ArchiveStore, left: list[Block], ready: PreparedRun, progress: 
     with progress_bar(sum(block.last - block.first for block in left), progress, "member") as bar:
         for block in left:
             if run_block(str(store.path), block, ready, True, None) == BUSY:
-                raise ArchiveError(f"{store.path}: another process is still running some members; try again later")
+                raise ArchiveUnwritten(f"{store.path}: another process is still running some members; try again later")
             bar(block.last - block.first)
 
 

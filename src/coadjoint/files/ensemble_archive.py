@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections.abc import Mapping
 from math import prod
@@ -14,7 +13,7 @@ import numpy as np
 
 from coadjoint.files.archive_store import ArchiveError, ArchiveStore, array_key
 from coadjoint.files.archived_run import ACCOUNTS, FINISHED, FIRST_STEP, STEPS, first_step
-from coadjoint.files.archives import check_new
+from coadjoint.files.archives import check_new, unmade
 from coadjoint.files.blocks import (
     ABOUT_STATUS,
     MEMBER,
@@ -101,25 +100,23 @@ def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: in
     later: Variables = {**growing, **summaries_of(piece), STATUS: ((MEMBER,), np.full(members, NOT_YET), ABOUT_STATUS)}
     points = ensemble.times.every_point
     arrays = {name: _array(*entry, size, rows, points) for name, entry in (fixed | later).items()}
-    with Unfinished(target) as unfinished:
-        store = ArchiveStore.begun(unfinished.place, arrays)
-        try:
-            for name, (_, values, _) in fixed.items():
-                store.write(name, np.asarray(values))
-            about = f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}"
-            attributes: dict[str, Any] = {"platform": about}
-            attributes |= {**described(ensemble, piece), SIZE: size, FINISHED: 0, STEPS: 0}
-            if beside:
-                attributes["coordinates"] = " ".join(beside)
-            store.commit(attributes, {"time": points})
-            store.path = target
-            os.rename(unfinished.place, target)
-        except OSError as reason:
-            store.close()
-            raise ArchiveError(f"{target}: cannot be written ({reason.strerror}); give another name") from None
-        except BaseException:
-            store.close()
-            raise
+    about = f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}"
+    attributes = {**described(ensemble, piece), "platform": about, SIZE: size, FINISHED: 0, STEPS: 0}
+    if beside:
+        attributes["coordinates"] = " ".join(beside)
+    try:
+        with Unfinished(target) as unfinished:
+            store = ArchiveStore.begun(unfinished.place, arrays)
+            try:
+                for name, (_, values, _) in fixed.items():
+                    store.write(name, np.asarray(values))
+                store.commit(attributes, {"time": points})
+            except BaseException:
+                store.close()
+                raise
+            store.moved(target)
+    except OSError as reason:
+        raise unmade(target, reason) from None
     return store
 
 

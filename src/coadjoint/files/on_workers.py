@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import importlib
 import json
-import multiprocessing
 import secrets
 import time
+from concurrent.futures import CancelledError
 from typing import TYPE_CHECKING, Any
 
-from coadjoint.files.archive_store import ArchiveError, ArchiveStore
+from coadjoint.files.archive_store import ArchiveError, ArchiveStore, ArchiveUnwritten
 from coadjoint.files.block_run import BUSY, run_block
 from coadjoint.runs.run import progress_bar
 from coadjoint.systems.batch import Batch
@@ -33,21 +33,20 @@ def on_processes(
     Raises
     ------
     RuntimeError
-        This process is one that imports the script of another.
+        No worker has started.
     """
     if not left:
         return
-    if multiprocessing.parent_process() is not None and multiprocessing.current_process().daemon:
-        raise RuntimeError(
-            "ensemble(workers=) was called while a worker imports the script; put the call below "
-            'if __name__ == "__main__":'
-        )
     distributed: Any = importlib.import_module("distributed")
-    alone = {"threads_per_worker": 1, "processes": True, "dashboard_address": None, "memory_limit": None}
-    with (
-        distributed.LocalCluster(n_workers=min(workers, len(left)), **alone) as cluster,
-        distributed.Client(cluster) as client,
-    ):
+    alone = {"threads_per_worker": 1, "processes": True, "dashboard_address": ":0", "memory_limit": None}
+    try:
+        cluster = distributed.LocalCluster(n_workers=min(workers, len(left)), **alone)
+    except RuntimeError as reason:
+        raise RuntimeError(
+            "the workers of ensemble(workers=) did not start; each of them imports the script, so that the call must "
+            'stand below if __name__ == "__main__":'
+        ) from reason
+    with cluster, distributed.Client(cluster) as client:
         on_client(client, store, left, ready, threads, progress)
 
 
@@ -65,18 +64,20 @@ def on_client(
 
     Raises
     ------
-    ArchiveError
+    ArchiveUnwritten
         The cluster is lost, or a block cannot be written.
+    ArchiveError
+        A worker does not see the archive, or has another version of the library.
     """
     with progress_bar(sum(block.last - block.first for block in left), progress, "member") as bar:
         for _ in range(RETRIES):
             left, failure = _round(client, store, left, ready, threads or 1, bar)
             if not left:
                 return
-            if isinstance(failure, ArchiveError):
+            if isinstance(failure, ArchiveError | ArchiveUnwritten):
                 raise failure
     members = sum(block.last - block.first for block in left)
-    raise ArchiveError(
+    raise ArchiveUnwritten(
         f"{store.path}: {members} members could not be computed, since workers were lost again and again "
         f"({type(failure).__name__}: {failure}); the next call with this archive goes on"
     ) from failure
@@ -86,7 +87,6 @@ def _round(
     client: Any, store: ArchiveStore, left: list[Block], ready: PreparedRun, threads: int, bar: Any
 ) -> tuple[list[Block], BaseException | None]:
     """Submit blocks and wait for them; return those that are not done, and why the first of them is not."""
-    distributed: Any = importlib.import_module("distributed")
     archive, token, whole = str(store.path), secrets.token_hex(4), not isinstance(ready.system, Batch)
     ready.loops(_signed(store, ready)).make_all()  # here, so that no worker makes them
     everything: Any = client.scatter(ready, broadcast=True, hash=False) if whole else None
@@ -102,22 +102,16 @@ def _round(
     tries, seen = 0, time.monotonic()
     try:
         while tasks:
-            try:
-                done = distributed.wait(list(tasks), timeout=SECONDS_BETWEEN_LOOKS, return_when="FIRST_COMPLETED").done
-            except TimeoutError:
-                done = set()
+            done = _done(client, tasks)
             seen = time.monotonic() if client.status == "running" else seen
             if time.monotonic() - seen > SECONDS_WITHOUT_SCHEDULER:
-                raise ArchiveError(
-                    f"{store.path}: the scheduler of the cluster is lost; what was done is kept, and the next call "
-                    "with this archive goes on"
-                )
+                raise _lost(store)
             busy = []
             for task in done:
                 block = tasks.pop(task)
-                reason = task.exception() if task.status == "error" else None
                 if task.status != "finished":
                     undone.append(block)
+                    reason = task.exception() if task.status == "error" else None
                     failure = failure or reason or RuntimeError(f"a task is {task.status}")
                 elif task.result() == BUSY:
                     busy.append(block)
@@ -128,11 +122,32 @@ def _round(
                 time.sleep(SECONDS_BETWEEN_TRIES)
                 tries += 1
                 tasks |= {submitted(block, tries): block for block in busy}
+    except ArchiveUnwritten:
+        raise
+    except (OSError, CancelledError) as reason:
+        # What a connection raises that is lost.
+        raise _lost(store) from reason
     except BaseException:
         if client.status == "running":
             client.cancel(list(tasks), force=True)
         raise
     return undone, failure
+
+
+def _done(client: Any, tasks: Any) -> Any:
+    """Wait until some task has ended, or for a while; return those that have."""
+    distributed: Any = importlib.import_module("distributed")
+    try:
+        return distributed.wait(list(tasks), timeout=SECONDS_BETWEEN_LOOKS, return_when="FIRST_COMPLETED").done
+    except TimeoutError:
+        return set()
+
+
+def _lost(store: ArchiveStore) -> ArchiveUnwritten:
+    return ArchiveUnwritten(
+        f"{store.path}: the scheduler of the cluster is lost; what was done is kept, and the next call with this "
+        "archive goes on"
+    )
 
 
 def _signed(store: ArchiveStore, ready: PreparedRun) -> float:

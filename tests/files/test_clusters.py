@@ -1,0 +1,253 @@
+"""Ensembles on workers of Dask: the bits of one machine, whatever is lost on the way."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from distributed import Client, LocalCluster
+
+import coadjoint as co
+from coadjoint.files.archive_store import ArchiveError, ArchiveUnwritten
+from coadjoint.files.blocks import read_about
+from coadjoint.files.unfinished import locked
+
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+X = np.random.default_rng(3).standard_normal((11, 3))
+ALONE = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0", "memory_limit": None}
+
+
+@pytest.fixture(scope="module")
+def client():
+    with LocalCluster(**ALONE) as cluster, Client(cluster) as found:
+        yield found
+
+
+def assert_same(found, expected):
+    mine, theirs = found.to_xarray().load(), expected.to_xarray()
+    for name in theirs.variables:
+        np.testing.assert_array_equal(mine[name].values, theirs[name].values, err_msg=name)
+
+
+def derive(*given, **more):
+    raise AssertionError("tables are derived on a worker")
+
+
+def forbid():
+    """Let every derivation of tables on this worker fail."""
+    from coadjoint.methods.splitting import Splitting
+
+    Splitting.kept_loop, Splitting.loop = Splitting.loop, derive
+
+
+def allow():
+    from coadjoint.methods.splitting import Splitting
+
+    Splitting.loop = Splitting.kept_loop
+
+
+@pytest.mark.parametrize("name", ["one system", "batch", "noise"])
+def test_the_bits_of_one_machine(tmp_path, client, name):
+    system = {
+        "one system": BODY,
+        "batch": co.batch([co.systems.rigid_body(inertia=(1, 2, 2 + 0.0625 * k)) for k in range(11)]),
+        "noise": BODY.with_forces(co.forces.HeatBath(0.3, temperature=0.5, seed=4)),
+    }[name]
+    attitude = name != "noise"
+    archive = tmp_path / "many.zarr"
+    if name != "noise":
+        client.run(forbid)
+    try:
+        found = co.ensemble(
+            system, X, (0, 2), 0.125, archive=archive, client=client, members_per_block=4, attitude=attitude
+        )
+    finally:
+        if name != "noise":
+            client.run(allow)
+    assert_same(found, co.integrate(system, X, (0, 2), 0.125, attitude=attitude))
+
+
+def test_results_never_move_through_the_client(tmp_path, client):
+    """Of 20 MB in the archive workers send some thousand bytes, those of their states of health included."""
+
+    def sent(dask_worker):
+        return dask_worker.transfer_outgoing_bytes_total
+
+    def moved():
+        return sum(client.run(sent).values())
+
+    before = moved()
+    assert client.submit(bytes, 10**6).result() and moved() - before > 10**6
+    before = moved()
+    many = np.random.default_rng(1).standard_normal((256, 3))
+    found = co.ensemble(BODY, many, (0, 500), 0.125, archive=tmp_path / "many.zarr", client=client)
+    assert found.x.nbytes > 2e7
+    assert moved() - before < 1e5
+
+
+def test_a_client_needs_an_archive(client):
+    with pytest.raises(TypeError, match="was given a client and no archive"):
+        co.ensemble(BODY, X, (0, 2), 0.125, client=client)
+
+
+def test_a_folder_that_workers_do_not_see(tmp_path, client, monkeypatch):
+    from coadjoint.files import on_workers
+
+    real = on_workers.run_block
+    monkeypatch.setattr(on_workers, "run_block", lambda archive, *given: real(f"{archive}-elsewhere", *given))
+    with pytest.raises(ArchiveError, match=r"there is no archive of a run on the machine .*every worker must see"):
+        co.ensemble(BODY, X, (0, 2), 0.125, archive=tmp_path / "many.zarr", client=client, members_per_block=4)
+
+
+def test_a_block_that_an_earlier_call_still_runs_is_waited_for(tmp_path, client, monkeypatch):
+    archive = tmp_path / "many.zarr"
+    with pytest.raises(ArchiveUnwritten):
+        with monkeypatch.context() as lost:
+            lost.setattr("coadjoint.files.ensemble.run_block", lambda *given: {"busy": True})
+            co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, members_per_block=4)
+    lock = locked(archive / ".coadjoint" / "block-000001.lock", os.O_CREAT)
+    from threading import Timer
+
+    Timer(3.0, os.close, [lock]).start()
+    began = time.monotonic()
+    found = co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, client=client)
+    assert time.monotonic() - began > 2.5
+    assert_same(found, co.integrate(BODY, X, (0, 2), 0.125))
+
+
+SLOW = """
+import sys
+import numpy as np
+import coadjoint as co
+import coadjoint.files.block_run as block_run
+
+X = np.random.default_rng(3).standard_normal((11, 3))
+BODY = co.systems.rigid_body(inertia=(1, 2, 3))
+SPAN = (0, {span})
+
+
+if __name__ == "__main__":
+    co.ensemble(BODY, X, SPAN, 0.125, archive={archive!r}, save_every=2000, members_per_block=1, {how})
+"""
+SPAN = 250_000
+
+
+def whole():
+    return co.integrate(BODY, X, (0, SPAN), 0.125, save_every=2000)
+
+
+def script(tmp_path, archive, how):
+    path = tmp_path / "script.py"
+    path.write_text(SLOW.format(span=SPAN, archive=str(archive), how=how))
+    return [sys.executable, str(path)]
+
+
+def until(condition, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "nothing happens"
+        time.sleep(0.02)
+
+
+def done(archive):
+    """Return the numbers of the blocks that are done."""
+    return {k for k in range(11) if (read_about(archive, k) or {}).get("archive_finished")}
+
+
+def written(archive):
+    """Return what tells when each block was done."""
+    return {k: (archive / ".coadjoint" / f"block-{k:06d}").stat().st_mtime_ns for k in done(archive)}
+
+
+def test_a_worker_is_killed(tmp_path, client):
+    archive, killed = tmp_path / "many.zarr", []
+
+    def kill():
+        until(lambda: archive.exists() and done(archive))
+        pid = next(iter(client.run(os.getpid, nanny=False).values()))
+        os.kill(pid, signal.SIGKILL)
+        killed.append(pid)
+
+    from threading import Thread
+
+    thread = Thread(target=kill)
+    thread.start()
+    found = co.ensemble(BODY, X, (0, SPAN), 0.125, archive=archive, client=client, save_every=2000, members_per_block=1)
+    thread.join()
+    assert killed
+    assert_same(found, whole())
+
+
+def test_the_client_is_killed_and_called_again(tmp_path):
+    archive = tmp_path / "many.zarr"
+    process = subprocess.Popen(script(tmp_path, archive, "workers=1"), stderr=subprocess.DEVNULL)
+    until(lambda: archive.exists() and len(done(archive)) >= 2)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    before = written(archive)
+    assert 2 <= len(before) < 11
+    found = co.ensemble(BODY, X, (0, SPAN), 0.125, archive=archive, save_every=2000)
+    after = written(archive)
+    assert {k: after[k] for k in before} == before, "what was done is not computed again"
+    assert_same(found, whole())
+
+
+def test_the_scheduler_is_killed_and_another_one_started(tmp_path):
+    archive = tmp_path / "many.zarr"
+
+    def begun():
+        file = tmp_path / "scheduler.json"
+        file.unlink(missing_ok=True)
+        dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+        worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboard"]
+        here = ["--scheduler-file", str(file)]
+        quiet = {"stderr": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "cwd": tmp_path}
+        scheduler = subprocess.Popen([*dask, *here, "--port", "0", "--no-dashboard"], **quiet)
+        until(file.exists)
+        return scheduler, subprocess.Popen([*worker, *here, "--death-timeout", "5", "--no-nanny"], **quiet), file
+
+    def run(file):
+        with Client(scheduler_file=str(file), timeout=30) as client:
+            client.wait_for_workers(1, timeout=60)
+            return co.ensemble(
+                BODY, X, (0, SPAN), 0.125, archive=archive, client=client, save_every=2000, members_per_block=1
+            )
+
+    scheduler, worker, file = begun()
+    try:
+        from threading import Thread
+
+        def kill():
+            until(lambda: archive.exists() and len(done(archive)) >= 2)
+            scheduler.send_signal(signal.SIGKILL)
+
+        Thread(target=kill).start()
+        with pytest.raises(ArchiveUnwritten, match="the next call with this archive goes on"):
+            run(file)
+    finally:
+        for process in (scheduler, worker):
+            process.kill()
+            process.wait()
+    before = written(archive)
+    assert len(before) >= 2
+    scheduler, worker, file = begun()
+    try:
+        found = run(file)
+    finally:
+        for process in (scheduler, worker):
+            process.kill()
+            process.wait()
+    after = written(archive)
+    assert {k: after[k] for k in before} == before
+    assert_same(found, whole())
+
+
+def test_a_script_without_a_guard_is_told(tmp_path):
+    path = Path(script(tmp_path, tmp_path / "many.zarr", "workers=1")[1])
+    path.write_text(path.read_text().replace('if __name__ == "__main__":', "if True:"))
+    found = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, timeout=120)
+    assert found.returncode != 0 and 'if __name__ == "__main__":' in found.stderr
