@@ -33,7 +33,7 @@ class ArchivedEnsemble(ArchivedSolution):
         0 for members that are not computed yet, 1 for those that are, 2 for those that have failed.
     """
 
-    def __init__(self, path: Path, system: Any = None, folder: Any = None) -> None:
+    def __init__(self, path: Path, system: Any = None) -> None:
         arrays, attributes = read_root(path)
         self.__dict__.update(
             path=path,
@@ -46,11 +46,7 @@ class ArchivedEnsemble(ArchivedSolution):
             _arrays=arrays,
             attributes=attributes,
             _accounts=tuple((force, name) for force, name in json.loads(attributes[ACCOUNTS])),
-            _folder=folder,
         )
-
-    _folder: Any
-    """Removes the archive of a solution that is kept nowhere else."""
 
     @cached_property
     def blocks(self) -> list[Block]:

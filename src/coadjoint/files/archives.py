@@ -14,6 +14,7 @@ import numpy as np
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
 from coadjoint.files.archive_store import ArchiveError, ArchiveStore, path_of, read_kept
+from coadjoint.files.archived_ensemble import ArchivedEnsemble
 from coadjoint.files.archived_run import (
     ACCOUNTS,
     FINISHED,
@@ -209,6 +210,12 @@ def resume(
     need("an archive of a run", "xarray", "zarr")
     place = path_of(path)
     found = open_archive(place, system)
+    if isinstance(found, ArchivedEnsemble):
+        from coadjoint.files.ensemble import resume_ensemble
+
+        if t_end is not None or events is not None or until is not None:
+            raise ValueError("resume takes no t_end, events or until for an ensemble in blocks; give neither")
+        return resume_ensemble(found, system, observe, threads, progress)
     if found.finished and (t_end is None or found.attributes.get("run_failed")):
         return _told(found)
     store = ArchiveStore.opened(place)

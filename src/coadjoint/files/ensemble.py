@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
+import weakref
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,9 +15,9 @@ from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
 from coadjoint.files.archive_store import ArchiveStore, ArchiveUnwritten, path_of
 from coadjoint.files.archived_ensemble import ArchivedEnsemble
-from coadjoint.files.archived_solution import open_archive
 from coadjoint.files.block_run import BUSY, run_block
 from coadjoint.files.ensemble_archive import Ensemble, begun, check_same, finish, left_of
+from coadjoint.files.given_functions import asked_again
 from coadjoint.given import read_whole
 from coadjoint.methods.base import Method
 from coadjoint.runs.prepared_run import PreparedRun
@@ -124,8 +126,29 @@ def ensemble(
         raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs (members, ...), and integrate takes one")
     whole = Ensemble(ready, times, start)
     beside = _along_members({} if coordinates is None else coordinates, len(start.momenta))
-    folder = tempfile.TemporaryDirectory(prefix="coadjoint-") if archive is None else None
-    path = Path(folder.name, "ensemble.zarr") if folder is not None else path_of(archive).absolute()
+    folder = tempfile.mkdtemp(prefix="coadjoint-") if archive is None else None
+    try:
+        return _run(whole, folder, archive, size, crew, beside, client, workers, own, progress)
+    except BaseException as stopped:
+        if folder is not None and getattr(stopped, "partial", None) is None:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def _run(
+    whole: Ensemble,
+    folder: str | None,
+    archive: Any,
+    size: int | None,
+    crew: int,
+    beside: Any,
+    client: Any,
+    workers: int | None,
+    threads: int | None,
+    progress: bool,
+) -> ArchivedEnsemble:
+    """Begin the archive or go on with it, and run what is left of it."""
+    ready, path = whole.ready, Path(folder, "ensemble.zarr") if folder is not None else path_of(archive).absolute()
     if path.exists():
         store = ArchiveStore.opened(path)
         try:
@@ -143,13 +166,15 @@ def ensemble(
             from coadjoint.files.on_workers import on_client, on_processes
 
             if client is not None:
-                on_client(client, store, left, ready, own, progress)
+                on_client(client, store, left, ready, threads, progress)
             else:
-                on_processes(crew, store, left, ready, own, progress)
+                on_processes(crew, store, left, ready, threads, progress)
         said = finish(store)
     finally:
         store.close()
-    found = ArchivedEnsemble(path, system, folder)
+    found = ArchivedEnsemble(path, ready.system)
+    if folder is not None:
+        weakref.finalize(found, shutil.rmtree, folder, ignore_errors=True)
     if said.get("run_failed"):
         raise IntegrationError(
             said["failed_reason"],
@@ -159,6 +184,24 @@ def ensemble(
             partial=found,
         )
     return found
+
+
+def resume_ensemble(
+    found: ArchivedEnsemble, system: Any, observe: Mapping[str, Any] | None, threads: int | None, progress: bool
+) -> ArchivedEnsemble:
+    """Compute in this process what is missing of an ensemble, as `coadjoint.resume` does."""
+    given = asked_again(found.path, found, system, observe, None)
+    inputs = found.inputs()
+    return ensemble(
+        **{
+            name: inputs[name]
+            for name in ("system", "x0", "t_span", "step", "method", "save_every", "attitude", "watch")
+        },
+        observe=given.observe,
+        archive=found.path,
+        threads=threads,
+        progress=progress,
+    )
 
 
 def _crew_of(client: Any, workers: Any) -> int:
@@ -200,6 +243,3 @@ def _here(store: ArchiveStore, left: list[Block], ready: PreparedRun, progress: 
             if run_block(str(store.path), block, ready, True, None) == BUSY:
                 raise ArchiveUnwritten(f"{store.path}: another process is still running some members; try again later")
             bar(block.last - block.first)
-
-
-__all__ = ["ensemble", "open_archive"]

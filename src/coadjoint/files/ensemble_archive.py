@@ -29,6 +29,8 @@ from coadjoint.files.blocks import (
     size_of_blocks,
 )
 from coadjoint.files.export import attributes_of
+from coadjoint.files.fingerprints import same_fingerprint
+from coadjoint.files.given_functions import GIVEN, OBSERVED, said_of_functions
 from coadjoint.files.stored_arrays import TYPES, StoredArray, rows_of_chunk
 from coadjoint.files.unfinished import Unfinished
 from coadjoint.files.variables import Variables, accounts_of, coordinates_of, over_time, starts_of, summaries_of
@@ -49,7 +51,7 @@ SAME = {
     "save_every": "save_every",
     "watch": "watch",
     "attitude_carried": "the attitude",
-    "not_stored": "the functions",
+    OBSERVED: "observe",
     ACCOUNTS: "the forces",
     "coadjoint_version": "the version of coadjoint",
     FIRST_STEP: "the first step, by a function or a number that is not stored,",
@@ -125,6 +127,7 @@ def described(ensemble: Ensemble, piece: Solution) -> dict[str, Any]:
     return {
         **attributes_of(piece),
         ACCOUNTS: json.dumps(accounts_of(piece)),
+        **said_of_functions(ensemble.ready, ()),
         FIRST_STEP: first_step(ensemble.ready, ensemble.times, ensemble.start),
     }
 
@@ -152,12 +155,18 @@ def check_same(ensemble: Ensemble, store: ArchiveStore) -> None:
         array = store.arrays.get(name)
         if array is None or not _equal(store, name, array, np.asarray(values)):
             what = {"x0": "x0", "attitude0": "the initial attitude"}[name]
-            raise ArchiveError(f"{store.path}: is the archive of another ensemble: {what} differs; give another name")
+            raise _another(store, f"{what} differs")
+    known, given = json.loads(theirs[GIVEN]), json.loads(mine[GIVEN])
+    for name in known.keys() | given.keys():
+        if not same_fingerprint(known.get(name, {}), given.get(name, {})):
+            raise _another(store, f"the code or the numbers of functions of {name} differ")
     for key, what in SAME.items():
         if mine.get(key) != theirs.get(key):
-            raise ArchiveError(f"{store.path}: is the archive of another ensemble: {what} differs; give another name")
-    if set(over_time(piece)) - set(store.arrays):
-        raise ArchiveError(f"{store.path}: is the archive of another ensemble: observe differs; give another name")
+            raise _another(store, f"{what} differs")
+
+
+def _another(store: ArchiveStore, said: str) -> ArchiveError:
+    return ArchiveError(f"{store.path}: is the archive of another ensemble: {said}; give another name")
 
 
 def _equal(store: ArchiveStore, name: str, array: StoredArray, values: Any) -> bool:
