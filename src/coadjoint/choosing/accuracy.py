@@ -29,6 +29,8 @@ from coadjoint.wording import short
 # The error is aimed this much below the accuracy, and rounding alone may leave no more than half of it.
 SAFETY = 3.0
 MODERATE_ORDER = 8
+# An error that is so many times what was aimed at is accepted.
+NEARLY = 2.0
 ROUNDING_SHARE = 0.5
 # The least error that is aimed at; a smaller one could not be divided by.
 LEAST = 2.0**-1000
@@ -211,7 +213,7 @@ def _goal(candidate: Candidate, wanted: float) -> float:
     """Return the error that is aimed at: errors of a high order vary more with the step, and less costs little."""
     if candidate.method.own_steps:
         return wanted / SAFETY
-    return max(wanted / (SAFETY * max(1.0, candidate.method.order / MODERATE_ORDER)), LEAST)
+    return max(wanted / (SAFETY * max(1.0, candidate.method.order / MODERATE_ORDER) ** 2), LEAST)
 
 
 def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[Fit]:
@@ -245,7 +247,8 @@ def _confirmed_cheapest(exact: Sequence[Fit], wanted: float) -> list[Fit]:
     waiting, confirmed_ones = sorted(exact, key=lambda each: each.cost), list[Fit]()
     while waiting and (not confirmed_ones or waiting[0].cost < min(each.cost for each in confirmed_ones)):
         first = waiting.pop(0)
-        confirmed_ones.append(confirmed(first, _goal(first.candidate, wanted), wanted * (1.0 - ROUNDING_SHARE)))
+        goal = _goal(first.candidate, wanted)
+        confirmed_ones.append(confirmed(first, goal, min(NEARLY * goal, wanted * (1.0 - ROUNDING_SHARE))))
     confirmed_ones.sort(key=lambda each: each.cost)
     return [confirmed_ones[0], *sorted([*confirmed_ones[1:], *waiting], key=lambda each: each.cost)]
 
