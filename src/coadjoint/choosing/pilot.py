@@ -30,7 +30,7 @@ FEW = 12
 # A step of the reference is right when two of half its size agree with it so far.
 SETTLED = 2.0**-40
 # Radians, at the rate of the start, that one step of it hardly ever takes.
-AT_ONCE = 8.0
+AT_ONCE = 2.0
 # Steps of the reference in a window, in dimension 16 or less; in proportion fewer above, but at least POINTS / 5.
 WINDOW_STEPS = 240
 FEW_WINDOWS = 5.0
