@@ -13,8 +13,10 @@ ONE_THREAD := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1
 # Random runs of `make soak`: take another first seed each time.
 FIRST ?= 0
 COUNT ?= 3000
+# Configurations, and as many calls, of `make fuzz`.
+FUZZED ?= 50000
 
-.PHONY: demo test long core mutants soak sanitize compilers aarch64 bench kernels package packages release-checks clean
+.PHONY: demo test long core mutants soak fuzz sanitize compilers aarch64 bench kernels package packages release-checks clean
 
 demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -44,6 +46,11 @@ mutants: kernels
 # Random systems, schemes and crowds: the same bits in any company, and an end to every run.
 soak: kernels
 	cd tests && ../$(BIN)/python -m random_runs.soak $(FIRST) $(COUNT) --jobs 2
+
+# Configurations and calls with wild values: a result or one sentence for each, however many.
+fuzz: kernels
+	cd tests && ../$(BIN)/python -m fuzz.run configurations $(FIRST) $(FUZZED) --jobs 2
+	cd tests && ../$(BIN)/python -m fuzz.run calls $(FIRST) $(FUZZED) --jobs 2
 
 # The kernels built to find their own faults, under tests and random runs.
 sanitize: kernels

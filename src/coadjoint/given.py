@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Collection, Iterable, Mapping, Sized
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ FEW = 64  # numbers that Python looks at quicker than NumPy
 SMALL = 2**16  # numbers for which there is always room
 LONGEST_TITLE = 200
 BYTES_PER_ENTRY = 64
+MOST_DIMENSIONS = 32  # of an array of objects whose entries can be looked at
 DEEPEST = 64  # lists in lists, as many as an array has dimensions at most
 
 
@@ -36,6 +38,17 @@ def is_real(value: Any) -> bool:
         return not isinstance(value, bool)
     # Decimal is a number, but registered as no kind of it.
     return isinstance(value, numbers.Number) and not isinstance(value, numbers.Complex)
+
+
+def size_of_range(values: range) -> int:
+    """Return how many numbers a range says, which may be more than `len` can.
+
+    Examples
+    --------
+    >>> size_of_range(range(10**30)) == 10**30
+    True
+    """
+    return max(0, -((values.start - values.stop) // values.step))
 
 
 def is_of_a_ring(value: Any) -> bool:
@@ -82,14 +95,22 @@ def array_given(values: Any, what: str, kinds: str = REAL) -> NDArray[Any]:
         array = values
     else:
         refuse_what_is_lost(values, what)
+        if isinstance(values, range):  # which may say more numbers than it holds
+            check_room(8 * size_of_range(values), f"{what}, {short(values)},")
         try:
             array = np.asarray(values)
-        except (TypeError, ValueError, OverflowError, RecursionError):
+        except MemoryError:
+            raise ValueError(f"{what} does not fit into memory; give fewer numbers") from None
+        except Exception:  # whatever an object raises that is asked for its numbers
             raise no_numbers(values, what) from None
     kind = array.dtype.kind
     if kind in kinds:
         return array
-    if kind != "O" or not all(map(is_of_a_ring if "c" in kinds else is_real, array.flat)):
+    if (
+        kind != "O"
+        or array.ndim > MOST_DIMENSIONS
+        or not all(map(is_of_a_ring if "c" in kinds else is_real, array.flat))
+    ):
         raise no_numbers(values, what)
     return array
 
@@ -297,6 +318,19 @@ def title(text: str) -> str:
     'so(3) + so(4)'
     """
     return text if len(text) <= LONGEST_TITLE else f"{text[: LONGEST_TITLE - 3]}..."
+
+
+def read_path(value: Any, what: str) -> Path:
+    """Return the name of a file or a folder, or refuse what is none.
+
+    Examples
+    --------
+    >>> read_path("run.nc", "path").suffix
+    '.nc'
+    """
+    if not isinstance(value, str | Path):
+        raise TypeError(f"{what} is {short(value)}; give the name of a file, as text or as a pathlib.Path")
+    return Path(value)
 
 
 def read_list(values: Any, what: str, rule: str) -> tuple[Any, ...]:

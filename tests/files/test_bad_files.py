@@ -107,6 +107,13 @@ CASES = {
     "long file name": (OWN + f'[output]\nfile = "{"a" * 300}.nc"', "output.file: aaaaa"),
     "long folder": (OWN + f'[output]\nfigure = "{"a/" * 10**5}.png"', "output.figure: a/a"),
     "file name with NUL": (OWN + '[output]\nfile = "a\\u0000.nc"', "output.file: a?.nc: cannot be written"),
+    "nested exponents": (hamiltonian("[[1, [[2], 0, 0]]]"), "hamiltonian.polynomial: the term [1, [[2]"),
+    "a parameter called name": (NAMED.replace("a = 2.0", "a = 2.0, name = 1"), "algebra.parameters.name: no "),
+    "a parameter of no system": (body("rigid_body", "body").replace("inertia", "name"), "system: unknown "),
+    "a size beyond float64": (
+        READY_MADE + f'[sweep]\nsamples = 2\nseed = 1\n[sweep.over]\n"initial.x" = {{sphere = {HEXADECIMAL}}}',
+        "sweep.over.initial.x.sphere: must be a positive number",
+    ),
     "suffix": (OWN + '[output]\nfile = "a.csv"', "output.file: a.csv: the suffix says the format"),
     "long line": ("a" * 10**5, "line 1, column 100001: expected '=' after a key"),
     "text that does not end": ('a = """' + "b" * 10**5, "line 1, column 100008: unterminated string"),

@@ -11,6 +11,7 @@ from pathlib import Path
 from coadjoint import forces, systems
 from coadjoint.methods import registry
 
+from .plausible import gently, plausible
 from .wild import EXECUTED, FORMULAS, KEYS, NUMBERS, PLACES, SUFFIXES, TEXTS, any_name, wild
 from .written import toml
 
@@ -61,11 +62,12 @@ def _quick(table):
 def draw(seed):
     """Return the bytes of a configuration file that a seed draws."""
     chosen = random.Random(f"configuration {seed}")
-    table = copy.deepcopy(chosen.choice(_BASES))
-    for _ in range(chosen.choice((1, 1, 1, 1, 2, 2, 3, 5))):
-        chosen.choice(_CHANGES)(chosen, table)
+    kind = chosen.random()
+    table = plausible(chosen) if kind < 0.5 else copy.deepcopy(chosen.choice(_BASES))
+    for _ in range(chosen.choice((0, 1, 1, 2) if kind < 0.5 else (1, 1, 1, 2, 3, 5))):
+        chosen.choice(_GENTLE if kind < 0.6 else _CHANGES)(chosen, table)
     text = toml(table).encode("utf-8", "surrogatepass")
-    if chosen.random() < 0.15:
+    if kind > 0.9:
         for _ in range(chosen.choice((1, 1, 2, 5, 30))):
             text = _other_bytes(chosen, text)
     return text
@@ -106,6 +108,12 @@ def _text_changed(chosen, table):
         container, key = chosen.choice(found)
         kinds = (TEXTS, FORMULAS, EXECUTED, [place + suffix for place in PLACES for suffix in SUFFIXES])
         container[key] = any_name(chosen) if chosen.random() < 0.4 else chosen.choice(chosen.choice(kinds))
+
+
+def _gently_changed(chosen, table):
+    container, key = _slot(chosen, table)
+    if not (isinstance(container, dict) and key not in container):
+        container[key] = gently(chosen, container[key])
 
 
 def _taken_out(chosen, table):
@@ -169,6 +177,9 @@ def _written(chosen, table):
 
 _CHANGES = (_replaced, _replaced, _number_changed, _number_changed, _text_changed, _taken_out, _renamed, _added, _moved)
 _CHANGES = (*_CHANGES, _of_another, _wrapped, _of_one_name, _of_one_name, _written)
+
+
+_GENTLE = (*4 * (_gently_changed,), _number_changed, _replaced, _taken_out, _of_one_name, _moved)
 
 
 def _other_bytes(chosen, text):

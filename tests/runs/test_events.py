@@ -316,3 +316,16 @@ def test_what_is_wrong_is_refused():
         co.integrate(BODY, FLIPPING, (0, 1), 0.125, events="x1")
     with pytest.raises(co.IntegrationError, match="not a number at t = "):
         co.integrate(BODY, FLIPPING, (0, 20), 0.125, events=co.Event(lambda x: np.sqrt(x[1])))
+
+
+@pytest.mark.parametrize(
+    "system", [co.systems.vlasov_moments(), co.systems.heavy_top()], ids=lambda system: system.name
+)
+def test_a_group_element_beside_the_state_changes_no_crossing(system):
+    """Also of a scheme in C++ that moves group elements of the size that its tables have."""
+    x0 = np.cos(1.0 + np.arange(system.dim))
+    event, method = co.Event(int(np.argmin(abs(x0)))), co.methods.get("CommutatorFree")
+    alone = co.integrate(system, x0, (0, 6), 1 / 16, method, events=event)
+    beside = co.integrate(system, x0, (0, 6), 1 / 16, method, events=event, attitude="coadjoint")
+    assert len(alone.events.t) > 0
+    np.testing.assert_array_equal(beside.events.x, alone.events.x)

@@ -14,7 +14,7 @@ from coadjoint.algebra.exact import exact_numbers
 from coadjoint.algebra.generic_rank import generic_rank
 from coadjoint.algebra.joins import Integers
 from coadjoint.algebra.sparse_actions import actions, coadjoint_entries, neighbours, structure_operator
-from coadjoint.given import array_given, read_whole
+from coadjoint.given import array_given, no_numbers, read_whole
 from coadjoint.memory import check_room
 
 if TYPE_CHECKING:
@@ -200,6 +200,8 @@ class Structure:
                 read_whole(i, "an index of u", 0, self._dim - 1)
             indices = np.array(sorted(u), dtype=np.int64)
             coefficients = array_given([u[i] for i in sorted(u)], "u", "iufc") if u else np.zeros(0)
+            if coefficients.ndim != 1:
+                raise no_numbers(list(u.values()), "u")
         else:
             vector, _ = self._vector(u, "u")
             indices = np.flatnonzero(vector != 0).astype(np.int64)

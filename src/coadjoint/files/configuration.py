@@ -20,6 +20,7 @@ from coadjoint.files.swept_members import swept_states, swept_system
 from coadjoint.files.swept_settings import as_coordinates
 from coadjoint.files.variables import About, Variables
 from coadjoint.files.written_events import event_of_file
+from coadjoint.given import read_path
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import Method
 from coadjoint.methods.forced import check_serves, serving
@@ -241,7 +242,7 @@ def load(path: str | Path) -> Configuration:
     coadjoint.files.configuration_parts.ConfigurationError: none.toml: cannot be read (No such file or directory)
     """
     need("reading a configuration file", "pydantic")
-    name, text = str(path), text_of(path)
+    name, text = str(read_path(path, "path")), text_of(path)
     return _configured(name, text, tables_of(name, text))
 
 

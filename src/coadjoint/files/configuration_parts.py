@@ -15,6 +15,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.written_brackets import read_brackets
 from coadjoint.errors import in_one_line
 from coadjoint.files.polynomials import read_polynomial
+from coadjoint.given import read_choice
 from coadjoint.memory import check_room
 from coadjoint.methods import registry
 from coadjoint.methods.base import Method
@@ -138,8 +139,9 @@ def _ready_made(name: str, system: str, parameters: Mapping[str, Any]) -> System
     from coadjoint.files.configuration_models import unknown_key
     from coadjoint.systems.ready_made import ready_made_systems
 
-    builder = ready_made_systems().get(system)
-    known = inspect.signature(builder).parameters if builder is not None else parameters
+    with section(name, "system"):
+        builder = ready_made_systems()[read_choice(system, "system", ready_made_systems())]
+    known = inspect.signature(builder).parameters
     for key in parameters:
         if key not in known:
             raise ConfigurationError(f"{name}: system.parameters.{key}: {unknown_key(key, known)}")
@@ -201,6 +203,8 @@ def _algebra(name: str, table: AlgebraTable) -> LieAlgebra:
     if not own:
         if table.name is None:
             raise ConfigurationError(f"{name}: algebra.name: is missing; give it, or brackets with dim or basis")
+        if "name" in table.parameters:
+            raise ConfigurationError(f"{name}: algebra.parameters.name: no algebra has a parameter of this name")
         with section(name, "algebra"):
             return catalogue.get(table.name, **table.parameters)
     if table.name is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from coadjoint.files.written_events import events_of, variables_of, written_even
 from coadjoint.methods import registry
 from coadjoint.runs.times import times_of
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.wording import short
 
 if TYPE_CHECKING:
     import xarray
@@ -152,6 +154,8 @@ def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = N
 
     Raises
     ------
+    TypeError
+        It is no dataset.
     ValueError
         Something that the motion depends on was not stored, or the dataset is damaged; what is wrong is named.
 
@@ -162,7 +166,9 @@ def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = N
     >>> solution_inputs(sol.to_xarray())["t_span"]
     (0.0, 1.0)
     """
-    attributes = dataset.attrs
+    attributes = getattr(dataset, "attrs", None)
+    if not isinstance(attributes, Mapping):
+        raise TypeError(f"{short(dataset)} is no dataset; give one that xarray has read")
     absent = [key for key in NEEDED if key not in attributes]
     if absent:
         raise ValueError(f"the dataset has no attribute {absent[0]!r}; it was not written by coadjoint")

@@ -68,7 +68,7 @@ def array_of_file(path: Path, named: str) -> NDArray[Any]:
     check_room(2 * size, f"the states in {short(named)}")
     try:
         found = np.load(path, allow_pickle=False)
-    except (OSError, EOFError, ValueError):
+    except (OSError, EOFError, ValueError, MemoryError):  # a header may promise more than there is
         found = None
     if not isinstance(found, np.ndarray) or found.dtype.kind not in "iufc":
         raise ValueError(f"{short(named)} holds no array of numbers")

@@ -14,6 +14,7 @@ from coadjoint.extras import need
 from coadjoint.files.netcdf_file import write_netcdf
 from coadjoint.files.unfinished import Unfinished, remove_leftovers
 from coadjoint.files.zarr_store import INDEX, write_zarr, written_by_coadjoint
+from coadjoint.given import read_path
 
 if TYPE_CHECKING:
     import xarray
@@ -76,7 +77,7 @@ def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
     ...
     coadjoint.files.output.OutputError: run.csv: the suffix says the format; it must be .nc or .zarr
     """
-    target, allowed = Path(path), tuple(suffixes)
+    target, allowed = read_path(path, "path"), tuple(suffixes)
     if target.suffix not in allowed:
         listed = " or ".join(part for part in (", ".join(allowed[:-1]), allowed[-1]) if part)
         raise OutputError(f"{path}: the suffix says the format; it must be {listed}")

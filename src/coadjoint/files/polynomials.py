@@ -50,7 +50,10 @@ def read_polynomial(given: Any, dim: int) -> Polynomial:
         coefficient, exponents = term
         if len(exponents) != dim:
             raise ValueError(f"the term {short(term)} has {len(exponents)} exponents; the system has {dim} coordinates")
-        degree = sum(e for e in exponents if type(e) is int)
+        for exponent in exponents:
+            if type(exponent) is not int:
+                raise TypeError(f"the term {short(term)} has the exponent {short(exponent)}; give whole numbers")
+        degree = sum(exponents)
         if degree > MOST_DEGREE:
             raise too_high(f"the term {short(term)}", degree)
         if type(coefficient) is int and not fits(coefficient):

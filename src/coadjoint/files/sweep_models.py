@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema, model_validator
 
+from coadjoint.algebra.exact import fits
 from coadjoint.given import is_real
 from coadjoint.wording import short
 
@@ -22,7 +23,7 @@ def _two(value: Any) -> Any:
 
 
 def _positive(value: Any) -> Any:
-    if not is_real(value) or not 0.0 < value < float("inf"):
+    if not is_real(value) or not fits(value) or value <= 0:
         raise ValueError(f"must be a positive number, not {short(value, 60)}")
     return value
 

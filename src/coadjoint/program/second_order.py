@@ -147,11 +147,14 @@ class Samples:
 
     def sizes(self, orders: Sequence[Sequence[int]]) -> Floats:
         """Return the root mean square of H2 over the points, shape (sets, orders)."""
-        terms = self.second_order_terms(orders)
-        squares = np.zeros(terms.shape[:2])
-        for k in range(terms.shape[2]):
-            squares += terms[..., k] ** 2
-        return np.asarray(np.sqrt(squares / terms.shape[2]))
+        # A term that leaves float64 is larger than all others.
+        with np.errstate(over="ignore", invalid="ignore"):
+            terms = self.second_order_terms(orders)
+            squares = np.zeros(terms.shape[:2])
+            for k in range(terms.shape[2]):
+                squares += terms[..., k] ** 2
+            found = np.sqrt(squares / terms.shape[2])
+        return np.where(np.isnan(found), np.inf, found)
 
     def nested_brackets(self, j: NDArray[np.int64], k: NDArray[np.int64]) -> Floats:
         """Return {H_i, {H_j, H_k}} of the first set for all its parts i and pairs (j, k), shape (parts, pairs, k)."""

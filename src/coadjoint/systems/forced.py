@@ -224,7 +224,7 @@ class ForcedSystem:
         return {label: float(slope @ force.field(self.system, y, t)) for label, force in pairs}
 
     def __repr__(self) -> str:
-        return f"<{self.system!r} with {', '.join(map(str, self.forces))}>"
+        return f"<{short(self.system, 200)} with {', '.join(map(str, self.forces))}>"
 
     def _repr_html_(self) -> str:
         from coadjoint.systems.table import table_of

@@ -292,7 +292,7 @@ class Quadratic:
     def __call__(self, x: npt.ArrayLike) -> Any:
         """Return the value at a state (n,), or the values at states (..., n), as other invariants do."""
         array = array_given(x, "x", "iufc")
-        if array.ndim < 2:
+        if array.ndim < 2 or array.size == 0:
             return self.value(array)
         rows = array.reshape(-1, array.shape[-1])
         return np.array([self.value(row) for row in rows]).reshape(array.shape[:-1])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_finite, read_positive, read_whole
+from coadjoint.given import read_finite, read_number, read_positive, read_whole
 from coadjoint.systems.matrices.vorticity_files import read_field
 from coadjoint.wording import short
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
+WIDEST = 1e100
+"""Widths beyond this one smooth away as much as this one does, and have no square in float64."""
 USUAL = (2, 10)
 """First and last degree of a random field of which nothing else is said."""
 
@@ -157,7 +159,7 @@ def patches(system: FluidSystem, places: Any, radii: Any, vorticities: Any, *, e
     >>> bool(np.ptp(s.to_grid(W)) < 2.01 and np.ptp(s.to_grid(W)) > 1.99)
     True
     """
-    sigma = np.pi / system.complete_degree if edge is None else float(read_finite(edge, "edge"))
+    sigma = np.pi / system.complete_degree if edge is None else read_number(edge, "edge")
     if sigma < 0.0:
         raise ValueError(f"edge is {sigma:g}; give a width from 0 up")
     names = "patches", "vorticities", "radii"
@@ -219,7 +221,7 @@ def _sum_about_points(
     total = np.zeros(system.degrees.shape, dtype=np.complex128)
     for extent in np.unique(extents):
         chosen = extents == extent
-        smoothing = np.exp(-system.eigenvalues * (extent if edge is None else edge) ** 2 / 2)
+        smoothing = np.exp(-system.eigenvalues * min(extent if edge is None else edge, WIDEST) ** 2 / 2)
         total += system.point_modes(points[chosen], factors[chosen]) * profile(float(extent)) * smoothing
     total[system.degrees < 1] = 0.0
     return total

@@ -51,15 +51,20 @@ def read_field(
     file = Path(path)
     if file.suffix == ".npy":
         if variable is not None or select is not None:
-            raise ValueError(f"{file.name} holds one array; variable= and select= are for NetCDF")
-        return np.load(file, allow_pickle=False), None
+            raise ValueError(f"{short(file.name)} holds one array; variable= and select= are for NetCDF")
+        try:
+            return np.load(file, allow_pickle=False), None
+        except (EOFError, ValueError, MemoryError):  # a header may promise more than there is
+            raise ValueError(f"{short(file.name)} holds no array of numbers") from None
     if file.suffix != ".nc":
-        raise ValueError(f"{file.name} ends with {file.suffix or 'nothing'}; give a file .npy or .nc")
-    need(f"{file.name}: NetCDF", "xarray", "h5netcdf")
+        raise ValueError(
+            f"{short(file.name)} ends with {short(file.suffix) if file.suffix else 'nothing'}; give a file .npy or .nc"
+        )
+    need(f"{short(file.name)}: NetCDF", "xarray", "h5netcdf")
     import xarray
 
     with xarray.open_dataset(file) as dataset:
-        return _read_dataset(dataset, file.name, variable, select)
+        return _read_dataset(dataset, short(file.name), variable, select)
 
 
 def _read_dataset(

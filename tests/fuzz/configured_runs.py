@@ -1,0 +1,136 @@
+"""Is what the command makes of a configuration file a result, or one line? For the files that seeds draw."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import os
+import shutil
+import tempfile
+import tomllib
+import warnings
+from pathlib import Path
+
+from coadjoint import commands
+from coadjoint.files.configuration import Configuration, ConfigurationError
+from coadjoint.files.output import OutputError
+
+from .configurations import draw
+from .folder import make, seen
+from .judging import wrong_error
+
+MOST_STEPS = 40  # a longer run is right, and not what is tried here
+LONGEST_LINE = 420
+UNFORESEEN = tuple(
+    f"coadjoint: {kind}: "
+    for kind in (
+        "ValueError",
+        "TypeError",
+        "ArithmeticError",
+        "OverflowError",
+        "ZeroDivisionError",
+        "FloatingPointError",
+        "RecursionError",
+        "MemoryError",
+        "LinAlgError",
+    )
+)
+
+_integrate = Configuration.integrate
+
+
+def shortened(configuration, progress=False):
+    """Run a configuration, no longer than `MOST_STEPS`."""
+    configuration._check_memory()
+    start, end = configuration.t_span
+    steps = abs(end - start) / configuration.step
+    if steps > MOST_STEPS:
+        end = start + (MOST_STEPS if end > start else -MOST_STEPS) * configuration.step
+        configuration = dataclasses.replace(configuration, t_span=(start, end), t_eval=None)
+    return _integrate(configuration, progress)
+
+
+class Runs:
+    """The command, in a folder of its own."""
+
+    def __init__(self):
+        self._place, self._home = tempfile.TemporaryDirectory(), tempfile.TemporaryDirectory()
+        self._outside = Path(self._place.name).resolve()
+        self._folder = make(self._outside)
+        os.chdir(self._folder)
+        os.environ["HOME"] = self._home.name  # where other packages keep what they remember
+        Configuration.integrate = shortened
+        self._raised = None
+        self._invoke = type(commands.commands).invoke
+        commands.commands.invoke = self._recording
+        self._before = seen(self._outside)
+
+    def _recording(self, context):
+        try:
+            return self._invoke(commands.commands, context)
+        except Exception as error:
+            self._raised = error
+            raise
+
+    def tried(self, seed):
+        """Return what is wrong with the end of the run of a seed, as sentences."""
+        (self._folder / "run.toml").write_bytes(draw(seed))
+        self._raised = None
+        said, printed = io.StringIO(), io.StringIO()
+        self._before = seen(self._outside)
+        with warnings.catch_warnings(), contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
+            warnings.simplefilter("default")
+            try:
+                status, line = commands.perform(["run", "run.toml", "--quiet"])
+            except Exception as error:
+                return [f"raised: {wrong_error(error, '') or type(error).__name__}"]
+        return [*self._of_the_line(status, line, printed.getvalue() + said.getvalue()), *self._of_the_folder()]
+
+    def _of_the_line(self, status, line, printed):
+        if status not in (0, 1, 2):
+            yield f"exit status {status}"
+        if printed:
+            yield f"printed: {printed[:200]!r}"
+        if status == 0:
+            if " encountered in " in line:
+                yield f"a warning: {line[:200]!r}"
+            return
+        if not line or "\n" in line or not line.isprintable() or len(line) > LONGEST_LINE:
+            yield f"not one line: {line[:500]!r}"
+        if line.startswith(UNFORESEEN):
+            yield f"unforeseen: {line[:300]!r} {wrong_error(self._raised, '')}"
+        error = self._raised
+        if isinstance(error, ConfigurationError | OutputError):
+            cause = error.__cause__
+            if cause is not None and type(cause) is not ConfigurationError and (wrong := wrong_error(cause, "")):
+                yield wrong
+
+    def _of_the_folder(self):
+        now, targets = seen(self._outside), [*self._targets()]
+        for name, state in now.items():
+            path = self._outside / name
+            if name == "work/run.toml" or state == self._before.get(name, "new"):
+                continue
+            if not any(path == target or target in path.parents for target in targets):
+                yield f"written beside what was named: {name}"
+                break
+        lost = [name for name in self._before if name not in now]
+        if lost:
+            yield f"removed: {lost[0]}"
+        self._tidied(now)
+
+    def _targets(self):
+        """Yield where the file says that results go."""
+        with contextlib.suppress(ValueError, RecursionError, OSError, AttributeError):
+            table = tomllib.loads((self._folder / "run.toml").read_bytes().decode())
+            for named in filter(lambda given: isinstance(given, str), table.get("output", {}).values()):
+                yield (self._folder / named).resolve()
+                yield Path(os.path.normpath(self._folder / named))
+
+    def _tidied(self, now):
+        """Take away what was written, so that each seed finds the same folder."""
+        for name in sorted(now, reverse=True):
+            path = self._outside / name
+            if name not in self._before and name != "work/run.toml" and os.path.lexists(path):
+                shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()

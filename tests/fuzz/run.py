@@ -1,0 +1,115 @@
+"""Input of every kind by the thousand: `python -m fuzz.run configurations FIRST COUNT`, in the folder of the tests.
+
+Or `calls`. Prints what does not end in a result or in one sentence, with its seed, and exits with status 1 where
+anything does not. Seeds are tried in processes of their own: one that crashes, or does not end, is named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import warnings
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+TESTS = Path(__file__).parents[1]
+SECONDS = 30.0  # of a call; most take milliseconds, functions that are compiled seconds
+DEAF = 20.0  # further seconds until whoever did not hear the end is taken for hung
+MEMORY = 4 * 2**30  # bytes of addresses
+BLOCK = 2000
+
+
+def tried(kind, seeds):
+    """Try seeds in this process, and print a line of JSON before each, and one for what is wrong with it."""
+    from .judging import TooLong
+
+    if kind == "configurations":
+        from .configured_runs import Runs
+
+        trial = Runs().tried
+    else:
+        from .calls import tried as trial
+
+    def over(*_):
+        raise TooLong
+
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
+    signal.signal(signal.SIGALRM, over)
+    out, sys.stdout = sys.stdout, open(os.devnull, "w")  # some functions that calls are given print
+    for seed in seeds:
+        print(json.dumps([seed]), file=out, flush=True)
+        faulthandler.dump_traceback_later(SECONDS + DEAF, exit=True)
+        signal.setitimer(signal.ITIMER_REAL, SECONDS)
+        try:
+            found = trial(seed)
+        except TooLong:
+            found = [f"longer than {SECONDS:g} s"]
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+        faulthandler.cancel_dump_traceback_later()
+        for sentence in found:
+            print(json.dumps([seed, sentence]), file=out, flush=True)
+
+
+def in_processes(kind, seeds):
+    """Try seeds in other processes, another one after each crash; yield seeds and what is wrong with them."""
+    first = seeds.start
+    while first < seeds.stop:
+        numbers = str(first), str(seeds.stop - first)
+        command = [sys.executable, "-m", "fuzz.run", kind, *numbers, "--here"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=TESTS) as process:
+            last = first - 1
+            for line in process.stdout:
+                last, *found = json.loads(line)
+                for sentence in found:
+                    yield last, sentence
+            said = process.stderr.read()
+        if process.returncode == 0:
+            return
+        lines = [line.strip() for line in said.splitlines() if "coadjoint" in line and "File" in line]
+        yield last, f"ended by {process.returncode}: {lines[0] if lines else said[-300:]}"
+        if last < first:
+            return
+        first = last + 1
+
+
+def fuzz(kind, first, count, jobs):
+    """Try seeds on several processes; return how many were wrong, and print each."""
+    blocks = [range(start, min(start + BLOCK, first + count)) for start in range(first, first + count, BLOCK)]
+    wrong = Counter()
+
+    def one(block):
+        for seed, sentence in in_processes(kind, block):
+            wrong[seed] += 1
+            print(f"{kind} {seed}: {sentence}", flush=True)
+
+    with ThreadPoolExecutor(jobs) as pool:
+        list(pool.map(one, blocks))
+    print(f"{count} {kind}, {len(wrong)} wrong", flush=True)
+    return wrong
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("kind", choices=("configurations", "calls"))
+    parser.add_argument("first", type=int)
+    parser.add_argument("count", type=int)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--here", action="store_true", help="in this process")
+    given = parser.parse_args()
+    if given.here:
+        warnings.simplefilter("ignore")
+        tried(given.kind, range(given.first, given.first + given.count))
+        return 0
+    return bool(fuzz(given.kind, given.first, given.count, given.jobs))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,70 @@
+"""Some thousand inputs that seeds draw: each ends in a result or in one sentence. `make fuzz` tries many more."""
+
+import inspect
+import statistics
+import tomllib
+from collections import Counter
+
+import pytest
+
+import coadjoint as co
+
+from .configurations import draw
+from .judging import wrong_error
+from .run import in_processes
+
+CONFIGURATIONS, CALLS = 1200, 800
+LONG = 20_000
+
+
+@pytest.mark.parametrize(("kind", "count"), [("configurations", CONFIGURATIONS), ("calls", CALLS)])
+def test_a_result_or_one_sentence(kind, count):
+    assert [f"{seed}: {found}" for seed, found in in_processes(kind, range(count))] == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["configurations", "calls"])
+def test_many_more(kind):
+    seeds = range(10**6, 10**6 + LONG)
+    assert [f"{seed}: {found}" for seed, found in in_processes(kind, seeds)] == []
+
+
+def test_seeds_draw_the_same_again_and_many_kinds():
+    assert draw(7) == draw(7) != draw(8)
+    read = Counter()
+    for seed in range(400):
+        try:
+            read["TOML"] += 1
+            table = tomllib.loads(draw(seed).decode())
+        except (ValueError, RecursionError):
+            read["no TOML"] += 1
+            continue
+        read.update(key for key in ("sweep", "forces", "events", "output", "observe") if key in table)
+    assert all(read[key] > 5 for key in ("TOML", "no TOML", "sweep", "forces", "events", "output", "observe"))
+
+
+def test_a_crash_and_a_hang_are_named(monkeypatch, tmp_path):
+    """In the place of the workers a program that crashes, or does not end, at two seeds."""
+    worker = tmp_path / "worker"
+    worker.write_text(
+        "#!/bin/sh\n"
+        'for seed in $(seq $4 $(($4 + $5 - 1))); do echo "[$seed]"; '
+        'if [ $seed = 3 ]; then kill -SEGV $$; fi; if [ $seed = 5 ]; then echo "[5, \\"wrong\\"]"; fi; done\n'
+    )
+    worker.chmod(0o755)
+    monkeypatch.setattr("fuzz.run.sys.executable", str(worker))
+    found = [*in_processes("configurations", range(1, 8))]
+    assert [seed for seed, _ in found] == [3, 5]
+    assert found[0][1].startswith("ended by -11")
+
+
+def test_errors_are_judged():
+    def raised(function, *given):
+        try:
+            function(*given)
+        except Exception as error:
+            return error
+
+    assert wrong_error(raised(co.algebras.so, -1), "so") is None
+    assert "AttributeError" in wrong_error(raised(inspect.cleandoc, 1), "")
+    assert "not of the library" in wrong_error(raised(statistics.mean, []), "")
