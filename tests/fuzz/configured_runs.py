@@ -40,7 +40,7 @@ UNFORESEEN = tuple(
 _integrate = Configuration.integrate
 
 
-def shortened(configuration, progress=False):
+def shortened(configuration, *given, **named):
     """Run a configuration, no longer than `MOST_STEPS`."""
     configuration._check_memory()
     start, end = configuration.t_span
@@ -48,7 +48,7 @@ def shortened(configuration, progress=False):
     if steps > MOST_STEPS:
         end = start + (MOST_STEPS if end > start else -MOST_STEPS) * configuration.step
         configuration = dataclasses.replace(configuration, t_span=(start, end), t_eval=None)
-    return _integrate(configuration, progress)
+    return _integrate(configuration, *given, **named)
 
 
 class Runs:

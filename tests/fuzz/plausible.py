@@ -63,7 +63,9 @@ def plausible(chosen):
         "forces": lambda: table.update(forces=[dict(chosen.choice(FORCES)) for _ in range(chosen.choice((1, 1, 2)))]),
         "observe": lambda: table.update(observe={"a": "x1^2", "b": "x2 - 1"}),
         "events": lambda: table.update(events={"a": {"g": chosen.choice((0, "x1", "x1*x2 - 0.1")), "count": 3}}),
-        "output": lambda: table.update(output={"file": chosen.choice(("run.nc", "run.zarr"))}),
+        "output": lambda: table.update(
+            output={chosen.choice(("file", "archive")): chosen.choice(("run.nc", "run.zarr"))}
+        ),
         "figure": lambda: table.update(output={"figure": "run.png"}),
         "sweep": lambda: table.update(sweep=_sweep(chosen, table)),
     }
