@@ -25,19 +25,21 @@ t_span = [0.0, 1000000000.0]
 step = 0.1
 save_every = 1000000
 """
-# Sends a signal as soon as the loops are at work: by then the run has been made ready, and 0.3 s of it are taken.
+# Sends a signal 0.3 s after the loops have begun to work, or after the archive is there.
 SIGNAL = """
 import os, signal, sys, threading, time
-from coadjoint.kernels import loop
-original = loop.Crew.advance
+from coadjoint.kernels.loop import Crew
+original = Crew.advance
+def later():
+    while {archive!r} and not os.path.exists({archive!r}):
+        time.sleep(0.01)
+    time.sleep(0.3)
+    os.kill(os.getpid(), signal.{name})
 def advance(self, *given):
-    global original
-    act, original_of = original, None
-    if not getattr(loop, "begun", False):
-        loop.begun = True
-        threading.Thread(target=lambda: (time.sleep(0.3), os.kill(os.getpid(), signal.{name})), daemon=True).start()
-    return act(self, *given)
-loop.Crew.advance = advance
+    Crew.advance = original
+    threading.Thread(target=later, daemon=True).start()
+    return original(self, *given)
+Crew.advance = advance
 from coadjoint.cli import run
 sys.argv = ["coadjoint", *{arguments!r}]
 run()
@@ -60,7 +62,7 @@ def folder(tmp_path, monkeypatch):
     [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up")],
 )
 def test_without_an_archive_the_command_writes_what_there_is(folder, name, status, said):
-    done = child(SIGNAL.format(name=name, arguments=["run", "long.toml", "--out", "run.nc"]))
+    done = child(SIGNAL.format(name=name, archive="", arguments=["run", "long.toml", "--out", "run.nc"]))
     line = f"long.toml: {said}; the solution so far is in run.nc, marked as incomplete\n"
     assert (done.returncode, done.stdout, done.stderr) == (status, "", line)
     assert sorted(os.listdir(folder)) == ["long.toml", "run.nc"]
@@ -77,7 +79,7 @@ def test_without_an_archive_the_command_writes_what_there_is(folder, name, statu
 @pytest.mark.parametrize(("name", "status", "said"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")])
 def test_an_archive_goes_on(folder, capsys, name, status, said):
     (folder / "long.toml").write_text(LONG.replace("1000000000.0", "1000000.0").replace("1000000\n", "1000\n"))
-    done = child(SIGNAL.format(name=name, arguments=["run", "long.toml", "--archive", "run.zarr"]))
+    done = child(SIGNAL.format(name=name, archive="run.zarr", arguments=["run", "long.toml", "--archive", "run.zarr"]))
     reached = co.open_archive("run.zarr").reached
     line = (
         f"long.toml: {said}; run.zarr holds the run up to step {reached}: coadjoint resume run.zarr goes on with it\n"
@@ -93,7 +95,7 @@ def test_an_archive_goes_on(folder, capsys, name, status, said):
 
 
 def test_a_second_interrupt_ends_it_at_once(folder):
-    code = SIGNAL.format(name="SIGINT", arguments=["run", "long.toml", "--out", "run.nc"])
+    code = SIGNAL.format(name="SIGINT", archive="", arguments=["run", "long.toml", "--out", "run.nc"])
     twice = "import coadjoint.files.output as output, os, signal\n"
     twice += "output.write_netcdf = lambda *given: os.kill(os.getpid(), signal.SIGINT)\n"
     done = child(twice + code)

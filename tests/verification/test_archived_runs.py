@@ -11,6 +11,7 @@ import pytest
 import coadjoint as co
 from coadjoint.files.archives import archive_run
 from coadjoint.files.records import record_of
+from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.batch import Batch
 
@@ -135,6 +136,24 @@ def test_cut_and_resumed(tmp_path, method, name, cuts, every, threads, members, 
 
 def test_there_are_enough_cases():
     assert len(list(cases())) >= 300 or len(list(cases())) == 0
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2)], ids=str)
+@pytest.mark.parametrize("members", [None, 5])
+def test_points_are_let_go(tmp_path, monkeypatch, method, members):
+    """Of a run of many chunks no more than one chunk is in memory, and a commit between them makes no difference."""
+    monkeypatch.setattr("coadjoint.files.stored_arrays.FEWEST_ROWS", 8)
+    monkeypatch.setattr("coadjoint.files.stored_arrays.MOST_ROWS", 8)
+    monkeypatch.setattr("coadjoint.files.archived_run.FIRST_STRETCH", 5)
+    held, original = [], PiecewiseRun.piece
+    monkeypatch.setattr(PiecewiseRun, "piece", lambda self: (held.append(len(self.run.saved["x"])), original(self))[1])
+    system, x = systems()["e(3), heavy top"]
+    x0 = x if members is None else np.multiply.outer(1.0 - 0.03 * np.arange(members), x)
+    path, span = tmp_path / "run.zarr", (0.0, 300 * STEP)
+    archive_run(PreparedRun(system, method, STEP), x0, span, 3, path, until=100)
+    co.resume(path, until=107)
+    assert_same(co.resume(path), co.integrate(system, x0, span, STEP, method, save_every=3))
+    assert max(held) <= 8 and len(held) > 12 and len(list((path / "x").glob("c.*"))) == 13
 
 
 LATER = [(17, 29), (17, 18), (40, 400), (170, 1000), (1000, 1001), (999, 2000)]
