@@ -50,6 +50,10 @@ def _restored(message: str, step: int, time: float, residual: float, partial: An
     return IntegrationError(message, step=step, time=time, residual=residual, partial=partial)
 
 
+MOST_LISTED = 40
+"""Names that a message lists; of more it says where they are found."""
+
+
 def unknown_name(kind: str, name: Any, known: Iterable[str]) -> ValueError:
     """Return the error for an unknown name, with the nearest known one.
 
@@ -75,7 +79,10 @@ def unknown_name(kind: str, name: Any, known: Iterable[str]) -> ValueError:
     names = sorted(known)
     if not isinstance(name, str):
         return ValueError(f"unknown {kind} {short(name)}; give a name, such as {names[0]!r}")
-    return ValueError(f"unknown {kind} {short(name)}; did you mean {nearest(name, names, least=0.0)!r}?")
+    near = nearest(name, names)
+    if near is None and len(names) <= MOST_LISTED:
+        return ValueError(f"unknown {kind} {short(name)}; there are: {', '.join(names)}")
+    return ValueError(f"unknown {kind} {short(name)}; did you mean {near or nearest(name, names, least=0.0)!r}?")
 
 
 def nearest(name: str, known: Iterable[str], least: float = 0.5) -> str | None:
@@ -102,11 +109,14 @@ def nearest(name: str, known: Iterable[str], least: float = 0.5) -> str | None:
     names = sorted(known)
     # What is much longer than every name is compared by its beginning: the time grows like the square of it.
     beginning = name[: 2 * max(map(len, names), default=0)]
+    alike = [known for known in names if known.casefold() == beginning.casefold()]
+    if alike:
+        return alike[0]
+    stem = beginning.casefold().rstrip("s")
+    around = [known for known in names if len(stem) > 3 and stem in known.casefold()]
+    if around and not difflib.get_close_matches(beginning, names, n=1, cutoff=0.75):
+        return min(around, key=len)
     return next(iter(difflib.get_close_matches(beginning, names, n=1, cutoff=least)), None)
-
-
-MOST_LISTED = 40
-"""Names that a message lists; of more it says where they are found."""
 
 
 def no_attribute(module: str, name: str, known: Iterable[str]) -> AttributeError:

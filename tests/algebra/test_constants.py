@@ -269,7 +269,7 @@ def test_one_order_only_in_a_dense_array_is_refused():
         ({(0, 1): 1.0}, TypeError, "must be a mapping {k: c}"),
         ({(0, 1): {2: 1.0}}, ValueError, "index k = 2"),
         ({(0, 1): {0: 1.0}, (1, 0): {}}, ValueError, "antisymmetry violated"),
-        ({(0, 1): {"a": 1.0}}, TypeError, "real numbers"),
+        ({(0, 1): {"a": 1.0}}, ValueError, "brackets name 'a', which is not in the basis"),
     ],
 )
 def test_wrong_brackets_are_refused(brackets, error, message):

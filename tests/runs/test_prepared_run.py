@@ -107,7 +107,7 @@ def test_initial_group_element_of_each_run():
 @pytest.mark.parametrize(
     ("options", "kind", "message"),
     [
-        ({"method": "strang"}, TypeError, "it must be a scheme"),
+        ({"method": "strang"}, ValueError, "unknown method 'strang'"),
         ({"step": 0.0}, ValueError, "it must be positive"),
         ({"step": "a"}, TypeError, "it must be a number"),
         ({"watch": 1}, TypeError, "watch is 1"),
@@ -165,7 +165,7 @@ def test_a_solution_is_pickled_whole_and_has_nothing_else():
     there = pickle.loads(pickle.dumps(sol))
     assert np.array_equal(there.x, sol.x) and there.stats == sol.stats and there.drift() == sol.drift()
     assert set(vars(there)) == set(PARTS)
-    with pytest.raises(AttributeError, match="'Solution' object has no attribute 'momentum'"):
+    with pytest.raises(AttributeError, match="a Solution has no attribute 'momentum'; here it is x"):
         _ = sol.momentum
     with pytest.raises(dataclasses.FrozenInstanceError):
         sol.x = X
@@ -215,8 +215,7 @@ def test_a_solution_shows_what_it_has_from_the_start():
     public |= {"modified_energy", "spectrum", "to_xarray", "plot", "movie", "error_estimate", "at"}
     assert {name for name in dir(sol) if not name.startswith("_")} == public
     assert not hasattr(Solution, "of") and Solution.__getattribute__ is object.__getattribute__
-    assert not hasattr(Solution, "__getattr__")
-    assert repr(sol).endswith("by Splitting(order=2), 11 points from t = 0 to 1, step 0.1>")
+    assert repr(sol).endswith("by Splitting(order=2): 11 points from t = 0 to 1, step 0.1>")
 
 
 def test_a_solution_of_many_members_does_not_hold_their_state():

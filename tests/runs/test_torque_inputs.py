@@ -170,7 +170,7 @@ def test_functions_beside_an_input_and_hamiltonians_without_a_linear_term():
     with pytest.raises(TypeError, match="Hamiltonian, which has no linear term"):
         co.prepare(sl, co.GaussLegendre(2), STEP, inputs={"N": "Torque 2", "field": (0,)})
     for label, kind in (("Torque", "Torque"), ("drag", "OwnForce")):
-        with pytest.raises(TypeError, match=rf"inputs has '{label}' for N, which is '{kind}\(.*only a constant Torque"):
+        with pytest.raises(TypeError, match=rf"inputs has '{label}' for N, which is .{kind}\(.*only a constant Torque"):
             co.prepare(sl.with_forces(drag), co.GaussLegendre(2), STEP, inputs={"N": label})
 
 

@@ -145,6 +145,42 @@ def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> list[Polyno
     return found
 
 
+class NoPolynomials(dict[str, Polynomial]):
+    """No polynomial Casimirs: an empty dict, which says so when it is shown.
+
+    Parameters
+    ----------
+    count : int
+        How many independent Casimirs there are, of any kind.
+    degree : int
+        Up to which polynomials were looked for.
+    known : list of str
+        Names of those given with the algebra.
+
+    Examples
+    --------
+    >>> NoPolynomials(1, 4, ["log C"])
+    {} (no polynomial up to degree 4; of Casimirs of any kind there is 1; casimirs_known has: log C)
+    >>> NoPolynomials(0, 4, []) == {}
+    True
+    """
+
+    def __init__(self, count: int, degree: int, known: list[str]) -> None:
+        super().__init__()
+        self.count, self.degree, self.known = count, degree, known
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.count, self.degree, self.known)
+
+    def __repr__(self) -> str:
+        if not self.count:
+            return "{} (there is no Casimir of any kind: the rank of J is the dimension)"
+        verb = "is" if self.count == 1 else "are"
+        named = f"; casimirs_known has: {', '.join(self.known)}" if self.known else ""
+        said = f"no polynomial up to degree {self.degree}; of Casimirs of any kind there {verb} {self.count}"
+        return f"{{}} ({said}{named})"
+
+
 def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> dict[str, Polynomial]:
     """Return generators of the polynomial Casimirs up to a degree: behind `LieAlgebra.casimirs`, which documents it.
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from coadjoint.algebra import written_brackets
 from coadjoint.algebra.joins import Floats, Integers
 from coadjoint.given import read_list, read_numbers, read_title, read_whole
 from coadjoint.memory import check_room
@@ -171,8 +172,8 @@ def _refuse_infinite(i: Integers, j: Integers, k: Integers, c: Floats) -> None:
         )
 
 
-def read_brackets(dim: int, brackets: Any) -> list[tuple[Any, Any, Any, Any]]:
-    """Turn ``{(i, j): {k: c}}`` into rows (i, j, k, c).
+def read_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) -> list[tuple[Any, Any, Any, Any]]:
+    """Turn ``{(i, j): {k: c}}`` into rows (i, j, k, c); names of the basis may stand in place of indices.
 
     An empty bracket stays: it says that the pair commutes, so it contradicts a nonzero one in the other order.
 
@@ -181,8 +182,13 @@ def read_brackets(dim: int, brackets: Any) -> list[tuple[Any, Any, Any, Any]]:
     >>> read_brackets(2, {(0, 1): {1: 1.0}})
     [(0, 1, 1, 1.0)]
     """
+    if isinstance(brackets, list | tuple) and brackets and all(isinstance(line, str) for line in brackets):
+        brackets = written_brackets.read_brackets(brackets, read_basis(basis, dim))
     if not isinstance(brackets, Mapping):
-        raise TypeError(f"brackets must be a mapping {{(i, j): {{k: c}}}}, not {type(brackets).__name__}")
+        raise TypeError(
+            f"brackets must be a mapping {{(i, j): {{k: c}}}}, or lines such as '[e1, e2] = e3', not "
+            f"{type(brackets).__name__}"
+        )
     rows: list[tuple[Any, Any, Any, Any]] = []
     for pair, components in brackets.items():
         if not (isinstance(pair, tuple) and len(pair) == 2):
@@ -192,7 +198,22 @@ def read_brackets(dim: int, brackets: Any) -> list[tuple[Any, Any, Any, Any]]:
         rows.extend((*pair, k, c) for k, c in components.items())
         if not components:
             rows.append((*pair, 0, 0.0))
+    if any(isinstance(entry, str) for row in rows for entry in row[:3]):
+        names = read_basis(basis, dim)
+        rows = [(*(_place(entry, names) for entry in row[:3]), row[3]) for row in rows]
+    numbers = [entry for row in rows for entry in row[:3] if isinstance(entry, int)]
+    if numbers and min(numbers) == 1 and max(numbers) == dim:
+        raise ValueError(f"brackets use indices from 0, and these go from 1 to {dim}; take 1 off each")
     return rows
+
+
+def _place(given: Any, names: Sequence[str]) -> Any:
+    """Return the index of a basis element that is given by its name."""
+    if not isinstance(given, str):
+        return given
+    if given not in names:
+        raise ValueError(f"brackets name {short(given)}, which is not in the basis {short(tuple(names))}; give basis=")
+    return names.index(given)
 
 
 def read_basis(basis: Sequence[str] | None, dim: int) -> tuple[str, ...]:

@@ -15,7 +15,8 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
 from coadjoint.algebra.shown_brackets import count_of_brackets, shown_brackets
 from coadjoint.algebra.structure import Structure
-from coadjoint.given import read_title
+from coadjoint.algebra.written_brackets import names_in
+from coadjoint.given import read_list, read_title, read_whole
 from coadjoint.wording import html_table, short
 
 FEW_BRACKETS = 6
@@ -120,8 +121,8 @@ class LieAlgebra(Structure):
     @classmethod
     def from_brackets(
         cls,
-        dim: int,
-        brackets: Mapping[tuple[int, int], Mapping[int, float]],
+        dim: int | Sequence[str],
+        brackets: Mapping[tuple[Any, Any], Mapping[Any, float]] | Sequence[str] | None = None,
         *,
         basis: Sequence[str] | None = None,
         name: str | None = None,
@@ -132,10 +133,12 @@ class LieAlgebra(Structure):
 
         Parameters
         ----------
-        dim : int
-            The dimension.
-        brackets : mapping
-            ``{(i, j): {k: c}}`` says that [e_i, e_j] = sum_k c e_k; indices from 0. One order of each pair is enough.
+        dim : int, or sequence of str
+            The dimension; or the brackets as lines, such as ``"[h, e] = 2 e"``, alone: the basis has the names in them,
+            in the order in which they come first.
+        brackets : mapping, or sequence of str
+            ``{(i, j): {k: c}}`` says that [e_i, e_j] = sum_k c e_k; indices from 0, or names of the basis. One order of
+            each pair is enough. Or lines, as above.
         basis, name, representation, casimirs
             As for `LieAlgebra`.
 
@@ -154,9 +157,16 @@ class LieAlgebra(Structure):
         >>> g = LieAlgebra.from_brackets(3, {(0, 2): {0: a, 1: -1.0}, (1, 2): {0: 1.0, 1: a}})
         >>> g.bracket([1, 0, 0], [0, 0, 1])
         array([ 2., -1.,  0.])
+        >>> LieAlgebra.from_brackets(["[h, e] = 2 e", "[h, f] = -2 f", "[e, f] = h"])
+        LieAlgebra(dim=3: [h, e] = 2 e, [h, f] = -2 f, [e, f] = h)
         """
-        rows = read_brackets(dim, brackets)
-        return cls(rows, dim=dim, basis=basis, name=name, representation=representation, casimirs=casimirs)
+        if brackets is None:
+            lines = read_list(dim, "brackets", "give lines such as '[h, e] = 2 e', or a dimension and brackets")
+            basis = names_in(lines) if basis is None else basis
+            dim, brackets = len(basis), lines
+        size = read_whole(dim, "dim")
+        rows = read_brackets(size, brackets, basis)
+        return cls(rows, dim=size, basis=basis, name=name, representation=representation, casimirs=casimirs)
 
     @property
     def dim(self) -> int:
@@ -240,7 +250,7 @@ class LieAlgebra(Structure):
             By degree and leading monomial. ``"C2"`` is the name of a single one of degree 2, ``"C2_1", "C2_2"`` are
             those of two. Those of one degree are the rows of a reduced row echelon form over the monomials in the order
             of `Polynomial.monomials`. They are scaled to whole numbers without common factor, the leading one positive;
-            in floats the leading coefficient is 1.
+            in floats the leading coefficient is 1. Where there are none, it says so when it is shown.
 
         Raises
         ------
@@ -263,6 +273,7 @@ class LieAlgebra(Structure):
         >>> co.algebras.so(4).casimirs()
         {'C2_1': x1^2 + x2^2 + x3^2 + x4^2 + x5^2 + x6^2, 'C2_2': x1*x6 - x2*x5 + x3*x4}
         """
-        from coadjoint.algebra.casimirs import casimirs
+        from coadjoint.algebra.casimirs import NoPolynomials, casimirs
 
-        return casimirs(self._triples, self._dim, max_degree)
+        found = casimirs(self._triples, self._dim, max_degree)
+        return found or NoPolynomials(self._dim - self.generic_rank(), max_degree, list(self._casimirs))

@@ -62,7 +62,10 @@ class Polynomial:
 
     def __init__(self, monomials: Mapping[Exponents, Coefficient], dim: int | None = None) -> None:
         if not isinstance(monomials, Mapping):
-            raise TypeError(f"monomials must be a mapping {{exponents: coefficient}}, not {type(monomials).__name__}")
+            raise TypeError(
+                "monomials must be a mapping {exponents: coefficient}, such as {(2, 0): 0.5} for x1^2/2, not "
+                f"{type(monomials).__name__}"
+            )
         if dim is not None:
             dim = read_whole(dim, "dim of a Polynomial")
         if not monomials and dim is None:

@@ -61,6 +61,24 @@ def read_brackets(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
     return result
 
 
+def names_in(lines: Sequence[str]) -> tuple[str, ...]:
+    """Return the names in written brackets, in the order in which they come first.
+
+    Examples
+    --------
+    >>> names_in(["[h, e] = 2 e", "[e, f] = h"])
+    ('h', 'e', 'f')
+    """
+    found: dict[str, None] = {}
+    for line in lines:
+        if not isinstance(line, str):
+            raise TypeError(f"a bracket is {short(line, SHOWN)}; it must be a line such as '[h, e] = 2 e'")
+        found.update(dict.fromkeys(re.findall(r"[^\W\d]\w*", line)))
+    if not found:
+        raise ValueError("there are no brackets; write lines such as '[h, e] = 2 e'")
+    return tuple(found)
+
+
 class _Names:
     """The names of a basis, found in a text by their lengths: the time does not grow with their number."""
 

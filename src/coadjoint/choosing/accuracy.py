@@ -17,6 +17,7 @@ from coadjoint.choosing.roundoff import least_roundoff
 from coadjoint.choosing.sampling import sample_of
 from coadjoint.choosing.tolerances import fit_of_tolerance
 from coadjoint.given import read_flag, read_list, read_number
+from coadjoint.keywords import told
 from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.splitting import Splitting
@@ -95,6 +96,7 @@ class Choice:
         return f"{said}; next {other.method} at {other.cost / max(self.cost, 1e-300):.2g} times that"
 
 
+@told
 def choose(
     system: System,
     x0: Any,

@@ -6,11 +6,13 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from inspect import Parameter, signature
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.keywords import unknown_keyword
 from coadjoint.memory import check_room
 from coadjoint.methods.properties import Properties
 from coadjoint.program.numbers import Number
@@ -61,6 +63,10 @@ class Method(ABC):
         for name in ERROR_CONTROL.intersection(named):
             if name not in getattr(cls, "__dataclass_fields__", {}):
                 raise TypeError(f"{cls.__name__} has no {name}: {NO_ERROR_CONTROL}")
+        for name in named.keys() - getattr(cls, "__dataclass_fields__", {}).keys():
+            taken = signature(cls.__init__).parameters  # a class may have a constructor of its own
+            if name not in taken and not any(one.kind is Parameter.VAR_KEYWORD for one in taken.values()):
+                raise unknown_keyword(cls.__name__, name, list(taken)[1:])
         return super().__new__(cls)
 
     failures: ClassVar[Mapping[str, str]] = {}

@@ -232,6 +232,53 @@ def from_description(description: Mapping[str, Any]) -> Method:
     return get(name, **{**beside, **inside})
 
 
+def read_method(given: Any) -> Method:
+    """Return a scheme that is given as one, by its name, or as a mapping; refuse what is none.
+
+    Parameters
+    ----------
+    given : Method, str or mapping
+        As `integrate` takes it.
+
+    Returns
+    -------
+    Method
+
+    Raises
+    ------
+    TypeError, ValueError
+        No scheme, no such name (with the nearest one), or as `from_description`.
+
+    Examples
+    --------
+    >>> read_method("Splitting").order, read_method({"name": "Splitting", "order": 4}).order
+    (2, 4)
+    >>> read_method("RK45")
+    Traceback (most recent call last):
+    ValueError: RK45 chooses each step by an estimate of the error, ...
+    """
+    if isinstance(given, Method):
+        return given
+    if isinstance(given, Mapping):
+        return from_description(given)
+    if isinstance(given, str):
+        if given.lower() in ADAPTIVE:
+            raise ValueError(
+                f"{given} chooses each step by an estimate of the error, and loses what a scheme keeps; give "
+                "Splitting(order=4), GaussLegendre(stages=3), or accuracy= in place of method="
+            )
+        if given.lower() in TABLEAUS:
+            return get("ExplicitRungeKutta", name=TABLEAUS[given.lower()])
+        return get(given)
+    if isinstance(given, type) and issubclass(given, Method):
+        raise TypeError(f"method is the class {given.__name__}; give a scheme, such as {given.__name__}()")
+    raise TypeError(f"method is {short(given)}; it must be a scheme such as Splitting(order=2)")
+
+
+ADAPTIVE = frozenset(("rk45", "rk23", "dop853", "radau", "bdf", "lsoda", "dopri5", "vode", "tsit5", "odeint"))
+TABLEAUS = {"rk4": "rk4", "runge2": "runge2"}
+
+
 def _read(value: Any) -> Any:
     if isinstance(value, Mapping):
         # Chosen parts have a written form too.

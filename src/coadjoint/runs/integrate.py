@@ -6,22 +6,24 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
+from coadjoint.keywords import told
 from coadjoint.methods.base import NO_ERROR_CONTROL, Method
+from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.run import read_progress
 from coadjoint.runs.solution import Solution, with_choice
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_system
-from coadjoint.wording import short
 
 
+@told
 def integrate(
     system: System | ForcedSystem | Batch,
     x0: Any,
     t_span: tuple[float, float],
     step: float | None = None,
-    method: Method | None = None,
+    method: Method | str | Mapping[str, Any] | None = None,
     *,
     accuracy: float | None = None,
     save_every: int = 1,
@@ -54,9 +56,10 @@ def integrate(
         Start and end; backward where the end lies before the start. A whole number of steps.
     step : float, optional
         Size of a step, positive; used as given. Either this or `accuracy`.
-    method : Method, optional
-        The scheme; None is `Splitting()` of order 2 (of matrices what `suggested_scheme` says), or with `accuracy` the
-        one that `choose` chooses.
+    method : Method, str or mapping, optional
+        The scheme; or its name, such as ``"Splitting"``; or name and parameters, such as ``{"name": "Splitting",
+        "order": 4}``. None is `Splitting()` of order 2 (of matrices what `suggested_scheme` says), or with `accuracy`
+        the one that `choose` chooses.
     accuracy : float, optional
         Wanted error of the momentum at the end, relative to its largest size on the way; the step (and the scheme) are
         then chosen by `choose`, the same for the same inputs.
@@ -126,8 +129,7 @@ def integrate(
     >>> bool(np.linalg.norm(sol.x[-1] - exact) < 1e-8)
     True
     """
-    if method is not None and not isinstance(method, Method):
-        raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
+    method = None if method is None else read_method(method)
     if rtol is not None or atol is not None:
         raise TypeError(f"integrate has no {'rtol' if atol is None else 'atol'}: {NO_ERROR_CONTROL}")
     if (step is None) == (accuracy is None):

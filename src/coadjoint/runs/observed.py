@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.errors import in_one_line
 from coadjoint.given import read_number
 from coadjoint.systems.kinds import System
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -122,3 +123,6 @@ def _value_at(given: Any, name: str, x0: NDArray[np.float64]) -> Any:
         return 0.0 if isinstance(given, Polynomial | Quadratic) or takes_time(given, name) else given(x0)
     except (ArithmeticError, ValueError, OSError):
         return float("nan")
+    except (IndexError, KeyError, TypeError, AttributeError) as reason:
+        said = in_one_line(str(reason), 200)
+        raise type(reason)(f"observe[{short(name)}] cannot be evaluated at the start: {said}") from None

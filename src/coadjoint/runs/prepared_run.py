@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from coadjoint.given import read_flag, read_whole
 from coadjoint.kernels.blas_threads import members_at_once, rows_of
+from coadjoint.keywords import told
 from coadjoint.methods.base import Method
 from coadjoint.methods.forced import serving
+from coadjoint.methods.registry import read_method
 from coadjoint.methods.splitting import Splitting
 from coadjoint.methods.suggested import suggested_scheme
 from coadjoint.runs.any_time import Moments, check_parts, look, moments_of
@@ -59,7 +61,7 @@ class PreparedRun:
     def __init__(
         self,
         system: System | ForcedSystem | Batch,
-        method: Method | None,
+        method: Method | str | Mapping[str, Any] | None,
         step: float,
         *,
         attitude: Any = False,
@@ -68,12 +70,10 @@ class PreparedRun:
         threads: int | None = None,
         inputs: Any = None,
     ) -> None:
-        scheme = method
-        if method is None:
+        scheme = None if method is None else read_method(method)
+        if scheme is None:
             moved: Any = system.system if isinstance(system, ForcedSystem) else system
             scheme = suggested_scheme(cast(System, moved)) if isinstance(moved, MatrixSystem) else Splitting()
-        if not isinstance(scheme, Method):
-            raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
         watching = read_flag(watch, "watch")
         workers = None if threads is None else read_whole(threads, "threads (None is all cores)", floats=True)
         check_system(system)
@@ -364,9 +364,10 @@ class PreparedRun:
         return self._observed
 
 
+@told
 def prepare(
     system: System | ForcedSystem | Batch,
-    method: Method | None = None,
+    method: Method | str | Mapping[str, Any] | None = None,
     step: float | None = None,
     *,
     accuracy: float | None = None,
@@ -470,6 +471,8 @@ def prepare(
                 "accuracy= needs x0=, a sample of states, and t_span=, the longest run, and takes no inputs"
             )
         from coadjoint.choosing.sampled_run import SampledRun
+
+        method = None if method is None else read_method(method)
 
         chosen = SampledRun(system, x0, t_span, cast(float, accuracy), method, attitude, watch, observe, threads)
         chosen.loops(chosen.signed_step).make_all()

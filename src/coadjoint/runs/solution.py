@@ -185,6 +185,16 @@ class Solution:
     def __setattr__(self, name: str, value: Any) -> None:
         raise FrozenInstanceError(f"cannot assign to field {name!r}: a Solution stays as the run left it")
 
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            # A part that could not be made says itself why.
+            if name in PARTS or hasattr(type(self), name):
+                return object.__getattribute__(self, name)
+            from coadjoint.keywords import no_such_part
+
+            raise no_such_part(name, dir(self))
+
     def __delattr__(self, name: str) -> None:
         raise FrozenInstanceError(f"cannot delete field {name!r}: a Solution stays as the run left it")
 

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.given import read_number
+from coadjoint.keywords import told
 from coadjoint.memory import check_room
 from coadjoint.methods.base import Method
 from coadjoint.methods.forced import check_serves, serving
+from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import momenta_of
@@ -19,7 +21,6 @@ from coadjoint.runs.times import Times
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_one_system
 from coadjoint.systems.points import QUIET
-from coadjoint.wording import short
 
 
 class Stepper:
@@ -37,9 +38,14 @@ class Stepper:
         What each call may bring, as for `prepare`.
     """
 
-    def __init__(self, system: System | ForcedSystem, method: Method, h: float, inputs: Any = None) -> None:
-        if not isinstance(method, Method):
-            raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
+    def __init__(
+        self,
+        system: System | ForcedSystem,
+        method: Method | str | Mapping[str, Any],
+        h: float,
+        inputs: Any = None,
+    ) -> None:
+        method = read_method(method)
         self.h = read_number(h, "h")
         if self.h == 0.0:
             raise ValueError(f"h is {self.h!r}; it must not be zero")
@@ -225,7 +231,10 @@ class Stepper:
         return momenta[0], read_number(t, "t")
 
 
-def stepper(system: System | ForcedSystem, method: Method, h: float, *, inputs: Any = None) -> Stepper:
+@told
+def stepper(
+    system: System | ForcedSystem, method: Method | str | Mapping[str, Any], h: float, *, inputs: Any = None
+) -> Stepper:
     """Return one step of a scheme as a function, for maps, certificates and Lyapunov exponents.
 
     Parameters

@@ -105,7 +105,10 @@ class Quadratic:
         if self._linear is None:
             self._linear = np.zeros(n)
         if self._linear.size != n:
-            raise ValueError(f"linear has {self._linear.size} coefficients but M is {n} x {n}; give {n}")
+            have = f"M has {n} entries" if mirrored else f"M is {n} x {n}"
+            raise ValueError(
+                f"{have} and linear has {self._linear.size}; give both one for each coordinate of the system"
+            )
         rows, columns = rows.astype(np.int64), columns.astype(np.int64)
         if not mirrored:
             check_symmetric(n, rows, columns, entries.astype(np.float64))
@@ -234,8 +237,13 @@ class Quadratic:
             kind = object if not isinstance(self._scalar, float) else np.float64
             return Quadratic(np.full(n, self._scalar, dtype=kind), constant=self._constant)
         if self.dim != n:
-            raise ValueError(f"M is {self.dim} x {self.dim} but the system has dimension {n}; give M for {n}")
+            raise ValueError(f"{self._size()}; the system has dimension {n}; give {n}")
         return self
+
+    def _size(self) -> str:
+        """Return how large M is, as it was probably given."""
+        diagonal = np.array_equal(self._rows, self._indices)
+        return f"M has {self.dim} entries" if diagonal else f"M is {self.dim} x {self.dim}"
 
     def with_linear(self, linear: npt.ArrayLike) -> Quadratic:
         """Return the same Hamiltonian, bound, with another linear part; M is shared.

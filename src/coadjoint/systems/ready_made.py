@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, TypeVar, overload
 
+from coadjoint.keywords import told
 from coadjoint.systems.telling import Telling
 from coadjoint.wording import short
 
@@ -48,7 +49,8 @@ def ready_made(function: Any = None, *, telling: Telling | None = None) -> Any:
     if not isinstance(telling, Telling | None):
         raise TypeError(f"telling is {short(telling)}; give a coadjoint.systems.telling.Telling")
 
-    def register(made: Builder) -> Builder:
+    def register(given: Builder) -> Builder:
+        made = told(given)
         _FOUND[made.__name__] = made
         if telling is not None:
             _TELLINGS[made.__name__] = telling
