@@ -153,9 +153,12 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
 @click.argument("path", type=click.Path())
 @click.option("--t-end", type=float, metavar="T", help="A later end than the run was begun with.")
 @click.option("--threads", type=int, metavar="N", help="Threads for the members of an ensemble; one for each core.")
+@click.option("--workers", type=int, metavar="N", help="Processes that go on with an ensemble in blocks.")
 @click.option("--progress", is_flag=True, help="Show a progress bar.")
 @click.option("--quiet", is_flag=True, help="Print nothing.")
-def resume_archive(path: str, t_end: float | None, threads: int | None, progress: bool, quiet: bool) -> None:
+def resume_archive(
+    path: str, t_end: float | None, threads: int | None, workers: int | None, progress: bool, quiet: bool
+) -> None:
     """Go on with the run of the archive PATH, to the same bits as if it had never been cut.
 
     A run that is finished is left as it is, unless a later end is given.
@@ -171,7 +174,7 @@ def resume_archive(path: str, t_end: float | None, threads: int | None, progress
         # Algebras of the catalogue may have Casimirs that are functions; the file that was run names them.
         system = system_of_text(said[CONFIGURATION])
     with ending(path, place, None, None):
-        solution = resume(place, t_end, system=system, threads=threads, progress=progress)
+        solution = resume(place, t_end, system=system, threads=threads, workers=workers, progress=progress)
     if not quiet:
         _summarize(solution, [place])
 

@@ -87,7 +87,8 @@ def _stopped(name: str, told: interruption.Told, archive: Path | None, target: P
     partial: Any = told.partial
     written = ""
     if archive is not None and partial is not None:
-        written = f"; {archive} holds the run up to step {partial.reached}: coadjoint resume {archive} goes on with it"
+        held = getattr(partial, "said", f"the run up to step {partial.reached}")
+        written = f"; {archive} holds {held}: coadjoint resume {archive} goes on with it"
     elif target is not None and partial is not None and len(partial.t):
         reason = {"run_incomplete": 1, "incomplete_reason": told.said, "incomplete_time": float(partial.t[-1])}
         written = _write(dataset(partial).assign_attrs(reason), target, ", marked as incomplete")

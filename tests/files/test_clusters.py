@@ -107,7 +107,7 @@ def test_a_block_that_an_earlier_call_still_runs_is_waited_for(tmp_path, client,
     archive = tmp_path / "many.zarr"
     with pytest.raises(ArchiveUnwritten):
         with monkeypatch.context() as lost:
-            lost.setattr("coadjoint.files.ensemble.run_block", lambda *given: {"busy": True})
+            lost.setattr("coadjoint.files.run_in_blocks.run_block", lambda *given: {"busy": True})
             co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, members_per_block=4)
     lock = locked(archive / ".coadjoint" / "block-000001.lock", os.O_CREAT)
     from threading import Timer
@@ -251,3 +251,71 @@ def test_a_script_without_a_guard_is_told(tmp_path):
     path.write_text(path.read_text().replace('if __name__ == "__main__":', "if True:"))
     found = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, timeout=120)
     assert found.returncode != 0 and 'if __name__ == "__main__":' in found.stderr
+
+
+SWEEP = """
+[system]
+name = "rigid_body"
+parameters = { inertia = [1.0, 2.0, 4.0] }
+[initial]
+x = [1.0, 0.1, 0.5]
+[sweep.over]
+"system.parameters.inertia[2]" = { linear = [2.5, 4.0], count = 4 }
+"initial.x[1]" = [0.25, -0.5]
+[run]
+t_span = [0.0, 1.0]
+step = 0.125
+workers = 2
+[output]
+archive = "many.zarr"
+"""
+
+
+def test_a_sweep_by_the_command(tmp_path, monkeypatch, capsys):
+    from coadjoint import cli
+    from coadjoint.files.configuration import load
+
+    monkeypatch.chdir(tmp_path)
+    Path("run.toml").write_text(SWEEP)
+    assert cli.main(["run", "run.toml"]) == 0
+    assert "written: many.zarr" in capsys.readouterr().out
+    found = co.open_archive("many.zarr")
+    Path("alone.toml").write_text(SWEEP.replace("workers = 2", ""))
+    alone = load("alone.toml")
+    assert_same(found, alone.integrate())
+    kept = found.to_xarray()
+    np.testing.assert_array_equal(kept["swept_inertia_2"], alone.swept["system.parameters.inertia[2]"])
+    assert "swept_x_1" in kept.coords and kept.attrs["configuration"] == SWEEP
+    (tmp_path / "many.zarr" / "x" / "c.0.1.0").unlink()
+    assert cli.main(["resume", "many.zarr", "--workers", "1", "--quiet"]) == 0
+    assert_same(co.open_archive("many.zarr"), alone.integrate())
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("[sweep.over]", "[sweep]"), "run.toml: sweep"),
+        (("workers = 2", "workers = 0"), "run.toml: run.workers: must be 1 or more, not 0"),
+        (
+            ("workers = 2", "workers = 2\nt_eval = [0.5]"),
+            "run.toml: run.workers: workers keep every save_every",
+        ),
+    ],
+)
+def test_wrong_workers_of_a_file(tmp_path, monkeypatch, capsys, change, said):
+    from coadjoint import cli
+
+    monkeypatch.chdir(tmp_path)
+    Path("run.toml").write_text(SWEEP.replace(*change))
+    assert cli.main(["run", "run.toml"]) == 2
+    assert capsys.readouterr().err.startswith(said)
+
+
+def test_workers_need_an_ensemble(tmp_path, monkeypatch, capsys):
+    from coadjoint import cli
+
+    monkeypatch.chdir(tmp_path)
+    text = SWEEP.replace("[sweep.over]", "").replace('"initial.x[1]" = [0.25, -0.5]', "")
+    Path("run.toml").write_text("\n".join(line for line in text.splitlines() if "linear" not in line))
+    assert cli.main(["run", "run.toml"]) == 2
+    assert "run.workers: workers run the members of an ensemble, and the file has one state" in capsys.readouterr().err

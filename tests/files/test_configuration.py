@@ -80,7 +80,7 @@ def test_catalogue_attitude_ensemble_and_observed(written):
         ([("[initial]", "[intial]")], "intial: unknown key; did you mean 'initial'?"),
         (
             [("step = 0.1", "step = 0.1\nqqq = 1")],
-            "run.qqq: unknown key; known here: save_every, step, t_eval, t_span, threads, watch",
+            "run.qqq: unknown key; known here: save_every, step, t_eval, t_span, threads, watch, workers",
         ),
         ([("step = 0.1", "")], "run.step: is missing; give it"),
         ([("step = 0.1", 'step = "0.1"')], "run.step: must be a number, not '0.1'"),

@@ -10,7 +10,7 @@ import pytest
 import xarray
 
 import coadjoint as co
-from coadjoint.files import ensemble as ensembles
+from coadjoint.files import run_in_blocks as ensembles
 from coadjoint.files.archive_store import ArchiveError, ArchiveStore, ArchiveUnwritten, read_root
 from coadjoint.files.block_run import BlockRun
 from coadjoint.files.blocks import blocks_of, lock_path, marker_path, read_about, read_marker, size_of_blocks
@@ -112,6 +112,9 @@ def test_resumed_by_its_archive_alone(tmp_path, monkeypatch):
     found = co.resume(archive)
     whole = co.integrate(BODY, X, (0, 4), 0.125, attitude=True, observe={"first": co.Polynomial({(1, 0, 0): 1})})
     assert_same(found, whole)
+    with pytest.raises(ValueError, match="is the archive of one run; client and workers are for ensembles in blocks"):
+        co.integrate(BODY, X, (0, 1), 0.125, archive=tmp_path / "one.zarr")
+        co.resume(tmp_path / "one.zarr", workers=2)
     with pytest.raises(ValueError, match="resume takes no t_end, events or until for an ensemble"):
         co.resume(archive, t_end=8.0)
 

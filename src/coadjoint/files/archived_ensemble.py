@@ -90,9 +90,13 @@ class ArchivedEnsemble(ArchivedSolution):
         names = ("change", "balance") if self._accounts else ("drift",)
         return np.concatenate([np.moveaxis(self._whole(name), 1, 2) for name in names], axis=-1)
 
+    @property
+    def said(self) -> str:
+        """How far it is, in words."""
+        return f"{int(np.count_nonzero(self.status != NOT_YET))} of {len(self.status)} members"
+
     def __repr__(self) -> str:
-        done = int(np.count_nonzero(self.status != NOT_YET))
-        return f"<archive {self.path}: {done} of {len(self.status)} members are computed>"
+        return f"<archive {self.path}: {self.said} are computed>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return open_archive, (self.path, self._given)

@@ -157,6 +157,8 @@ def resume(
     threads: int | None = None,
     progress: bool = False,
     until: int | None = None,
+    client: Any = None,
+    workers: int | None = None,
 ) -> ArchivedSolution:
     """Go on with the run of an archive, to the same bits as if it had never been cut.
 
@@ -179,6 +181,8 @@ def resume(
         Show a progress bar.
     until : int, optional
         After how many steps the run is left again.
+    client, workers : optional
+        Who goes on with an ensemble in blocks, as for `coadjoint.ensemble`; without them this process.
 
     Returns
     -------
@@ -211,11 +215,13 @@ def resume(
     place = path_of(path)
     found = open_archive(place, system)
     if isinstance(found, ArchivedEnsemble):
-        from coadjoint.files.ensemble import resume_ensemble
+        from coadjoint.files.run_in_blocks import resume_in_blocks, team_of
 
         if t_end is not None or events is not None or until is not None:
-            raise ValueError("resume takes no t_end, events or until for an ensemble in blocks; give neither")
-        return resume_ensemble(found, system, observe, threads, progress)
+            raise ValueError("resume takes no t_end, events or until for an ensemble in blocks; leave them out")
+        return resume_in_blocks(found, system, observe, team_of(client, workers, threads), progress)
+    if client is not None or workers is not None:
+        raise ValueError(f"{place}: is the archive of one run; client and workers are for ensembles in blocks")
     if found.finished and (t_end is None or found.attributes.get("run_failed")):
         return _told(found)
     store = ArchiveStore.opened(place)

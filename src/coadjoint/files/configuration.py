@@ -28,7 +28,7 @@ from coadjoint.methods.splitting import Splitting
 from coadjoint.methods.suggested import suggested_scheme
 from coadjoint.runs.any_time import moments_of
 from coadjoint.runs.events import Event
-from coadjoint.runs.start import start_of
+from coadjoint.runs.start import momenta_of, start_of
 from coadjoint.runs.times import times_of
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -56,7 +56,7 @@ class Configuration:
     ----------
     path : str
         The file, for messages.
-    system, x0, t_span, step, method, save_every, t_eval, attitude, watch, observe, events, threads
+    system, x0, t_span, step, method, save_every, t_eval, attitude, watch, observe, events, threads, workers
         As for `coadjoint.integrate`.
     output, archive, figure, movie : str or None
         Where the file wants the results; relative to the current directory.
@@ -94,6 +94,7 @@ class Configuration:
     observe: Mapping[str, Polynomial] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     threads: int | None = None
+    workers: int | None = None
     output: str | None = None
     archive: str | None = None
     figure: str | None = None
@@ -124,7 +125,7 @@ class Configuration:
         """
         from coadjoint.runs.integrate import integrate
 
-        if archive is not None:
+        if archive is not None or self.workers is not None:
             return self._integrate_into(archive, progress)
         self._check_memory()
         # `load` checked everything else. What is still refused here was found when the scheme was made ready.
@@ -145,7 +146,7 @@ class Configuration:
                 progress=progress,
             )
 
-    def _integrate_into(self, archive: str | Path, progress: bool) -> Solution:
+    def _integrate_into(self, archive: str | Path | None, progress: bool) -> Solution:
         from coadjoint.files.archives import archive_run
         from coadjoint.runs.prepared_run import PreparedRun
 
@@ -159,6 +160,14 @@ class Configuration:
                 observe=self.observe,
                 threads=self.threads,
             )
+        about = About(self.swept_coordinates(), {CONFIGURATION: self.text})
+        if self.workers is not None:
+            from coadjoint.files.run_in_blocks import run_in_blocks, team_of
+
+            team = team_of(None, self.workers, self.threads)
+            given = ready, self.x0, self.t_span, self.save_every, archive, team
+            return run_in_blocks(*given, progress=progress, about=about)
+        assert archive is not None
         return archive_run(
             ready,
             self.x0,
@@ -168,7 +177,7 @@ class Configuration:
             t_eval=self.t_eval,
             events=self.events,
             progress=progress,
-            about=About(self.swept_coordinates(), {CONFIGURATION: self.text}),
+            about=about,
         )
 
     def _check_memory(self) -> None:
@@ -275,6 +284,16 @@ def _method(name: str, file: File, system: Any) -> Method:
     return suggested_scheme(cast(Any, system)) if isinstance(system, MatrixSystem) else Splitting()
 
 
+def _check_workers(name: str, file: File, system: Any, x0: Any) -> None:
+    """Refuse workers for what they cannot run."""
+    with section(name, "run.workers"):
+        need("workers", "distributed")
+        if momenta_of(system, x0)[1]:
+            raise ValueError("workers run the members of an ensemble, and the file has one state")
+        if file.run.t_eval is not None or file.events:
+            raise ValueError("workers keep every save_every-th step, and look for no events; give no t_eval and events")
+
+
 def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Configuration:
     from coadjoint.files.configuration_models import File as Tables
 
@@ -294,6 +313,8 @@ def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Con
         start_of(system, serving(system, method), x0, False)
     with section(name, "initial.attitude"):
         start_of(system, serving(system, method), x0, file.initial.attitude)
+    if file.run.workers is not None:
+        _check_workers(name, file, system, x0)
     observe = {}
     for key, written in file.observe.items():
         with section(name, f"observe.{key}"):
@@ -318,6 +339,7 @@ def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Con
         observe=observe,
         events=tuple(events),
         threads=file.run.threads,
+        workers=file.run.workers,
         output=file.output.file,
         archive=file.output.archive,
         figure=file.output.figure,

@@ -115,6 +115,8 @@ class RunTable(Table):
     """Whether the invariants are looked at after every step, or at the saved states alone."""
     threads: Whole | None = None
     """Threads among which the members of an ensemble are shared; all cores without it. The bits do not depend on it."""
+    workers: Whole | None = None
+    """Processes of this machine that run the members of an ensemble in blocks; this process alone without it."""
 
 
 class EventTable(Table):

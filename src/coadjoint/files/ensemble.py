@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-import weakref
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
-from coadjoint.files.archive_store import ArchiveStore, ArchiveUnwritten, path_of
 from coadjoint.files.archived_ensemble import ArchivedEnsemble
-from coadjoint.files.block_run import BUSY, run_block
-from coadjoint.files.ensemble_archive import Ensemble, begun, check_same, finish, left_of
-from coadjoint.files.given_functions import asked_again
+from coadjoint.files.run_in_blocks import run_in_blocks, team_of
+from coadjoint.files.variables import About, Variables
 from coadjoint.given import read_whole
 from coadjoint.methods.base import Method
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.run import progress_bar, read_progress
+from coadjoint.runs.run import read_progress
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System
@@ -29,8 +23,6 @@ from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from distributed import Client
-
-    from coadjoint.files.blocks import Block
 
 
 def ensemble(
@@ -111,119 +103,22 @@ def ensemble(
     True
     """
     need("an ensemble in an archive", "xarray", "zarr")
-    progress = read_progress(progress)
-    crew = _crew_of(client, workers)
+    progress, team = read_progress(progress), team_of(client, workers, threads)
     if archive is None and client is not None:
         raise TypeError(
             "ensemble was given a client and no archive; give archive=, a folder that all workers see: results never "
             "move through the client"
         )
     size = None if members_per_block is None else read_whole(members_per_block, "members_per_block", floats=True)
-    own = None if threads is None else read_whole(threads, "threads", floats=True)
-    ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=own)
-    times, start = ready.times_of(t_span, save_every)[0], ready.start(x0)
-    if start.single:
-        raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs (members, ...), and integrate takes one")
-    whole = Ensemble(ready, times, start)
-    beside = _along_members({} if coordinates is None else coordinates, len(start.momenta))
-    folder = tempfile.mkdtemp(prefix="coadjoint-") if archive is None else None
-    try:
-        return _run(whole, folder, archive, size, crew, beside, client, workers, own, progress)
-    except BaseException as stopped:
-        if folder is not None and getattr(stopped, "partial", None) is None:
-            shutil.rmtree(folder, ignore_errors=True)
-        raise
+    ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=team.threads)
+    members = len(ready.start(x0).momenta)
+    about = About(_along_members({} if coordinates is None else coordinates, members), {})
+    return run_in_blocks(ready, x0, t_span, save_every, archive, team, size=size, progress=progress, about=about)
 
 
-def _run(
-    whole: Ensemble,
-    folder: str | None,
-    archive: Any,
-    size: int | None,
-    crew: int,
-    beside: Any,
-    client: Any,
-    workers: int | None,
-    threads: int | None,
-    progress: bool,
-) -> ArchivedEnsemble:
-    """Begin the archive or go on with it, and run what is left of it."""
-    ready, path = whole.ready, Path(folder, "ensemble.zarr") if folder is not None else path_of(archive).absolute()
-    if path.exists():
-        store = ArchiveStore.opened(path)
-        try:
-            check_same(whole, store)
-        except BaseException:
-            store.close()
-            raise
-    else:
-        store = begun(whole, path, size, crew, beside)
-    try:
-        left = left_of(store)
-        if client is None and workers is None:
-            _here(store, left, ready, progress)
-        else:
-            from coadjoint.files.on_workers import on_client, on_processes
-
-            if client is not None:
-                on_client(client, store, left, ready, threads, progress)
-            else:
-                on_processes(crew, store, left, ready, threads, progress)
-        said = finish(store)
-    finally:
-        store.close()
-    found = ArchivedEnsemble(path, ready.system)
-    if folder is not None:
-        weakref.finalize(found, shutil.rmtree, folder, ignore_errors=True)
-    if said.get("run_failed"):
-        raise IntegrationError(
-            said["failed_reason"],
-            step=int(said["failed_step"]),
-            time=float(said["failed_time"]),
-            residual=float(said["failed_residual"]),
-            partial=found,
-        )
-    return found
-
-
-def resume_ensemble(
-    found: ArchivedEnsemble, system: Any, observe: Mapping[str, Any] | None, threads: int | None, progress: bool
-) -> ArchivedEnsemble:
-    """Compute in this process what is missing of an ensemble, as `coadjoint.resume` does."""
-    given = asked_again(found.path, found, system, observe, None)
-    inputs = found.inputs()
-    return ensemble(
-        **{
-            name: inputs[name]
-            for name in ("system", "x0", "t_span", "step", "method", "save_every", "attitude", "watch")
-        },
-        observe=given.observe,
-        archive=found.path,
-        threads=threads,
-        progress=progress,
-    )
-
-
-def _crew_of(client: Any, workers: Any) -> int:
-    """Return how many work."""
-    if client is not None and workers is not None:
-        raise TypeError("ensemble was given a client and workers; give one of them: workers are of this machine")
-    if client is not None:
-        need("ensemble(client=)", "distributed")
-        from distributed import Client
-
-        if not isinstance(client, Client):
-            raise TypeError(f"client is {short(client)}; it must be a distributed.Client")
-        return max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
-    if workers is None:
-        return 1
-    need("ensemble(workers=)", "distributed")
-    return read_whole(workers, "workers", floats=True)
-
-
-def _along_members(given: Mapping[str, Any], members: int) -> dict[str, Any]:
+def _along_members(given: Mapping[str, Any], members: int) -> Variables:
     """Return coordinates as an archive has them."""
-    found = {}
+    found: Variables = {}
     for name, values in given.items():
         array, about = (values[0], {"long_name": values[1]}) if isinstance(values, tuple) else (values, {})
         array = np.asarray(array)
@@ -234,12 +129,3 @@ def _along_members(given: Mapping[str, Any], members: int) -> dict[str, Any]:
             )
         found[name] = (("member",), array.astype(np.float64) if array.dtype.kind == "f" else array, about)
     return found
-
-
-def _here(store: ArchiveStore, left: list[Block], ready: PreparedRun, progress: bool) -> None:
-    """Run blocks in this process, one after the other."""
-    with progress_bar(sum(block.last - block.first for block in left), progress, "member") as bar:
-        for block in left:
-            if run_block(str(store.path), block, ready, True, None) == BUSY:
-                raise ArchiveUnwritten(f"{store.path}: another process is still running some members; try again later")
-            bar(block.last - block.first)

@@ -33,7 +33,7 @@ from coadjoint.files.fingerprints import same_fingerprint
 from coadjoint.files.given_functions import GIVEN, OBSERVED, said_of_functions
 from coadjoint.files.stored_arrays import TYPES, StoredArray, rows_of_chunk
 from coadjoint.files.unfinished import Unfinished
-from coadjoint.files.variables import Variables, accounts_of, coordinates_of, over_time, starts_of, summaries_of
+from coadjoint.files.variables import About, Variables, accounts_of, coordinates_of, over_time, starts_of, summaries_of
 from coadjoint.runs.piecewise_run import PiecewiseRun
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class Ensemble(NamedTuple):
         return run.piece()
 
 
-def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: int, beside: Variables) -> ArchiveStore:
+def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: int, about: About) -> ArchiveStore:
     """Make a new archive, with the starts of all members and no more.
 
     Parameters
@@ -86,8 +86,8 @@ def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: in
         How many members go together.
     workers : int
         For how many workers blocks are made, where their size is not given.
-    beside : mapping
-        Further coordinates along the members.
+    about : About
+        What else is written beside.
     """
     target = check_new(archive)
     piece = ensemble.at_start()
@@ -96,16 +96,17 @@ def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: in
     longest = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values()) // members
     size = min(members, size or size_of_blocks(members, longest, workers))
     rows = rows_of_chunk(longest * size, ensemble.times.every_point)
-    fixed: Variables = {**starts_of(piece), **beside}
+    fixed: Variables = {**starts_of(piece), **about.coordinates}
     for name, values in coordinates_of(piece).items():
         fixed[name] = ((name,), np.asarray(ensemble.times.seen if name == "time" else values), {})
     later: Variables = {**growing, **summaries_of(piece), STATUS: ((MEMBER,), np.full(members, NOT_YET), ABOUT_STATUS)}
     points = ensemble.times.every_point
     arrays = {name: _array(*entry, size, rows, points) for name, entry in (fixed | later).items()}
-    about = f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}"
-    attributes = {**described(ensemble, piece), "platform": about, SIZE: size, FINISHED: 0, STEPS: 0}
-    if beside:
-        attributes["coordinates"] = " ".join(beside)
+    here = f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}"
+    attributes = {**described(ensemble, piece), "platform": here, SIZE: size, FINISHED: 0, STEPS: 0}
+    attributes |= about.attributes
+    if about.coordinates:
+        attributes["coordinates"] = " ".join(about.coordinates)
     try:
         with Unfinished(target) as unfinished:
             store = ArchiveStore.begun(unfinished.place, arrays)

@@ -1,0 +1,191 @@
+"""How is an ensemble run in blocks? Its archive is begun or gone on with, and what is left of it is given to a team."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import weakref
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from coadjoint.errors import IntegrationError
+from coadjoint.extras import need
+from coadjoint.files.archive_store import ArchiveStore, ArchiveUnwritten, path_of
+from coadjoint.files.archived_ensemble import ArchivedEnsemble
+from coadjoint.files.block_run import BUSY, run_block
+from coadjoint.files.ensemble_archive import Ensemble, begun, check_same, finish, left_of
+from coadjoint.files.given_functions import asked_again
+from coadjoint.files.variables import NOTHING, About
+from coadjoint.given import read_whole
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.run import progress_bar
+from coadjoint.wording import short
+
+if TYPE_CHECKING:
+    from coadjoint.files.blocks import Block
+
+
+class Team(NamedTuple):
+    """Who runs blocks.
+
+    Parameters
+    ----------
+    client : distributed.Client or None
+        Of a cluster.
+    workers : int or None
+        So many processes of this machine; None of both is this process.
+    threads : int or None
+        For the members of a block; None is one on workers, and otherwise all cores.
+    """
+
+    client: Any = None
+    workers: int | None = None
+    threads: int | None = None
+
+    @property
+    def hands(self) -> int:
+        """How many there are."""
+        if self.client is not None:
+            return max(1, len(self.client.scheduler_info(n_workers=-1)["workers"]))
+        return self.workers or 1
+
+
+def team_of(client: Any, workers: Any, threads: Any) -> Team:
+    """Return who runs blocks, checked."""
+    if client is not None and workers is not None:
+        raise TypeError("ensemble was given a client and workers; give one of them: workers are of this machine")
+    if client is not None:
+        need("ensemble(client=)", "distributed")
+        from distributed import Client
+
+        if not isinstance(client, Client):
+            raise TypeError(f"client is {short(client)}; it must be a distributed.Client")
+    if workers is not None:
+        need("ensemble(workers=)", "distributed")
+        workers = read_whole(workers, "workers", floats=True)
+    return Team(client, workers, None if threads is None else read_whole(threads, "threads", floats=True))
+
+
+def run_in_blocks(
+    ready: PreparedRun,
+    x0: Any,
+    t_span: tuple[float, float],
+    save_every: int,
+    archive: str | Path | None,
+    team: Team,
+    *,
+    size: int | None = None,
+    progress: bool = False,
+    about: About = NOTHING,
+) -> ArchivedEnsemble:
+    """Run an ensemble in blocks; see `coadjoint.ensemble`.
+
+    Parameters
+    ----------
+    ready : PreparedRun
+        All members, made ready.
+    x0, t_span, save_every, archive, progress
+        As for `coadjoint.ensemble`.
+    team : Team
+        Who runs blocks.
+    size : int, optional
+        How many members a block has.
+    about : About
+        What else is written beside.
+
+    Returns
+    -------
+    ArchivedEnsemble
+    """
+    times, start = ready.times_of(t_span, save_every)[0], ready.start(x0)
+    if start.single:
+        raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs (members, ...), and integrate takes one")
+    whole = Ensemble(ready, times, start)
+    if archive is not None:
+        return _run(whole, path_of(archive).absolute(), team, size, progress, about)
+    folder = tempfile.mkdtemp(prefix="coadjoint-")
+    kept: Any = None
+    try:
+        kept = _run(whole, Path(folder, "ensemble.zarr"), team, size, progress, about)
+    except (IntegrationError, KeyboardInterrupt) as stopped:
+        kept = getattr(stopped, "partial", None)
+        raise
+    finally:
+        if kept is None:
+            shutil.rmtree(folder, ignore_errors=True)
+        else:
+            weakref.finalize(kept, shutil.rmtree, folder, ignore_errors=True)
+    found: ArchivedEnsemble = kept
+    return found
+
+
+def _run(whole: Ensemble, path: Path, team: Team, size: int | None, progress: bool, about: About) -> ArchivedEnsemble:
+    """Begin the archive or go on with it, and run what is left of it."""
+    ready = whole.ready
+    if path.exists():
+        store = ArchiveStore.opened(path)
+        try:
+            check_same(whole, store)
+        except BaseException:
+            store.close()
+            raise
+    else:
+        store = begun(whole, path, size, team.hands, about)
+    try:
+        left = left_of(store)
+        if team.client is None and team.workers is None:
+            _here(store, left, ready, progress)
+        else:
+            from coadjoint.files.on_workers import on_client, on_processes
+
+            if team.client is not None:
+                on_client(team.client, store, left, ready, team.threads, progress)
+            else:
+                on_processes(team.hands, store, left, ready, team.threads, progress)
+        said = finish(store)
+    except KeyboardInterrupt as stopped:
+        stopped.partial = ArchivedEnsemble(path, ready.system)  # type: ignore[attr-defined]
+        raise
+    finally:
+        store.close()
+    found = ArchivedEnsemble(path, ready.system)
+    if said.get("run_failed"):
+        raise IntegrationError(
+            said["failed_reason"],
+            step=int(said["failed_step"]),
+            time=float(said["failed_time"]),
+            residual=float(said["failed_residual"]),
+            partial=found,
+        )
+    return found
+
+
+def _here(store: ArchiveStore, left: list[Block], ready: PreparedRun, progress: bool) -> None:
+    """Run blocks in this process, one after the other."""
+    with progress_bar(sum(block.last - block.first for block in left), progress, "member") as bar:
+        for block in left:
+            if run_block(str(store.path), block, ready, True, None) == BUSY:
+                raise ArchiveUnwritten(f"{store.path}: another process is still running some members; try again later")
+            bar(block.last - block.first)
+
+
+def resume_in_blocks(
+    found: ArchivedEnsemble, system: Any, observe: Mapping[str, Any] | None, team: Team, progress: bool
+) -> ArchivedEnsemble:
+    """Compute what is missing of an ensemble, as `coadjoint.resume` does."""
+    given, inputs = asked_again(found.path, found, system, observe, None), found.inputs()
+    ready = PreparedRun(
+        inputs["system"],
+        inputs["method"],
+        inputs["step"],
+        attitude=inputs["attitude"],
+        watch=inputs["watch"],
+        observe=given.observe,
+        threads=team.threads,
+    )
+    return run_in_blocks(
+        ready, inputs["x0"], inputs["t_span"], inputs["save_every"], found.path, team, progress=progress
+    )
