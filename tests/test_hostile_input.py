@@ -211,6 +211,9 @@ CALLS = {
     **{name: (type(m), {field.name: getattr(m, field.name) for field in dataclasses.fields(m)})
        for name, m in EXAMPLES.items() if name not in NAMED and dataclasses.fields(m)},
     **{f"{name}.properties": (m.properties, {"system": BODY}) for name, m in EXAMPLES.items()},
+    "ensemble": (co.ensemble, {"system": BODY, "x0": CROWD.x0, "t_span": (0, 1), "step": 0.1, "method": None,
+                 "save_every": 1, "attitude": False, "watch": True, "observe": None, "client": None,
+                 "members_per_block": None, "threads": 1, "progress": False, "coordinates": None}),
     "integrate": (co.integrate, {"system": BODY, "x0": X, "t_span": (0, 1), "step": 0.1, "method": None,
                   "save_every": 1, "attitude": False, "watch": True, "observe": None, "threads": None,
                   "progress": False}),

@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from coadjoint.extras import need
 from coadjoint.files.archived_ensemble import ArchivedEnsemble
 from coadjoint.files.run_in_blocks import run_in_blocks, team_of
 from coadjoint.files.variables import About, Variables
-from coadjoint.given import read_whole
+from coadjoint.given import read_numbers, read_whole
 from coadjoint.methods.base import Method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.run import read_progress
@@ -118,14 +116,14 @@ def ensemble(
 
 def _along_members(given: Mapping[str, Any], members: int) -> Variables:
     """Return coordinates as an archive has them."""
+    if not isinstance(given, Mapping):
+        raise TypeError(f"coordinates is {short(given)}; give a mapping from names to numbers, one for each member")
     found: Variables = {}
     for name, values in given.items():
-        array, about = (values[0], {"long_name": values[1]}) if isinstance(values, tuple) else (values, {})
-        array = np.asarray(array)
-        if not name.isidentifier() or array.shape != (members,) or array.dtype.kind not in "biufU":
-            raise ValueError(
-                f"coordinates has {short(array)} for {name!r}; give numbers or names of shape ({members},), and a name "
-                "of letters, digits and underscores"
-            )
-        found[name] = (("member",), array.astype(np.float64) if array.dtype.kind == "f" else array, about)
+        if not isinstance(name, str) or not name.isidentifier():
+            raise ValueError(f"coordinates has the name {short(name)}; give one of letters, digits and underscores")
+        numbers = read_numbers(values, f"coordinates[{short(name)}]")
+        if numbers.shape != (members,):
+            raise ValueError(f"coordinates has {short(numbers)} for {name!r}; give numbers of shape ({members},)")
+        found[name] = (("member",), numbers, {})
     return found

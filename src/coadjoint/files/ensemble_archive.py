@@ -100,6 +100,9 @@ def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: in
     for name, values in coordinates_of(piece).items():
         fixed[name] = ((name,), np.asarray(ensemble.times.seen if name == "time" else values), {})
     later: Variables = {**growing, **summaries_of(piece), STATUS: ((MEMBER,), np.full(members, NOT_YET), ABOUT_STATUS)}
+    taken = sorted(about.coordinates.keys() & (starts_of(piece).keys() | coordinates_of(piece).keys() | later.keys()))
+    if taken:
+        raise ValueError(f"coordinates has the name {taken[0]!r}, which the archive has for something else")
     points = ensemble.times.every_point
     arrays = {name: _array(*entry, size, rows, points) for name, entry in (fixed | later).items()}
     here = f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}"
