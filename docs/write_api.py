@@ -65,6 +65,8 @@ USED = {
     "analysis.field_of_step": ("field_of_series", "field_at"),
     "analysis.exact_field": ("ExactField",),
     "analysis.field_at_points": ("FieldAtPoints",),
+    "experiments.selftest.findings": ("Finding",),
+    "experiments.selftest.run": ("selftest",),
     "files.configuration": ("load", "Configuration"),
     "files.export": ("dataset_of", "rebuild", "solution_inputs", "mark_failed"),
     "files.schema": ("schema",),

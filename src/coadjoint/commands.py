@@ -6,6 +6,7 @@ import importlib
 import inspect
 import math
 import sys
+import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -271,6 +272,27 @@ def _describe(name: str, parameters: Mapping[str, Any], documentation: str) -> N
     empty = inspect.Parameter.empty
     shown = ", ".join(key if default is empty else f"{key}={default!r}" for key, default in parameters.items())
     click.echo(f"{name}({shown})\n    {documentation.partition(chr(10))[0]}")
+
+
+@commands.command("selftest")
+@click.option("--quiet", is_flag=True, help="Print nothing but what fails.")
+def check_installation(quiet: bool) -> None:
+    """Check the installed package on this machine, in under a minute: what is measured, beside what is allowed.
+
+    Exit status 0 only where every check holds; what is skipped, for want of a package, does not fail.
+    """
+    from coadjoint.experiments.selftest.run import selftest
+
+    begun, failed, skipped, count = time.monotonic(), 0, 0, 0
+    for found in selftest():
+        count, failed, skipped = count + 1, failed + (not found.passed), skipped + bool(found.skipped)
+        if not (quiet and found.passed):
+            click.echo(str(found))
+    if not quiet:
+        seconds = time.monotonic() - begun
+        click.echo(f"coadjoint {__version__}: {count} checks, {failed} failed, {skipped} skipped, {seconds:.1f} s")
+    if failed:
+        raise click.exceptions.Exit(1)
 
 
 @commands.command("schema")

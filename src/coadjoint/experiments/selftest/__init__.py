@@ -1,0 +1,1 @@
+"""Does the installed package work on this machine? Checks that ship with it, behind `coadjoint selftest`."""

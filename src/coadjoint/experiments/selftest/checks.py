@@ -1,0 +1,178 @@
+"""The checks of the installed package: each yields what was measured, and what is allowed."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coadjoint.analysis.certificate import HOLDS, Row
+from coadjoint.analysis.certify import certify
+from coadjoint.errors import in_one_line
+from coadjoint.experiments.selftest.findings import Finding
+from coadjoint.experiments.selftest.subjects import more_schemes, references, schemes, served, state_of, systems
+from coadjoint.extras import EXTRAS, installed
+from coadjoint.methods.base import Method
+from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.isospectral_gauss import IsospectralGauss
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.integrate import integrate
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+
+STEP = 1 / 16
+LOST_ORDER = 0.5
+"""What a slope between two steps may miss of the order, before the steps are small."""
+CERTIFIED_STEPS = 100
+LONGEST = 32  # of what a scheme is called
+TOLD = {
+    "symmetry": "a step back undoes a step",
+    "reversibility": "reversible as the motion",
+    "poisson": "Poisson bracket",
+    "energy": "energy",
+    "casimir": "Casimirs",
+    "group": "group elements are in the group",
+    "spatial momentum": "spatial momentum",
+    "reference": "limit of small steps",
+    "attitude": "limit of group elements",
+}
+"""Rows of certificates that are shown, by the beginning of their keys."""
+
+
+def rounding(system: Any, steps: int, work: float) -> float:
+    """Return how far rounding may move a state of size one: 4 n u for each evaluation of each step.
+
+    Examples
+    --------
+    >>> rounding(systems()["so(3)"], 10, 1.0) < 1e-13
+    True
+    """
+    return 4.0 * float(system.dim) * UNIT_ROUNDOFF * steps * (work + 1.0)
+
+
+def motions() -> Iterator[Finding]:
+    """Hold a scheme of high order against states from 40 digits."""
+    for key, reference in references().items():
+        system = systems()[key]
+        method: Method = IsospectralGauss(6) if isinstance(system, MatrixSystem) else GaussLegendre(6)
+        found = integrate(system, state_of(system), (0.0, 1.0), STEP, method)
+        allowed = rounding(system, found.stats.steps, found.stats.evaluations / found.stats.steps)
+        yield Finding(f"motion on {key}", float(abs(found.x[-1] - reference).max()), allowed, str(method))
+
+
+def orders() -> Iterator[Finding]:
+    """Measure the order of every scheme by two steps, against states from 40 digits."""
+    for method in more_schemes():
+        slopes = {}
+        for key, system in served(method).items():
+            if key not in references():
+                continue
+            errors, floor = [], 0.0
+            for step in (STEP, STEP / 2):
+                found = integrate(system, state_of(system), (0.0, 1.0), step, method)
+                errors.append(float(abs(found.x[-1] - references()[key]).max()))
+                work = found.stats.evaluations / found.stats.steps
+                floor = max(floor, rounding(system, found.stats.steps, work))
+            # At the floor of rounding there is no slope: what is there is exact.
+            slopes[key] = math.inf if errors[1] <= floor else math.log2(errors[0] / errors[1])
+        told = [key for key, slope in slopes.items() if slope < math.inf]
+        if told:
+            worst = min(told, key=lambda key: slopes[key])
+            yield Finding(f"order of {_called(method)}", slopes[worst], method.order - LOST_ORDER, worst, least=True)
+        elif slopes:
+            exact = "exact but for rounding"
+            yield Finding(f"order of {_called(method)}", math.inf, method.order - LOST_ORDER, exact, least=True)
+
+
+def certificates() -> Iterator[Finding]:
+    """Certify every scheme on every system that it serves; yield for each property who comes nearest to failing."""
+    rows: dict[str, list[tuple[str, Row]]] = {}
+    lacking, count = [], 0
+    for method in schemes():
+        for key, system in served(method).items():
+            found = certify(system, method, state_of(system), STEP / 2, steps=CERTIFIED_STEPS)
+            count += 1
+            for row in found.table:
+                if row.claimed and row.verdict != HOLDS:
+                    lacking.append(f"{_called(method)} on {key}: {row.what}")
+                kind = next((kind for kind in TOLD if row.key.startswith(kind)), None)
+                if kind and row.claimed and row.value is not None and row.bound:
+                    rows.setdefault(kind, []).append((f"{_called(method)} on {key}", row))
+    for kind, said in TOLD.items():
+        if kind in rows:
+            place, row = max(rows[kind], key=lambda one: _part(one[1]))
+            yield Finding(f"{said}, {len(rows[kind])} times", row.value or 0.0, row.bound or 0.0, place)
+    yield Finding(f"of {count} certificates fail", float(len(lacking)), 0.0, "; ".join(lacking)[:200])
+
+
+def _called(method: Method) -> str:
+    return in_one_line(str(method), LONGEST)
+
+
+def _part(row: Row) -> float:
+    return (row.value or 0.0) / (row.bound or 1.0)
+
+
+def same_bits() -> Iterator[Finding]:
+    """Run members alone, in company, on threads, saved and watched or not; count those whose bits differ."""
+    alone, looked, tried = [], [], 0
+    for method in more_schemes():
+        for key, system in served(method).items():
+            x0 = np.array([state_of(system, number) for number in range(5)])
+            together = integrate(system, x0, (0.0, 1.0), STEP, method, threads=1)
+            others = integrate(system, x0[::-1], (0.0, 1.0), STEP, method, threads=2)
+            one = integrate(system, x0[3], (0.0, 1.0), STEP, method)
+            last = integrate(system, x0[3], (0.0, 1.0), STEP, method, save_every=5, watch=False)
+            tried += 1
+            if not (_same(together.x, others.x[:, ::-1]) and _same(together.x[:, 3], one.x)):
+                alone.append(f"{_called(method)} on {key}")
+            if not _same(last.x[-1], one.x[-1]):
+                looked.append(f"{_called(method)} on {key}")
+    yield Finding(f"bits alone, in company, on threads: {tried}", float(len(alone)), 0.0, "; ".join(alone)[:200])
+    yield Finding(f"bits saved and watched or not: {tried}", float(len(looked)), 0.0, "; ".join(looked)[:200])
+
+
+def _same(one: Any, other: Any) -> bool:
+    return np.ascontiguousarray(one).tobytes() == np.ascontiguousarray(other).tobytes()
+
+
+def plain_reading() -> Iterator[Finding]:
+    """Take a step by the compiled kernels and one in Python; yield the scheme whose two differ most."""
+    worst, tried = (0.0, 1.0, ""), 0
+    for method in more_schemes():
+        for key, system in served(method).items():
+            x = state_of(system)
+            found = integrate(system, x, (0.0, STEP), STEP, method)
+            plain = np.asarray(method.step(system, x, 0.0, STEP))
+            error = float(abs(found.x[-1] - plain).max())
+            allowed = rounding(system, 1, max(1.0, float(found.stats.evaluations)))
+            tried += 1
+            if error / allowed >= worst[0] / worst[1]:
+                worst = error, allowed, f"{_called(method)} on {key}"
+    yield Finding(f"compiled steps beside Python: {tried}", *worst)
+
+
+def resumed() -> Iterator[Finding]:
+    """Cut runs and go on from their archives; count those whose bits differ from the run that was not cut."""
+    missing = [name for name in ("xarray", "zarr") if not installed(name)]
+    if missing:
+        extra = EXTRAS[missing[0]]
+        yield Finding("cut and resumed", skipped=f'{missing[0]} is not installed: pip install "coadjoint[{extra}]"')
+        return
+    from coadjoint.files.archives import resume
+
+    other, tried = [], 0
+    with tempfile.TemporaryDirectory() as folder:
+        for method in schemes():
+            key, system = next(iter(served(method).items()))
+            x0 = np.array([state_of(system, number) for number in range(2)])
+            whole = integrate(system, x0, (0.0, 1.0), STEP, method)
+            path = Path(folder, f"{tried}.zarr")
+            integrate(system, x0, (0.0, 5 * STEP), STEP, method, archive=path)
+            tried += 1
+            if not _same(np.asarray(resume(path, t_end=1.0).x), whole.x):
+                other.append(f"{_called(method)} on {key}")
+    yield Finding(f"cut and resumed: {tried}", float(len(other)), 0.0, "; ".join(other)[:200])

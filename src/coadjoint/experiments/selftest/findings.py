@@ -1,0 +1,55 @@
+"""What does one check of the installed package say: what was measured, and what is allowed?"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One check.
+
+    Parameters
+    ----------
+    what : str
+        What was looked at.
+    measured : float
+        The number that decides.
+    allowed : float
+        What it is compared with.
+    where : str
+        What it belongs to: the scheme and the system that come nearest to failing.
+    least : bool
+        Whether it must be at least what is allowed, as an order; otherwise at most.
+    skipped : str
+        Why nothing was measured, or empty.
+
+    Examples
+    --------
+    >>> print(Finding("order of Splitting(order=4)", 3.96, 3.5, "su(3)", least=True))
+    ok    order of Splitting(order=4)                        3.96   at least     3.5  su(3)
+    >>> Finding("Casimirs", float("nan"), 1e-13).passed
+    False
+    """
+
+    what: str
+    measured: float = math.nan
+    allowed: float = math.nan
+    where: str = ""
+    least: bool = False
+    skipped: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether it holds; what was skipped does not fail."""
+        if self.skipped:
+            return True
+        return self.measured >= self.allowed if self.least else self.measured <= self.allowed
+
+    def __str__(self) -> str:
+        if self.skipped:
+            return f"skip  {self.what:42}  {self.skipped}"
+        said, bound = "ok" if self.passed else "FAIL", "at least" if self.least else "at most"
+        numbers = f"{self.measured:9.3g}   {bound:8}  {self.allowed:7.2g}"
+        return f"{said:4}  {self.what:42}  {numbers}  {self.where}".rstrip()

@@ -1,0 +1,132 @@
+"""On which systems, and with which schemes, is the installed package tried?"""
+
+from __future__ import annotations
+
+import importlib.resources
+import json
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra import catalogue
+from coadjoint.methods import registry
+from coadjoint.methods.base import Method
+from coadjoint.methods.forced import check_serves
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.ready_made import ready_made_systems
+
+Array = NDArray[Any]
+
+NAMES = {
+    "so(3)": "rigid_body",
+    "se(3)": "heavy_top",
+    "so(4)": "so_n_body",
+    "A3,7": "paper_a37",
+    "su(3)": "",
+    "so(5)": "matrix_body",
+    "torus": "torus_euler",
+}
+
+
+@cache
+def systems() -> Mapping[str, Any]:
+    """Return the systems by the name of their algebra: bodies, a top, a solvable algebra, matrices.
+
+    Examples
+    --------
+    >>> {key: system.name for key, system in systems().items()}["A3,7"]
+    'paper_a37'
+    """
+    known = ready_made_systems()
+    found = {key: known[name]() for key, name in NAMES.items() if name not in ("", "torus_euler")}
+    found["su(3)"] = LiePoissonSystem(catalogue.get("su(3)"), Quadratic(np.linspace(0.5, 2.25, 8)), name="su(3)")
+    found["torus"] = known["torus_euler"](N=5)
+    return {key: found[key] for key in NAMES}
+
+
+def state_of(system: Any, number: int = 0) -> Array:
+    """Return a state: cosines of whole numbers, the first of which is 1 + `number`; below the diagonal of a matrix.
+
+    Examples
+    --------
+    >>> state_of(systems()["so(3)"]).round(3).tolist()
+    [0.54, -0.416, -0.99]
+    """
+    if not isinstance(system, MatrixSystem):
+        return np.cos(1.0 + number + np.arange(system.dim))
+    if system.complex:
+        return np.asarray(system.random(1 + number, degrees=(1, 2)))  # type: ignore[attr-defined]
+    return as_matrix(np.cos(1.0 + number + np.arange(10)), 5)
+
+
+def as_matrix(entries: Array, n: int) -> Array:
+    """Return the skew matrix with entries below the diagonal, row by row.
+
+    Examples
+    --------
+    >>> as_matrix(np.array([1.0, 2.0, 3.0]), 3).tolist()
+    [[0.0, -1.0, -2.0], [1.0, 0.0, -3.0], [2.0, 3.0, 0.0]]
+    """
+    found = np.zeros((n, n))
+    found[np.tril_indices(n, -1)] = entries
+    return found - found.T
+
+
+@cache
+def references() -> Mapping[str, Array]:
+    """Return where the motions are at t = 1, from 40 digits; the torus has none.
+
+    Examples
+    --------
+    >>> sorted(references())
+    ['A3,7', 'se(3)', 'so(3)', 'so(4)', 'so(5)', 'su(3)']
+    """
+    file = importlib.resources.files(__package__) / "references.json"
+    found = json.loads(file.read_text(encoding="utf-8"))["states"]
+    return {key: as_matrix(np.array(state), 5) if key == "so(5)" else np.array(state) for key, state in found.items()}
+
+
+def schemes(place: int = 0) -> list[Method]:
+    """Return one example of every scheme of the library, the first one by default.
+
+    Examples
+    --------
+    >>> len(schemes()) >= 14
+    True
+    """
+    kinds = [registry.scheme(name) for name in registry.names()]
+    return [kind.examples()[place] for kind in kinds if kind.__module__.startswith("coadjoint.")]
+
+
+def more_schemes() -> list[Method]:
+    """Return the last example of every scheme too, such as one of a higher order.
+
+    Examples
+    --------
+    >>> len(more_schemes()) > len(schemes())
+    True
+    """
+    return list(dict.fromkeys([*schemes(), *schemes(-1)]))
+
+
+def served(method: Method) -> dict[str, Any]:
+    """Return the systems that a scheme serves, by name.
+
+    Examples
+    --------
+    >>> list(served(registry.get("IsospectralGauss")))
+    ['so(5)', 'torus']
+    """
+    found = {}
+    for key, system in systems().items():
+        try:
+            check_serves(system, method)
+        except (TypeError, ValueError):
+            continue
+        found[key] = system
+    return found
