@@ -1,4 +1,4 @@
-"""A random run from a seed: system or batch, scheme, crowd, span, and what is carried and watched."""
+"""A random run from a seed: system or batch, scheme, crowd, span, what is carried and watched, and looked for."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ DRAWN = (
     co.RadauEnergy,
     co.Taylor,
     co.Composition,
+    co.ReversibleSteps,
 )
+MOST_TURNS = 30.0  # of a motion that is followed by steps of its own: how often it changes by its size
 TRIPLE_JUMP = (1 / (2 - 2 ** (1 / 3)), 1 - 2 / (2 - 2 ** (1 / 3)), 1 / (2 - 2 ** (1 / 3)))
 
 
@@ -43,6 +45,7 @@ class Case:
     attitude: Any
     save_every: int
     watch: bool
+    events: tuple[Any, ...] = ()
 
     @property
     def batch(self) -> bool:
@@ -51,7 +54,8 @@ class Case:
     def __str__(self) -> str:
         return (
             f"{self.systems[0]!r}{' and others' if self.batch else ''} by {self.method}, {len(self.x0)} members, "
-            f"t_span={self.t_span}, step={self.step}, attitude={self.attitude!r}, save_every={self.save_every}"
+            f"t_span={self.t_span}, step={self.step}, attitude={self.attitude!r}, save_every={self.save_every}, "
+            f"events={list(self.events)}"
         )
 
 
@@ -147,4 +151,53 @@ def case_of(seed: int) -> tuple[Case, np.random.Generator]:
             attitude = True if own else "coadjoint"
         save_every, watch = int(rng.choice([1, 1, 2, 3, 5, 7, 9, 13, 100])), bool(rng.random() < 0.6)
         x0 = crowd(rng, members, n)
-        return Case(systems, x0, (t0, end), step, method, attitude, save_every, watch), rng
+        case = Case(systems, x0, (t0, end), step, method, attitude, save_every, watch)
+        # By numbers of their own, so that they change nothing of what is drawn above.
+        return with_more(case, np.random.default_rng([seed, 1])), rng
+
+
+def with_more(case: Case, rng: np.random.Generator) -> Case:
+    """Return the case, sometimes in steps of the scheme's own, and sometimes with events."""
+    if rng.random() < 0.25:
+        case = with_own_steps(case, rng)
+    if rng.random() < 0.35 and np.abs(case.x0).max() < 1e6:
+        events = tuple(some_event(rng, case) for _ in range(int(rng.integers(1, 4))))
+        case = dataclasses.replace(case, events=events)
+    return case
+
+
+def with_own_steps(case: Case, rng: np.random.Generator) -> Case:
+    """Return the case in steps that follow the motion, where it is not too fast for that."""
+    if rng.random() < 0.6:
+        tolerance = 10.0 ** float(rng.uniform(-14, -2))
+        method: Any = co.Taylor(tolerance=tolerance, projected=bool(rng.random() < 0.7))
+    else:
+        bases = (co.Splitting(order=2), co.Splitting(order=4), co.GaussLegendre(2))
+        method = co.ReversibleSteps(bases[rng.integers(3)], float(rng.choice([0.03, 0.1, 0.3])))
+    system, time = case.systems[0], abs(case.t_span[1] - case.t_span[0])
+    with np.errstate(all="ignore"):
+        changes = np.array([system.vector_field(x) for x in case.x0])
+        fast = np.linalg.norm(changes, axis=1) * time > MOST_TURNS * np.linalg.norm(case.x0, axis=1)
+    try:
+        keeps = method.properties(system)
+    except ValueError:
+        return case
+    if fast.any() or not np.isfinite(changes).all():
+        return case
+    attitude = case.attitude if keeps.attitude != "none" else False
+    return dataclasses.replace(case, method=method, attitude=attitude)
+
+
+def some_event(rng: np.random.Generator, case: Case) -> co.Event:
+    """Return a coordinate, or a linear or quadratic function that is zero near one of the states."""
+    n, direction = case.systems[0].dim, int(rng.integers(-1, 2))
+    count = (None, None, 1, 3)[rng.integers(4)]
+    kind, name = rng.integers(3), f"e{rng.integers(10**9)}"
+    if kind == 0:
+        return co.Event(int(rng.integers(n)), direction=direction, count=count, name=name)
+    w = np.round(rng.standard_normal(n), 2)
+    M = np.diag(rng.standard_normal(n)) if kind == 2 else np.zeros((n, n))
+    x = case.x0[rng.integers(len(case.x0))] * float(rng.uniform(0.8, 1.2))
+    return co.Event(
+        co.Quadratic(M, linear=w, constant=-float(w @ x + 0.5 * x @ M @ x)), direction=direction, count=count, name=name
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import io
 import time
 from collections.abc import Iterator
@@ -18,10 +19,14 @@ SLOW = 2.0  # seconds: near a blow-up a run may take that, and is then compared 
 
 
 class Left(NamedTuple):
-    """What a run leaves: arrays by name, members second where the name has no star; and how it failed."""
+    """What a run leaves: arrays by name, members second where the name has no star; and how it failed.
+
+    Crossings are rows of numbers for each member: time, event, direction, state.
+    """
 
     arrays: dict[str, np.ndarray]
     failure: tuple[Any, ...] | None
+    crossings: tuple[np.ndarray, ...] = ()
 
 
 def left_by(solution: co.Solution, failure: tuple[Any, ...] | None) -> Left:
@@ -33,7 +38,15 @@ def left_by(solution: co.Solution, failure: tuple[Any, ...] | None) -> Left:
     arrays = {name: values[:, None] if single else values for name, values in along.items()}
     for name, drift in solution.drift().items():
         arrays[f"*{name}"] = np.atleast_2d(drift.tenths)
-    return Left(arrays, failure)
+    return Left(arrays, failure, crossings_of(solution.events, 1 if single else solution.x.shape[1]))
+
+
+def crossings_of(events: Any, members: int) -> tuple[np.ndarray, ...]:
+    """Return the crossings of each member, a row of numbers each."""
+    if events is None:
+        return ()
+    rows = np.column_stack([events.t, events.which, events.direction, events.x])
+    return tuple(rows[events.member == m] for m in range(members))
 
 
 def run(case: Case, members: Any = slice(None), **changes: Any) -> Left:
@@ -43,7 +56,8 @@ def run(case: Case, members: Any = slice(None), **changes: Any) -> Left:
         system = case.systems[int(chosen)] if chosen.ndim == 0 else co.batch([case.systems[m] for m in chosen])
     else:
         system = case.systems[0]
-    given = {"attitude": case.attitude, "save_every": case.save_every, "watch": case.watch, "threads": 1} | changes
+    given = {"attitude": case.attitude, "save_every": case.save_every, "watch": case.watch, "threads": 1}
+    given |= {"events": case.events} | changes
     try:
         with contextlib.redirect_stderr(io.StringIO()):
             return left_by(co.integrate(system, case.x0[chosen], case.t_span, case.step, case.method, **given), None)
@@ -63,7 +77,7 @@ def prepared_twice(case: Case) -> Left:
 def prepared_by(ready: co.PreparedRun, case: Case) -> Left:
     """Run the case by a prepared run."""
     try:
-        return left_by(ready.run(case.x0, case.t_span, case.save_every), None)
+        return left_by(ready.run(case.x0, case.t_span, case.save_every, events=case.events), None)
     except co.IntegrationError as error:
         return left_by(error.partial, (error.step, error.time, repr(error.residual), str(error)))
 
@@ -83,6 +97,10 @@ def differing(one: Left, other: Left, members: Any = slice(None), followed: bool
     Casimirs with several values are `followed` from look to look: they differ by whole periods where looks do.
     """
     found = []
+    if one.crossings and other.crossings:
+        chosen = np.arange(len(one.crossings))[members]
+        if not all(same(one.crossings[m], theirs) for m, theirs in zip(chosen, other.crossings, strict=True)):
+            found.append("events")
     for name in other.arrays.keys() & one.arrays.keys():
         mine, theirs = one.arrays[name], other.arrays[name]
         mine = mine[members] if name.startswith("*") else mine[:, members]
@@ -118,6 +136,37 @@ def at_any_time(case: Case, rng: np.random.Generator, every: Left) -> Iterator[s
             yield f"states at any time: {', '.join(sorted(names))} of member {m} differ from those that it has alone"
 
 
+def ended(case: Case, rng: np.random.Generator, whole: Left) -> Iterator[str]:
+    """Yield what is wrong with a run that one of its events ends."""
+    chosen = int(rng.integers(len(case.events)))
+    ending = dataclasses.replace(case.events[chosen], terminal=True)
+    events = (*case.events[:chosen], ending, *case.events[chosen + 1 :])
+    crowd = run(case, events=events)
+    if crowd.failure is not None:
+        return
+    if differing(crowd, run(case, events=events, threads=3)):
+        yield "ended by an event: other bits on threads"
+    for m in sorted({0, len(case.x0) - 1, int(rng.integers(len(case.x0)))}):
+        at_end = crowd.crossings[m][crowd.crossings[m][:, 1] == chosen]
+        over = len(at_end) == ending.until
+        alone = run(case, m, events=events)
+        points = len(alone.arrays["x"]) - over
+        if not same(alone.crossings[0], crowd.crossings[m]) or not same(
+            whole.crossings[m][: len(crowd.crossings[m])], crowd.crossings[m]
+        ):
+            yield f"ended by an event: other crossings of member {m}"
+        for name in ("x", "energy"):
+            mine = crowd.arrays[name][:, m]
+            if not same(mine[:points], alone.arrays[name][:points, 0]) or not same(
+                mine[:points], whole.arrays[name][:points, m]
+            ):
+                yield f"ended by an event: {name} of member {m} has other bits before its end"
+            if not np.isnan(mine[points:]).all():
+                yield f"ended by an event: {name} of member {m} goes on after its end"
+        if over and not same(alone.arrays["x"][-1, 0].ravel(), at_end[-1, 3:]):
+            yield f"ended by an event: the last state of member {m} is not that of the event"
+
+
 def differences(seed: int) -> Iterator[str]:
     """Yield what changes bits in the case of a seed, in a sentence each."""
     case, rng = case_of(seed)
@@ -142,7 +191,8 @@ def differences(seed: int) -> Iterator[str]:
     yield from told("with a progress bar, in pieces", run(case, progress=True))
     yield from told("prepared, after other states", prepared_twice(case))
     unwatched = run(case, watch=not case.watch)
-    saved = Left({n: v for n, v in unwatched.arrays.items() if not n.startswith("*")}, unwatched.failure)
+    arrays = {n: v for n, v in unwatched.arrays.items() if not n.startswith("*")}
+    saved = unwatched._replace(arrays=arrays)
     # An energy, or the finish of a merged step, that is no number is seen where one looks: the arrays say who failed.
     yield from told("watched or not", saved, failing=False, followed=True)
     steps = round(abs(case.t_span[1] - case.t_span[0]) / case.step)
@@ -152,9 +202,12 @@ def differences(seed: int) -> Iterator[str]:
     if case.watch and not np.isnan(whole.arrays["x"][-1]).any():
         # A failure is seen where one looks, and what has strayed counts until then.
         within |= {n: v for n, v in every.arrays.items() if n.startswith("*")}
-    yield from told("every step saved", Left(within, every.failure), failing=False, followed=not case.watch)
+    kept_every = every._replace(arrays=within)
+    yield from told("every step saved", kept_every, failing=False, followed=not case.watch)
     if whole.failure is None:
         yield from at_any_time(case, rng, every)
+        if case.events:
+            yield from ended(case, rng, whole)
     if case.attitude is not False and whole.failure is None:
         # A group element may overflow where the momentum does not.
         yield from told("without attitude", run(case, attitude=False), failing=False)
