@@ -12,9 +12,11 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any, TypeVar
 
+from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.given import check_parameters, read_choice
 from coadjoint.methods.base import Method
 from coadjoint.program.chosen_parts import ChosenParts
+from coadjoint.systems.quadratic import Quadratic
 from coadjoint.wording import short
 
 Scheme = TypeVar("Scheme", bound=type[Method])
@@ -361,4 +363,8 @@ def _plain(value: Any) -> Any:
         return value.to_mapping()
     if isinstance(value, Method):
         return description_of(value)
+    if isinstance(value, Quadratic):
+        value = value.to_polynomial()
+    if isinstance(value, Polynomial):
+        return [[float(coefficient), list(powers)] for powers, coefficient in value.monomials.items()]
     return [_plain(entry) for entry in value] if isinstance(value, tuple | list) else value

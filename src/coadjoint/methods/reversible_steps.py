@@ -54,7 +54,8 @@ class ReversibleSteps(Method):
         Length of a step times the speed: how far it goes in radians, about, or in parts of the momentum. The error goes
         like its power of the order of the base.
     speed : Quadratic or Polynomial, optional
-        A polynomial of the state that is positive where the motion goes. None is the root mean square size of the
+        A polynomial of the state that is positive where the motion goes; in files a list of its terms, ``[coefficient,
+        [exponent of x1, exponent of x2, ...]]``. None is the root mean square size of the
         matrix D, x' = D x with grad H held: the rate at which flows turn, shear and stretch. Without a Lie algebra it
         is to be given.
 
@@ -82,11 +83,10 @@ class ReversibleSteps(Method):
 
     base: Method
     stride: float = 0.1
-    speed: Quadratic | Polynomial | None = None
+    speed: Quadratic | Polynomial | Sequence[Any] | None = None
 
     symmetric = False
     compensates = False
-    offered = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.base, Method):
@@ -104,6 +104,8 @@ class ReversibleSteps(Method):
         if not stride > 0.0:
             raise ValueError(f"stride of ReversibleSteps is {stride:g}; it must be positive, such as 0.1")
         object.__setattr__(self, "stride", stride)
+        if isinstance(self.speed, list | tuple):
+            object.__setattr__(self, "speed", _speed_of_terms(self.speed))
         if not (self.speed is None or isinstance(self.speed, Quadratic | Polynomial)):
             raise TypeError(f"speed of ReversibleSteps is {short(self.speed)}; it must be a Quadratic or a Polynomial")
 
@@ -232,3 +234,14 @@ class ReversibleSteps(Method):
     def look_ahead(self, systems: Sequence[System]) -> None:
         """Let the base look ahead."""
         self.base.look_ahead(systems)
+
+
+def _speed_of_terms(terms: Sequence[Any]) -> Polynomial:
+    """Return the polynomial of a list of terms."""
+    try:
+        return Polynomial({tuple(powers): coefficient for coefficient, powers in terms})
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"speed of ReversibleSteps is {short(terms)}: {error}; give a Quadratic, a Polynomial, or terms such as "
+            "[[0.5, [0, 0, 0]], [1.0, [2, 0, 0]]]"
+        ) from None

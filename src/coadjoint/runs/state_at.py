@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -101,29 +101,25 @@ def state_at(solution: Solution, t: Any) -> StateAt:
             f"the times lie {sum(last)} steps behind the saved points, and at most {MOST_STEPS} are taken again; "
             "integrate with t_eval, or with a smaller save_every"
         )
-    found: list[Any] = [None] * len(wanted)
-    for j, count in zip(pieces.tolist(), last, strict=True):
-        own = np.flatnonzero(before == j)
-        own = own[np.argsort(way * wanted[own], kind="stable")]
-        found_there = _from_point(solution, j - 1, float(known[j]), count, wanted[own], way, way * ends + near)
-        for place, state in zip(own.tolist(), found_there, strict=True):
-            found[place] = state
-    if given.ndim == 0:
-        return StateAt(float(given), *found[0])
-    x, energy, casimirs, attitude = zip(*found, strict=True)
-    names = casimirs[0]
-    return StateAt(
-        wanted,
-        np.stack(x),
-        np.stack(energy),
-        {name: np.stack([each[name] for each in casimirs]) for name in names},
-        None if attitude[0] is None else np.stack(attitude),
-    )
+    order = np.lexsort((way * wanted, before))
+    edges = np.searchsorted(before[order], [*pieces, pieces[-1] + 1])
+    found = [
+        _from_point(solution, j - 1, float(known[j]), count, wanted[order[low:high]], way, way * ends + near)
+        for j, count, low, high in zip(pieces.tolist(), last, edges[:-1], edges[1:], strict=True)
+    ]
+    place = 0 if given.ndim == 0 else np.argsort(order, kind="stable")
+
+    def asked(series: Sequence[Any]) -> Any:
+        return None if series[0] is None else np.concatenate(series)[place]
+
+    casimirs = {name: asked([each.casimirs[name] for each in found]) for name in found[0].casimirs}
+    x, energy, attitude = (asked([getattr(each, name) for each in found]) for name in ("x", "energy", "attitude"))
+    return StateAt(float(given) if given.ndim == 0 else wanted, x, energy, casimirs, attitude)
 
 
 def _from_point(
     solution: Solution, j: int, start: float, count: int, wanted: Floats, way: float, until: Floats
-) -> list[tuple[Any, ...]]:
+) -> StateAt:
     """Return the states at times up to `count` steps after saved point j, in their order; -1 is the start.
 
     Members have them `until` a time, in the direction of the run; NaN is no end.
@@ -153,15 +149,8 @@ def _from_point(
     if gone.any():
         x, energy, attitude = (_where(gone, np.nan, series) for series in (x, energy, attitude))
         casimirs = {name: _where(gone, np.nan, series) for name, series in casimirs.items()}
-    return [
-        (
-            x[k],
-            energy[k],
-            {name: series[k] for name, series in casimirs.items()},
-            None if attitude is None else attitude[k],
-        )
-        for k in range(1, len(t_eval))
-    ]
+    casimirs = {name: series[1:] for name, series in casimirs.items()}
+    return StateAt(wanted, x[1:], energy[1:], casimirs, None if attitude is None else attitude[1:])
 
 
 def _ends(solution: Solution) -> Floats:
