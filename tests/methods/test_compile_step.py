@@ -126,3 +126,46 @@ def test_a_file_that_is_not_there():
         co.methods.compile_step("none.cpp")
     with pytest.raises(ValueError, match="has no step 'other'; it has own_step"):
         co.methods.compile_step(SOURCE, name="other")
+
+
+def test_steps_of_its_own(tmp_path, monkeypatch):
+    """The kernels see that a step from another library takes steps of its own: no look changes them."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    own = co.methods.compile_step(SOURCE.with_name("own_lengths.cpp"))
+
+    @dataclasses.dataclass(frozen=True)
+    class OwnLengths(co.methods.CompiledStepMethod):
+        length: float = 2.0**-8
+
+        order, explicit, symmetric, own_steps = 1, True, False, True
+        compiled_step = own
+
+        def properties(self, system):
+            return NOTHING
+
+        def constants(self):
+            return [], [self.length]
+
+        def step(self, system, x, t, h):
+            x, since = np.array(x), 0.0
+            while True:
+                slope = system.vector_field(x, t + since)
+                length = np.copysign(self.length / np.linalg.norm(slope), h)
+                if abs(h - since) <= abs(length):
+                    return x + (h - since) * slope
+                x, since = x + length * slope, since + length
+
+    body, method = co.systems.rigid_body(inertia=(1, 2, 4)), OwnLengths()
+    crowd = np.array([[0.6, 0.3, 0.8], [1.2, -0.6, 0.1], [0.1, 0.2, 0.3]])
+    for end in (2.0, -2.0):
+        every = co.integrate(body, crowd, (0, end), 0.125, method, threads=1)
+        for m, x0 in enumerate(crowd):
+            alone = co.integrate(body, x0, (0, end), 0.125, method)
+            assert np.array_equal(alone.x, every.x[:, m])
+            read = np.array([method.step(body, x0, 0.0, t) for t in alone.t[1:]])
+            assert np.max(np.abs(alone.x[1:] - read)) < 1e-12
+            assert 2 < alone.stats.evaluations < 2000
+            for step, save_every, watch in ((0.125, 5, True), (0.125, 16, False), (2.0, 1, True), (2.0**-9, 64, False)):
+                sol = co.integrate(body, x0, (0, end), step, method, save_every=save_every, watch=watch)
+                assert np.array_equal(sol.x[-1], alone.x[-1]) and sol.stats.evaluations == alone.stats.evaluations
+        assert np.array_equal(co.integrate(body, crowd, (0, end), 0.125, method, threads=2).x, every.x)

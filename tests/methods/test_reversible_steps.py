@@ -1,9 +1,14 @@
 """Steps that follow the motion and can be taken back: the map, what it keeps, its bits, and what is refused."""
 
+import json
+
 import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.files.configuration import load
+from coadjoint.files.export import rebuild
+from coadjoint.methods import registry
 from coadjoint.methods.speed import speed_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 
@@ -204,3 +209,84 @@ def driven_slope(y, t):
 def test_what_is_refused(make, error, sentence):
     with pytest.raises(error, match=sentence):
         make()
+
+
+def test_it_is_known_by_its_name_with_all_that_it_is_given():
+    for speed in (None, POSITIVE, co.Quadratic([2.0, 1.0, 1.0], linear=[0.1, 0.0, 0.0], constant=3.0)):
+        method = co.ReversibleSteps(co.GaussLegendre(2), 0.125, speed)
+        again = registry.from_description(json.loads(json.dumps(registry.description_of(method))))
+        assert again.base == method.base and again.stride == method.stride
+        one, other = (co.integrate(BODY, start_of(BODY), (0, 8), 0.5, each) for each in (method, again))
+        assert np.array_equal(one.x, other.x) and one.stats.evaluations == other.stats.evaluations
+    assert co.methods.get("ReversibleSteps", base={"name": "Kahan"}) == co.ReversibleSteps(co.Kahan())
+    with pytest.raises(ValueError, match="speed of ReversibleSteps is"):
+        co.methods.get("ReversibleSteps", base={"name": "Kahan"}, speed=[[1.0, 2, 3]])
+
+
+def test_a_file_and_a_dataset_run_it_again(tmp_path):
+    path = tmp_path / "body.toml"
+    path.write_text(
+        '[system]\nname = "rigid_body"\nparameters = {inertia = [1, 2, 3]}\n[initial]\nx = [0.3, 0.5, 0.9]\n'
+        '[method]\nname = "ReversibleSteps"\nstride = 0.2\nspeed = [[0.5, [0, 0, 0]], [1.0, [2, 0, 0]]]\n'
+        'base = {name = "Splitting", order = 4}\n[run]\nt_span = [0, 4]\nstep = 0.5\n'
+    )
+    sol = load(path).integrate()
+    speed = co.Polynomial({(0, 0, 0): 0.5, (2, 0, 0): 1.0})
+    method = co.ReversibleSteps(co.Splitting(order=4), 0.2, speed)
+    assert sol.method == method
+    by_hand = co.integrate(BODY, (0.3, 0.5, 0.9), (0, 4), 0.5, method)
+    assert np.array_equal(sol.x, by_hand.x)
+    again = rebuild(sol.to_xarray())
+    assert np.array_equal(again.x, sol.x) and again.method == method
+
+
+@pytest.mark.parametrize("base", [co.Splitting(order=2), co.GaussLegendre(2)], ids=str)
+def test_prepared_runs_batches_and_ensembles(base):
+    method = co.ReversibleSteps(base, 0.1)
+    crowd = np.random.default_rng(3).uniform(0.2, 1.0, (9, 3))
+    bodies = co.batch([co.systems.rigid_body(inertia=(1.0, 2.0, 3.0 + 0.125 * k)) for k in range(9)])
+    for end in (4.0, -4.0):
+        batch = co.integrate(bodies, crowd, (0, end), 0.25, method, threads=2, attitude=True)
+        ready = co.prepare(bodies, method, 0.25, attitude=True)
+        ready.run(crowd[::-1], (0, end))
+        assert np.array_equal(ready.run(crowd, (0, end)).x, batch.x)
+        for m in (0, 4, 8):
+            alone = co.integrate(bodies[m], crowd[m], (0, end), 0.25, method, attitude=True)
+            assert np.array_equal(batch.x[:, m], alone.x) and np.array_equal(batch.attitude[:, m], alone.attitude)
+            end_alone = co.prepare(bodies[m], method, 0.25).end(crowd[m], (0, end))
+            assert np.array_equal(end_alone, alone.x[-1])
+    ensemble = co.integrate(BODY, crowd, (0, 4), 0.25, method, threads=2)
+    assert np.array_equal(ensemble.x[:, 5], co.integrate(BODY, crowd[5], (0, 4), 0.25, method).x)
+
+
+@pytest.mark.parametrize("h", [0.75, -0.75])
+def test_a_step_as_a_function(h):
+    """The motion over a step and its derivative; it is that of a run of one step."""
+    method, x = co.ReversibleSteps(co.Splitting(order=4), 0.1), start_of(BODY)
+    step = co.stepper(BODY, method, h)
+    run = co.integrate(BODY, x, (0, h), abs(h), method, attitude=True)
+    assert np.array_equal(step(x), run.x[-1])
+    P, e = step.tangent(x), 1e-5
+    for direction in np.eye(3):
+        ends = [step(x + k * e * direction) for k in (1, -1, 2, -2)]
+        slope = (8 * (ends[0] - ends[1]) - (ends[2] - ends[3])) / (12 * e)
+        # Rounding of states over the distance, and of the difference by e^4.
+        assert np.max(np.abs(P @ direction - slope)) < 64 * UNIT_ROUNDOFF / e
+    assert np.max(np.abs(P - np.eye(3))) > 0.1
+
+
+def test_a_certificate_says_what_it_keeps():
+    found = co.certify(BODY, co.ReversibleSteps(co.Splitting(order=2), 0.1), start_of(BODY), step=0.1, steps=50)
+    assert found.passed
+    assert found["casimir |x|^2"].verdict == "holds" == found["spatial momentum"].verdict
+    assert found["poisson"].verdict == "not kept, not declared"
+
+
+def test_it_refuses_what_depends_on_time():
+    driven = co.LiePoissonSystem(
+        co.algebras.so(3),
+        co.Separable({0: (lambda y, t: y * np.sin(t), lambda y, t: np.sin(t))}),
+        name="driven",
+    )
+    with pytest.raises(ValueError, match="depends on time; take"):
+        co.integrate(driven, (1.0, 0.0, 0.2), (0, 1), 0.1, co.ReversibleSteps(co.Splitting(order=2)))

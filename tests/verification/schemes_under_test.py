@@ -13,7 +13,7 @@ TRIPLE_JUMP = (C1, 1 - 2 * C1, C1)
 
 
 def schemes() -> dict[str, co.methods.base.Method]:
-    """Return the schemes by name."""
+    """Return the schemes by name, but for those in steps of their own, of which the step of a run is none."""
     found = {
         "Splitting 1": co.Splitting(order=1),
         "Splitting 1 adjoint": co.Splitting(order=1, adjoint=True),
@@ -42,7 +42,7 @@ def schemes() -> dict[str, co.methods.base.Method]:
     for name in co.methods.names():
         scheme = co.methods.registry.scheme(name)
         if not any(type(method) is scheme for method in found.values()):
-            found |= {str(method): method for method in scheme.examples()}
+            found |= {str(method): method for method in scheme.examples() if not method.own_steps}
     return found
 
 
@@ -74,6 +74,12 @@ def witnesses(method: co.methods.base.Method, *names: str) -> list[Case]:
 def pairs(systems: dict) -> list[tuple[str, str]]:
     """Return the names of all pairs of a scheme and a system that it serves."""
     return [(s, c) for s, method in schemes().items() for c, case in systems.items() if serves(method, case.system)]
+
+
+def schemes_in_steps() -> set[str]:
+    """Return the names of the registered schemes that are tried here."""
+    names = co.methods.names()
+    return {name for name in names if not co.methods.registry.scheme(name).examples()[0].own_steps}
 
 
 def concrete_schemes() -> set[str]:
