@@ -173,5 +173,6 @@ def test_parameters_of_quadratic_hamiltonians_in_a_file(parameter, tmp_path):
 
 
 def test_tables_of_a_file_name_parameters_of_the_library():
-    assert set(RunTable.model_fields) <= set(parameters(co.integrate))
+    assert set(RunTable.model_fields) <= set(parameters(co.integrate)) | {"workers"}
+    assert "workers" in parameters(co.ensemble)
     assert {"name", "sign", "casimirs"} <= set(File.model_fields) & set(parameters(co.LiePoissonSystem))
