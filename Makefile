@@ -43,9 +43,11 @@ core:
 mutants: kernels
 	cd tests && ../$(BIN)/python -m mutants.plant $(MUTANTS)
 
-# Random systems, schemes and crowds: the same bits in any company, and an end to every run.
+# Random systems, schemes and crowds: the same bits in any company, and an end to every run. Then runs with archives
+# are killed at random moments, 100 times or COUNT / 10 times, whichever is more.
 soak: kernels
 	cd tests && ../$(BIN)/python -m random_runs.soak $(FIRST) $(COUNT) --jobs 2
+	cd tests && ../$(BIN)/python files/killed_runs.py $(FIRST) $$(( $(COUNT) > 1000 ? $(COUNT) / 10 : 100 ))
 
 # Configurations and calls with wild values: a result or one sentence for each, however many.
 fuzz: kernels

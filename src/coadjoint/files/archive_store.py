@@ -146,16 +146,24 @@ class ArchiveStore:
         try:
             lock = locked(path / HIDDEN / LOCK, os.O_CREAT)
         except OSError as reason:
-            raise ArchiveError(f"{path}: cannot be written ({reason.strerror})") from None
+            raise unwritable(path, reason) from None
         if lock is None:
             raise ArchiveError(f"{path}: another process is writing to this archive; wait until it has ended")
         # Once more: what it was before the lock may have changed.
-        arrays, attributes = read_root(path)
+        try:
+            arrays, attributes = read_root(path)
+        except BaseException:
+            os.close(lock)
+            raise
         found = cls(path, arrays, attributes, lock)
-        for folder in (path, path / HIDDEN, *(path / name for name in arrays)):
-            for left in folder.glob(f".*{WRITING}"):
-                left.unlink(missing_ok=True)
-        found._write_arrays(arrays)
+        try:
+            for folder in (path, path / HIDDEN, *(path / name for name in arrays)):
+                for left in folder.glob(f".*{WRITING}"):
+                    left.unlink(missing_ok=True)
+            found._write_arrays(arrays)
+        except OSError as reason:
+            found.close()
+            raise unwritable(path, reason) from None
         return found
 
     def moved(self, path: Path) -> None:
@@ -244,10 +252,10 @@ class ArchiveStore:
         merged = {**self.attributes, **attributes}
         merged = {name: value for name, value in merged.items() if value is not None}
         settle(self._touched)
-        _write_json(self.path / ROOT, root_of(arrays, merged))
-        settle([self.path])
         changed = {name: array for name, array in arrays.items() if array != self.arrays[name]}
+        _write_json(self.path / ROOT, root_of(arrays, merged))
         self.arrays, self.attributes, self._touched = arrays, merged, set()
+        settle([self.path])
         self._write_arrays(changed)
         stay = {one.file for one in kept if one is not None}
         for file in (self.path / HIDDEN).glob(f"{STATE}*"):
@@ -258,6 +266,11 @@ class ArchiveStore:
         """Tell readers without consolidated metadata what the arrays look like; they see them one after the other."""
         for name, array in arrays.items():
             _write_json(self.path / name / ROOT, array.metadata())
+
+
+def unwritable(path: Path, reason: OSError) -> ArchiveError:
+    """Return the error for an archive that cannot be written, found before anything runs."""
+    return ArchiveError(f"{path}: cannot be written ({reason.strerror or reason}); what it holds stays")
 
 
 def array_key(place: tuple[int, ...]) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
-from coadjoint.files.archive_store import ArchiveError, ArchiveStore, path_of, read_kept
+from coadjoint.files.archive_store import ArchiveError, ArchiveStore, path_of, read_kept, unwritable
 from coadjoint.files.archived_ensemble import ArchivedEnsemble
 from coadjoint.files.archived_run import (
     ACCOUNTS,
@@ -250,7 +250,10 @@ def resume(
             longer = longer_times(store, times, ready, t_end)
             if longer.steps != times.steps:
                 times = longer
-                lengthen(store, ready, times, start)
+                try:
+                    lengthen(store, ready, times, start)
+                except OSError as reason:
+                    raise unwritable(place, reason) from None
         if store.attributes[FINISHED]:
             store.close()
             return found

@@ -15,6 +15,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
 from coadjoint.files.archive_store import ArchiveStore, ArchiveUnwritten, path_of
 from coadjoint.files.archived_ensemble import ArchivedEnsemble
+from coadjoint.files.archived_run import unwritten
 from coadjoint.files.block_run import BUSY, run_block
 from coadjoint.files.ensemble_archive import Ensemble, begun, check_same, finish, left_of
 from coadjoint.files.given_functions import asked_again
@@ -145,7 +146,10 @@ def _run(whole: Ensemble, path: Path, team: Team, size: int | None, progress: bo
                 on_client(team.client, store, left, ready, team.threads, progress)
             else:
                 on_processes(team.hands, store, left, ready, team.threads, progress)
-        said = finish(store)
+        try:
+            said = finish(store)
+        except OSError as reason:
+            raise unwritten(store, reason) from reason
     except KeyboardInterrupt as stopped:
         stopped.partial = ArchivedEnsemble(path, ready.system)  # type: ignore[attr-defined]
         raise

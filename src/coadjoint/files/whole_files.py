@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
+UNHEARD = (errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.ENOSYS)
+"""What file systems answer that do not sync folders."""
 WRITING = ".writing"
 """Ends the name of a file that is not whole yet; what a killed process leaves of it means nothing."""
 
@@ -50,11 +53,21 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def settle(folders: Iterable[Path]) -> None:
-    """Let what was renamed in some folders be on the disk, where the system can say so of folders."""
+    """Let what was renamed in some folders be on the disk, where the system can say so of folders.
+
+    Raises
+    ------
+    OSError
+        The disk is full or broken, or a folder is gone.
+    """
+    if os.name == "nt":  # folders are no files there
+        return
     for folder in folders:
         descriptor = os.open(folder, os.O_RDONLY)
         try:
-            with suppress(OSError):  # some file systems do not sync folders
-                os.fsync(descriptor)
+            os.fsync(descriptor)
+        except OSError as reason:
+            if reason.errno not in UNHEARD:
+                raise
         finally:
             os.close(descriptor)

@@ -1,0 +1,190 @@
+"""Archives of runs that are killed, and of full disks: what was committed is there, and the run goes on."""
+
+import errno
+import itertools
+import os
+import re
+import shutil
+import stat
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from killed_runs import check_what_is_there, killed
+
+import coadjoint as co
+from coadjoint.files.archive_store import ArchiveError, ArchiveUnwritten
+
+BODY, X = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, -1.0, 0.7)
+RUN = (BODY, X, (0.0, 5.0), 0.125, co.GaussLegendre(2))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
+@pytest.mark.parametrize("seed", range(3))
+def test_killed_at_random_moments(tmp_path, seed):
+    """`make soak` does the same a hundred times more."""
+    killed(seed, tmp_path)
+
+
+@pytest.fixture
+def small_pieces(monkeypatch):
+    monkeypatch.setattr("coadjoint.files.archived_run.SECONDS_OF_PIECE", 0)
+    monkeypatch.setattr("coadjoint.files.archived_run.SHARE_OF_COMMITS", 0)
+    monkeypatch.setattr("coadjoint.files.archived_run.FIRST_STRETCH", 10)
+    monkeypatch.setattr("coadjoint.files.archived_run.BLOCKS", 2)
+    monkeypatch.setattr("coadjoint.files.archived_run.SECONDS_OF_STRETCH", 0.0)
+    monkeypatch.setattr("coadjoint.files.stored_arrays.FEWEST_ROWS", 8)
+    monkeypatch.setattr("coadjoint.files.stored_arrays.MOST_ROWS", 8)
+
+
+FULL = "No space left on device"
+
+
+def from_then_on(calls, original):
+    """Return what fails from some call on, as a full disk does; until then it does what the original does."""
+    left = itertools.count(calls, -1)
+
+    def full(*given):
+        if next(left) <= 1:
+            raise OSError(errno.ENOSPC, FULL)
+        return original(*given)
+
+    return full
+
+
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_a_disk_that_is_full_at_any_write(tmp_path, monkeypatch, small_pieces, call):
+    """At each write in turn: one sentence, an archive that is read up to its last commit, and the whole run later."""
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+    run, original, reached, unmade = (BODY, X, (0.0, 2.0), 0.125, co.GaussLegendre(2)), getattr(os, call), set(), 0
+    whole = co.integrate(*run)
+    for calls in itertools.chain(range(1, 24, 4), range(24, 48), itertools.count(48, 7)):
+        path = tmp_path / f"run{calls}.zarr"
+        try:
+            with monkeypatch.context() as patched:
+                patched.setattr(os, call, from_then_on(calls, original))
+                co.integrate(*run, archive=path)
+            break
+        except ArchiveError as refused:
+            assert str(refused) == f"{path}: cannot be made ({FULL}); give another name"
+            assert not list(tmp_path.glob(f"*run{calls}.zarr*"))
+            unmade += 1
+            continue
+        except ArchiveUnwritten as unwritten:
+            steps = co.open_archive(path).reached
+            assert str(unwritten) == (
+                f"{path}: the archive could not be written ({FULL}); it holds the run up to step {steps}, and the run "
+                "goes on from there when it is resumed"
+            )
+        reached.add(steps)
+        check_what_is_there(path, whole)
+        found = co.resume(path)
+        assert np.array_equal(found.x, whole.x) and not list(path.rglob("*.writing"))
+        assert np.array_equal(found.drift()["energy"].tenths, whole.drift()["energy"].tenths)
+    assert unmade > 3 and calls > 80 and len(reached) > 5
+
+
+@pytest.mark.parametrize(("number", "heard"), [(errno.ENOSPC, True), (errno.EIO, True), (errno.EINVAL, False)])
+def test_what_a_disk_says_of_a_folder(tmp_path, monkeypatch, number, heard):
+    """A file system that does not sync folders is no reason to stop; a full or broken one is."""
+
+    def said(descriptor):
+        if stat.S_ISDIR(os.fstat(descriptor).st_mode):
+            raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", said)
+    if heard:
+        with pytest.raises(ArchiveError, match=re.escape(f"cannot be made ({os.strerror(number)})")):
+            co.integrate(*RUN, archive=tmp_path / "run.zarr")
+    else:
+        assert co.integrate(*RUN, archive=tmp_path / "run.zarr").finished
+
+
+def test_no_room_for_a_later_end(tmp_path, monkeypatch):
+    path = tmp_path / "run.zarr"
+    co.integrate(*RUN, archive=path)
+    with monkeypatch.context() as patched:
+        patched.setattr("coadjoint.files.longer_runs.ArchiveStore.keep", from_then_on(1, None))
+        with pytest.raises(ArchiveError, match=re.escape(f"cannot be written ({FULL}); what it holds stays")):
+            co.resume(path, 10.0)
+    assert co.open_archive(path).finished
+    assert np.array_equal(co.resume(path, 10.0).x, co.integrate(BODY, X, (0.0, 10.0), *RUN[3:]).x)
+
+
+SMALL_DISK = """
+import os, sys
+import numpy as np
+import coadjoint as co
+from coadjoint.files import stored_arrays
+from coadjoint.files.archive_store import ArchiveUnwritten
+
+stored_arrays.MOST_ROWS = 1024  # a commit for each of so many points
+folder = sys.argv[1]
+path, run = folder + "/run.zarr", (co.systems.rigid_body(), (0.3, -1.0, 0.7), (0.0, 6250.0), 0.125, co.GaussLegendre(2))
+try:
+    co.integrate(*run, archive=path)
+except ArchiveUnwritten as unwritten:
+    print(unwritten)
+whole, found = co.integrate(*run), co.open_archive(path)
+count = len(found.t)
+assert 0 < found.reached < 50000 and np.array_equal(found.x, whole.x[:count])
+for end in (None, 12500.0):
+    try:
+        co.resume(path, end)
+    except ValueError as refused:
+        print(refused)
+assert os.system(f"mount -o remount,size=64m {folder}") == 0
+assert np.array_equal(co.resume(path).x, whole.x)
+print("whole")
+"""
+MOUNT = 'mount -t tmpfs -o size=1m none "$0"'
+
+
+def can_mount(folder):
+    return shutil.which("unshare") and not subprocess.run(["unshare", "-rm", "sh", "-c", MOUNT, folder]).returncode
+
+
+def test_a_small_disk(tmp_path):
+    """On a file system of 1 MB the run ends by one sentence, and goes on when there is more room."""
+    if not can_mount(tmp_path):
+        pytest.skip("no file system can be mounted here")
+    command = ["unshare", "-rm", "sh", "-c", f'{MOUNT} && "$1" -c "$2" "$0"', tmp_path, sys.executable, SMALL_DISK]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    said, *refused, last = done.stdout.splitlines()
+    assert f"could not be written ({FULL})" in said and last == "whole"
+    assert refused == [f"{tmp_path}/run.zarr: cannot be written ({FULL}); what it holds stays"] * 2
+
+
+def test_a_folder_that_is_removed_while_the_run_goes_on(tmp_path, monkeypatch, small_pieces):
+    path, original = tmp_path / "run.zarr", os.replace
+
+    def aside(source, target):
+        original(source, target)
+        if str(target).endswith("run.zarr/zarr.json") and path.exists():
+            path.rename(tmp_path / "aside")
+
+    monkeypatch.setattr(os, "replace", aside)
+    with pytest.raises(ArchiveUnwritten, match=r"could not be written \(.*\); it holds the run up to step"):
+        co.integrate(*RUN, archive=path)
+    assert os.listdir(tmp_path) == ["aside"]
+    monkeypatch.undo()
+    assert np.array_equal(co.resume(tmp_path / "aside").x, co.integrate(*RUN).x)
+
+
+def test_two_writers(tmp_path, monkeypatch):
+    """The second one is refused while the first one is at work, and nothing happens to the archive."""
+    path, refusals = tmp_path / "run.zarr", []
+    original = co.Solution.change
+
+    def meanwhile(self):
+        if path.exists() and not refusals:
+            refusals.append(pytest.raises(ArchiveError, match="another process is writing to this archive"))
+            with refusals[0]:
+                co.resume(path)
+        return original(self)
+
+    monkeypatch.setattr(co.Solution, "change", meanwhile)
+    found = co.integrate(*RUN, archive=path)
+    assert refusals and np.array_equal(found.x, co.integrate(*RUN).x)
