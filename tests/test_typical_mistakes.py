@@ -143,9 +143,13 @@ MISTAKES = {
         lambda: co.Quadratic([[1, 2], [3, 4]]),
         "M is not symmetric: M[0, 1] = 2 but M[1, 0] = 3; give both the same value",
     ),
-    "a formula as text": (
+    "a formula of how many": (
         lambda: co.Polynomial("x1^2"),
-        "monomials must be a mapping {exponents: coefficient}, such as {(2, 0): 0.5} for x1^2/2, not str",
+        "'x1^2' does not say how many coordinates there are; give dim= or basis=",
+    ),
+    "a formula as Python writes it": (
+        lambda: co.Polynomial("x1**2", dim=3),
+        "'x1**2' cannot be read from '**2' on; write sums of products such as 0.5*x1^2 - x2*x3 + 1/3",
     ),
     "a wrong gradient": (
         lambda: SYSTEM(SO3, co.Hamiltonian(lambda x: x[0] ** 2, lambda x: np.array([x[0], 0, 0]))),

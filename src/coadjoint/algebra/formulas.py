@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 from coadjoint.algebra.formula_reader import Formula, Number, Power, Reader
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.written_numbers import Constant, quotient, read_constant
+from coadjoint.wording import short
 
 _COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
     "<": operator.lt,
@@ -22,7 +23,7 @@ _COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
 }
 
 
-def read_polynomial(text: str, dim: int) -> Polynomial:
+def read_polynomial(text: str, dim: int, names: Sequence[str] | None = None) -> Polynomial:
     """Return the polynomial that a text stands for, the way a `Polynomial` is printed.
 
     Parameters
@@ -32,6 +33,8 @@ def read_polynomial(text: str, dim: int) -> Polynomial:
         exact) and powers of x1, x2, ...
     dim : int
         Number of coordinates.
+    names : sequence of str, optional
+        Names of the coordinates, in place of x1, x2, ...
 
     Returns
     -------
@@ -47,7 +50,9 @@ def read_polynomial(text: str, dim: int) -> Polynomial:
     >>> read_polynomial("0.5*x1^2 - x2*x3", 3)
     0.5*x1^2 - x2*x3
     """
-    value = _MultipliedOut(text, {}, dim, "x").whole()
+    reader = _MultipliedOut(text, {}, dim, "x")
+    reader.names = names
+    value = reader.whole()
     return value if isinstance(value, Polynomial) else Polynomial({(0,) * dim: value})
 
 
@@ -108,7 +113,16 @@ class _MultipliedOut(Reader):
     power_sign = "^"
     operations = ("*",)
     most_letters = math.inf
+    names: Sequence[str] | None = None
     how = "write sums of products such as 0.5*x1^2 - x2*x3 + 1/3"
+
+    def coordinate(self, name: str) -> int | None:
+        """Return the index of a coordinate, by its name where there are names."""
+        if self.names is None:
+            return super().coordinate(name)
+        if name and name not in self.names:
+            raise self.refused(f"has {short(name)}; the coordinates are {', '.join(self.names)}")
+        return self.names.index(name) if name else None
 
     def factor(self) -> Any:
         index = self.coordinate(self.token["name"] or "")

@@ -16,6 +16,7 @@ from coadjoint.algebra.exact import is_finite
 from coadjoint.algebra.monomials import Exponents, read_coefficient, read_exponents
 from coadjoint.algebra.polynomial_text import coordinate_names, latex, plain, sympy_of
 from coadjoint.algebra.product_sums import Coefficient, ProductSum, differentiated
+from coadjoint.algebra.written_numbers import quotient
 from coadjoint.given import array_given, read_whole
 from coadjoint.memory import check_room
 from coadjoint.wording import short
@@ -34,10 +35,13 @@ class Polynomial:
 
     Parameters
     ----------
-    monomials : mapping
-        ``{(2, 0, 0): 0.5, (0, 1, 1): -1}`` is x1^2/2 - x2 x3: exponents, one for each coordinate, to coefficients.
+    monomials : mapping or str
+        ``{(2, 0, 0): 0.5, (0, 1, 1): -1}`` is x1^2/2 - x2 x3: exponents, one for each coordinate, to coefficients. Or
+        a text as polynomials are printed, such as ``"0.5*x1^2 - x2*x3"``, with `dim` or `basis`.
     dim : int, optional
-        Number of coordinates; needed only where `monomials` is empty (the zero polynomial).
+        Number of coordinates; needed only for a text, and where `monomials` is empty (the zero polynomial).
+    basis : sequence of str, optional
+        Names of the coordinates in the text, in their order, in place of x1, x2, ...
 
     Raises
     ------
@@ -55,15 +59,26 @@ class Polynomial:
     14.0
     >>> p.derivative(2) * p.derivative(1)
     x2*x3
+    >>> p == Polynomial("0.5*x1^2 + x2*x3", dim=3) == Polynomial("0.5*h^2 + e*f", basis=("h", "e", "f"))
+    True
     """
 
     # So that an array does not multiply a polynomial entry by entry.
     __array_ufunc__ = None
 
-    def __init__(self, monomials: Mapping[Exponents, Coefficient], dim: int | None = None) -> None:
+    def __init__(
+        self,
+        monomials: Mapping[Exponents, Coefficient] | str,
+        dim: int | None = None,
+        basis: Sequence[str] | None = None,
+    ) -> None:
+        if isinstance(monomials, str):
+            monomials, dim = _read_text(monomials, dim, basis)
+        elif basis is not None:
+            raise TypeError("basis names the coordinates of a text; exponents need none")
         if not isinstance(monomials, Mapping):
             raise TypeError(
-                "monomials must be a mapping {exponents: coefficient}, such as {(2, 0): 0.5} for x1^2/2, not "
+                "monomials must be a mapping {exponents: coefficient}, or a text such as '0.5*x1^2 - x2*x3', not "
                 f"{type(monomials).__name__}"
             )
         if dim is not None:
@@ -216,6 +231,14 @@ class Polynomial:
 
     __rmul__ = __mul__
 
+    def __truediv__(self, divisor: Coefficient) -> Polynomial:
+        if not isinstance(divisor, Rational | float) or isinstance(divisor, bool):
+            return NotImplemented
+        below = read_coefficient(divisor, "the divisor of a Polynomial")
+        if below == 0:
+            raise ValueError(f"a Polynomial is divided by {short(divisor)}")
+        return Polynomial._of({e: quotient(value, below) for e, value in self._monomials.items()}, self._dim)
+
     def __pow__(self, power: int) -> Polynomial:
         left = read_whole(power, "the power of a Polynomial", 0, MOST_DEGREE, why=TOO_HIGH)
         if self.degree * left > MOST_DEGREE:
@@ -328,3 +351,16 @@ class Polynomial:
         """
         check_room(8 * self._dim**2, f"a matrix of second derivatives in {self._dim} coordinates")
         return self._hessian_sum(self._point(x)).reshape(self._dim, self._dim)
+
+
+def _read_text(text: str, dim: int | None, basis: Sequence[str] | None) -> tuple[Mapping[Exponents, Coefficient], int]:
+    """Return the monomials of a text, and the number of coordinates."""
+    from coadjoint.algebra.formulas import read_polynomial
+
+    names = None if basis is None else tuple(basis)
+    if names is None and dim is None:
+        raise ValueError(f"{short(text)} does not say how many coordinates there are; give dim= or basis=")
+    count = read_whole(dim if names is None else len(names), "dim of a Polynomial")
+    if dim is not None and count != dim:
+        raise ValueError(f"dim is {short(dim)}, and basis has {count} names; give one of them")
+    return read_polynomial(text, count, names).monomials, count

@@ -194,13 +194,15 @@ def _hamiltonian_of(record: Entry, dim: int) -> Any:
     kind = record["kind"].text()
     if kind == "split":
         return _split_of(record, dim)
+    if kind == "sum":
+        return _sum_of(record, dim)
     if record["dim"].whole(1) != dim:
         raise record["dim"].wrong(f"{dim}, the number of its coordinates")
     if kind == "polynomial":
         return _polynomial_of(record.only("kind", "dim", "monomials")["monomials"], dim)
     if kind == "quadratic":
         return _quadratic_of(record, dim)
-    raise record["kind"].wrong("'quadratic', 'polynomial' or 'split'")
+    raise record["kind"].wrong("'quadratic', 'polynomial', 'split' or 'sum'")
 
 
 def _split_of(record: Entry, dim: int) -> SplitHamiltonian:
@@ -211,6 +213,15 @@ def _split_of(record: Entry, dim: int) -> SplitHamiltonian:
         pieces.append((chosen, _hamiltonian_of(inner, len(chosen))))
     with made_of(record):
         return SplitHamiltonian(pieces)
+
+
+def _sum_of(record: Entry, dim: int) -> Any:
+    given = record.only("kind", "summands")["summands"]
+    summands = [_hamiltonian_of(one, dim) for one in given.entries()]
+    if not summands:
+        raise given.wrong("a list of at least one Hamiltonian")
+    with made_of(record):
+        return sum(summands[1:], summands[0])
 
 
 def _quadratic_of(record: Entry, dim: int) -> Quadratic:

@@ -24,6 +24,7 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.sum_of_hamiltonians import SumOfHamiltonians
 from coadjoint.systems.terms import FunctionTerm, QuadraticTerm
 
 __all__ = ["record_of", "safe_name", "system_of"]
@@ -178,6 +179,10 @@ def _hamiltonian_record(H: HamiltonianLike) -> tuple[dict[str, Any], list[str]]:
         inner = [_hamiltonian_record(piece) for piece in H.pieces]
         pieces = [[list(chosen), record] for chosen, (record, _) in zip(H.coordinates, inner, strict=True)]
         return {"kind": "split", "pieces": pieces}, [name for _, names in inner for name in names]
+    if isinstance(H, SumOfHamiltonians):
+        parts = [_hamiltonian_record(one) for one in H.summands]
+        missing = [name for _, names in parts for name in names]
+        return {"kind": "sum", "summands": [record for record, _ in parts]}, missing
     names = [_function_name(term.value) for term in H.terms() if isinstance(term, FunctionTerm)]
     return {"kind": type(H).__name__}, [f"hamiltonian: {name}" for name in names or [type(H).__name__]]
 

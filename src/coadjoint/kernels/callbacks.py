@@ -11,6 +11,8 @@ import numba
 import numpy as np
 from numba import carray, types
 
+from coadjoint.systems.user_functions import MultipleOf
+
 SIGNATURE = types.void(types.CPointer(types.float64), types.float64, types.CPointer(types.float64))
 
 
@@ -27,9 +29,22 @@ def callback_of(
 # A stepper or a scan makes many runs of one system, so that each of its functions is compiled once.
 @lru_cache(maxsize=256)
 def _compiled(function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool) -> Any:
-    inner = numba.njit(error_model="numpy", boundscheck=True)(function) if inspect.isfunction(function) else function
+    inner = _inner(function)
     body = _BODIES[(scalar, flat and not scalar, timed)](inner, size, results)
     return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(body)
+
+
+def _inner(function: Any) -> Any:
+    """Return a function as compiled code calls it."""
+    if isinstance(function, MultipleOf):
+        return _multiple(_inner(function.function), function.factor, function.scalar)
+    return numba.njit(error_model="numpy", boundscheck=True)(function) if inspect.isfunction(function) else function
+
+
+def _multiple(inner: Any, factor: float, scalar: bool) -> Any:
+    if scalar:
+        return numba.njit(error_model="numpy")(lambda *arguments: factor * inner(*arguments))
+    return numba.njit(error_model="numpy")(lambda *arguments: factor * np.asarray(inner(*arguments)))
 
 
 def reason_of(error: Exception) -> str:

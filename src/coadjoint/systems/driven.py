@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.product_sums import Coefficient
 from coadjoint.extras import need
 from coadjoint.systems.points import point
 from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.summable import Summable
 from coadjoint.systems.terms import FunctionTerm, Term
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.wording import short
 
 
-class Driven:
+class Driven(Summable):
     """``H(x, t) = Q(x) - sum over sites s and axes a of f_sa(t) x_sa``, Q quadratic; f may be the same for all sites.
 
     Parameters
@@ -61,7 +64,7 @@ class Driven:
         if not np.isfinite(given).all():
             raise ValueError(f"{what}(0.0) is not finite")
         self.uniform = given.ndim == 1
-        self._force = force
+        self._force, self._factor = force, 1.0
         self._terms: tuple[Term, ...] | None = None
 
     def bind(self, n: int) -> Driven:
@@ -69,9 +72,15 @@ class Driven:
         self._quadratic.bind(n)
         return self
 
+    def times(self, factor: Coefficient) -> Self:
+        """Return the multiple of the quadratic part and of the forces."""
+        result = copy.copy(self)
+        result._quadratic, result._factor, result._terms = factor * self._quadratic, factor * self._factor, None
+        return result
+
     def _forces(self, t: float, like: npt.NDArray[Any]) -> npt.NDArray[Any]:
         given = np.asarray(self._force(t), dtype=None if like.dtype == object else np.float64)
-        return np.broadcast_to(given, (self._sites, self._axes)).ravel()
+        return self._factor * np.broadcast_to(given, (self._sites, self._axes)).ravel()
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return H(x, t)."""
@@ -95,7 +104,7 @@ class Driven:
 
             compiled = numba.njit(self._force) if inspect.isfunction(self._force) else self._force
             own = [
-                _term(compiled, np.arange(axis, self.dim or 0, self._axes), axis, self.uniform)
+                _term(compiled, -self._factor, np.arange(axis, self.dim or 0, self._axes), axis, self.uniform)
                 for axis in range(self._axes)
             ]
             self._terms = (*self._quadratic.terms(), *own)
@@ -105,27 +114,29 @@ class Driven:
         return f"Driven({self._quadratic!r}, in time)"
 
 
-def _term(force: Callable[..., Any], where: npt.NDArray[np.int64], axis: int, uniform: bool) -> FunctionTerm:
+def _term(
+    force: Callable[..., Any], times: float, where: npt.NDArray[np.int64], axis: int, uniform: bool
+) -> FunctionTerm:
     if uniform:
 
         def value(y: Any, t: Any) -> Any:
-            return -force(t)[axis] * np.sum(y)
+            return times * force(t)[axis] * np.sum(y)
 
         def gradient(y: Any, t: Any) -> Any:
-            return np.full(len(y), -force(t)[axis])
+            return np.full(len(y), times * force(t)[axis])
 
     else:
 
         def value(y: Any, t: Any) -> Any:
             forces, total = force(t), 0.0
             for site in range(len(y)):
-                total -= forces[site][axis] * y[site]
+                total += times * forces[site][axis] * y[site]
             return total
 
         def gradient(y: Any, t: Any) -> Any:
             forces, result = force(t), np.zeros(len(y))
             for site in range(len(y)):
-                result[site] = -forces[site][axis]
+                result[site] = times * forces[site][axis]
             return result
 
     def hessian(y: Any, t: Any) -> Any:

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.product_sums import Coefficient
 from coadjoint.given import read_whole
 from coadjoint.memory import check_room
 from coadjoint.systems.own_hamiltonian import MEMBERS, check_own
 from coadjoint.systems.points import point
 from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.summable import Summable
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, Term
-from coadjoint.systems.user_functions import all_take_time, check_derivative
+from coadjoint.systems.user_functions import all_take_time, check_derivative, multiple_of
 from coadjoint.wording import short
 
 MOST_REMEMBERED = 64  # monomials
@@ -51,7 +54,7 @@ class HamiltonianLike(Protocol):
         """Return the terms of the sum (bound only)."""
 
 
-class Hamiltonian:
+class Hamiltonian(Summable):
     """A Hamiltonian given by Python functions.
 
     For what is neither quadratic, polynomial nor separable. Schemes that need no splitting serve it; for explicit
@@ -127,6 +130,25 @@ class Hamiltonian:
         bound.dim = n
         return bound
 
+    def times(self, factor: Coefficient) -> Self:
+        """Return the Hamiltonian of the multiples of the functions.
+
+        Parameters
+        ----------
+        factor : int, float or Fraction
+            Finite.
+
+        Returns
+        -------
+        Hamiltonian
+        """
+        result = copy.copy(self)
+        result._value = multiple_of(self._value, factor, scalar=True)
+        result._gradient, result._hessian = (
+            multiple_of(function, factor, scalar=False) for function in (self._gradient, self._hessian)
+        )
+        return result
+
     def _call(self, function: Callable[..., Any], x: npt.ArrayLike, t: float) -> tuple[Any, bool]:
         y = point(x, self.dim)
         return (function(y, t) if self.timed else function(y)), y.dtype == np.float64
@@ -154,11 +176,12 @@ class Hamiltonian:
         return (FunctionTerm(everything, self._value, self._gradient, self._hessian, timed=self.timed),)
 
     def __repr__(self) -> str:
-        names = [getattr(f, "__name__", repr(f)) for f in (self._value, self._gradient, self._hessian) if f is not None]
+        given = (self._value, self._gradient, self._hessian)
+        names = [getattr(f, "__name__", short(f)) for f in given if f is not None]
         return f"Hamiltonian({', '.join(names)})"
 
 
-class PolynomialHamiltonian:
+class PolynomialHamiltonian(Summable):
     """A `Polynomial` as a Hamiltonian; made by `as_hamiltonian`, for degree three and more.
 
     Parameters
@@ -182,6 +205,10 @@ class PolynomialHamiltonian:
         """Return itself; refuse a dimension other than the number of variables."""
         _check_variables(self.polynomial, n)
         return self
+
+    def times(self, factor: Coefficient) -> Self:
+        """Return the multiple of the polynomial."""
+        return type(self)(factor * self.polynomial)
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return the polynomial at x."""

@@ -20,6 +20,7 @@ from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.known_integrals import checked_integrals
 from coadjoint.systems.points import QUIET, checked_name, checked_sign, matching, over_states, point, scatter
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.sum_of_hamiltonians import summands_of
 
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and what J(x) u needs
 
@@ -144,10 +145,10 @@ class LiePoissonSystem:
         keep(self, "_exact", checked_exact(exact))
 
     def _check_pieces(self) -> None:
-        if not isinstance(self.hamiltonian, SplitHamiltonian):
-            return
+        splits = (one for one in summands_of(self.hamiltonian) if isinstance(one, SplitHamiltonian))
+        pieces = [chosen for one in splits for chosen in one.coordinates]
         i, j, _, _ = self.algebra.triples
-        for number, chosen in enumerate(self.hamiltonian.coordinates):
+        for number, chosen in enumerate(pieces):
             inside = np.zeros(self.dim, dtype=bool)
             inside[list(chosen)] = True
             clash = np.flatnonzero(inside[i] & inside[j])

@@ -15,6 +15,7 @@ from coadjoint.systems.kinds import System
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.separable import Separable
 from coadjoint.systems.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.sum_of_hamiltonians import SumOfHamiltonians
 from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
@@ -55,6 +56,8 @@ def linear_of(H: HamiltonianLike, n: int) -> Floats:
     found = np.zeros(n)
     if isinstance(H, Separable):
         return found
+    if isinstance(H, SumOfHamiltonians):
+        return np.asarray(sum(linear_of(one, n) for one in H.summands if _has_linear(one)) + found)
     if isinstance(H, PolynomialHamiltonian):
         for exponents, coefficient in H.polynomial.monomials.items():
             if sum(exponents) == 1:
@@ -152,6 +155,8 @@ def _other(H: HamiltonianLike, linear: Floats) -> HamiltonianLike:
         return PolynomialHamiltonian(Polynomial(monomials, dim=n))
     if isinstance(H, SplitHamiltonian):
         return _other_split(H, linear)
+    if isinstance(H, SumOfHamiltonians):
+        return _other_sum(H, linear)
     if isinstance(H, Separable):
         pieces = []
         for term in H.functions():
@@ -159,6 +164,16 @@ def _other(H: HamiltonianLike, linear: Floats) -> HamiltonianLike:
             pieces.append(((int(term.coordinates[0]),), Separable({0: given})))
         return _other_split(SplitHamiltonian(pieces).bind(len(linear)), linear)
     raise TypeError(f"the Hamiltonian is a {type(H).__name__}, which has no linear term that could be another one")
+
+
+def _other_sum(H: SumOfHamiltonians, linear: Floats) -> HamiltonianLike:
+    """Change the linear term of the Quadratic or polynomial of a sum, which stands first, and get it one if need be."""
+    first, n = H.summands[0], len(linear)
+    if not isinstance(first, Quadratic | PolynomialHamiltonian):
+        first = Quadratic(np.zeros(n))
+        H = SumOfHamiltonians([first, *H.summands])
+    elsewhere = linear_of(H, n) - linear_of(first, n)
+    return SumOfHamiltonians([_other(first, linear - elsewhere), *H.summands[1:]])
 
 
 def _other_split(H: SplitHamiltonian, linear: Floats) -> SplitHamiltonian:

@@ -5,21 +5,32 @@ from __future__ import annotations
 import copy
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.given import array_given, read_number, read_whole
+from coadjoint.algebra.product_sums import Coefficient
+from coadjoint.given import array_given, read_finite, read_number, read_whole
 from coadjoint.memory import check_room
 from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY, check_symmetric, real_array, sparse_entries
 from coadjoint.systems.points import QUIET, matching, point, scatter
+from coadjoint.systems.summable import Summable
 from coadjoint.systems.terms import QuadraticTerm, Term
 from coadjoint.wording import short
 
 
-class Quadratic:
+class Entries(NamedTuple):
+    """The numbers of a quadratic Hamiltonian: places and entries of M, and the linear part."""
+
+    rows: npt.NDArray[np.int64]
+    columns: npt.NDArray[np.int64]
+    entries: npt.NDArray[Any]
+    linear: npt.NDArray[Any]
+
+
+class Quadratic(Summable):
     """The quadratic Hamiltonian ``x . M x / 2 + linear . x + constant``.
 
     The first choice wherever it fits: every scheme of the library serves it, and `Taylor`, `GaussLegendre`
@@ -170,10 +181,48 @@ class Quadratic:
                 linear[where[0]] = coefficient
             else:
                 constant = coefficient
-        quadratic = cls(0.0, linear=linear, constant=constant)
         packed = np.empty(len(entries), dtype=kind)
         packed[:] = entries
-        quadratic._store(n, np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64), packed)
+        places = np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
+        return cls.from_entries(n, *places, packed, linear, constant)
+
+    @classmethod
+    def from_entries(
+        cls,
+        n: int,
+        rows: npt.NDArray[np.int64],
+        columns: npt.NDArray[np.int64],
+        entries: npt.NDArray[Any],
+        linear: npt.NDArray[Any],
+        constant: Any,
+    ) -> Self:
+        """Return the Hamiltonian whose M has some entries, in both triangles and each place once.
+
+        Parameters
+        ----------
+        n : int
+            Number of coordinates.
+        rows, columns : ndarray of int64, shape (nnz,)
+            Where the entries stand.
+        entries : ndarray, shape (nnz,)
+            Floats, or fractions in an array of objects.
+        linear : ndarray, shape (n,)
+            Coefficients of the linear part.
+        constant : float or Fraction
+            Added to the value.
+
+        Returns
+        -------
+        Quadratic
+
+        Raises
+        ------
+        ValueError
+            A number is not finite.
+        """
+        read_finite(entries, "the entries of M")
+        quadratic = cls(0.0, linear=linear, constant=constant)
+        quadratic._store(n, rows, columns, entries)
         return quadratic
 
     @property
@@ -244,6 +293,38 @@ class Quadratic:
         """Return how large M is, as it was probably given."""
         diagonal = np.array_equal(self._rows, self._indices)
         return f"M has {self.dim} entries" if diagonal else f"M is {self.dim} x {self.dim}"
+
+    @property
+    def scalar(self) -> Any:
+        """The number M of a Hamiltonian without a dimension, as it was given; None where there is a dimension."""
+        return self._scalar
+
+    def as_given(self) -> Entries:
+        """Return M, both triangles sorted by rows, and the linear part, bound; fractions as they were given."""
+        if self.dim is None or self._linear is None:
+            raise TypeError("Quadratic of a number has no dimension yet; bind(n) it first")
+        return Entries(self._rows, self._indices, self._entries, self._linear)
+
+    def times(self, factor: Coefficient) -> Self:
+        """Return the multiple of this Hamiltonian; fractions stay exact.
+
+        Parameters
+        ----------
+        factor : int, float or Fraction
+            Finite.
+
+        Returns
+        -------
+        Quadratic
+
+        Examples
+        --------
+        >>> Quadratic([1.0, 2.0]).times(0.5)
+        Quadratic([0.5, 1.0])
+        """
+        from coadjoint.systems.quadratic_sums import multiplied
+
+        return cast(Self, multiplied(self, factor))
 
     def with_linear(self, linear: npt.ArrayLike) -> Quadratic:
         """Return the same Hamiltonian, bound, with another linear part; M is shared.

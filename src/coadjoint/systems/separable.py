@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import replace
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.product_sums import Coefficient
 from coadjoint.given import read_whole
 from coadjoint.systems.points import point
+from coadjoint.systems.summable import Summable
 from coadjoint.systems.terms import FunctionTerm, Term
-from coadjoint.systems.user_functions import all_take_time, check_derivative
+from coadjoint.systems.user_functions import all_take_time, check_derivative, multiple_of
 from coadjoint.wording import short
 
 MOST_COORDINATES = 2**32 - 1
 
 
-class Separable:
+class Separable(Summable):
     """A sum of functions of one coordinate each, ``sum of H_i(x_i)``.
 
     Explicit splitting serves it on every algebra, since each H_i alone has a linear flow.
@@ -99,6 +102,31 @@ class Separable:
         bound = object.__new__(Separable)
         bound.dim, bound.timed, bound._terms = n, self.timed, self._terms
         return bound
+
+    def times(self, factor: Coefficient) -> Self:
+        """Return the sum of the multiples of the functions.
+
+        Parameters
+        ----------
+        factor : int, float or Fraction
+            Finite.
+
+        Returns
+        -------
+        Separable
+
+        Examples
+        --------
+        >>> Separable({1: (np.cosh, np.sinh)}).times(2).value([1.0, 0.0])
+        2.0
+        """
+        result = object.__new__(type(self))
+        result.dim, result.timed, result._terms = self.dim, self.timed, []
+        for term in self._terms:
+            chain = term.value, term.gradient, term.hessian
+            value, gradient, hessian = (multiple_of(function, factor, scalar=True) for function in chain)
+            result._terms.append(replace(term, value=value, gradient=gradient, hessian=hessian))
+        return result
 
     def _each(self, which: str, y: npt.NDArray[Any], t: float) -> list[tuple[int, Any]]:
         results = []

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.product_sums import Coefficient
 from coadjoint.given import read_list, read_whole
 from coadjoint.systems.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.points import point
 from coadjoint.systems.separable import MOST_COORDINATES
+from coadjoint.systems.summable import Summable
 from coadjoint.systems.terms import Term
 from coadjoint.wording import short
 
 
-class SplitHamiltonian:
+class SplitHamiltonian(Summable):
     """A sum of pieces ``H_a(x[coordinates of a])``, each of coordinates that commute in the algebra.
 
     Explicit splitting serves it: the gradient of a piece is constant along the flow of that piece, which is
@@ -107,6 +110,30 @@ class SplitHamiltonian:
         bound = object.__new__(SplitHamiltonian)
         bound.dim, bound.timed, bound.coordinates, bound.pieces = n, self.timed, self.coordinates, self.pieces
         return bound
+
+    def times(self, factor: Coefficient) -> Self:
+        """Return the sum of the multiples of the pieces.
+
+        Parameters
+        ----------
+        factor : int, float or Fraction
+            Finite.
+
+        Returns
+        -------
+        SplitHamiltonian
+
+        Raises
+        ------
+        TypeError
+            A piece is of a kind of the user that has no multiples.
+        """
+        for number, piece in enumerate(self.pieces):
+            if not isinstance(piece, Summable):
+                raise TypeError(f"piece {number} is {short(piece)}, whose kind has no multiples; multiply it there")
+        result = copy.copy(self)
+        result.pieces = tuple(piece.times(factor) for piece in self.pieces if isinstance(piece, Summable))
+        return result
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return the sum of the pieces."""

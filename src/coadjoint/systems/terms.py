@@ -173,7 +173,7 @@ class PolynomialTerm:
             for i, power in zip(where.tolist(), exponents, strict=True):
                 placed[i] = power
             monomials[tuple(placed)] = coefficient
-        return PolynomialTerm(Polynomial(monomials), piece)
+        return PolynomialTerm(Polynomial(monomials, dim=n), piece)
 
     def given_to(self, reader: TermReader) -> Any:
         """Give it as it is."""

@@ -5,11 +5,13 @@ from __future__ import annotations
 import inspect
 import types
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.product_sums import Coefficient
 from coadjoint.extras import installed
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.wording import short
@@ -18,12 +20,49 @@ SEED = 1993
 SAMPLE_TIME = 0.625
 
 
+@dataclass(frozen=True)
+class MultipleOf:
+    """A multiple of a function of the user, which is compiled where the function is.
+
+    Parameters
+    ----------
+    function : callable
+        Of (x) or (x, t).
+    factor : int or float
+        Finite.
+    scalar : bool
+        Whether the function returns a number, rather than an array or a list.
+
+    Examples
+    --------
+    >>> MultipleOf(np.cosh, 2, True)(0.0)
+    2.0
+    """
+
+    function: Callable[..., Any]
+    factor: int | float
+    scalar: bool
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Return the multiple at x, or at x and t."""
+        found = self.function(*arguments)
+        return self.factor * (found if self.scalar else np.asarray(found))
+
+
+def multiple_of(function: Any, factor: Coefficient, scalar: bool) -> Any:
+    """Return the `MultipleOf` a function; None stays None, and a fraction is rounded, since functions give floats."""
+    factor = factor if isinstance(factor, int) else float(factor)
+    return None if function is None else MultipleOf(function, factor, scalar)
+
+
 def takes_time(function: Callable[..., Any], name: str) -> bool:
     """Return whether `function` is one of ``(x, t)`` rather than ``(x)``; refuse anything else.
 
     A second argument counts as the time if it has no default, or if its name is ``t``
     (``lambda x, m=m: ...`` is a function of x alone).
     """
+    while isinstance(function, MultipleOf):
+        function = function.function
     if not callable(function):
         raise TypeError(f"{name} is {short(function)}; give a function of (x) or (x, t)")
     if isinstance(function, np.ufunc):

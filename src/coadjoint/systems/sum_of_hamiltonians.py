@@ -1,0 +1,192 @@
+"""Sums of Hamiltonians of any kinds: what ``H1 + H2`` is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.algebra.product_sums import Coefficient
+from coadjoint.given import is_real
+from coadjoint.systems.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
+from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.quadratic_sums import added
+from coadjoint.systems.split_hamiltonian import SplitHamiltonian
+from coadjoint.systems.summable import Summable
+from coadjoint.systems.terms import Term
+from coadjoint.wording import short
+
+
+class SumOfHamiltonians(Summable):
+    """A Hamiltonian that is the sum of others of several kinds; ``H1 + H2`` makes it.
+
+    A scheme serves it where it serves all of the summands. Explicit splitting takes each summand apart.
+
+    Parameters
+    ----------
+    summands : sequence of Hamiltonians
+        At most one of them a Quadratic or a polynomial, and at most one a SplitHamiltonian; `sum_of` joins others.
+
+    Attributes
+    ----------
+    summands : tuple
+        As given.
+    dim : int or None
+        Number of coordinates; None until it is known of every summand.
+    timed : bool
+        Whether a summand depends on the time.
+
+    Raises
+    ------
+    ValueError
+        The summands have different numbers of coordinates.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.separable import Separable
+    >>> H = Quadratic([1.0, 0.5]) + Separable({1: (np.cosh, np.sinh)})
+    >>> H.value([2.0, 0.0]), H.gradient([2.0, 0.0])
+    (3.0, array([2., 0.]))
+    """
+
+    def __init__(self, summands: Sequence[Any]) -> None:
+        self.summands: tuple[Any, ...] = tuple(summands)
+        dimensions = [one.dim for one in self.summands]
+        known = set(dimensions) - {None}
+        if len(known) > 1:
+            raise ValueError(f"Hamiltonians of {' and '.join(map(str, sorted(known)))} coordinates cannot be added")
+        self.dim: int | None = None if None in dimensions else dimensions[0]
+        self.timed = any(one.timed for one in self.summands)
+
+    def bind(self, n: int) -> SumOfHamiltonians:
+        """Return the same sum for dimension n, each summand checked.
+
+        Parameters
+        ----------
+        n : int
+            Number of coordinates.
+
+        Returns
+        -------
+        SumOfHamiltonians
+
+        Raises
+        ------
+        ValueError
+            A summand is of another dimension, or a derivative is wrong.
+        """
+        return SumOfHamiltonians([as_hamiltonian(one, n) for one in self.summands])
+
+    def times(self, factor: Coefficient) -> Self:
+        """Return the sum of the multiples of the summands."""
+        return type(self)([factor * one for one in self.summands])
+
+    def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
+        """Return H(x, t)."""
+        return sum(one.value(x, t) for one in self.summands)
+
+    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the gradient, shape (n,)."""
+        return np.asarray(sum(one.gradient(x, t) for one in self.summands))
+
+    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the second derivatives, shape (n, n)."""
+        return np.asarray(sum(one.hessian(x, t) for one in self.summands))
+
+    def terms(self) -> tuple[Term, ...]:
+        """Return the terms of all summands; the sum must be bound."""
+        return tuple(term for one in self.summands for term in one.terms())
+
+    def __repr__(self) -> str:
+        return " + ".join(map(repr, self.summands))
+
+
+def summands_of(H: HamiltonianLike) -> tuple[HamiltonianLike, ...]:
+    """Return the summands of a sum; any other Hamiltonian is the only one.
+
+    Examples
+    --------
+    >>> summands_of(Quadratic([1.0, 2.0]))
+    (Quadratic([1.0, 2.0]),)
+    """
+    return H.summands if isinstance(H, SumOfHamiltonians) else (H,)
+
+
+def sum_of(first: Any, second: Any) -> Any:
+    """Return the sum of two Hamiltonians, or of one and a number.
+
+    Parameters
+    ----------
+    first, second : Hamiltonian or number
+        A number is a constant, which moves nothing.
+
+    Returns
+    -------
+    Quadratic, Polynomial, SplitHamiltonian or SumOfHamiltonians
+        Of the kind of both where they are of one of the first three kinds; a Polynomial of a Quadratic and a
+        Polynomial.
+
+    Raises
+    ------
+    TypeError
+        One of them is no Hamiltonian.
+    ValueError
+        They have different numbers of coordinates.
+    """
+    if any(is_real(one) and one == 0 for one in (first, second)):
+        return second if is_real(first) else first  # as `sum` begins
+    simple: Any = None
+    split: SplitHamiltonian | None = None
+    others: list[Any] = []
+    for one in _each((first, second)):
+        if isinstance(one, Quadratic | Polynomial):
+            simple = one if simple is None else _simple_sum(simple, one)
+        elif isinstance(one, SplitHamiltonian):
+            split = one if split is None else _split_sum(split, one)
+        else:
+            others.append(one)
+    found = [one for one in (simple, split, *others) if one is not None]
+    if len(found) == 1:
+        return found[0]
+    return SumOfHamiltonians([as_hamiltonian(one, one.dim) if isinstance(one, Polynomial) else one for one in found])
+
+
+def _each(given: Iterable[Any]) -> Iterable[Any]:
+    """Yield the summands of what is added, a number as a Quadratic and a polynomial as itself."""
+    for one in given:
+        if is_real(one):
+            yield Quadratic(0.0, constant=one)
+        elif isinstance(one, SumOfHamiltonians):
+            yield from _each(one.summands)
+        elif isinstance(one, PolynomialHamiltonian):
+            yield one.polynomial
+        elif isinstance(one, Polynomial | Summable) or _of_a_user(one):
+            yield one
+        else:
+            raise TypeError(f"{short(one)} is no Hamiltonian, and cannot be added to one")
+
+
+def _of_a_user(given: Any) -> bool:
+    """Return whether it is a Hamiltonian of a kind that this library does not have."""
+    own = type(given).__module__.partition(".")[0] != __name__.partition(".")[0]
+    return own and not isinstance(given, type) and isinstance(given, HamiltonianLike)
+
+
+def _simple_sum(first: Quadratic | Polynomial, second: Quadratic | Polynomial) -> Quadratic | Polynomial:
+    if isinstance(first, Quadratic) and isinstance(second, Quadratic):
+        return added(first, second)
+    dim = first.dim if isinstance(first, Polynomial) else second.dim
+    assert dim is not None
+    one, other = (H if isinstance(H, Polynomial) else H.bind(dim).to_polynomial() for H in (first, second))
+    return one + other
+
+
+def _split_sum(first: SplitHamiltonian, second: SplitHamiltonian) -> SplitHamiltonian:
+    if None not in (first.dim, second.dim) and first.dim != second.dim:
+        raise ValueError(f"Hamiltonians of {first.dim} and {second.dim} coordinates cannot be added")
+    both = (*zip(first.coordinates, first.pieces, strict=True), *zip(second.coordinates, second.pieces, strict=True))
+    dim = first.dim if first.dim is not None else second.dim
+    return SplitHamiltonian(both) if dim is None else SplitHamiltonian(both).bind(dim)

@@ -1,0 +1,334 @@
+"""H1 + H2 and multiples: the values, the runs and the properties of what is written out by hand."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.systems.sum_of_hamiltonians import SumOfHamiltonians
+
+rng = np.random.default_rng(11)
+A, B = (M + M.T for M in rng.normal(size=(2, 6, 6)))
+a, b = rng.normal(size=(2, 6))
+
+
+def test_quadratic_ones_add_up_to_a_quadratic_one():
+    H = co.Quadratic(A, linear=a, constant=0.5) + 3.0 * co.Quadratic(B, linear=b, constant=2.0)
+    assert isinstance(H, co.Quadratic)
+    x = rng.normal(size=6)
+    expected = 0.5 * x @ (A + 3 * B) @ x + (a + 3 * b) @ x + 6.5
+    np.testing.assert_allclose(H.value(x), expected, rtol=1e-14)
+    np.testing.assert_array_equal(H.hessian(x), A + 3 * B)
+    np.testing.assert_array_equal((H - H).hessian(x), np.zeros((6, 6)))
+    np.testing.assert_array_equal((-co.Quadratic(A)).hessian(x), -A)
+    np.testing.assert_array_equal((co.Quadratic(2.0) + co.Quadratic(A)).hessian(x), A + 2 * np.eye(6))
+    np.testing.assert_array_equal(sum([co.Quadratic(A), co.Quadratic(B)]).hessian(x), A + B)
+
+
+def test_fractions_stay_exact():
+    third = co.Quadratic([Fraction(1, 3), Fraction(1)])
+    H = third + 2 * third
+    assert H.exact and H.to_polynomial() == co.Polynomial({(2, 0): Fraction(1, 2), (0, 2): Fraction(3, 2)})
+
+
+def test_a_polynomial_and_a_quadratic_one_are_a_polynomial():
+    P = co.Polynomial("x1*x2*x3", dim=3)
+    written = co.Polynomial("x1*x2*x3 + 0.5*x1^2 + x2^2", dim=3)
+    assert P + co.Quadratic([1.0, 2.0, 0.0]) == written == co.Quadratic([1.0, 2.0, 0.0]) + P
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(3), co.ExplicitRungeKutta()], ids=str)
+@pytest.mark.parametrize("span", [(0.0, 2.0), (2.0, 0.0)])
+def test_a_sum_moves_as_what_is_written_out(method, span):
+    parts = {0: (lambda y: 0.5 * y * y, lambda y: y), 1: (lambda y: 0.25 * y * y, lambda y: 0.5 * y)}
+    cosh = {2: (np.cosh, np.sinh)}
+    whole = co.LiePoissonSystem(co.algebras.so(3), co.Separable({**parts, **cosh}))
+    added = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.0]) + co.Separable(cosh))
+    assert isinstance(added.hamiltonian, SumOfHamiltonians)
+    x = np.array([0.3, -0.2, 0.9])
+    np.testing.assert_allclose(added.vector_field(x), whole.vector_field(x), rtol=1e-15)
+    runs = [co.integrate(system, x, span, 0.05, method) for system in (whole, added)]
+    # 40 steps; the parts may come in another order, so that steps differ by their local errors: order 4 and more.
+    assert np.abs(runs[0].x[-1] - runs[1].x[-1]).max() < 40 * 0.05**5
+    fine = co.integrate(whole, x, span, 0.005, co.GaussLegendre(3)).x[-1]
+    assert np.abs(runs[1].x[-1] - fine).max() < 40 * 0.05**5
+    assert runs[1].drift()["|x|^2"] < (1e-13 if not isinstance(method, co.ExplicitRungeKutta) else 1e-5)
+    assert method.properties(added) == method.properties(whole)
+
+
+def test_functions_of_time_and_ensembles():
+    wave = co.Hamiltonian(lambda x, t: np.cos(t) * x[2], lambda x, t: np.array([0.0, 0.0, np.cos(t)]))
+    H = co.Quadratic([1.0, 0.5, 0.25]) + wave
+    assert H.timed
+    system = co.LiePoissonSystem(co.algebras.so(3), H)
+    x = rng.normal(size=(3, 3))
+    sol = co.integrate(system, x, (0.0, 1.0), 0.05, co.GaussLegendre(2))
+    alone = co.integrate(system, x[1], (0.0, 1.0), 0.05, co.GaussLegendre(2))
+    assert (sol.x[:, 1] == alone.x).all()
+    assert "change of energy" in sol._repr_html_() and sol.to_xarray()["x"].shape == (21, 3, 3)
+
+
+KINDS = {
+    "quadratic": lambda: co.Quadratic(A[:3, :3], linear=a[:3], constant=0.25),
+    "scalar": lambda: co.Quadratic(1.5),
+    "fractions": lambda: co.Quadratic([Fraction(1, 3), 2, Fraction(5, 7)], constant=Fraction(1, 9)),
+    "polynomial": lambda: co.Polynomial("x1*x2*x3 + 0.25*x1^4 - x2 + 2", dim=3),
+    "low polynomial": lambda: co.Polynomial("1/3*x1^2 - x2*x3 + x1", dim=3),
+    "separable": lambda: co.Separable({0: (np.cosh, np.sinh, np.cosh), 2: (np.sin, np.cos, lambda y: -np.sin(y))}),
+    "separable in time": lambda: co.Separable(
+        {1: (lambda y, t: y**2 * np.cos(t), lambda y, t: 2 * y * np.cos(t), lambda y, t: 2 * np.cos(t) + 0 * y)}
+    ),
+    "functions": lambda: co.Hamiltonian(
+        lambda x: x[0] * x[1] * x[2],
+        lambda x: np.array([x[1] * x[2], x[0] * x[2], x[0] * x[1]]),
+        lambda x: np.array([[0 * x[0], x[2], x[1]], [x[2], 0 * x[0], x[0]], [x[1], x[0], 0 * x[0]]]),
+    ),
+    "functions that return lists, in time": lambda: co.Hamiltonian(
+        lambda x, t: t * x[0], lambda x, t: [t, 0.0, 0.0], lambda x, t: np.zeros((3, 3))
+    ),
+    "split": lambda: co.SplitHamiltonian(
+        [((0,), co.Quadratic(2.0, linear=[1.0])), ((2,), co.Polynomial("x1^3 - x1", dim=1)), ((1,), cosh())]
+    ),
+    "split too": lambda: co.SplitHamiltonian([((1,), co.Quadratic(0.5)), ((2,), cosh())]),
+}
+POINTS = rng.normal(size=(3, 3))
+
+
+def cosh():
+    return co.Separable({0: (np.cosh, np.sinh, np.cosh)})
+
+
+def bound(H):
+    return co.LiePoissonSystem(co.algebras.so(3), H).hamiltonian
+
+
+@pytest.mark.parametrize("first", KINDS)
+@pytest.mark.parametrize("second", KINDS)
+def test_every_kind_and_every_other(first, second):
+    H1, H2 = KINDS[first](), KINDS[second]()
+    ways = {
+        (1, 1): H1 + H2,
+        (1, -1): H1 - H2,
+        (2, -0.5): 2 * H1 - H2 / 2,
+        (1, Fraction(1, 3)): sum([H1, H2 / 3]),
+        (-1, 3): -(H1 - 3 * H2),
+        (np.float64(0.5), np.int64(2)): np.float64(0.5) * H1 + H2 * np.int64(2),
+    }
+    one, other = bound(H1), bound(H2)
+    for (p, q), H in ways.items():
+        p, q, whole = float(p), float(q), bound(H)
+        assert whole.timed == (one.timed or other.timed)
+        for x in POINTS:
+            for t in (0.0, 0.7):
+                for name in ("value", "gradient", "hessian"):
+                    parts = [p * getattr(one, name)(x, t), q * getattr(other, name)(x, t)]
+                    # Each summand takes at most some 20 operations on numbers of the size 10.
+                    size = max(10.0, *(np.abs(part).max() for part in parts))
+                    np.testing.assert_allclose(getattr(whole, name)(x, t), sum(parts), rtol=0, atol=2**-53 * 40 * size)
+
+
+@pytest.mark.parametrize(
+    "first, second",
+    [
+        ("quadratic", "separable"),
+        ("split", "separable in time"),
+        ("polynomial", "functions"),
+        ("functions that return lists, in time", "fractions"),
+        ("separable", "split too"),
+    ],
+)
+def test_multiples_run_as_what_is_written_at_once(first, second):
+    """Against a fine run of one Hamiltonian of functions, which knows nothing of sums."""
+    p, q = Fraction(3, 4), -0.5
+    H = p * KINDS[first]() + q * KINDS[second]()
+    one, other = bound(KINDS[first]()), bound(KINDS[second]())
+    system = co.LiePoissonSystem(co.algebras.so(3), H)
+
+    def slope(t, x):
+        return np.cross(x, float(p) * one.gradient(x, t) + q * other.gradient(x, t))
+
+    from scipy.integrate import solve_ivp
+
+    x = np.array([0.3, -0.2, 0.9])
+    sign = np.sign(system.vector_field(x, 0.3) @ slope(0.3, x))
+    for span in ((0.0, 1.0), (1.0, 0.0)):
+        expected = solve_ivp(lambda t, x: sign * slope(t, x), span, x, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+        found = co.integrate(system, x, span, 1 / 64, co.GaussLegendre(4)).x[-1]
+        # Order eight: the truncation is far below the tolerance of the reference.
+        assert np.abs(found - expected).max() < 1e-11
+        members = co.integrate(system, np.array([x, 2 * x]), span, 1 / 64, co.GaussLegendre(4)).x[-1]
+        np.testing.assert_array_equal(members[0], found)
+        if "functions" not in first + second:
+            # Order four with pieces of size one: h^4 times a constant of their brackets.
+            split = co.integrate(system, x, span, 1 / 64, co.Splitting(order=4)).x[-1]
+            half = co.integrate(system, x, span, 1 / 128, co.Splitting(order=4)).x[-1]
+            assert np.abs(half - expected).max() < np.abs(split - expected).max() / 8 < 64.0**-4
+
+
+def test_functions_alone_refuse_what_their_summands_refuse():
+    wave = KINDS["functions"]() + co.Quadratic([1.0, 2.0, 3.0])
+    system = co.LiePoissonSystem(co.algebras.so(3), wave)
+    with pytest.raises(ValueError, match="a function in it couples e1 and e2, which do not commute"):
+        co.Splitting().properties(system)
+    with pytest.raises(ValueError, match="piece 0 has the coordinates 0 and 1"):
+        co.LiePoissonSystem(
+            co.algebras.so(3), co.Quadratic(1.0) + co.SplitHamiltonian([((0, 1), co.Quadratic([1.0, 1.0]))])
+        )
+
+
+def test_many_entries_stay_sparse():
+    from scipy import sparse
+
+    n = 20_000
+    chain = sparse.diags_array([np.ones(n - 1), np.ones(n - 1)], offsets=[-1, 1])
+    H = co.Quadratic(sparse.eye_array(n)) + co.Quadratic(chain) / 2
+    y = np.ones(n)
+    assert H.value(y) == n / 2 + (n - 1) / 2
+    assert len(H.terms()[0].values) == 3 * n - 2 and len((H - H).terms()[0].values) == 0
+
+
+def test_sums_are_saved_and_read_back(tmp_path):
+    from coadjoint.files.records import record_of, system_of
+
+    H = co.Polynomial("x1^3 + 0.1*x2*x3", dim=3) + co.SplitHamiltonian([((0,), co.Quadratic(2.0))]) / 2
+    system = co.LiePoissonSystem(co.algebras.so(3), H)
+    record = record_of(system)
+    assert record["hamiltonian"]["kind"] == "sum" and "not_stored" not in record
+    again = system_of(record)
+    x = np.array([0.5, 0.25, -1.0])
+    assert again.energy(x) == system.energy(x)
+    runs = [co.integrate(one, x, (0.0, 1.0), 0.1, co.GaussLegendre(2)) for one in (system, again)]
+    np.testing.assert_array_equal(*(run.x for run in runs))
+    co.integrate(system, x, (0.0, 0.5), 0.1, co.GaussLegendre(2), archive=tmp_path / "sum.zarr")
+    resumed = co.resume(tmp_path / "sum.zarr", t_end=1.0)
+    np.testing.assert_array_equal(resumed.x[-1], runs[0].x[-1])
+    named = record_of(co.LiePoissonSystem(co.algebras.so(3), H + 2 * KINDS["separable"]()))
+    assert named["not_stored"][0] == "hamiltonian: MultipleOf"
+
+
+def test_the_linear_term_of_a_sum_can_change():
+    from coadjoint.systems.linear_term import linear_of, with_linear
+
+    for H in (co.Quadratic([1.0, 2.0, 3.0], linear=a[:3]) + KINDS["split"](), KINDS["split"]() + KINDS["separable"]()):
+        system = co.LiePoissonSystem(co.algebras.so(3), H)
+        new = np.array([0.5, 0.0, -2.0])
+        changed = with_linear(system, new)
+        np.testing.assert_allclose(linear_of(changed.hamiltonian, 3), new, atol=2**-52)
+        difference = changed.hamiltonian.gradient(POINTS[0]) - system.hamiltonian.gradient(POINTS[0])
+        np.testing.assert_allclose(difference, new - linear_of(system.hamiltonian, 3), atol=2**-50)
+
+
+def test_ready_made_systems_give_their_hamiltonians():
+    for name, parameters in (("rigid_body", {}), ("toda", {}), ("heavy_top", {}), ("separable_cosh", {})):
+        system = co.systems.get(name, **parameters) if name in co.systems.names() else None
+        if system is None:
+            continue
+        x = 0.1 + rng.normal(size=system.dim) / 4
+        twice = type(system)(system.algebra, 2 * system.hamiltonian + 1.0, sign=system.sign)
+        np.testing.assert_allclose(twice.vector_field(x), 2 * system.vector_field(x), rtol=1e-14, atol=1e-14)
+        assert np.isclose(twice.energy(x), 2 * system.energy(x) + 1.0, rtol=1e-14)
+
+
+def test_driven_ones():
+    from coadjoint.systems.driven import Driven
+
+    H = Driven(co.Quadratic([1.0, 2.0, 3.0]), lambda t: (0.0, np.sin(t), 2.0), sites=1, axes=3, what="field")
+    x = POINTS[0]
+    np.testing.assert_allclose((H / 2).gradient(x, 0.7), H.gradient(x, 0.7) / 2, rtol=1e-15)
+    twice = co.LiePoissonSystem(co.algebras.so(3), 2 * H - H)
+    once = co.LiePoissonSystem(co.algebras.so(3), H)
+    runs = [co.integrate(one, x, (0.0, 1.0), 0.05, co.GaussLegendre(2)).x[-1] for one in (once, twice)]
+    np.testing.assert_allclose(*runs, atol=1e-13)  # 20 steps, each to round-off of iterations
+
+
+class Own:
+    """A kind of the user, without arithmetic of its own."""
+
+    timed = False
+
+    def __init__(self, dim=None):
+        self.dim = dim
+
+    def bind(self, n):
+        return Own(n)
+
+    def value(self, x, t=0.0):
+        return x[0] ** 2
+
+    def gradient(self, x, t=0.0):
+        return np.array([2 * x[0], *np.zeros(len(x) - 1)])
+
+    def hessian(self, x, t=0.0):
+        return np.diag([2.0, *np.zeros(len(x) - 1)])
+
+    def terms(self):
+        return co.Quadratic(np.diag([2.0, *np.zeros(self.dim - 1)])).terms()
+
+
+def test_kinds_of_the_user_are_summands():
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25]) + Own())
+    x = POINTS[0]
+    np.testing.assert_allclose(system.hamiltonian.gradient(x), [3 * x[0], x[1] / 2, x[2] / 4])
+    assert (Own() + KINDS["separable"]()).summands[1].timed is False
+    with pytest.raises(TypeError, match="cannot be taken off a Hamiltonian: it has no negative"):
+        co.Quadratic(1.0) - Own()
+    with pytest.raises(TypeError, match=r"piece 0 is .*, whose kind has no multiples; multiply it there"):
+        2 * co.SplitHamiltonian([((0,), Own())])
+
+
+@pytest.mark.parametrize("H", [H for name, H in KINDS.items() if "polynomial" not in name])
+@pytest.mark.parametrize("factor", ["2", 1j, None, True, np.ones(3), [1, 2]])
+def test_factors_that_are_no_numbers(H, factor):
+    for wrong in (lambda: factor * H(), lambda: H() * factor, lambda: H() / factor):
+        with pytest.raises(TypeError, match=r"a Hamiltonian is multiplied by .*; the factor must be a number"):
+            wrong()
+
+
+@pytest.mark.parametrize("H", KINDS.values())
+def test_factors_that_are_not_finite(H):
+    for wrong in (lambda: np.nan * H(), lambda: H() * np.inf, lambda: 10**400 * H()):
+        with pytest.raises(ValueError, match="finite"):
+            wrong()
+    with pytest.raises(ValueError, match="is divided by 0"):
+        H() / 0
+    with pytest.raises(TypeError):
+        H() + "x1"
+    with pytest.raises(TypeError):
+        H() - None
+
+
+def test_a_polynomial_less_another_kind():
+    P, H = co.Polynomial("x1^3 + x2", dim=3), KINDS["separable"]()
+    x = POINTS[0]
+    assert np.isclose((P - H).value(x), P(x) - H.value(x), rtol=1e-14)
+    assert np.isclose((1 - H).value(x), 1 - H.value(x), rtol=1e-14)
+
+
+def test_what_cannot_be_added():
+    with pytest.raises(TypeError, match="'x1' is no Hamiltonian, and cannot be added to one"):
+        co.Quadratic([1, 2]) + "x1"
+    with pytest.raises(TypeError, match="the factor must be a number"):
+        co.Quadratic([1, 2]) * co.Quadratic([1, 2])
+    with pytest.raises(ValueError, match="Hamiltonians of 2 and 3 coordinates cannot be added"):
+        co.Quadratic([1, 2]) + co.Quadratic([1, 2, 3])
+    with pytest.raises(ValueError, match="Hamiltonians of 2 and 3 coordinates cannot be added"):
+        co.Quadratic([1, 2]) + KINDS["separable"]().bind(3)
+    with pytest.raises(ValueError, match=r"must be finite|leaves float64|is inf"):
+        co.Quadratic([1e308, 1.0]) + co.Quadratic([1e308, 1.0])
+    with pytest.raises(ValueError, match=r"'x1\^2' does not say how many coordinates there are; give dim= or basis="):
+        co.Polynomial("x1^2")
+    with pytest.raises(ValueError, match=r"has 'q'; the coordinates are h, e, f"):
+        co.Polynomial("h*q", basis=("h", "e", "f"))
+
+
+def test_polynomials_divide_exactly():
+    p = co.Polynomial("2*x1^2 - 3*x2 + 0.5", dim=2)
+    assert p / 3 == co.Polynomial({(2, 0): Fraction(2, 3), (0, 1): -1, (0, 0): 0.5 / 3})
+    with pytest.raises(TypeError):
+        p / p
+
+
+def test_polynomials_of_named_coordinates():
+    assert co.Polynomial("0.5*h^2 + 2*e*f", basis=("h", "e", "f")) == co.Polynomial({(2, 0, 0): 0.5, (0, 1, 1): 2})
+    assert co.Polynomial("1/3*x2", dim=2) == co.Polynomial({(0, 1): Fraction(1, 3)})
