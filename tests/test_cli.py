@@ -142,7 +142,7 @@ def test_failed_run_without_output(folder, capsys):
         (
             ["zzzzz"],
             "coadjoint: unknown command 'zzzzz'; there are certify, gallery, methods, reproduce, resume, run, schema, "
-            "systems",
+            "selftest, systems",
         ),
         (["run"], "coadjoint: missing argument 'FILE' (see 'coadjoint run --help')"),
         (["run", "body.toml", "--ot", "x"], "coadjoint: unknown option '--ot'; did you mean '--out'?"),

@@ -50,6 +50,25 @@ def _restored(message: str, step: int, time: float, residual: float, partial: An
     return IntegrationError(message, step=step, time=time, residual=residual, partial=partial)
 
 
+class OneLineError(ValueError):
+    """An error whose message is one line of bounded length, whatever it names.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong, where, and what would be right.
+
+    Examples
+    --------
+    >>> len(str(OneLineError("a name of a file " * 1000))) <= LONGEST_SENTENCE
+    True
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(in_one_line(message, LONGEST_SENTENCE))
+
+
+LONGEST_SENTENCE = 900
 MOST_LISTED = 40
 """Names that a message lists; of more it says where they are found."""
 

@@ -274,7 +274,7 @@ def read_whole(
         value = float(value)  # a small kind of float does not hold the bounds
         whole = value.is_integer()
     if not whole or value < least or (most is not None and value > most and not why):
-        bounds = f"from {least} up" if most is None or why else f"from {least} to {most}"
+        bounds = f"from {least} up" if most is None or why else f"from {least} to {short(most)}"
         raise ValueError(f"{what} must be a whole number {bounds}, not {short(value)}")
     if most is not None and value > most:
         raise ValueError(f"{what} must be at most {most}, not {short(value)}; {why}")

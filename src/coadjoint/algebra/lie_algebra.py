@@ -162,7 +162,7 @@ class LieAlgebra(Structure):
         """
         if brackets is None:
             lines = read_list(dim, "brackets", "give lines such as '[h, e] = 2 e', or a dimension and brackets")
-            basis = names_in(lines) if basis is None else basis
+            basis = names_in(lines) if basis is None else read_list(basis, "basis", "give names, one for each element")
             dim, brackets = len(basis), lines
         size = read_whole(dim, "dim")
         rows = read_brackets(size, brackets, basis)

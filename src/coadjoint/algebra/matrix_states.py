@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.matrix_kinds import KINDS, WITH_SIGNS, Adjoint, Kind
-from coadjoint.given import SMALL, array_given, no_numbers, read_choice, read_whole
+from coadjoint.given import SMALL, array_given, no_numbers, read_choice, read_title, read_whole
 from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.wording import short
@@ -255,6 +255,7 @@ class MatrixAlgebra:
         TypeError, ValueError
             No finite matrix of this size, or of another algebra.
         """
+        what = read_title(what, "what")
         array = array_given(given, what, "iufc")
         if array.shape[-2:] != self.shape or array.ndim > 3:
             raise ValueError(

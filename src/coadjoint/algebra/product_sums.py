@@ -56,8 +56,11 @@ class ProductSum:
         rows = sorted(terms, key=lambda term: not term[2])  # constants last: they have no product
         self._places = places
         self._to = np.array([place for place, _, _ in rows], dtype=np.int64)
-        self._exact = exact_numbers(value for _, value, _ in rows)
-        self._coefficients = np.array([float(value) for _, value, _ in rows])
+        try:
+            self._exact = exact_numbers(value for _, value, _ in rows)
+            self._coefficients = np.array([float(value) for _, value, _ in rows])
+        except OverflowError:
+            raise ValueError("a coefficient of a polynomial, or of its derivatives, leaves float64") from None
         sizes = [len(factors) for _, _, factors in rows if factors]
         self._starts = (
             np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64) if sizes else np.zeros(0, dtype=np.int64)

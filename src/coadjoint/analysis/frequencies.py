@@ -121,7 +121,7 @@ class Frequencies:
         """
         if self.frequency.ndim == 2:
             raise ValueError("these are the frequencies of an ensemble; take those of one member")
-        largest = read_whole(largest, "largest", 1)
+        largest = read_whole(largest, "largest", 1, MOST_COMBINATIONS)
         there = np.isfinite(self.frequency)
         w, known = (
             self.frequency[there],

@@ -128,6 +128,11 @@ class ModifiedHamiltonian:
                 total = total + h**k * at(terms[k]) if k else total + at(terms[k])
         except OverflowError:
             raise ValueError(f"the terms of the modified Hamiltonian at h = {short(h)} leave float64 there") from None
+        except TypeError:
+            raise TypeError(
+                f"h is {short(h)}, a {type(h).__name__}, which the numbers of x cannot be multiplied by; "
+                "give both in one kind of number"
+            ) from None
         return total
 
     def with_values(self, values: Mapping[str, Any] | None = None) -> ModifiedHamiltonian:

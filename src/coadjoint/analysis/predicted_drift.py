@@ -12,7 +12,7 @@ from coadjoint.analysis.modified_fields import ModifiedField
 from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian
 from coadjoint.analysis.periods import period
 from coadjoint.analysis.rotations import turns_space, twist
-from coadjoint.given import read_finite, read_flag, read_number
+from coadjoint.given import read_finite, read_flag, read_number, read_numbers
 from coadjoint.systems.kinds import check_vectors
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.points import QUIET
@@ -126,6 +126,10 @@ def predicted_drift(
         raise TypeError("step belongs to modified; a gradient or a field is that of one step")
     chosen: Any = gradient if field is None else field
     check_arguments(chosen, "gradient" if field is None else "field", "x")
+    if gradient is not None:
+        gradient = _returning_vectors(gradient, system.dim, "gradient")
+    if field is not None:
+        field = _returning_vectors(field, system.dim, "field")
     start = read_finite(x0, "x0")
     if start.shape != (system.dim,):
         raise ValueError(f"x0 has the shape {start.shape}; it must be ({system.dim},)")
@@ -167,7 +171,19 @@ def _at_step(system: Any, modified: Any, step: Any) -> tuple[Function | None, Fu
 def _field_of(system: Any, gradient: Function | None) -> Function:
     assert gradient is not None
     slope: Function = gradient
-    return lambda x: system.sign * (system.structure_matrix(x) @ np.asarray(slope(x), dtype=np.float64))
+    return lambda x: system.sign * (system.structure_matrix(x) @ slope(x))
+
+
+def _returning_vectors(function: Function, n: int, name: str) -> Function:
+    """Return a function whose values are read, or refused by name."""
+
+    def read(x: Floats) -> Floats:
+        found = read_numbers(function(x), f"what {name} returns")
+        if found.shape != (n,):
+            raise ValueError(f"what {name} returns has the shape {found.shape}; it must be ({n},)")
+        return found
+
+    return read
 
 
 class _Turned(NamedTuple):
@@ -184,7 +200,7 @@ def _with_attitude(system: LiePoissonSystem, gradient: Function, start: Floats) 
 
     def moved(y: Floats) -> Floats:
         x, g = y[:3], y[3:12].reshape(3, 3)
-        u = np.asarray(gradient(x), dtype=np.float64)
+        u = gradient(x)
         turning = -system.sign * np.einsum("i,iab->ab", u, representation)
         spatial = g @ turning @ g.T
         axial = np.array([spatial[2, 1] - spatial[1, 2], spatial[0, 2] - spatial[2, 0], spatial[1, 0] - spatial[0, 1]])

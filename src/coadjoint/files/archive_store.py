@@ -31,6 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import OneLineError
 from coadjoint.files.stored_arrays import StoredArray
 from coadjoint.files.unfinished import LOCK, locked
 from coadjoint.files.whole_files import WRITING, settle, write_whole
@@ -46,7 +47,7 @@ LONGEST_NAME = 255
 GROUP = {"zarr_format": 3, "node_type": "group"}
 
 
-class ArchiveError(ValueError):
+class ArchiveError(OneLineError):
     """There is no archive, it is damaged or in use, or one cannot be made; found before anything runs."""
 
 

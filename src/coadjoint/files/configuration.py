@@ -23,7 +23,7 @@ from coadjoint.files.written_events import event_of_file
 from coadjoint.given import read_path
 from coadjoint.memory import available, in_words
 from coadjoint.methods.base import Method
-from coadjoint.methods.forced import check_serves, serving
+from coadjoint.methods.forced import check_direction, check_serves, serving
 from coadjoint.methods.splitting import Splitting
 from coadjoint.methods.suggested import suggested_scheme
 from coadjoint.runs.any_time import moments_of
@@ -150,6 +150,8 @@ class Configuration:
         from coadjoint.files.archives import archive_run
         from coadjoint.runs.prepared_run import PreparedRun
 
+        if archive is not None:
+            check_archived(self.path, self.t_eval, self.events)
         with section(self.path, "method"):
             ready = PreparedRun(
                 self.system,
@@ -294,6 +296,14 @@ def _check_workers(name: str, file: File, system: Any, x0: Any) -> None:
             raise ValueError("workers keep every save_every-th step, and look for no events; give no t_eval and events")
 
 
+def check_archived(name: str, t_eval: Any, events: Any) -> None:
+    """Refuse what an archive does not keep, by its key."""
+    for key, given in (("run.t_eval", t_eval), ("events", events or None)):
+        if given is not None:
+            said = "an archive keeps every save_every-th step, and looks for no events; leave it out, or the archive"
+            raise ConfigurationError(f"{name}: {key}: {said}")
+
+
 def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Configuration:
     from coadjoint.files.configuration_models import File as Tables
 
@@ -307,6 +317,9 @@ def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Con
         times = times_of(file.run.t_span, file.run.step, file.run.save_every)
         if file.run.t_eval is not None:
             moments_of(file.run.t_eval, times, file.run.save_every)
+        check_direction(system, times.h)
+    if file.output.archive is not None:
+        check_archived(name, file.run.t_eval, file.events)
     x0 = state_by_name(name, file.initial, system) if sweep is None else swept_states(sweep, file, system, checked)
     with section(name, "initial.x"):
         x0 = initial_state(system, file.initial.x, Path(name).parent) if x0 is None else x0

@@ -13,7 +13,7 @@ from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.written_brackets import read_brackets
-from coadjoint.errors import in_one_line
+from coadjoint.errors import OneLineError, in_one_line
 from coadjoint.files.polynomials import read_polynomial
 from coadjoint.given import read_choice
 from coadjoint.memory import check_room
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from coadjoint.files.configuration_models import AlgebraTable, File, HamiltonianTable
 
 
-class ConfigurationError(ValueError):
+class ConfigurationError(OneLineError):
     """A configuration file is wrong: one sentence with the file, the key, and what would be right."""
 
 

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from coadjoint.errors import OneLineError
 from coadjoint.extras import need
 from coadjoint.files.netcdf_file import write_netcdf
 from coadjoint.files.unfinished import Unfinished, remove_leftovers
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class OutputError(ValueError):
+class OutputError(OneLineError):
     """A result cannot be written where it should go."""
 
 

@@ -52,6 +52,20 @@ def check_serves(system: Any, method: Method) -> None:
     serving(system, method).properties(system)
 
 
+def check_direction(system: Any, h: float) -> None:
+    """Refuse by name a force that does not run backward, where the time does.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> check_direction(co.systems.rigid_body(), -0.1)
+    """
+    one = system[0] if isinstance(system, Batch) else system
+    if h < 0.0 and isinstance(one, ForcedSystem) and not one.reversible:
+        one_way = next(label for label, force in zip(one.labels, one.forces, strict=True) if not force.reversible)
+        raise ValueError(f"{one_way} does not run backward, and t_span ends before it starts")
+
+
 @dataclass(frozen=True)
 class Forced(Method):
     """A scheme on a system with forces, split symmetrically: of order two, or one where the scheme is of order one.
@@ -117,9 +131,7 @@ class Forced(Method):
         """Return the loop over steps that take one of the loop of the base each."""
         from coadjoint.kernels.forces import forced_loop
 
-        if h < 0.0 and not system.reversible:
-            one_way = [label for label, force in zip(system.labels, system.forces, strict=True) if not force.reversible]
-            raise ValueError(f"{one_way[0]} does not run backward, and t_span ends before it starts")
+        check_direction(system, h)
         return forced_loop(system, self.base.loop(system.system, h, representation), representation)
 
     def step(self, system: Any, x: Any, t: Any, h: Any) -> NDArray[Any]:

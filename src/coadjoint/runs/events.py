@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.given import read_choice, read_flag, read_title, read_whole
 from coadjoint.systems.quadratic import Quadratic
+from coadjoint.systems.separable import MOST_COORDINATES
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.wording import short
 
@@ -83,6 +84,8 @@ class Event:
                 f"g of an event is {short(self.g)}; give a coordinate by number or name, a Polynomial, or a function "
                 "of x or (x, t)"
             )
+        if isinstance(self.g, int | np.integer):
+            keep(self, "g", read_whole(self.g, "the coordinate of an event", 0, MOST_COORDINATES))
         whole = isinstance(self.direction, int | np.integer) and not isinstance(self.direction, bool)
         if not whole or self.direction not in (0, 1, -1):
             raise ValueError(f"direction of an event is {short(self.direction)}; it must be 1, -1, or 0 for both")

@@ -39,6 +39,9 @@ CELLS: Mapping[str, Cell] = {
 NAMES = (*CELLS, "complete", "ring")
 
 
+MOST_SITES = 2**30  # three coordinates of each are numbered by 32 bits
+
+
 def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
     """Return how many sites a lattice has, and its edges.
 
@@ -71,11 +74,11 @@ def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
     [[0, 1], [1, 2], [2, 0]]
     """
     if not isinstance(lattice, str):
-        count = read_whole(shape, "shape, the number of sites where edges are given,")
+        count = read_whole(shape, "shape, the number of sites where edges are given,", 1, MOST_SITES)
         read_flags(periodic, 1)
         edges = _given(lattice, count)
     elif read_choice(lattice, "lattice", NAMES) == "complete":
-        count = read_whole(shape, "shape of a complete graph, its number of sites,")
+        count = read_whole(shape, "shape of a complete graph, its number of sites,", 1, MOST_SITES)
         read_flags(periodic, 1)
         check_room(BYTES_PER_EDGE * count * (count - 1) / 2, f"a complete graph of {short(count)} sites")
         edges = np.stack(np.triu_indices(count, 1), axis=1).astype(np.int64)

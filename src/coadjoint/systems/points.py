@@ -17,8 +17,29 @@ from coadjoint.algebra.exact import exact_numbers
 from coadjoint.given import REAL, array_given, is_real, read_numbers, read_title
 from coadjoint.wording import short
 
-QUIET = np.errstate(over="ignore", invalid="ignore", divide="ignore")
-"""At a point where a function leaves float64 its value is infinite or undefined, and no warning is needed to say so."""
+Of = TypeVar("Of", bound=Callable[..., Any])
+
+
+def QUIET(method: Of) -> Of:
+    """Let a method give infinity or NaN without a warning where it leaves float64.
+
+    Whole numbers of Python have no infinity; where one of them meets floats and is too large for them, that is said.
+
+    Examples
+    --------
+    >>> QUIET(np.exp)(1000.0)
+    np.float64(inf)
+    """
+    quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")(method)
+
+    @functools.wraps(method)
+    def evaluated(*given: Any, **named: Any) -> Any:
+        try:
+            return quiet(*given, **named)
+        except OverflowError as reason:
+            raise OverflowError(f"a number there is too large for float64 ({reason})") from None
+
+    return cast(Of, evaluated)
 
 
 def point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
@@ -28,9 +49,6 @@ def point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
         expected = "(n,)" if n is None else f"({n},)"
         raise ValueError(f"x has shape {array.shape}; a point of this system has shape {expected}")
     return array.astype(np.float64) if array.dtype.kind in REAL else array
-
-
-Of = TypeVar("Of", bound=Callable[..., Any])
 
 
 def over_states(method: Of) -> Of:

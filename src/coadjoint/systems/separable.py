@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.product_sums import Coefficient
+from coadjoint.errors import in_one_line
 from coadjoint.given import read_whole
 from coadjoint.systems.points import point
 from coadjoint.systems.summable import Summable
@@ -136,7 +137,14 @@ class Separable(Summable):
                 raise ValueError(f"Separable has a function of coordinate {i}, but x has only {y.size} entries")
             if function is None:
                 raise TypeError(f"Separable has no second derivative for coordinate {i}; give (H_i, dH_i, d2H_i)")
-            results.append((i, function(y[i], t) if term.timed else function(y[i])))
+            try:
+                results.append((i, function(y[i], t) if term.timed else function(y[i])))
+            except (TypeError, ArithmeticError) as reason:
+                if y.dtype != object:
+                    raise
+                # Functions of NumPy take numbers of Python as objects without such a function.
+                said = in_one_line(str(reason), 200)
+                raise TypeError(f"the function of coordinate {i} does not take {short(y[i])} ({said})") from None
         return results
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:

@@ -98,7 +98,9 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
         check_symmetric_matrix(given, "inertia")
         given = np.triu(given) + np.triu(given, 1).T
     least = np.sort(given if given.ndim == 1 else np.linalg.eigvalsh(given))[:2]
-    if least.sum() <= (0.0 if given.ndim == 1 else 4 * n * UNIT_ROUNDOFF * np.abs(given).max()):
+    with np.errstate(over="ignore"):
+        lightest = least.sum()
+    if lightest <= (0.0 if given.ndim == 1 else 4 * n * UNIT_ROUNDOFF * np.abs(given).max()):
         raise ValueError(
             f"inertia has the principal values {short(least.tolist())}, whose sum is not positive; no mass has them"
         )

@@ -66,11 +66,9 @@ class SplitHamiltonian(Summable):
         for number, piece in enumerate(read_list(pieces, "what SplitHamiltonian was given", rule)):
             if not isinstance(piece, tuple | list) or len(piece) != 2:
                 raise TypeError(f"piece {number} is {short(piece)}; give (coordinates, Hamiltonian)")
-            try:
-                where, H = piece
-                chosen = tuple(read_whole(i, f"a coordinate of piece {number}", 0, MOST_COORDINATES) for i in where)
-            except TypeError:
-                raise TypeError(f"piece {number} is {short(piece)}; give (coordinates, Hamiltonian)") from None
+            where, H = piece
+            listed = read_list(where, f"where piece {number} acts", "give (coordinates, Hamiltonian)")
+            chosen = tuple(read_whole(i, f"a coordinate of piece {number}", 0, MOST_COORDINATES) for i in listed)
             if not chosen or len(set(chosen)) != len(chosen):
                 raise ValueError(f"piece {number} has coordinates {short(chosen)}; give different numbers, from 0")
             try:

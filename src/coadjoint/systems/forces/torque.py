@@ -62,7 +62,10 @@ class Torque(Force):
         """Return what the function takes: "t", "x" or "x, t"."""
         if takes_time(self.torque, "the torque"):
             return "x, t"
-        first = next(iter(inspect.signature(getattr(self.torque, "py_func", self.torque)).parameters), "x")
+        try:
+            first = next(iter(inspect.signature(getattr(self.torque, "py_func", self.torque)).parameters), "x")
+        except ValueError:  # a function of Python itself, which knows no time
+            first = "x"
         return "t" if first == "t" else "x"
 
     def check(self, system: Any) -> None:

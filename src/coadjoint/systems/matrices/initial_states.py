@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.errors import in_one_line
 from coadjoint.given import read_finite, read_number, read_positive, read_whole
 from coadjoint.systems.matrices.vorticity_files import read_field
 from coadjoint.wording import short
@@ -253,7 +254,12 @@ def _read_degrees(degrees: Any, spectrum: Any, system: FluidSystem) -> tuple[int
 
 def _read_spectrum(spectrum: Any, first: int, last: int) -> Floats:
     if callable(spectrum):
-        found = read_finite(spectrum(np.arange(first, last + 1.0)), "spectrum of degrees")
+        try:
+            returned = spectrum(np.arange(first, last + 1.0))
+        except (TypeError, ValueError) as reason:
+            said = in_one_line(str(reason), 200)
+            raise TypeError(f"spectrum is {short(spectrum)}; it must take an array of degrees ({said})") from None
+        found = read_finite(returned, "spectrum of degrees")
         if found.shape != (last + 1 - first,):
             raise ValueError(f"spectrum returns the shape {found.shape}; it must return one number for each degree")
     else:

@@ -233,6 +233,7 @@ class MatrixSystem:
         [(-4+0j), (1+0j)]
         """
         W = self.matrices(x)
+        check_finite(W, "a state")
         if self.algebra.skew:
             return np.asarray(np.linalg.eigvalsh(-1j * W), dtype=np.float64)
         found = np.linalg.eigvals(W).astype(np.complex128)
