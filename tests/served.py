@@ -4,7 +4,7 @@ import numpy as np
 
 import coadjoint as co
 
-BODY = co.systems.rigid_body((1.0, 2.0, 4.0))
+BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
 X = (0.3, -0.2, 0.5)
 FLUID = co.systems.torus_euler(N=5)
 

@@ -48,7 +48,7 @@ def open_toda_chain() -> Problem:
 
 
 def near_separatrix() -> Problem:
-    """The body of inertia (1, 2, 4), started so near its separatrix that it rests at the middle axis for long."""
+    """The body of `rigid_body`, started so near its separatrix that it rests at the middle axis for long."""
     body = rigid_body()
     s = np.random.default_rng(SEED).normal(size=STATES)
     far = np.stack([np.sqrt(1.0 / 3.0) / np.cosh(s), np.tanh(s), np.sqrt(2.0 / 3.0) / np.cosh(s)], axis=1)

@@ -68,15 +68,15 @@ def on_spheres(vectors: np.ndarray) -> np.ndarray:
 
 
 def rigid_body() -> Problem:
-    """Euler's equations, inertia (1, 2, 4), momenta of length 1."""
+    """Euler's equations, H = (x1^2 + x2^2 / 2 + x3^2 / 4) / 2, momenta of length 1."""
     m = (1.0, 0.5, 0.25)
 
     def field(x: Sequence[Any]) -> list[Any]:
         return [(m[2] - m[1]) * x[1] * x[2], (m[0] - m[2]) * x[2] * x[0], (m[1] - m[0]) * x[0] * x[1]]
 
-    return Problem(
-        "rigid body", co.systems.rigid_body(inertia=(1, 2, 4)), field, on_spheres(scattered(3)), 2000.0, 0.75
-    )
+    # A quadratic form: no body has the moments 1, 2 and 4.
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(m), sign=-1)
+    return Problem("rigid body", system, field, on_spheres(scattered(3)), 2000.0, 0.75)
 
 
 def top(name: str, m: Sequence[float], weight: Sequence[float], span: float) -> Problem:

@@ -10,16 +10,16 @@ from coadjoint.choosing.pilot import Pilot
 from coadjoint.choosing.sampling import sample_of
 from coadjoint.methods.gauss_legendre import GaussLegendre
 
-MASSES = np.array([1.0, 0.5, 0.25])
+MASSES = np.array([1.0, 0.5, 0.4])
 X0 = np.array([1.0, 1.5, -0.5])
 
 
 def quickening(x, t):
-    return 0.5 * math.exp(t) * (x[0] * x[0] + 0.5 * x[1] * x[1] + 0.25 * x[2] * x[2])
+    return 0.5 * math.exp(t) * (x[0] * x[0] + 0.5 * x[1] * x[1] + 0.4 * x[2] * x[2])
 
 
 def quickening_gradient(x, t):
-    return math.exp(t) * np.array([x[0], 0.5 * x[1], 0.25 * x[2]])
+    return math.exp(t) * np.array([x[0], 0.5 * x[1], 0.4 * x[2]])
 
 
 BODY = co.systems.rigid_body(1.0 / MASSES)

@@ -6,7 +6,7 @@ import pytest
 import coadjoint as co
 from coadjoint.choosing import sampled_run
 
-BODY = co.systems.rigid_body((1, 2, 4))
+BODY = co.systems.rigid_body((1, 2, 2.5))
 RNG = np.random.default_rng(1993)
 SPAN = (0.0, 40.0)
 

@@ -15,7 +15,7 @@ def systems():
     so4 = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(np.diag(np.linspace(0.5, 1.5, 6)) + 0.2 * (B + B.T)))
     line = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}})
     return {
-        "body": (co.systems.rigid_body(inertia=(1, 2, 4)), (0.6, 0.3, 0.8), 200.0),
+        "body": (co.systems.rigid_body(inertia=(1, 2, 2.5)), (0.6, 0.3, 0.8), 200.0),
         "chain": (co.systems.toda(5), np.concatenate([np.zeros(5), np.full(4, 0.5)]), 60.0),
         "chain of nine": (co.systems.toda(9), np.concatenate([np.linspace(0.2, -0.2, 9), np.full(8, 0.4)]), 100.0),
         "so(4)": (so4, rng.uniform(-1.0, 1.0, 6), 60.0),

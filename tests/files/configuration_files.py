@@ -4,7 +4,7 @@ READY_MADE = """
 [system]
 name = "rigid_body"
 [system.parameters]
-inertia = [1.0, 2.0, 4.0]
+inertia = [1.0, 2.0, 2.5]
 [initial]
 x = [1.0, 0.1, 0.5]
 [method]

@@ -256,7 +256,7 @@ def test_a_script_without_a_guard_is_told(tmp_path):
 SWEEP = """
 [system]
 name = "rigid_body"
-parameters = { inertia = [1.0, 2.0, 4.0] }
+parameters = { inertia = [1.0, 2.0, 2.5] }
 [initial]
 x = [1.0, 0.1, 0.5]
 [sweep.over]

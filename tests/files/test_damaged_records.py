@@ -28,7 +28,7 @@ PIECES = co.SplitHamiltonian(
     [((0,), co.Quadratic(1.5, constant=2.0)), ((1,), co.Polynomial({(3,): 0.1})), ((2,), co.Quadratic(2.0))]
 )
 C2 = co.Quadratic([[0.5, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
-BODY = co.systems.rigid_body((1.0, 2.0, 4.0))
+BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
 
 
 def made(hamiltonian, algebra=OWN, casimirs=None):
@@ -43,7 +43,7 @@ RUNS = {
     "split": (made(PIECES, SO3), [X, X[::-1]], co.Splitting(parts="auto", rotation="rational"), "coadjoint"),
     "ready made": (co.systems.paper_a37(), X, co.Composition(co.Splitting(2), (0.25, 0.5, 0.25)), True),
     "tuned": (BODY, X, co.Splitting.tuned(BODY, X, order=4), [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
-    "batch": (co.batch([BODY, co.systems.rigid_body((1.0, 2.0, 5.0))]), X, co.ExplicitRungeKutta("runge2"), False),
+    "batch": (co.batch([BODY, co.systems.rigid_body((1.0, 2.0, 2.75))]), X, co.ExplicitRungeKutta("runge2"), False),
     "batch of own": (co.batch([made(QUARTIC), made(2 * QUARTIC)]), [X, X[::-1]], co.Taylor(8), False),
     "structure": (BODY, X, co.ModifiedGaussLegendre(2), False),
     "gradient": (BODY, X, co.ModifiedGaussLegendre(freeze="gradient"), "coadjoint"),

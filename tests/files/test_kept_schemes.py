@@ -16,7 +16,7 @@ from coadjoint.methods import registry
 from coadjoint.runs.solution import PARTS
 from coadjoint.systems.quadratic import Quadratic
 
-BODY = co.systems.rigid_body((1.0, 2.0, 4.0))
+BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
 
 
 def as_toml(value):
@@ -67,7 +67,7 @@ def test_parameters_of_schemes(name, parameter, tmp_path):
         assert again.order == method.order and again.symmetric == method.symmetric
         written = {key: value for key, value in description["parameters"].items() if value is not None}
         table = {"name": name, "parameters": {key: without_none(value) for key, value in written.items()}}
-        tables = {"system": {"name": "rigid_body", "parameters": {"inertia": [1.0, 2.0, 4.0]}}, "initial": {"x": X}}
+        tables = {"system": {"name": "rigid_body", "parameters": {"inertia": [1.0, 2.0, 2.5]}}, "initial": {"x": X}}
         try:
             sol = co.integrate(BODY, X, (0.0, 0.5), 0.125, method)
         except ValueError:
@@ -134,7 +134,7 @@ def test_parameters_of_runs(parameter, tmp_path):
         assert parameter in run or parameter in ("x0", "attitude")
         configured = in_a_file(
             tmp_path,
-            system={"name": "rigid_body", "parameters": {"inertia": [1.0, 2.0, 4.0]}},
+            system={"name": "rigid_body", "parameters": {"inertia": [1.0, 2.0, 2.5]}},
             method={"name": "Splitting", "order": 4},
             initial=initial,
             run=run,

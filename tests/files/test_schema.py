@@ -50,7 +50,7 @@ WRONG = {
     "three times": READY_MADE.replace("[0, 1]", "[0, 1, 2]"),
     "a system": READY_MADE.replace('"rigid_body"', '"rigid_bodi"'),
     "a parameter": READY_MADE.replace("inertia", "inertias"),
-    "the type of a parameter": READY_MADE.replace("[1.0, 2.0, 4.0]", "'heavy'"),
+    "the type of a parameter": READY_MADE.replace("[1.0, 2.0, 2.5]", "'heavy'"),
     "a scheme": READY_MADE.replace('"Splitting"', '"Splittings"'),
     "a scheme without a name": READY_MADE.replace('name = "Splitting"', ""),
     "the order of a scheme": READY_MADE.replace("order = 4", "order = 3"),

@@ -67,7 +67,7 @@ RUNS = {
         "co.Splitting(order=2)",
     ),
     "a batch": (
-        "co.integrate(co.batch([co.systems.rigid_body((1, 2, 3 + 0.01 * k)) for k in range(40)]), y, (0, 1e7), 0.01,"
+        "co.integrate(co.batch([co.systems.rigid_body((1, 2, 2.5 + 0.01 * k)) for k in range(40)]), y, (0, 1e7), 0.01,"
         " co.GaussLegendre(2), save_every=10**9)",
         "co.GaussLegendre(2)",
     ),

@@ -61,7 +61,7 @@ def full(sign: int) -> co.LiePoissonSystem:
 
 def served(base, sign):
     diagonal = getattr(base, "rotation", "exact") == "rational"
-    return co.systems.rigid_body(inertia=(1, 2, 4)) if diagonal else full(sign)
+    return co.systems.rigid_body(inertia=(1, 2, 2.5)) if diagonal else full(sign)
 
 
 @pytest.mark.parametrize("jump", ["triple", "suzuki"])

@@ -31,7 +31,7 @@ def systems():
     """One to many vectors of rows, products written out and with a gradient, linear parts, every degree."""
     e3, so4 = co.algebras.e(3), co.algebras.so(4)
     return {
-        "so(3), diagonal": co.systems.rigid_body(inertia=(1, 2, 4)),
+        "so(3), diagonal": co.systems.rigid_body(inertia=(1, 2, 2.5)),
         "so(3), full": co.LiePoissonSystem(
             co.algebras.so(3), co.Quadratic(random_matrix(3, 1), linear=[0.5, 0, -0.25])
         ),
@@ -100,7 +100,7 @@ def test_every_coefficient_counts(name):
 
 
 def test_fractions_give_the_exact_polynomial_in_the_step():
-    system = co.systems.rigid_body(inertia=(1, 2, 4))
+    system = co.systems.rigid_body(inertia=(1, 2, 2.5))
     x = np.array([Fraction(1), Fraction(1, 2), Fraction(-1, 3)], dtype=object)
     f = system.vector_field
     h = Fraction(1, 10)
@@ -173,11 +173,11 @@ def test_invariants_stay_for_ever(name):
 @pytest.mark.parametrize(
     ("system", "x0"),
     [
-        (co.systems.rigid_body(inertia=(1, 2, 4)), (0.0, 0.0, 2.0)),
-        (co.systems.rigid_body(inertia=(1, 2, 4)), (0.0, 1e-9, 2.0)),
+        (co.systems.rigid_body(inertia=(1, 2, 2.5)), (0.0, 0.0, 2.0)),
+        (co.systems.rigid_body(inertia=(1, 2, 2.5)), (0.0, 1e-9, 2.0)),
         (co.systems.rigid_body(inertia=(2, 2, 2)), (0.5, 1.0, -0.25)),
         (spins(2, np.ones((6, 6)) * 0), (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)),
-        (co.systems.rigid_body(inertia=(1, 2, 4)), (0.0, 0.0, 0.0)),
+        (co.systems.rigid_body(inertia=(1, 2, 2.5)), (0.0, 0.0, 0.0)),
     ],
     ids=["steady", "nearly steady", "sphere", "no energy", "zero"],
 )
@@ -287,7 +287,7 @@ def test_independent_rows():
 
 def test_short_calls_of_many_systems_do_not_meet():
     """A thread remembers the steps that it made last, by the number of their tables: more systems than it remembers."""
-    bodies = [co.systems.rigid_body(inertia=(1.0, 2.0, 3.0 + 0.125 * k)) for k in range(40)]
+    bodies = [co.systems.rigid_body(inertia=(1.0, 2.0, 2.25 + k / 64)) for k in range(40)]
     ready = [co.prepare(body, co.Taylor(10), 0.25, threads=1) for body in bodies]
     x0, span = (0.6, 0.1, -0.7), (0.0, 1.0)
     alone = [co.integrate(body, x0, span, 0.25, co.Taylor(10)).x for body in bodies]

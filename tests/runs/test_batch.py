@@ -71,7 +71,7 @@ def test_refusals(case):
 
 @pytest.mark.parametrize("shape", [(2, 3), (4, 3), (3, 2), (3, 1, 3), (4,), ()])
 def test_wrong_shapes_of_x0(shape):
-    batch = co.batch([body(1, 2, 3), body(1, 2, 4), body(1, 2, 5)])
+    batch = co.batch([body(1, 2, 3), body(1, 2, 2.5), body(1, 2, 5)])
     with pytest.raises(ValueError, match=r"a batch of 3 members needs \(3, 3\), or \(3,\) for all of them"):
         co.integrate(batch, np.ones(shape), (0, 1), 0.1)
 
@@ -170,7 +170,7 @@ def test_functions_of_members_are_named_as_not_stored():
 def test_a_figure_of_a_batch():
     from matplotlib import pyplot
 
-    figure = co.integrate(co.batch([body(1, 2, 3), body(1, 2, 4)]), X, (0, 10), 0.1).plot()
+    figure = co.integrate(co.batch([body(1, 2, 3), body(1, 2, 2.5)]), X, (0, 10), 0.1).plot()
     assert "batch of 2 (rigid\\_body)" in figure._suptitle.get_text() or "batch of 2" in figure._suptitle.get_text()
     pyplot.close(figure)
 

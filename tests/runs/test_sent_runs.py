@@ -16,7 +16,7 @@ POTENTIAL = co.LiePoissonSystem(
     co.algebras.so(3), co.Separable({0: (np.cos, lambda y: -np.sin(y)), 2: (np.exp, np.exp)}), name="own functions"
 )
 SPIRAL = co.LiePoissonSystem(co.algebras.get("A3,7", a=2.0), co.Quadratic([1.0, 2.0, 0.5]))
-BATCH = co.batch([co.systems.rigid_body(inertia=(1, second, 3)) for second in (2.0, 1.0, 2.5, 1.5, 3.0)])
+BATCH = co.batch([co.systems.rigid_body(inertia=(1, second, 3)) for second in (2.0, 2.25, 2.5, 2.75, 3.0)])
 NOISE = BODY.with_forces(co.forces.HeatBath(0.3, temperature=0.5, seed=4))
 NOISES = co.batch([body.with_forces(co.forces.HeatBath(0.3, temperature=0.5, seed=4)) for body in BATCH])
 

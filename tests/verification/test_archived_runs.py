@@ -28,7 +28,7 @@ FORCED = {
         [0.3, -1.0, 0.7],
     ),
 }
-BATCH = co.batch([co.systems.rigid_body(inertia) for inertia in ((1, 2, 3), (3, 1, 2), (1, 2, 4), (3, 1, 2.5))])
+BATCH = co.batch([co.systems.rigid_body(inertia) for inertia in ((1, 2, 3), (3, 1, 2), (1, 2, 2.5), (3, 1, 2.5))])
 TURNING = co.LiePoissonSystem(co.algebras.get("A4,6", a=1.0, b=0.5), co.Quadratic([1.0, 0.5, 0.25, 2.0]))
 
 

@@ -112,7 +112,7 @@ def test_a_member_that_fails_disturbs_no_other():
 
 @pytest.mark.parametrize("compensated", [False, True])
 def test_a_batch_of_more_members_than_lanes(compensated):
-    inertias = [(1.0, 2.0 + 0.01 * k, 3.5) for k in range(70)]
+    inertias = [(1.5, 2.0 + 0.01 * k, 3.5) for k in range(70)]
     bodies = [co.systems.rigid_body(inertia=inertia) for inertia in inertias]
     states = crowd_around(np.array([0.3, 1.0, -0.4]), len(bodies))
     span, method = (0.0, STEPS * STEP), co.Splitting(order=2, compensated=compensated)

@@ -61,7 +61,7 @@ def test_part_of_a_step_is_a_step_of_its_length(scheme, case, direction):
 @pytest.mark.parametrize("scheme", OWNED)
 def test_owners_choose_the_constants(scheme):
     method = schemes()[scheme]
-    bodies = [co.systems.rigid_body((1.0, 2.0, 2.0 + 0.125 * m)) for m in range(40)]
+    bodies = [co.systems.rigid_body((1.0, 2.0, 2.0 + m / 64)) for m in range(40)]
     rng = np.random.default_rng(5)
     owners = np.concatenate([rng.integers(0, 40, 90), [39] * 7, [0]])
     x, lengths = rng.standard_normal((len(owners), 3)), rng.uniform(0, 0.1, len(owners))

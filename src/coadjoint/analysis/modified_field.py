@@ -65,7 +65,7 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     Examples
     --------
     >>> import coadjoint as co
-    >>> body = co.systems.rigid_body(inertia=(1, 2, 4))
+    >>> body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 1/2, 1/4]), sign=-1)
     >>> field = co.modified_field(body, co.GaussLegendre(1), order=4)
     >>> field.terms[2][0]
     (1/128)*x1^2*x2*x3 - (1/384)*x2^3*x3 + (1/256)*x2*x3^3

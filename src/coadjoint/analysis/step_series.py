@@ -35,7 +35,7 @@ class ExactSystem:
     Examples
     --------
     >>> import coadjoint as co
-    >>> found = ExactSystem(co.systems.rigid_body(inertia=(1, 2, 4)))
+    >>> found = ExactSystem(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 0.5, 0.25]), sign=-1))
     >>> found.energy
     1/2*x1^2 + 1/4*x2^2 + 1/8*x3^2
     >>> found.field[0]

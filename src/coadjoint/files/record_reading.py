@@ -50,8 +50,8 @@ def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> Syst
     --------
     >>> from coadjoint.files.records import record_of
     >>> from coadjoint.systems.rigid_body import rigid_body
-    >>> system_of(record_of(rigid_body((1, 2, 4)))).parameters
-    {'inertia': (1.0, 2.0, 4.0)}
+    >>> system_of(record_of(rigid_body((1, 2, 2.5)))).parameters
+    {'inertia': (1.0, 2.0, 2.5)}
     >>> system_of({"name": "rigid_body", "parameters": {"inertia": [1, 2]}})
     Traceback (most recent call last):
     ValueError: system.parameters: inertia has shape (2,); give three principal moments, or a symmetric (3, 3)

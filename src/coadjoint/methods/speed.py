@@ -38,7 +38,7 @@ class Speed:
         Of a body the speed is that of its turn, times the square root of 2/3:
 
         >>> import coadjoint as co
-        >>> body = co.systems.rigid_body(inertia=(1, 2, 4))
+        >>> body = co.systems.rigid_body(inertia=(2, 4, 4))
         >>> Q, rate = speed_of(body, None).at(np.array([0.0, 0.0, 3.0]))
         >>> bool(abs(Q - 0.75 * (2 / 3) ** 0.5) < 1e-15), float(rate)
         (True, 0.0)

@@ -90,7 +90,7 @@ class Taylor(CompiledStepMethod):
     Examples
     --------
     >>> import coadjoint as co
-    >>> top = co.systems.rigid_body(inertia=(1, 2, 4))
+    >>> top = co.systems.rigid_body(inertia=(1, 2, 2.5))
     >>> sol = co.integrate(top, (0.6, 0.0, 0.8), t_span=(0, 1000), step=1.0, method=co.Taylor(order=16))
     >>> sol.drift()["energy"] < 1e-15, sol.drift()["|x|^2"] < 2e-15
     (True, True)

@@ -34,7 +34,7 @@ def plain_table(program: Program) -> dict[str, Any]:
     Examples
     --------
     >>> import coadjoint as co
-    >>> table = co.Splitting(order=2).program(co.systems.rigid_body(inertia=(1, 2, 4))).to_mapping()
+    >>> table = co.Splitting(order=2).program(co.systems.rigid_body(inertia=(1, 2, 2.5))).to_mapping()
     >>> table["part"].tolist(), table["section"].tolist()
     ([0, 1, 0, 1, 0], [0, 2, 4, 5])
     >>> [table[name].tolist() for name in ("state_part", "state_row", "state_column", "state_value")]

@@ -62,8 +62,8 @@ def get(name: str, **parameters: Any) -> LiePoissonSystem | PoissonSystem:
 
     Examples
     --------
-    >>> get("rigid_body", inertia=(1.0, 2.0, 4.0)).parameters
-    {'inertia': (1.0, 2.0, 4.0)}
+    >>> get("rigid_body", inertia=(1.0, 2.0, 2.5)).parameters
+    {'inertia': (1.0, 2.0, 2.5)}
     """
     systems = ready_made_systems()
     read_choice(name, "system", systems)

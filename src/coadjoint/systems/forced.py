@@ -214,7 +214,7 @@ class ForcedSystem:
         Examples
         --------
         >>> import coadjoint as co
-        >>> body = co.systems.rigid_body(inertia=(1, 2, 4)).with_forces(co.forces.LinearDamping(0.5))
+        >>> body = co.systems.rigid_body(inertia=(2, 4, 4)).with_forces(co.forces.LinearDamping(0.5))
         >>> body.power([0.0, 0.0, 2.0])
         {'LinearDamping': -0.5}
         """

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.systems.closed_form import all_finite, first_element, start_and_times, with_element
 from coadjoint.systems.free_rigid_body import fixed_axis
+from coadjoint.systems.bodies_there_are import warn_of_no_body
 from coadjoint.systems.inertia import axis_of_symmetry, inverse_inertia, momentum_along, principal, read_vector
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
@@ -72,6 +73,11 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
     ValueError
         `inertia` has another shape, or is not finite, symmetric and positive; `rotors` is not three finite numbers.
 
+    Warns
+    -----
+    UserWarning
+        A principal moment exceeds the sum of the other two, which no body has.
+
     Notes
     -----
     Volterra, "Sur la theorie des variations des latitudes", Acta Mathematica 22 (1899); Wittenburg, "Dynamics of
@@ -79,13 +85,14 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
 
     Examples
     --------
-    >>> s = gyrostat(inertia=(1.0, 2.0, 4.0), rotors=(0.0, 0.0, 4.0))
-    >>> s.vector_field([1.0, 2.0, 8.0])
-    array([-6.,  7., -1.])
-    >>> s.energy([0.0, 0.0, 4.0])
+    >>> s = gyrostat(inertia=(1.0, 2.0, 2.5), rotors=(0.0, 0.0, 2.5))
+    >>> s.vector_field([1.0, 2.0, 5.0])
+    array([-3.,  4., -1.])
+    >>> s.energy([0.0, 0.0, 2.5])
     0.0
     """
     M, kept = inverse_inertia(inertia)
+    warn_of_no_body(kept)
     k = read_vector(rotors, "rotors")
     with np.errstate(over="ignore", invalid="ignore"):
         rate = (M * k).sum(axis=1) if M.ndim == 2 else M * k

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.systems.bodies_there_are import warn_of_no_body
 from coadjoint.systems.inertia import axis_of_symmetry, inverse_inertia, momentum_along, read_vector
 from coadjoint.systems.kovalevskaya_integral import kovalevskaya_integral
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -68,6 +69,11 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
     ValueError
         `inertia` has another shape, or is not finite, symmetric and positive; `lever` is not three finite numbers.
 
+    Warns
+    -----
+    UserWarning
+        A principal moment exceeds the sum of the other two, which no body has.
+
     Notes
     -----
     Where gravity is weak, ``Splitting(parts="free_body")`` has the free body as one part and gravity as the other: its
@@ -77,13 +83,14 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
 
     Examples
     --------
-    >>> top = heavy_top(inertia=(1.0, 2.0, 4.0), lever=(0.0, 0.0, 1.0))
-    >>> top.vector_field([1.0, 2.0, 4.0, 1.0, 3.0, 2.0])
-    array([ 1.,  2., -1.,  1.,  1., -2.])
+    >>> top = heavy_top(inertia=(1.0, 2.0, 2.5), lever=(0.0, 0.0, 1.0))
+    >>> top.vector_field([1.0, 2.0, 5.0, 2.0, 3.0, 1.0])
+    array([ 2.,  1., -1.,  5., -3., -1.])
     >>> heavy_top(inertia=(2.0, 1.0, 1.0), lever=(3.0, 0.0, 0.0)).integrals
     {'m1': x1}
     """
     M, kept = inverse_inertia(inertia)
+    warn_of_no_body(kept, "e(3)")
     w = read_vector(lever, "lever")
     return top_under_gravity(M, w, "heavy_top", {"inertia": kept, "lever": tuple(w.tolist())})
 

@@ -55,7 +55,8 @@ def kirchhoff_body(
     Parameters
     ----------
     inertia : (3,) or (3, 3)
-        Moments of inertia with what the fluid adds, a diagonal or a symmetric matrix (mass times length squared).
+        Moments of inertia with what the fluid adds, a diagonal or a symmetric matrix (mass times length squared). One
+        may exceed the sum of the other two, as that of a long thin plate does.
     mass : (3,) or (3, 3)
         Mass with what the fluid adds, which depends on the direction: a diagonal or a symmetric matrix.
     coupling : (3, 3), optional

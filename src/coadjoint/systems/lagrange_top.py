@@ -6,6 +6,7 @@ import numpy as np
 
 from coadjoint.given import read_number
 from coadjoint.systems.heavy_top import top_under_gravity
+from coadjoint.systems.bodies_there_are import warn_of_no_body
 from coadjoint.systems.inertia import moments_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.ready_made import ready_made
@@ -54,6 +55,11 @@ def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0
     ValueError
         A moment is not positive, or a number not finite.
 
+    Warns
+    -----
+    UserWarning
+        The axial moment exceeds twice the equatorial one, which no body has.
+
     Notes
     -----
     Lagrange, "Mechanique analitique" (1788); Audin, "Spinning Tops" (1996), chapter II.
@@ -68,5 +74,6 @@ def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0
     """
     (across, one), (about, other) = moments_of(equatorial, "equatorial"), moments_of(axial, "axial")
     M, height = np.concatenate([across, across, about]), read_number(lever, "lever")
+    warn_of_no_body((one, one, other), "e(3)", "axial")
     parameters = {"equatorial": one, "axial": other, "lever": height}
     return top_under_gravity(M, np.array([0.0, 0.0, height]), "lagrange_top", parameters)

@@ -232,9 +232,9 @@ class LiePoissonSystem:
         Examples
         --------
         >>> import coadjoint as co
-        >>> body = co.systems.rigid_body(inertia=(1, 2, 4))
+        >>> body = co.systems.rigid_body(inertia=(2, 4, 4))
         >>> body.energy([[1.0, 0.0, 0.0], [1.0, 2.0, 4.0]])
-        array([0.5, 3.5])
+        array([0.25, 2.75])
         """
         return self.hamiltonian.value(point(x, self.dim), t)
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.matrix_states import LARGEST, MatrixAlgebra
 from coadjoint.given import read_finite
+from coadjoint.systems.bodies_there_are import warn_of_negative_mass
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Weights
 from coadjoint.systems.ready_made import ready_made
@@ -69,6 +70,11 @@ def matrix_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0, 5.0)) -> MatrixSys
     ValueError
         `inertia` has another shape, is not finite, or the sum of two moments is not positive.
 
+    Warns
+    -----
+    UserWarning
+        A second moment is negative, which no mass has.
+
     Notes
     -----
     Manakov, Funct. Anal. Appl. 10, 328 (1976); Ratiu, Indiana Univ. Math. J. 29, 609 (1980).
@@ -93,6 +99,7 @@ def matrix_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0, 5.0)) -> MatrixSys
         inverse = -1.0 / sums
     if not (np.isfinite(sums) | np.eye(len(values), dtype=bool)).all() or not np.isfinite(inverse).all():
         raise ValueError("sums of two moments of inertia or their inverses leave float64; change units")
+    warn_of_negative_mass(values)
     parameters = {"inertia": tuple(values.tolist())}
     algebra = MatrixAlgebra("so", len(values))
     return MatrixSystem(algebra, Weights(inverse), energy_sign=-1, name="matrix_body", parameters=parameters)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.systems.bodies_there_are import warn_of_no_body
 from coadjoint.systems.free_rigid_body import exact_solution
 from coadjoint.systems.inertia import inverse_inertia
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -46,8 +47,6 @@ def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> LiePoissonSystem:
     ----------
     inertia : (3,) or (3, 3)
         Principal moments of inertia, or the symmetric positive definite inertia tensor (mass times length squared).
-        Moments that violate the triangle inequality, which no distribution of mass has, are not refused: other
-        systems have the same equations.
 
     Returns
     -------
@@ -59,15 +58,22 @@ def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> LiePoissonSystem:
     ValueError
         `inertia` has another shape, or is not finite, symmetric and positive.
 
+    Warns
+    -----
+    UserWarning
+        A principal moment exceeds the sum of the other two, which no distribution of mass has. Other systems have the
+        same equations: a quadratic form on so(3) is ``LiePoissonSystem(algebras.so(3), Quadratic(M), sign=-1)``.
+
     Examples
     --------
-    >>> s = rigid_body(inertia=(1.0, 2.0, 4.0))
-    >>> s.vector_field([1.0, 2.0, 4.0])
-    array([-2.,  3., -1.])
+    >>> s = rigid_body(inertia=(1.0, 2.0, 2.5))
+    >>> s.vector_field([1.0, 2.0, 5.0])
+    array([-1.,  3., -1.])
     >>> s.exact([1.0, 2.0, 4.0], 0.0)
     array([1., 2., 4.])
     """
     M, kept = inverse_inertia(inertia)
+    warn_of_no_body(kept)
     return so3_body(M, sign=-1, name="rigid_body", parameters={"inertia": kept})
 
 

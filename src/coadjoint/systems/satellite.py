@@ -14,6 +14,7 @@ from coadjoint.algebra.orthogonal import so
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.products import semidirect
 from coadjoint.given import read_finite
+from coadjoint.systems.bodies_there_are import warn_of_no_body
 from coadjoint.systems.closed_form import all_finite, start_and_times, states_alone
 from coadjoint.systems.hamiltonian import Hamiltonian
 from coadjoint.systems.kepler import kepler
@@ -95,6 +96,11 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
     TypeError, ValueError
         Not three positive moments, or a mass or gravity that is not positive.
 
+    Warns
+    -----
+    UserWarning
+        A moment exceeds the sum of the other two, which no body has.
+
     Notes
     -----
     Wang, Krishnaprasad and Maddocks, Celest. Mech. Dyn. Astron. 50, 349 (1991). The algebra is so(3) acting on
@@ -116,6 +122,7 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
     )
     first, second, third, mass, gravity = (read_in_range(value, what) for what, value in read)
     principal = (first, second, third)
+    warn_of_no_body(principal, None)
     turning = [((i,), Quadratic(1 / principal[i])) for i in range(3)]
     H = SplitHamiltonian(
         [*turning, ((3, 4, 5), Quadratic(1 / mass)), ((6, 7, 8), _potential(principal, mass, gravity))]

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from coadjoint.given import check_finite, read_numbers
 from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.bodies_there_are import warn_of_negative_mass
 from coadjoint.systems.inertia import check_symmetric_matrix, plain
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.manakov_integrals import (
@@ -77,6 +78,11 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
     ValueError
         `inertia` has another shape, is not finite or not symmetric, or the sum of two principal values is not positive.
 
+    Warns
+    -----
+    UserWarning
+        A principal value is negative, which no mass has.
+
     Notes
     -----
     Manakov, Funct. Anal. Appl. 10, 328 (1976); Ratiu, Indiana Univ. Math. J. 29, 609 (1980).
@@ -104,6 +110,7 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
         raise ValueError(
             f"inertia has the principal values {short(least.tolist())}, whose sum is not positive; no mass has them"
         )
+    warn_of_negative_mass(given)
     algebra = rotations(n)
     if given.ndim == 1:
         first, second = planes(n)

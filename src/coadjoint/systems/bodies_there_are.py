@@ -1,0 +1,73 @@
+"""Which inertia can a body have? None whose largest moment exceeds the sum of the others, or whose mass is negative."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+SLACK = 64 * UNIT_ROUNDOFF  # of what was rounded before it was given
+_MEANT = "if a quadratic form is meant, say so by co.LiePoissonSystem(co.algebras.{}, co.Quadratic(...), sign=-1)"
+
+
+def warn_of_no_body(inertia: npt.ArrayLike, algebra: str | None = "so(3)", what: str = "inertia") -> None:
+    """Warn where a principal moment exceeds the sum of the other two by more than round-off.
+
+    The moments are sums over the mass of squares of two coordinates each, so the second moment along an axis is half of
+    the sum of two of them without the third. It vanishes for a flat body, for which nothing is said.
+
+    Parameters
+    ----------
+    inertia : (3,) or (3, 3)
+        Principal moments or the tensor, checked before.
+    algebra : str, optional
+        On which the same equations are written as a quadratic form; None where they are of a body alone.
+    what : str, optional
+        What it is called in the warning.
+
+    Examples
+    --------
+    >>> warn_of_no_body((1.0, 2.0, 3.0))
+    >>> with warnings.catch_warnings(record=True) as noticed:
+    ...     warnings.simplefilter("always")
+    ...     warn_of_no_body((1.0, 1.0, 5.0))
+    >>> len(noticed)
+    1
+    """
+    given = np.asarray(inertia, dtype=np.float64)
+    tensor = np.diag(given) if given.ndim == 1 else given
+    # A multiple has the same shape, and its trace does not overflow.
+    scaled = tensor / np.abs(tensor).max()
+    moments = np.diag(scaled) if given.ndim == 1 else np.linalg.eigvalsh(scaled)
+    if 2.0 * moments.max() - moments.sum() > SLACK * moments.sum():
+        text = f"{what}: no body has a principal moment that exceeds the sum of the other two"
+        _warn(text if algebra is None else f"{text}; {_MEANT.format(algebra)}")
+
+
+def warn_of_negative_mass(second_moments: npt.NDArray[np.float64]) -> None:
+    """Warn where a second moment of the mass is negative by more than round-off.
+
+    Parameters
+    ----------
+    second_moments : (n,) or (n, n)
+        Along the principal axes, or the symmetric matrix of them.
+
+    Examples
+    --------
+    >>> warn_of_negative_mass(np.array([0.0, 1.0, 2.0]))
+    """
+    principal = second_moments if second_moments.ndim == 1 else np.linalg.eigvalsh(second_moments)
+    if principal.min() < -SLACK * np.abs(principal).max():
+        _warn(f"inertia: no mass has a negative second moment; {_MEANT.format(f'so({len(principal)})')}")
+
+
+def _warn(text: str) -> None:
+    """Warn at the line of the caller that is outside of the package: once for each line, as Python does it."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_back.f_globals.get("__name__", "").partition(".")[0] == "coadjoint":
+        level, frame = level + 1, frame.f_back
+    warnings.warn(text, UserWarning, stacklevel=level + 1)
