@@ -439,7 +439,8 @@ def test_large_orders_are_refused_before_they_are_made() -> None:
 
 
 def test_it_prints_as_mathematics() -> None:
-    found = co.modified_field(co.systems.rigid_body(inertia=(1, 2, 2.5)), co.GaussLegendre(1), 3)
+    quadratic_form = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 1 / 2, 1 / 4]), sign=-1)
+    found = co.modified_field(quadratic_form, co.GaussLegendre(1), 3)
     assert r"f_{0} = \left(-\frac{1}{4} x_{2} x_{3}" in found.to_latex()
     assert "f_{1}" not in found.to_latex() and found._repr_latex_().startswith("$$")
     assert "exact polynomials" in repr(found)

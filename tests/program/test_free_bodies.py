@@ -153,7 +153,7 @@ def test_the_modified_hamiltonian_is_the_bracket_of_body_and_gravity():
     pieces = [
         co.Polynomial({(0, 0, 0, 0, 0, 1): 1}),
         co.Polynomial(
-            {(2, 0, 0, 0, 0, 0): Fraction(1, 2), (0, 2, 0, 0, 0, 0): Fraction(1, 4), (0, 0, 2, 0, 0, 0): Fraction(1, 8)}
+            {(2, 0, 0, 0, 0, 0): Fraction(1, 2), (0, 2, 0, 0, 0, 0): Fraction(1, 4), (0, 0, 2, 0, 0, 0): Fraction(1, 5)}
         ),
     ]
     inner, outer = pieces

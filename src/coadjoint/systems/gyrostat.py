@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.systems.bodies_there_are import warn_of_no_body
 from coadjoint.systems.closed_form import all_finite, first_element, start_and_times, with_element
 from coadjoint.systems.free_rigid_body import fixed_axis
-from coadjoint.systems.bodies_there_are import warn_of_no_body
 from coadjoint.systems.inertia import axis_of_symmetry, inverse_inertia, momentum_along, principal, read_vector
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from coadjoint.given import read_number
-from coadjoint.systems.heavy_top import top_under_gravity
 from coadjoint.systems.bodies_there_are import warn_of_no_body
+from coadjoint.systems.heavy_top import top_under_gravity
 from coadjoint.systems.inertia import moments_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.ready_made import ready_made
