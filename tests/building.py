@@ -67,15 +67,20 @@ class Kernels:
             for said in pool.map(compiled, sorted(chosen, key=lambda path: -path.stat().st_size)):
                 if said:
                     return said
+        return self._link(chosen)
+
+    def _link(self, first: Sequence[Path] = ()) -> str:
         # Of a template that several sources have made, the linker takes the first: that of a changed source.
-        order = [*chosen, *(path for path in self.sources if path not in chosen)]
+        order = [*first, *(path for path in self.sources if path not in first)]
         objects = [str(self._object(path)) for path in order]
         return _called([*self.compiler, *self.linking, "-shared", "-pthread", *objects, "-o", self.library])
 
     def restore(self, only: tuple[str, ...], kept: dict[str, bytes]) -> None:
-        """Put back the objects that a defect replaced."""
+        """Put back the objects that a defect replaced, and the library as it was."""
         for name in only:
             self._object(Path(name)).write_bytes(kept[name])
+        if said := self._link():
+            raise RuntimeError(f"the kernels cannot be linked again: {said}")
 
     def keep(self, only: tuple[str, ...]) -> dict[str, bytes]:
         """Return the objects of some sources, to put them back."""

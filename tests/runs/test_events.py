@@ -6,6 +6,7 @@ from scipy.special import ellipk
 
 import coadjoint as co
 from coadjoint.runs import event_run
+from runs.failing_parts import failing_parts
 
 U = 2.0**-53
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
@@ -334,3 +335,43 @@ def test_a_group_element_beside_the_state_changes_no_crossing(system):
     beside = co.integrate(system, x0, (0, 6), 1 / 16, method, events=event, attitude="coadjoint")
     assert len(alone.events.t) > 0
     np.testing.assert_array_equal(beside.events.x, alone.events.x)
+
+
+@pytest.mark.parametrize("why", ["a part of a step fails", "a function is undefined"])
+@pytest.mark.parametrize("until", [None, 9])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_member_that_fails_is_felt_by_none_of_the_others(monkeypatch, why, until, way):
+    """Its own crossings before it stand, and so do its states; whatever had been taken of steps after it."""
+    crowd = np.array([[0.3, -1.0, 0.7], FLIPPING, [1.5, 0.25, 0.75]])
+    terminal = {} if until is None else {"terminal": True, "count": until}
+
+    def coordinate(x):
+        return x[1]
+
+    given = BODY, crowd, (0, 40 * way), 0.125
+    whole = co.integrate(*given, events=co.Event(coordinate, name="g", **terminal))
+    own = whole.events.t[whole.events.member == 1]
+    step = int(np.floor(abs(own[1]) / 0.125))  # in which it crosses for the second time
+    if why == "a part of a step fails":
+        failing_parts(monkeypatch, 1, way * 0.125 * step)
+        event, words = co.Event(coordinate, name="g", **terminal), "did not converge"
+    else:
+        bad = whole.x[step + 1, 1, 0]
+        event = co.Event(lambda x: np.where(abs(x[0] - bad) < 1e-12, np.nan, x[1]).item(), name="g", **terminal)
+        words = r"the event g is not a number at t = "
+    with pytest.raises(co.IntegrationError, match=rf"{words}.* for 1 of 3 members \(first: member 1\)") as caught:
+        co.integrate(*given, events=event)
+    found = caught.value.partial
+    assert caught.value.step == step + 1 and found.failed.tolist() == [False, True, False]
+    assert np.array_equal(found.x[:, [0, 2]], whole.x[:, [0, 2]], equal_nan=True)
+    assert np.array_equal(found.x[: step + 1, 1], whole.x[: step + 1, 1]) and np.isnan(found.x[step + 1 :, 1]).all()
+    for m in (0, 2):
+        assert np.array_equal(found.events.x[found.events.member == m], whole.events.x[whole.events.member == m])
+    assert np.array_equal(found.events.t[found.events.member == 1], own[:1])
+    for name, drift in found.drift().items():
+        assert np.array_equal(drift.tenths[[0, 2]], whole.drift()[name].tenths[[0, 2]])
+    with pytest.raises(co.IntegrationError, match=words) as alone:
+        failing_parts(monkeypatch, 0, way * 0.125 * step) if words == "did not converge" else None
+        co.integrate(BODY, FLIPPING, given[2], 0.125, events=event)
+    assert np.array_equal(alone.value.partial.x, found.x[: step + 1, 1])
+    assert np.array_equal(alone.value.partial.events.t, own[:1])

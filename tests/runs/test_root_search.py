@@ -13,6 +13,7 @@ SHAPES = {
     "flat": lambda d: np.sign(d) * np.abs(d) ** 0.2,
     "steep": lambda d: np.tanh(1e6 * d),
     "exponential": lambda d: np.expm1(20 * d),
+    "overflowing": lambda d: np.sign(d) * np.where(np.abs(d) > 0.05, np.inf, np.abs(d)),
 }
 
 

@@ -9,6 +9,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.runs import state_at
+from runs.failing_parts import failing_parts
 
 U = 2.0**-53
 BODY = co.systems.rigid_body((1, 2, 3))
@@ -236,14 +237,32 @@ def test_times_beside_the_steps_are_the_steps(span):
 
 
 def test_a_part_of_a_step_that_fails_leaves_what_came_before(monkeypatch):
-    def refused(self, momenta, *given, **more):
-        raise co.IntegrationError("no part of this step", step=0, time=0.5, residual=0.25)
-
-    monkeypatch.setattr("coadjoint.runs.parts_of_steps.PartsOfSteps.taken", refused)
-    with pytest.raises(co.IntegrationError, match="no part of this step") as caught:
+    failing_parts(monkeypatch, 0, 0.5)
+    with pytest.raises(
+        co.IntegrationError, match=r"^in step 5, at t = 0.5, the iteration of .* did not conv"
+    ) as caught:
         co.integrate(BODY, X, (0, 1), STEP, t_eval=[0.0, 0.25, 0.5, 0.55, 1.0])
     assert caught.value.partial.t.tolist() == [0.0, 0.25, 0.5] and np.isfinite(caught.value.partial.x).all()
     assert (caught.value.step, caught.value.residual) == (5, 0.25)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_part_of_a_step_that_fails_is_felt_by_its_member_alone(monkeypatch, way, threads):
+    times = way * np.array([0.0, 0.25, 0.5, 0.55, 0.625, 0.7, 1.0])
+    crowd = np.array([X, [0.5, 1.0, -0.25], [1.5, 0.25, 0.75]])
+    given = BODY, crowd, (0, way), STEP
+    whole = co.integrate(*given, t_eval=times)
+    failing_parts(monkeypatch, 1, 0.5 * way)
+    with pytest.raises(
+        co.IntegrationError, match=r"did not converge .* for 1 of 3 members \(first: member 1\)"
+    ) as caught:
+        co.integrate(*given, t_eval=times, threads=threads)
+    found = caught.value.partial
+    assert np.array_equal(found.x[:, [0, 2]], whole.x[:, [0, 2]])
+    assert np.array_equal(found.energy[:, [0, 2]], whole.energy[:, [0, 2]])
+    assert np.array_equal(found.x[:3, 1], whole.x[:3, 1]) and np.isnan(found.x[3:, 1]).all()
+    assert np.isnan(found.energy[3:, 1]).all() and found.failed.tolist() == [False, True, False]
 
 
 @pytest.mark.parametrize("end", [80.0, -80.0])

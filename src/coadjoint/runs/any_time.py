@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import IntegrationError
 from coadjoint.given import are_finite, read_numbers
 from coadjoint.kernels.arrays import Layout, NamedArrays
+from coadjoint.runs.crews_at_work import name_of_status
 from coadjoint.runs.parts_of_steps import PartsOfSteps, check_no_noise
 from coadjoint.runs.room import check_room_of_run
 from coadjoint.runs.times import Times
@@ -113,7 +113,7 @@ def look(run: Run, moments: Moments) -> None:
     """Put in place of the saved points of a run, the steps in `moments.marks`, its states at the moments.
 
     Where an event has ended the run of the only member, these are the moments before it, and its own. Other members
-    that events have ended have no states after them.
+    that events have ended have no states after them. A member fails where a part of a step fails that went as a whole.
 
     Parameters
     ----------
@@ -126,8 +126,6 @@ def look(run: Run, moments: Moments) -> None:
     ------
     ValueError
         There is no state between two steps, since a force is a noise, or what is asked for does not fit in memory.
-    IntegrationError
-        A part of a step failed, which the whole one did not; with the solution before.
     """
     marked, members = run.saved, len(run.start.momenta)
     way, ends = (1.0 if run.times.h > 0.0 else -1.0), run.ends
@@ -157,14 +155,10 @@ def look(run: Run, moments: Moments) -> None:
         chunk = max(1, ROWS // members)
         for first in range(0, len(inside), chunk):
             some = inside[first : first + chunk]
-            try:
-                _fill(parts, run, moments, some, (last, way * ends), target)
-            except IntegrationError as error:
-                run.initial, run.saved, run.times = marked["values"][0], saved, times
-                so_far = run.solution_to(int(some[0]))
-                told: dict[str, Any] = {"time": error.time, "residual": error.residual, "partial": so_far}
-                step = 1 + round((error.time - times.t0) / times.h)
-                raise IntegrationError(str(error), step=step, **told) from None
+            _fill(parts, run, moments, some, (last, way * ends), target)
+        late = (moments.ends[:, None] >= last) & (run.state["status"] != 0)
+        for array in target:
+            array[: len(late)][late] = np.nan
     run.initial, run.saved, run.times = marked["values"][0], saved, times
 
 
@@ -195,6 +189,11 @@ def _fill(
     starts = run.times.at(moments.number[k])
     found = parts.taken(x[k, owners], group[k, owners], starts, moments.length[k], owners, watched=True)
     x[k, owners], group[k, owners] = found.momenta, found.groups
+    for row in np.flatnonzero(found.status).tolist():
+        m, step = int(owners[row]), int(moments.ends[k[row]])
+        if step < failing[m]:
+            failing[m] = step
+            run.fail(m, step, name_of_status(found.status[row]), float(found.residual[row]))
     measured = run.loops.measured_at(found.momenta, moments.t[k])
     if measured is None:
         # What has several values was followed through the run, and goes on from there by whole periods.

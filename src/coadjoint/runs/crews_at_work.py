@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
+from coadjoint.kernels.description import codes
 from coadjoint.kernels.loop import Crew, Stop
 from coadjoint.methods.base import Method
 from coadjoint.runs.loops import Loops
@@ -56,6 +57,11 @@ def pool_of(workers: int) -> Iterator[ThreadPoolExecutor | None]:
     else:
         with ThreadPoolExecutor(workers) as pool:
             yield pool
+
+
+def name_of_status(status: Any) -> str:
+    """Return the name of the number that says how a step ended."""
+    return next(name for name, code in codes("Status").items() if code == status)
 
 
 def what_failed(status: str, method: Method, loops: Loops, residual: float) -> str:

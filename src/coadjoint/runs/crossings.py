@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.errors import IntegrationError
 from coadjoint.given import read_choice, read_whole
 from coadjoint.kernels.description import codes
 from coadjoint.kernels.events import Noted
+from coadjoint.runs.crews_at_work import name_of_status
 from coadjoint.runs.events import Event
 from coadjoint.runs.parts_of_steps import PartsOfSteps
 from coadjoint.runs.root_search import lowest, roots
@@ -43,6 +43,16 @@ class Crossings(NamedTuple):
     def chosen(self, places: Any) -> Crossings:
         """Return some of them."""
         return Crossings(*(array[places] for array in self))
+
+
+class Failed(NamedTuple):
+    """A member that has failed while its crossings were looked for: in which step, and why, for `Run.fail`."""
+
+    member: int
+    step: int
+    status: str
+    residual: float = float("nan")
+    reason: str = ""
 
 
 class WatchedEvents:
@@ -93,8 +103,11 @@ class WatchedEvents:
         values_along(self.compiled.tables, states[:, None], t, out)
         return out[:, 0]
 
-    def located(self, noted: Noted, parts: PartsOfSteps, t0: float, h: float) -> Crossings:
-        """Return the crossings in the steps that were noted, ordered by member and time.
+    def located(self, noted: Noted, parts: PartsOfSteps, t0: float, h: float) -> tuple[Crossings, list[Failed]]:
+        """Return the crossings in the steps that were noted, ordered by member and time, and the members that failed.
+
+        One fails where an event has no value at a grid point, or where a part of a step fails though the whole one did
+        not. There are no crossings of it from that step on; other members do not feel it.
 
         Parameters
         ----------
@@ -104,17 +117,11 @@ class WatchedEvents:
             Takes parts of steps.
         t0, h : float
             Of the run.
-
-        Raises
-        ------
-        IntegrationError
-            An event has no value at a grid point.
         """
         for kept in self.compiled.keep:
             if (raised := getattr(kept, "raised", lambda: None)()) is not None:
                 raise raised
         crossing = codes("Crossing")
-        self._check(noted, t0, h)
         search = _Search(self, noted, parts, t0, h)
         rows, events = np.nonzero((noted.codes == crossing["RISING"]) | (noted.codes == crossing["FALLING"]))
         sure = search.between(rows, events, np.zeros(len(rows)), noted.before, np.ones(len(rows)), noted.after)
@@ -127,21 +134,32 @@ class WatchedEvents:
         order = np.lexsort((events, theta, rows))
         rows, events, theta, rising = rows[order], events[order], theta[order], rising[order]
         states, groups = search.part(rows, theta)
-        steps = noted.steps[rows]
-        return Crossings(noted.members[rows], steps, t0 + (steps - 1 + theta) * h, states, groups, events, rising)
+        members, steps = noted.members[rows], noted.steps[rows]
+        found = Crossings(members, steps, t0 + (steps - 1 + theta) * h, states, groups, events, rising)
+        failed = self._failed(noted, search, t0, h)
+        if failed:
+            last = dict.fromkeys(noted.members.tolist(), np.iinfo(np.int64).max)
+            last |= {each.member: each.step for each in failed}
+            found = found.chosen(steps < np.array([last[m] for m in members.tolist()], dtype=np.int64))
+        return found, failed
 
-    def _check(self, noted: Noted, t0: float, h: float) -> None:
-        wrong = np.argwhere(noted.codes == codes("Crossing")["UNDEFINED"])
-        if len(wrong):
-            row, event = wrong[0].tolist()
-            step = int(noted.steps[row])
-            raise IntegrationError(
-                f"the event {self.names[event]} is not a number at t = {t0 + step * h:g}, for member "
-                f"{noted.members[row]}; its function is undefined there",
-                step=step,
-                time=t0 + step * h,
-                residual=float("nan"),
-            )
+    def _failed(self, noted: Noted, search: _Search, t0: float, h: float) -> list[Failed]:
+        """Return the first failure of each member that has one."""
+        undefined = noted.codes == codes("Crossing")["UNDEFINED"]
+        rows = np.flatnonzero(undefined.any(axis=1) | (search.status != 0))
+        found: dict[int, Failed] = {}
+        for row in rows[np.argsort(noted.steps[rows], kind="stable")].tolist():
+            member, step = int(noted.members[row]), int(noted.steps[row])
+            if member in found:
+                continue
+            if undefined[row].any():
+                name = self.names[int(np.argmax(undefined[row]))]
+                reason = f"the event {name} is not a number at t = {t0 + step * h:g}; its function is undefined there"
+                found[member] = Failed(member, step, "UNDEFINED", reason=reason)
+            else:
+                status, residual = name_of_status(search.status[row]), float(search.residual[row])
+                found[member] = Failed(member, step, status, residual)
+        return list(found.values())
 
 
 class _Search:
@@ -150,15 +168,22 @@ class _Search:
     def __init__(self, watched: WatchedEvents, noted: Noted, parts: PartsOfSteps, t0: float, h: float) -> None:
         self.watched, self.noted, self.parts, self.h = watched, noted, parts, h
         self.begin: Floats = np.asarray(t0 + (noted.steps - 1) * h, dtype=np.float64)
+        # Of parts of these steps that failed.
+        self.status = np.zeros(len(noted.steps), dtype=np.int64)
+        self.residual = np.full(len(noted.steps), np.nan)
         # Times are not told apart more finely than they can be written.
         self.least = np.maximum(2.0**-52, 0.5 * np.spacing(np.abs(self.begin) + abs(h)) / abs(h))
 
     def part(self, rows: Whole, theta: Floats) -> tuple[Floats, Floats]:
-        """Return states and group elements within steps, theta from their start."""
+        """Return states and group elements within steps, theta from their start; not numbers where that fails."""
         noted = self.noted
-        return self.parts.take(
+        found = self.parts.taken(
             noted.states[rows], noted.groups[rows], self.begin[rows], theta * self.h, noted.members[rows]
         )
+        failed = found.status != 0
+        # A step may be looked at for several events: of failures at one time the last row counts.
+        self.status[rows[failed]], self.residual[rows[failed]] = found.status[failed], found.residual[failed]
+        return found.momenta, found.groups
 
     def values(self, rows: Whole, events: Whole, theta: Floats) -> Floats:
         """Return one event for each row."""

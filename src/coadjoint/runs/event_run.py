@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from coadjoint.kernels.description import codes
 from coadjoint.kernels.events import EventArrays, Noted
 from coadjoint.memory import check_room
-from coadjoint.runs.crossings import Crossings, WatchedEvents
+from coadjoint.runs.crossings import Crossings, Failed, WatchedEvents
 from coadjoint.runs.events import Ending, Events
 from coadjoint.runs.loops import Plan
 from coadjoint.runs.parts_of_steps import PartsOfSteps
 from coadjoint.runs.run import Run, progress_bar
-from coadjoint.runs.state import RunState
 from coadjoint.systems.kinds import unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
@@ -51,7 +50,7 @@ class EventRun:
         count = len(watched.events)
         fixed, each = EventArrays.bytes_of(members, count, extent.size, extent.square)
         chunk = min(run.times.steps, MOST_STEPS, max(1, BYTES_OF_A_CHUNK // each)) + 1
-        kept = 16 * run.plan.layout.state.size if watched.until.any() else 0
+        kept = 16 * run.plan.layout.state.size
         check_room(3 * fixed + kept + each * chunk, f"looking for events of {members} members")
         self._most = max(chunk - 1, 1)
         left = np.tile(watched.until, (members, 1))
@@ -62,10 +61,9 @@ class EventRun:
         self._pieces: list[Crossings] = []
         self._abreast = members
         self._held: Noted | None = None  # what was noted of a step that is not over
-        self._kept: tuple[RunState, list[NDArray[Any]]] | None = None  # the state before it
+        self._failed: dict[int, Failed] = {}
         run.look_for(self.arrays.address)
-        if watched.until.any():
-            self._kept = run.state.copy(), self.arrays.copy()
+        self._kept = run.state.copy(), self.arrays.copy()  # before the steps of which nothing is known yet
 
     @property
     def last(self) -> NDArray[np.int64]:
@@ -135,12 +133,16 @@ class EventRun:
         """Take the steps to number `until`, and find the events in them."""
         kept = self._kept
         noted = self._noted(until)
-        found = self.watched.located(noted, self.parts, self.run.times.t0, self.run.times.h)
+        found, failed = self.watched.located(noted, self.parts, self.run.times.t0, self.run.times.h)
         # The same step may have been noted for one event when it ended, and for another after the next one.
         found = found.chosen(np.lexsort((found.which, found.t * np.sign(self.run.times.h), found.members)))
         last = self._count(found)
-        if kept is not None and (last < self._limits()).any():
-            # A pair within a step has ended a member before the loops could know: they take these steps again.
+        for each in failed:
+            if each.step - 1 <= last[each.member]:
+                last[each.member] = each.step - 1
+                self._failed[each.member] = each
+        if (last < self._limits()).any():
+            # A member has ended or failed within a step before the loops could know: they take these steps again.
             ends = np.minimum(self._limits(), last)
             self.run.state, self._held = kept[0].copy(), None
             self.arrays.put_back(kept[1])
@@ -156,7 +158,7 @@ class EventRun:
             if run.state.number < target or target == 0:
                 run.advance(until=target)
             rows.append(self._rows())
-            if target == until and self.watched.until.any():
+            if target == until:
                 self._kept = run.state.copy(), self.arrays.copy()
         noted = Noted(*(np.concatenate(arrays) for arrays in zip(*rows, strict=True)))
         noted = noted.in_order_of(noted.members)  # threads note in any order
@@ -196,6 +198,8 @@ class EventRun:
         ended = limits < state.number
         failed = state["status"] != status["DONE"]
         state["status"][ended & ~(failed & (state["step"] <= limits))] = status["ENDED"]
+        for each in self._failed.values():
+            self.run.fail(*each)
 
     @property
     def found(self) -> Crossings:

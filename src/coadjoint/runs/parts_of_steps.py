@@ -14,7 +14,7 @@ from coadjoint.kernels.description import codes
 from coadjoint.kernels.structures import pointed
 from coadjoint.kernels.watching import schedule_of_parts
 from coadjoint.methods.base import Method
-from coadjoint.runs.crews_at_work import at_work, pool_of, what_failed
+from coadjoint.runs.crews_at_work import at_work, name_of_status, pool_of, what_failed
 from coadjoint.runs.loops import Loops
 from coadjoint.runs.rows_of_crews import rows_of_pieces
 from coadjoint.systems.batch import Batch
@@ -41,12 +41,17 @@ def check_no_noise(system: Any) -> None:
 
 
 class Taken(NamedTuple):
-    """What a step has made of each row: momenta and group elements; invariants after it, and before it."""
+    """What a step has made of each row: momenta and group elements; invariants after it, and before it.
+
+    Where a step has failed these are not numbers, the status is not zero, and the residual says by how much.
+    """
 
     momenta: Floats
     groups: Floats
     values: Floats
     before: Floats
+    status: NDArray[np.int64]
+    residual: Floats
 
 
 class PartsOfSteps:
@@ -124,7 +129,13 @@ class PartsOfSteps:
         IntegrationError
             A step failed, which the whole one did not.
         """
-        return self.taken(momenta, groups, times, lengths, owners)[:2]
+        found = self.taken(momenta, groups, times, lengths, owners)
+        failed = np.flatnonzero(found.status)
+        if len(failed):
+            row = int(failed[0])
+            owner = row if owners is None else int(owners[row])
+            raise self._failure(found, row, owner, float(times[row]), float(lengths[row]))
+        return found[:2]
 
     def taken(
         self,
@@ -135,10 +146,12 @@ class PartsOfSteps:
         owners: NDArray[np.int64] | None = None,
         watched: bool = False,
     ) -> Taken:
-        """Return the same with the invariants that the run follows, where they are `watched`."""
-        count = self.loops.followed if watched else 0
-        widths = momenta.shape[1], groups.shape[1], count, count
-        found = Taken(*(np.full((len(momenta), width), np.nan) for width in widths))
+        """Return the same with the invariants that the run follows, where they are `watched`, and what has failed."""
+        count, m = self.loops.followed if watched else 0, len(momenta)
+        x, group, after, before = (
+            np.full((m, width), np.nan) for width in (momenta.shape[1], groups.shape[1], count, count)
+        )
+        found = Taken(x, group, after, before, np.zeros(m, dtype=np.int64), np.zeros(m))
         owners = np.arange(len(momenta)) if owners is None else owners
         sound = np.flatnonzero(np.isfinite(momenta).all(axis=1))
         numbers = 4 * momenta.shape[1] + 4 * groups.shape[1] + self.loops.memory + 16 * count + 8
@@ -160,7 +173,7 @@ class PartsOfSteps:
         owners: NDArray[np.int64],
         watched: bool,
         pool: Any,
-    ) -> list[Floats]:
+    ) -> list[NDArray[Any]]:
         loops, workers = self.loops, 1 if pool is None else self.workers
         pieces = loops.pieces(None if watched else self._nothing)
         rows, own, crews = rows_of_pieces(pieces, owners, workers, loops.block)
@@ -172,23 +185,20 @@ class PartsOfSteps:
         schedule = schedule_of_parts(starts, steps)
         with threads_of_blas(loops.rows, workers):
             at_work(crews, (layout, schedule, saved, state, 0, 1), loops, pool)
-        failed = np.flatnonzero((state["status"] != codes("Status")["DONE"]) & own)
-        if len(failed):
-            raise self._failure(int(failed[0]), rows, owners, starts, steps, state)
         place = np.empty(len(momenta), dtype=np.int64)
         place[rows[own]] = np.flatnonzero(own)
-        return [array[place] for array in (saved["x"][0], saved["group"][0], saved["values"][0], state["first"])]
+        arrays = (saved["x"][0], saved["group"][0], saved["values"][0], state["first"])
+        status = state["status"][place]
+        moved = [np.where(status[:, None] == codes("Status")["DONE"], array[place], np.nan) for array in arrays]
+        return [*moved, status, state["residual"][place]]
 
-    def _failure(
-        self, place: int, rows: Any, owners: Any, starts: Floats, steps: Floats, state: NamedArrays
-    ) -> IntegrationError:
-        found, residual = int(state["status"][place]), float(state["residual"][place])
-        status = next(name for name, code in codes("Status").items() if code == found)
-        what = what_failed(status, self.method, self.loops, residual)
+    def _failure(self, found: Taken, row: int, owner: int, start: float, length: float) -> IntegrationError:
+        residual = float(found.residual[row])
+        what = what_failed(name_of_status(found.status[row]), self.method, self.loops, residual)
         return IntegrationError(
-            f"in a part of a step, of length {steps[place]:g} from t = {starts[place]:g}, {what} for member "
-            f"{owners[rows[place]]}; take a smaller step",
+            f"in a part of a step, of length {length:g} from t = {start:g}, {what} for member {owner}; "
+            "take a smaller step",
             step=0,
-            time=float(starts[place]),
+            time=start,
             residual=residual,
         )

@@ -48,7 +48,9 @@ def roots(values: Values, before: Floats, after: Floats, least: Floats) -> Float
     found = np.ones(len(before))
     which = np.flatnonzero(after != 0.0)
     a, b, fa, fb = np.ones(len(which)), np.zeros(len(which)), after[which], before[which]
-    t = np.clip(fa / (fa - fb), 0.01, 0.99)
+    with np.errstate(invalid="ignore", over="ignore"):
+        straight = fa / (fa - fb)
+    t = np.clip(np.where(np.isfinite(straight), straight, 0.5), 0.01, 0.99)
     for _ in range(MOST_ROUNDS):
         if not len(which):
             break
@@ -61,7 +63,7 @@ def roots(values: Values, before: Floats, after: Floats, least: Floats) -> Float
         best = np.where(np.abs(fa) < np.abs(fb), a, b)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             least_t = least[which] / np.abs(b - a)
-            done = (least_t > 0.5) | (fa == 0.0) | ~np.isfinite(fm)
+            done = (least_t > 0.5) | (fa == 0.0) | np.isnan(fm)
             xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
             curved = fa / (fb - fa) * (fc / (fb - fc)) + (c - a) / (b - a) * (fa / (fc - fa)) * (fb / (fc - fb))
             good = (phi * phi < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)

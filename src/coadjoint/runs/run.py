@@ -20,7 +20,7 @@ from coadjoint.kernels.description import codes
 from coadjoint.kernels.loop import Crew
 from coadjoint.kernels.watching import schedule_of
 from coadjoint.methods.base import Method
-from coadjoint.runs.crews_at_work import at_work, pool_of, what_failed
+from coadjoint.runs.crews_at_work import at_work, name_of_status, pool_of, what_failed
 from coadjoint.runs.events import Ending, Events
 from coadjoint.runs.loops import Loops
 from coadjoint.runs.observed import Observed
@@ -101,6 +101,7 @@ class Run:
             self.saved.numbers.fill(np.nan)
         self.seconds = 0.0
         self.wrong = 0
+        self.reasons: dict[int, str] = {}
         self.events: Events | None = None
         self.ending: Ending | None = None
 
@@ -254,9 +255,13 @@ class Run:
         assert first is not None
         return self.energy_error(int(self.times.saved[first]), float(whole.t[first]), partial)
 
-    def fail(self, member: int, step: int, status: str) -> None:
-        """Note that a member has failed in a step, for a reason that the loops do not know; its status by name."""
-        self.state["status"][member], self.state["step"][member] = codes("Status")[status], step
+    def fail(self, member: int, step: int, status: str, residual: float = np.nan, reason: str = "") -> None:
+        """Note that a member has failed in a step, which the loops do not know; with a reason that no status tells."""
+        state = self.state
+        state["status"][member], state["step"][member] = codes("Status")[status], step
+        state["residual"][member] = residual
+        if reason:
+            self.reasons[member] = reason
         self.wrong += 1
 
     def _check_attitude(self, whole: Solution) -> None:
@@ -292,8 +297,11 @@ class Run:
         when = float(self.times.t0 + (step - 1) * self.times.h)
         residual = float(self.state["residual"][member])
         who = "" if self.start.single else f" for {count} of {len(self.start.momenta)} members (first: member {member})"
-        found = int(self.state["status"][member])
-        status = next(name for name, code in codes("Status").items() if code == found)
+        status = name_of_status(self.state["status"][member])
+        if member in self.reasons:
+            return IntegrationError(
+                f"in step {step}, {self.reasons[member]}{who}", step=step, time=when, residual=residual, partial=partial
+            )
         what = what_failed(status, self.method, self.loops, residual)
         # The step of a run is none of the scheme where that takes its own.
         instead = "end t_span before" if self.method.own_steps else f"take a smaller step than {abs(self.times.h):g}"

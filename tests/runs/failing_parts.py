@@ -1,0 +1,22 @@
+"""Parts of steps that fail, though the whole steps do not."""
+
+import numpy as np
+
+from coadjoint.kernels.description import codes
+from coadjoint.runs.parts_of_steps import PartsOfSteps
+
+
+def failing_parts(monkeypatch, member, start):
+    """Let parts of the step of a member fail that begins at some time."""
+    taken = PartsOfSteps.taken
+
+    def some_fail(self, momenta, groups, times, lengths, owners=None, watched=False):
+        found = taken(self, momenta, groups, times, lengths, owners, watched)
+        own = np.arange(len(times)) if owners is None else owners
+        failed = (own == member) & (times == start) & (lengths != 0.0)
+        for array in found[:4]:
+            array[failed] = np.nan
+        found.status[failed], found.residual[failed] = codes("Status")["NOT_CONVERGED"], 0.25
+        return found
+
+    monkeypatch.setattr(PartsOfSteps, "taken", some_fail)
