@@ -84,7 +84,7 @@ def _failed(name: str, error: IntegrationError, archive: Path | None, target: Pa
 
 
 def _stopped(name: str, told: interruption.Told, archive: Path | None, target: Path | None, dataset: Any) -> RunStopped:
-    partial: Any = told.partial
+    partial: Any = told.partial if archive is None else _held(archive)
     written = ""
     if archive is not None and partial is not None:
         held = getattr(partial, "said", f"the run up to step {partial.reached}")
@@ -93,6 +93,16 @@ def _stopped(name: str, told: interruption.Told, archive: Path | None, target: P
         reason = {"run_incomplete": 1, "incomplete_reason": told.said, "incomplete_time": float(partial.t[-1])}
         written = _write(dataset(partial).assign_attrs(reason), target, ", marked as incomplete")
     return RunStopped(f"{name}: {told.said}{written}" if written else f"coadjoint: {told.said}", told.number)
+
+
+def _held(archive: Path) -> Any:
+    """Return what there is of the run in an archive, or None where it was not made yet."""
+    from coadjoint.files.archived_solution import open_archive
+
+    try:
+        return open_archive(archive)
+    except ValueError:
+        return None
 
 
 def _write(dataset: xarray.Dataset, target: Path, marked: str = "") -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import logging
 import secrets
 import time
 from concurrent.futures import CancelledError
@@ -38,7 +39,14 @@ def on_processes(
     if not left:
         return
     distributed: Any = importlib.import_module("distributed")
-    alone = {"threads_per_worker": 1, "processes": True, "dashboard_address": ":0", "memory_limit": None}
+    alone = {
+        "threads_per_worker": 1,
+        "processes": True,
+        "dashboard_address": ":0",
+        "memory_limit": None,
+        # What goes wrong is raised here; processes that end in the middle of a block are not worth a line each.
+        "silence_logs": logging.CRITICAL,
+    }
     try:
         cluster = distributed.LocalCluster(n_workers=min(workers, len(left)), **alone)
     except RuntimeError as reason:

@@ -1,0 +1,175 @@
+"""The command that writes an archive is told to stop, or killed, at any write: what it says, and how it goes on."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+
+import coadjoint
+import coadjoint as co
+from coadjoint import cli
+from coadjoint.files.configuration import load
+
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
+TOP = """
+[system]
+name = "heavy_top"
+[initial]
+x = [1.0, 0.1, 0.5, 0.25, 0.5, 1.0]
+attitude = "coadjoint"
+[method]
+name = "GaussLegendre"
+[run]
+t_span = [0.0, 32.0]
+step = 0.0625
+"""
+# Chunks of 64 points, each of which is committed, and a signal at one of the files that are written.
+AT_WRITE = """
+import os, signal, sys
+from coadjoint.files import stored_arrays
+stored_arrays.FEWEST_ROWS = stored_arrays.MOST_ROWS = 64
+original, writes = os.replace, 0
+def replace(source, target):
+    global writes
+    writes += 1
+    if writes == {write}:
+        os.kill(os.getpid(), signal.{name})
+    original(source, target)
+os.replace = replace
+from coadjoint.cli import run
+sys.argv = ["coadjoint", *{arguments!r}]
+run()
+"""
+SAID = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
+NONE = 10**6
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "top.toml").write_text(TOP)
+    return tmp_path
+
+
+def child(arguments, write=NONE, name="SIGKILL", before=""):
+    code = before + AT_WRITE.format(arguments=arguments, write=write, name=name)
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=120)
+
+
+def check_stopped(done, name, what):
+    """Exit status and message of a command that was told to stop, or killed; return how far the archive has come."""
+    number, there = getattr(signal, name), Path("run.zarr").exists()
+    reached = co.open_archive("run.zarr").reached if there else None
+    line = ""
+    if name in SAID:
+        line = f"coadjoint: {SAID[name]}\n"
+        if there:
+            line = f"{what}: {SAID[name]}; run.zarr holds the run up to step {reached}: coadjoint resume run.zarr goes "
+            line += "on with it\n"
+    status = -number if name == "SIGKILL" else 128 + number
+    assert (done.returncode, done.stdout, done.stderr) == (status, "", line)
+    return reached
+
+
+@pytest.mark.parametrize(
+    ("write", "name", "again", "then"),
+    [
+        # The root of the archive is written as file 27, of its first commit as file 42, and then every 15.
+        (4, "SIGINT", 61, "SIGTERM"),
+        (20, "SIGKILL", 57, "SIGINT"),
+        (43, "SIGTERM", 30, "SIGKILL"),
+        (57, "SIGINT", 41, "SIGHUP"),
+        (70, "SIGKILL", 3, "SIGINT"),
+    ],
+)
+def test_at_any_write(folder, capsys, write, name, again, then):
+    """In the middle of the making of the archive, or of a commit: the command, and the one that goes on with it."""
+    first = ["run", "top.toml", "--archive", "run.zarr"]
+    begun = check_stopped(child(first, write, name), name, "top.toml")
+    if begun is None:
+        # Nothing is left, but for the hidden folder of a killed one, which the next run removes.
+        assert len(list(folder.glob(".run.zarr-*"))) == (name == "SIGKILL")
+        reached = check_stopped(child(first, again, then), then, "top.toml")
+        assert sorted(os.listdir(folder)) == ["run.zarr", "top.toml"]
+    else:
+        reached = check_stopped(child(["resume", "run.zarr"], again, then), then, "run.zarr")
+    assert (begun or 0) <= reached < 512 and reached
+    assert cli.main(["resume", "run.zarr"]) == 0
+    assert capsys.readouterr().out.endswith("written: run.zarr\n")
+    assert cli.main(["run", "top.toml", "--out", "alone.nc", "--quiet"]) == 0
+    found, alone = co.open_archive("run.zarr").to_xarray().load(), xarray.load_dataset("alone.nc", engine="h5netcdf")
+    assert found.sizes["time"] == 513 and set(alone.variables) == set(found.variables)
+    for label, variable in alone.variables.items():
+        assert np.array_equal(found[label].values, variable.values), label
+
+
+FULL = """
+import os
+really, left = os.replace, {write}
+def full(source, target):
+    global left
+    left -= 1
+    if left <= 0:
+        raise OSError(28, "No space left on device")
+    really(source, target)
+os.replace = full
+"""
+
+
+def test_a_full_disk(folder):
+    """One line, status 1 while the run goes on and 2 before its first step."""
+    end = "could not be written (No space left on device); it holds the run up to step"
+    for write, arguments, status, said in (
+        (4, ["run", "top.toml", "--archive", "run.zarr"], 2, "cannot be made (No space left on device); give another"),
+        (60, ["run", "top.toml", "--archive", "run.zarr"], 1, end),
+        (4, ["resume", "run.zarr"], 2, "cannot be written (No space left on device); what it holds stays"),
+        (25, ["resume", "run.zarr"], 1, end),
+    ):
+        code = FULL.format(write=write) + AT_WRITE.format(arguments=arguments, write=NONE, name="SIGKILL")
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT, timeout=120
+        )
+        assert (done.returncode, done.stdout) == (status, ""), done.stderr
+        assert said in done.stderr and done.stderr.count("\n") == 1
+        assert write != 4 or arguments[0] == "resume" or os.listdir(folder) == ["top.toml"]
+
+
+MANY = (
+    TOP.replace("GaussLegendre", "Splitting")
+    .replace('attitude = "coadjoint"', "")
+    .replace("x = [1.0, 0.1, 0.5, 0.25, 0.5, 1.0]", "x = {states}")
+    .replace("32.0", "80000.0")
+    + """
+save_every = 100
+workers = 1
+[output]
+archive = "run.zarr"
+"""
+)
+
+
+def test_an_ensemble_with_workers(folder):
+    states = [[1.0, 0.1 * k, 0.5, 0.25, 0.5, 1.0] for k in range(12)]
+    Path("many.toml").write_text(MANY.format(states=states))
+    code = "from coadjoint.cli import run; import sys; sys.argv = ['coadjoint', 'run', 'many.toml']; run()"
+    command = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
+    end = time.monotonic() + 60
+    while not list(Path("run.zarr/.coadjoint").glob("block-*.lock")):
+        assert time.monotonic() < end, "nothing happens"
+        time.sleep(0.02)
+    command.send_signal(signal.SIGTERM)
+    said = command.communicate(timeout=60)[1]
+    line = r"many.toml: terminated; run.zarr holds \d+ of 12 members: coadjoint resume run.zarr goes on with it"
+    # Python may speak of the semaphore of a worker that was killed.
+    assert command.returncode == 143 and re.fullmatch(line, said.splitlines()[0]), said
+    assert not co.open_archive("run.zarr").finished
+    assert cli.main(["resume", "run.zarr", "--quiet"]) == 0
+    Path("alone.toml").write_text(MANY.format(states=states).replace("workers = 1", ""))
+    assert np.array_equal(co.open_archive("run.zarr").x, load("alone.toml").integrate().x)
