@@ -6,7 +6,7 @@ from scipy.special import ellipk
 
 import coadjoint as co
 from coadjoint.runs import event_run
-from runs.failing_parts import failing_parts
+from failing_parts import failing_parts
 
 U = 2.0**-53
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))

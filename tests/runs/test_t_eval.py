@@ -9,7 +9,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.runs import state_at
-from runs.failing_parts import failing_parts
+from failing_parts import failing_parts
 
 U = 2.0**-53
 BODY = co.systems.rigid_body((1, 2, 3))
