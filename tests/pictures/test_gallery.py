@@ -14,6 +14,7 @@ from coadjoint.pictures.register import CannotShow, kind, kinds, read_picture
 from coadjoint.runs.telling_run import telling_run
 from coadjoint.systems.ready_made import telling_of, told_systems
 from coadjoint.systems.telling import Picture, Telling
+from group_elements import random_element
 from long import long_where
 
 
@@ -169,8 +170,7 @@ def test_an_axis_in_space_is_seen_with_its_constant_vector_upward(sign):
     inertia = np.array([[2.0, 0.3, 0.1], [0.3, 3.0, -0.2], [0.1, -0.2, 4.0]])
     M = np.linalg.inv(inertia)
     body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0.5 * (M + M.T)), sign=sign)
-    first = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
-    first *= np.linalg.det(first)
+    first = random_element(body.representation, 2)
     run = co.integrate(body, (0.3, -1.0, 0.4), (0.0, 9.0), 0.1, attitude=first)
     picture = Picture("body axis", axis=run.x[0] / np.linalg.norm(run.x[0]), up=(0, 1, 2))
     (axes,) = run.plot([picture]).axes

@@ -7,6 +7,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.runs import run as run_module
+from group_elements import random_element
 
 U = 2.0**-53
 C1 = 1 / (2 - 2 ** (1 / 3))
@@ -184,7 +185,7 @@ def test_attitude_starts_where_it_is_told():
     """g(t) = g0 g_1(t), g_1 from the unit: rounding of 10 steps."""
     s, x0 = e3_and_start()
     unit = co.integrate(s, x0, (0, 1), 0.1, attitude=True)
-    g0 = np.linalg.qr(np.random.default_rng(4).standard_normal((4, 4)))[0]
+    g0 = random_element(s.representation, 4)
     told = co.integrate(s, x0, (0, 1), 0.1, attitude=g0)
     assert np.array_equal(told.attitude[0], g0) and np.array_equal(told.x, unit.x)
     assert np.abs(told.attitude - g0 @ unit.attitude).max() <= 64 * told.stats.evaluations * U

@@ -238,5 +238,10 @@ def test_a_group_element_that_is_nearly_singular_is_refused(size):
         ready.run(X, (0, 1), attitude=size * nearly)
     with pytest.raises(ValueError, match="singular"):
         ready.run(X, (0, 1), attitude=0.0 * random)
-    steep = np.diag([1.0, 1.0, 1e-14])
-    assert np.array_equal(ready.run(X, (0, 1), attitude=size * steep).attitude[0], size * steep)
+    steep = size * np.diag([1.0, 1.0, 1e-14])
+    with pytest.raises(ValueError, match="attitude is no element of the group of rigid_body: it is not orthogonal"):
+        ready.run(X, (0, 1), attitude=steep)
+    # Of the group of all matrices with a positive determinant it is an element.
+    every = co.LiePoissonSystem(co.algebras.gl(3), co.Quadratic(np.arange(1.0, 10.0)), casimirs={})
+    whole = co.integrate(every, np.full(9, 0.1), (0, 1), 0.1, attitude=steep)
+    assert np.array_equal(whole.attitude[0], steep)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.files.export import rebuild
@@ -101,10 +102,11 @@ def given(system, attitude, members=None):
     """Some group elements as they come: rounded, with zeros of both signs, in the order of Fortran."""
     if attitude == "coadjoint":
         return "coadjoint", np.eye(system.dim)
-    d = system.representation.shape[1]
-    shape = (d, d) if members is None else (members, d, d)
-    g = np.random.default_rng(d).standard_normal(shape) / 3 + 2 * np.eye(d)
-    g[..., 0, -1] = -0.0
+    # The first generator moves few axes: the other entries are zeros, of which some are made negative.
+    turns = [0.7] if members is None else np.linspace(0.3, 0.9, members)
+    g = np.stack([expm(turn * system.representation[0]) for turn in turns])
+    g[:, 0][g[:, 0] == 0.0] = -0.0
+    g = g[0] if members is None else g
     return np.asfortranarray(g), g
 
 

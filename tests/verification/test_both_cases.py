@@ -14,6 +14,7 @@ from coadjoint.program.shift import quadratic_casimirs, shifted_terms
 from coadjoint.program.split import split
 from coadjoint.runs import run as run_module
 from coadjoint.systems.rigid_body import so3_body
+from group_elements import random_element
 
 from .drawn_systems import ALGEBRAS, drawn, drawn_bracket
 from .measures import U
@@ -189,7 +190,6 @@ CARRIED = [(s, a) for s, a in pairs() if SCHEMES[s].properties(system_for(s, a, 
 def test_the_group_element_belongs_to_the_motion_for_both_signs_and_directions(scheme, algebra):
     """K x is constant, and g^-1 rho(e_i) g = sum_j K_ij rho(e_j), from any element at the start and any t0."""
     method, (system, x0) = SCHEMES[scheme], system_for(scheme, algebra, 1)
-    rng = np.random.default_rng(5)
     for sign, direction in DIRECTIONS:
         system, x0 = system_for(scheme, algebra, sign)
         span, kept = (T0, T0 + direction * 4 * STEP), method.properties(system).attitude
@@ -205,7 +205,7 @@ def test_the_group_element_belongs_to_the_motion_for_both_signs_and_directions(s
         if True not in attitudes(method, system) or kept == "integrated":
             continue
         rho = system.representation
-        first = np.eye(rho.shape[1]) + rng.uniform(-0.25, 0.25, rho.shape[1:])
+        first = random_element(rho, 5)
         g = co.integrate(system, x0, span, STEP, method, attitude=first).attitude[-1]
         turned = np.linalg.solve(first, g)
         expected = np.einsum("ij,jab->iab", run.attitude[-1], rho)
@@ -219,7 +219,7 @@ def test_rotations_of_every_number_of_planes(n):
     algebra, rng = co.algebras.so(n), np.random.default_rng(n)
     method = co.Splitting(order=2, parts="coordinates")
     x0 = rng.uniform(0.5, 1.0, algebra.dim) * rng.choice([-1.0, 1.0], algebra.dim)
-    first = np.eye(n) + 0.25 * rng.standard_normal((n, n))
+    first = random_element(algebra.representation, n)
     system = co.LiePoissonSystem(algebra, co.Quadratic(rng.uniform(0.5, 1.5, algebra.dim)), sign=-1, casimirs={})
     for direction in (1, -1):
         span, h = (0.0, 2 * direction * STEP), direction * STEP
@@ -331,7 +331,7 @@ def test_a_shifted_run_turns_about_every_axis_in_both_senses(x0, sign):
     system = so3_body(np.array([1.0, 0.5, 0.25]), sign=sign, name="body", parameters={})
     method = co.Splitting(order=8)
     assert method.program(system).shift
-    first = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
+    first = random_element(system.representation, 2)
     for direction in (1, -1):
         span = (T0, T0 + direction * 2.0)
         x, g = system.exact(x0, span[1] - span[0], attitude=first)
@@ -392,7 +392,7 @@ def test_arrays_may_have_any_layout():
     system, x0 = drawn("so(4)", 2, -1)
     rng = np.random.default_rng(7)
     crowd = x0 + 0.25 * rng.standard_normal((5, 6))
-    element = np.eye(4) + 0.25 * rng.standard_normal((5, 4, 4))
+    element = random_element(system.representation, 7, 5)
     M, linear = system.hamiltonian.hessian(x0), system.hamiltonian.gradient(np.zeros(6))
     rho = system.algebra.representation
 
@@ -451,7 +451,7 @@ def test_members_of_a_batch_in_any_order(seed):
     energies += [co.Quadratic([1.0, 1.0, 2.0, 1.0, 2.0, 2.0])]
     systems = [co.LiePoissonSystem(so4, H, sign=-1) for H in energies]
     x0 = rng.standard_normal((7, 6))
-    first = np.eye(4) + 0.25 * rng.standard_normal((7, 4, 4))
+    first = random_element(so4.representation, seed, 7)
     runs = {}
     for order in (np.arange(7), rng.permutation(7)):
         run = co.integrate(

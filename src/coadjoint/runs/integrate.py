@@ -71,7 +71,8 @@ def integrate(
         with what the scheme keeps. The steps have the same bits as without.
     attitude : bool, "coadjoint", or array_like
         The group element carried beside the momentum: in the system's own representation (True, or an initial element
-        of shape (d, d)), or the coadjoint matrix K with K x constant.
+        of shape (d, d): for so(n) a rotation; other matrices are refused), or the coadjoint matrix K with K x
+        constant.
     watch : bool
         Follow the energy and every Casimir over every step; otherwise over the saved points, as those of matrices
         always are.

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.group_elements import are_rotations, why_no_automorphism, why_no_element
 from coadjoint.given import FEW, are_finite, read_numbers
 from coadjoint.memory import check_room
 from coadjoint.methods.attitude import check_attitude
@@ -148,7 +149,7 @@ def with_group(
     Raises
     ------
     ValueError
-        The initial element has another shape, is not finite, or singular.
+        The initial element has another shape, is not finite, singular, or no element of the group.
     """
     if representation is None:
         return Start(momenta, np.zeros((len(momenta), 0, 0)), None, single, shape_of(system))
@@ -165,11 +166,23 @@ def with_group(
         )
     if not are_finite(initial):
         raise ValueError("attitude contains NaN or infinity; every entry must be finite")
-    if not _surely_regular(initial) and np.any(_ranks(initial) < size):
-        raise ValueError("attitude is a singular matrix; a group element has an inverse")
+    if isinstance(representation, str) or not are_rotations(initial, representation):
+        if not _surely_regular(initial) and np.any(_ranks(initial) < size):
+            raise ValueError("attitude is a singular matrix; a group element has an inverse")
+        _check_elements(system, initial.reshape(-1, size, size), representation)
     shared = initial.ndim == 2 and len(momenta) > 1
     groups = np.tile(initial, (len(momenta), 1, 1)) if shared else np.ascontiguousarray(initial).reshape(-1, size, size)
     return Start(momenta, groups, representation, single, shape_of(system))
+
+
+def _check_elements(system: System | Batch, groups: NDArray[np.float64], representation: Any) -> None:
+    first: Any = system[0] if isinstance(system, Batch) else system
+    if isinstance(representation, str):
+        why = why_no_automorphism(groups, unforced(first).algebra.structure_matrix)
+    else:
+        why = why_no_element(groups, representation)
+    if why is not None:
+        raise ValueError(f"attitude is no element of the group of {first.name}: {why}")
 
 
 @lru_cache(maxsize=4)

@@ -1,0 +1,96 @@
+"""Elements of groups are accepted, at the end of runs too; other matrices are refused by what they do not keep."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import coadjoint as co
+from coadjoint.algebra.group_elements import ALLOWED, why_no_automorphism, why_no_element
+
+ALGEBRAS = {
+    "so(3)": co.algebras.so(3),
+    "so(5)": co.algebras.so(5),
+    "so(2, 1)": co.algebras.so(2, 1),
+    "e(3)": co.algebras.e(3),
+    "sl(2)": co.algebras.sl(2),
+    "sp(4)": co.algebras.sp(4),
+    "su(3)": co.algebras.su(3),
+    "heisenberg": co.algebras.heisenberg(2),
+}
+
+
+def element(algebra, seed, size=0.7):
+    random = np.random.default_rng(seed)
+    g = np.eye(algebra.representation.shape[1])
+    for _ in range(3):
+        g = g @ expm(np.tensordot(size * random.normal(size=algebra.dim), algebra.representation, axes=1))
+    return g
+
+
+@pytest.mark.parametrize("name", ALGEBRAS)
+def test_products_of_exponentials_are_elements(name):
+    algebra = ALGEBRAS[name]
+    for seed in range(10):
+        assert why_no_element(element(algebra, seed)[None], algebra.representation) is None
+
+
+@pytest.mark.parametrize("name", ALGEBRAS)
+def test_other_matrices_are_not(name):
+    """What is looked at is kept by elements to ALLOWED; a departure of ten times that is seen, or one of size one."""
+    algebra = ALGEBRAS[name]
+    g, random = element(algebra, 3), np.random.default_rng(5)
+    assert why_no_element(2 * g[None], algebra.representation) is not None
+    for _ in range(10):
+        noise = random.normal(size=g.shape)
+        assert why_no_element((g @ (np.eye(len(g)) + 0.01 * noise))[None], algebra.representation) is not None
+        assert why_no_element((g + 1e-3 * ALLOWED * noise)[None], algebra.representation) is None
+
+
+def test_what_is_wrong_is_said():
+    rotations, motions = ALGEBRAS["so(3)"].representation, ALGEBRAS["e(3)"].representation
+    assert why_no_element(2 * np.eye(3)[None], rotations).endswith("differs from the unit matrix by 3")
+    assert "reflection" in why_no_element(np.diag([1.0, -1.0, 1.0])[None], rotations)
+    assert "moves a vector" in why_no_element(2 * np.eye(4)[None], motions)
+    far = np.eye(4)
+    far[:3, 3] = 1e6, 2.0, 3.0
+    assert why_no_element(far[None], motions) is None
+    assert "determinant is 8" in why_no_element((far @ np.diag([2.0, 2.0, 2.0, 1.0]))[None], motions)
+    assert "brackets" in why_no_element(np.diag([2.0, 0.5, 1.0, 1.0])[None], motions)
+    turn = np.eye(6)
+    turn[:2, :2] = np.array([[0.0, -1.0], [1.0, 0.0]])
+    assert "brackets" in why_no_element(turn[None], ALGEBRAS["su(3)"].representation)
+
+
+@pytest.mark.parametrize("name", ["so(3)", "sl(2)", "e(3)", "A4,8", "su(3)"])
+def test_matrices_of_the_coadjoint_action_keep_brackets(name):
+    algebra = ALGEBRAS.get(name) or co.algebras.get(name)
+    random = np.random.default_rng(2)
+    K = np.eye(algebra.dim)
+    for _ in range(3):
+        K = K @ expm(algebra.coadjoint(0.5 * random.normal(size=algebra.dim)))
+    for g in (K, np.linalg.inv(K)):
+        assert why_no_automorphism(g[None], algebra.structure_matrix) is None
+    wrong = K @ (np.eye(algebra.dim) + 0.01 * random.normal(size=K.shape))
+    assert "brackets" in why_no_automorphism(wrong[None], algebra.structure_matrix)
+    assert why_no_automorphism(np.stack([K, wrong]), algebra.structure_matrix) is not None
+
+
+@pytest.mark.parametrize("kind", [True, "coadjoint"])
+def test_a_run_goes_on_from_the_attitude_of_another(kind):
+    top = co.systems.heavy_top()
+    first = co.integrate(top, (0.3, 0.2, 3.0, 0.6, 0.0, 0.8), (0, 50), 0.05, co.Splitting(order=4), attitude=kind)
+    ready = co.prepare(top, co.Splitting(order=4), 0.05, attitude=kind)
+    went = ready.run(first.x[-1], (50, 51), attitude=first.attitude[-1])
+    assert np.array_equal(went.attitude[0], first.attitude[-1])
+    for wrong in (2 * first.attitude[-1], first.attitude[-1].T):
+        with pytest.raises(ValueError, match="attitude is no element of the group of heavy_top: it "):
+            ready.run(first.x[-1], (50, 51), attitude=wrong)
+
+
+def test_one_of_many_is_refused():
+    body, X = co.systems.rigid_body(), np.tile((0.3, 1.0, 0.2), (3, 1))
+    each = np.tile(np.eye(3), (3, 1, 1))
+    co.integrate(body, X, (0, 1), 0.1, attitude=each)
+    each[2, 0, 0] = -1.0
+    with pytest.raises(ValueError, match="reflection"):
+        co.integrate(body, X, (0, 1), 0.1, attitude=each)
