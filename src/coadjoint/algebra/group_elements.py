@@ -142,10 +142,10 @@ def why_no_automorphism(groups: Floats, structure_matrix: Callable[[Floats], Any
     >>> why_no_automorphism(2 * np.eye(3)[None], J)
     'it does not keep the brackets: K J(x) K^T differs from J(K x)'
     """
-    x = np.random.default_rng(0).standard_normal(groups.shape[1])
+    x: Floats = np.random.default_rng(0).standard_normal((groups.shape[1],))
     J = np.asarray(structure_matrix(x))
     for K in groups:
-        found, wanted = K @ J @ K.T, np.asarray(structure_matrix(K @ x))
+        found, wanted = K @ J @ K.T, np.asarray(structure_matrix(np.asarray(K @ x)))
         size = np.abs(K) @ np.abs(J) @ np.abs(K).T
         if np.abs(found - wanted).max(initial=0.0) > ALLOWED * max(float(size.max()), float(np.abs(wanted).max())):
             return "it does not keep the brackets: K J(x) K^T differs from J(K x)"
