@@ -12,6 +12,7 @@ import coadjoint as co
 from coadjoint.files.archive_store import ArchiveError
 from coadjoint.files.archived_solution import ArchivedSolution
 from coadjoint.files.archives import archive_run
+from coadjoint.files.output import write_dataset
 from coadjoint.runs.prepared_run import PreparedRun
 from verification.test_archived_runs import assert_same
 
@@ -44,6 +45,39 @@ def test_a_peer_reads_what_a_dataset_of_the_run_has(tmp_path):
             assert np.array_equal(dataset[name].values, variable.values), name
         assert all(dataset.attrs[name] == value for name, value in whole.attrs.items() if name != "seconds")
     assert found.observed["q"].shape == (7, 2) and "platform" in dataset.attrs
+
+
+def described_runs():
+    """Runs whose datasets have every kind of variable."""
+    gauss = co.GaussLegendre(2)
+    fluid = co.systems.sphere_euler(4)
+    forced = BODY.with_forces(co.forces.LinearDamping(0.1))
+    yield "vectors", (BODY, X, SPAN, STEP, gauss), {"attitude": True, "observe": {"q": co.Polynomial({(2, 0, 0): 1.0})}}
+    yield "matrices", (fluid, fluid.random(seed=1, degrees=(1, 3)), SPAN, STEP, co.IsospectralGauss(1)), {}
+    yield "forces", (forced, X, SPAN, STEP, gauss), {}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("run", "options"), [pytest.param(*given, id=name) for name, *given in described_runs()])
+@pytest.mark.parametrize("how", ["archive", "ensemble", "file"])
+def test_a_peer_is_told_names_and_units_by_the_conventions(tmp_path, run, options, how):
+    """CF: a unit and a long name of every number, a name of what stands along every dimension that has names."""
+    path = tmp_path / "run.zarr"
+    if how == "ensemble":
+        system, x0, *rest = run
+        co.ensemble(system, np.multiply.outer([1.0, 0.5], x0), *rest, archive=path, **options)
+    elif how == "archive":
+        co.integrate(*run, archive=path, **options)
+    else:
+        write_dataset(co.integrate(*run, **options).to_xarray(), path)
+    with xarray.open_zarr(path) as found:
+        assert found.attrs["Conventions"] == "CF-1.11"
+        for name, variable in found.variables.items():
+            assert variable.attrs["long_name"], name
+            assert (variable.attrs.get("units") == "1") == (variable.dtype.kind == "f"), name
+        assert found["time"].dims == ("time",) and found["time"].dtype == "float64"
+        assert set(found.dims) - set(found.coords) <= {"member", "row", "column"}
+        assert found["x"].dims[0] == "time" and found["energy"].dims == found["x"].dims[: found["energy"].ndim]
 
 
 def well(y):
@@ -105,7 +139,7 @@ def test_what_is_stored_of_what_is_observed_need_not_be_given(tmp_path):
 def test_another_system_is_refused_also_without_functions(tmp_path):
     cut(tmp_path / "run.zarr")
     with pytest.raises(ArchiveError, match=r"system is .*, and the run is one of <rigid_body"):
-        co.resume(tmp_path / "run.zarr", system=co.systems.rigid_body(inertia=(1, 2, 3.5)))
+        co.resume(tmp_path / "run.zarr", system=co.systems.rigid_body(inertia=(1, 2, 2.75)))
     assert co.resume(tmp_path / "run.zarr", system=BODY).finished
 
 

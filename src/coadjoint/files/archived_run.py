@@ -14,7 +14,7 @@ import numpy as np
 from coadjoint.files.archive_store import ArchiveStore, ArchiveUnwritten, Kept
 from coadjoint.files.export import said_of
 from coadjoint.files.stored_arrays import TYPES, StoredArray, chunk_of, rows_of_chunk
-from coadjoint.files.variables import Variables, coordinates_of, over_time, starts_of, summaries_of
+from coadjoint.files.variables import Variables, coordinates_of, over_time, starts_of, summaries_of, times_of_points
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.run import progress_bar
 
@@ -146,16 +146,14 @@ def states_of(attributes: Mapping[str, Any]) -> list[Kept]:
 
 def growing_of(piece: Solution) -> Variables:
     """Return what a piece of a run adds to its archive."""
-    return {**over_time(piece), "time": (("time",), piece.t, {})}
+    return {**over_time(piece), **times_of_points(piece.t)}
 
 
 def new_arrays(piece: Solution, others: Variables) -> tuple[dict[str, StoredArray], Variables, Variables]:
     """Return the arrays of the archive of a run, with what those that grow begin with, and the values of the others."""
     growing = growing_of(piece)
     fixed: Variables = {**starts_of(piece), **summaries_of(piece), **others}
-    for name, values in coordinates_of(piece).items():
-        if name != "time":
-            fixed[name] = ((name,), np.asarray(values), {})
+    fixed |= {name: entry for name, entry in coordinates_of(piece).items() if name not in growing}
     longest = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values())
     rows = rows_of_chunk(longest, piece._times.every_point)
     arrays = {}

@@ -33,7 +33,16 @@ from coadjoint.files.fingerprints import same_fingerprint
 from coadjoint.files.given_functions import GIVEN, OBSERVED, said_of_functions
 from coadjoint.files.stored_arrays import TYPES, StoredArray, rows_of_chunk
 from coadjoint.files.unfinished import Unfinished
-from coadjoint.files.variables import About, Variables, accounts_of, coordinates_of, over_time, starts_of, summaries_of
+from coadjoint.files.variables import (
+    About,
+    Variables,
+    accounts_of,
+    coordinates_of,
+    over_time,
+    starts_of,
+    summaries_of,
+    times_of_points,
+)
 from coadjoint.runs.piecewise_run import PiecewiseRun
 
 if TYPE_CHECKING:
@@ -96,9 +105,8 @@ def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: in
     longest = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values()) // members
     size = min(members, size or size_of_blocks(members, longest, workers))
     rows = rows_of_chunk(longest * size, ensemble.times.every_point)
-    fixed: Variables = {**starts_of(piece), **about.coordinates}
-    for name, values in coordinates_of(piece).items():
-        fixed[name] = ((name,), np.asarray(ensemble.times.seen if name == "time" else values), {})
+    times = times_of_points(ensemble.times.seen)
+    fixed: Variables = {**starts_of(piece), **about.coordinates, **coordinates_of(piece), **times}
     later: Variables = {**growing, **summaries_of(piece), STATUS: ((MEMBER,), np.full(members, NOT_YET), ABOUT_STATUS)}
     taken = sorted(about.coordinates.keys() & (starts_of(piece).keys() | coordinates_of(piece).keys() | later.keys()))
     if taken:

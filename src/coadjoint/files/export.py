@@ -14,7 +14,7 @@ from coadjoint.extras import need
 from coadjoint.files.record_entries import Entry, made_of, parsed
 from coadjoint.files.records import record_of, system_of
 from coadjoint.files.state_arrays import DIMENSIONS, state_of
-from coadjoint.files.variables import coordinates_of, over_time, starts_of, summaries_of
+from coadjoint.files.variables import CONVENTIONS, coordinates_of, over_time, starts_of, summaries_of
 from coadjoint.files.written_events import events_of, variables_of, written_events
 from coadjoint.methods import registry
 from coadjoint.runs.times import times_of
@@ -35,8 +35,9 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     Variables over ``time`` (and ``member`` for an ensemble): ``x`` over ``component`` (of matrices over ``row`` and
     ``column``, and where they are complex over ``part``, real and imaginary), ``energy``, ``casimir_<name>``,
     ``observed_<name>``, ``attitude`` over ``row`` and ``column``; ``drift`` over ``invariant`` and ``tenth`` of the
-    run, and in its place with forces ``change``, ``balance``, and ``work`` over ``account``; ``x0`` and ``attitude0``,
-    XX Attributes: version, system and method (JSON), step, times, and what cannot be stored (functions).
+    run, and in its place with forces ``change``, ``balance``, and ``work`` over ``account``; ``x0``, ``attitude0``,
+    and ``event_...`` of crossings. Names, units and dimensions follow the CF conventions. Attributes: version, system
+    and method (JSON), step, times, and what cannot be stored (functions).
 
     Parameters
     ----------
@@ -73,6 +74,7 @@ def attributes_of(solution: Solution) -> dict[str, Any]:
     missing = [*record.get("not_stored", []), *(f"observed: {name}" for name in solution.observed)]
     times = times_of(solution.asked_span, solution.step, 1)
     attributes: dict[str, Any] = {
+        "Conventions": CONVENTIONS,
         "coadjoint_version": __version__,
         "system": json.dumps(record),
         "system_repr": repr(solution.system),

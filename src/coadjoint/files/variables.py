@@ -26,25 +26,43 @@ class About(NamedTuple):
 
 
 NOTHING = About({}, {})
+CONVENTIONS = "CF-1.11"
+TIME = "time"
+
+
+def named(long_name: str) -> dict[str, Any]:
+    """Return what is said of numbers, by the CF conventions; they are in units of the system's own.
+
+    Examples
+    --------
+    >>> named("energy")
+    {'long_name': 'energy', 'units': '1'}
+    """
+    return {"long_name": long_name, "units": "1"}
+
+
+def times_of_points(times: NDArray[np.float64]) -> Variables:
+    """Return the coordinate of the saved points."""
+    return {TIME: ((TIME,), times, named("time"))}
 
 
 def over_time(solution: Solution) -> Variables:
     """Return what a solution has at its saved points, but for the times."""
     over, x = ("time", *_member(solution)), solution.x
     found: Variables = {
-        "x": ((*over, *state_dimensions(x, len(over))), in_parts(x), {"long_name": "momentum"}),
-        "energy": (over, solution.energy, {"long_name": "energy"}),
+        "x": ((*over, *state_dimensions(x, len(over))), in_parts(x), named("momentum")),
+        "energy": (over, solution.energy, named("energy")),
     }
-    named = [("casimir", solution.casimirs), ("observed", solution.observed)]
-    for kind, series in named:
+    series_of = [("casimir", solution.casimirs), ("observed", solution.observed)]
+    for kind, series in series_of:
         for label, (name, values) in _labels(kind, series):
-            found[label] = (over, values, {"long_name": name})
+            found[label] = (over, values, named(name))
     if solution.work:
         done = [values for of_force in solution.work.values() for values in of_force.values()]
         about = "what a force has changed of an invariant since the start"
-        found["work"] = ((*over, "account"), np.stack(done, axis=-1), {"long_name": about})
+        found["work"] = ((*over, "account"), np.stack(done, axis=-1), named(about))
     if solution.attitude is not None:
-        found["attitude"] = ((*over, "row", "column"), solution.attitude, {"long_name": "group element"})
+        found["attitude"] = ((*over, "row", "column"), solution.attitude, named("group element"))
     return found
 
 
@@ -54,10 +72,10 @@ def summaries_of(solution: Solution) -> Variables:
     over = "in each tenth of the run, over " + ("every step" if solution.watched else "the saved points")
     changes, about = solution.change(), f"largest absolute deviation from the start {over}"
     dims = (*member, "invariant", "tenth")
-    found: Variables = {"change" if solution.work else "drift": (dims, _tenths(changes), {"long_name": about})}
+    found: Variables = {"change" if solution.work else "drift": (dims, _tenths(changes), named(about))}
     if solution.work:
         about = f"largest absolute deviation of an invariant, less the work of all forces, {over}"
-        found["balance"] = (dims, _balanced(solution.balance(), changes), {"long_name": about})
+        found["balance"] = (dims, _balanced(solution.balance(), changes), named(about))
     if solution.failed is not None:
         found["failed"] = (
             member,
@@ -71,28 +89,32 @@ def starts_of(solution: Solution) -> Variables:
     """Return where a run began."""
     member, x0 = _member(solution), solution.x0
     of_state = state_dimensions(x0, len(member))
-    found: Variables = {"x0": ((*member, *of_state), in_parts(x0), {"long_name": "initial momentum"})}
+    found: Variables = {"x0": ((*member, *of_state), in_parts(x0), named("initial momentum"))}
     if solution.attitude0 is not None:
-        found["attitude0"] = ((*member, "row", "column"), solution.attitude0, {"long_name": "initial group element"})
+        found["attitude0"] = ((*member, "row", "column"), solution.attitude0, named("initial group element"))
     return found
 
 
-def coordinates_of(solution: Solution) -> dict[str, Any]:
+def coordinates_of(solution: Solution) -> Variables:
     """Return the times, and the names of what stands along the other dimensions."""
     system, of_state = solution.system, state_dimensions(solution.x0, len(_member(solution)))
-    found: dict[str, Any] = {"time": solution.t}
+    found = times_of_points(solution.t)
+
+    def put(name: str, values: Any, about: str) -> None:
+        found[name] = ((name,), np.asarray(values), {"long_name": about})
+
     if of_state == ("component",):
         algebra = system[0].algebra if isinstance(system, Batch) else system.algebra
-        found["component"] = list(algebra.basis) if algebra else [f"x{i + 1}" for i in range(system.dim)]
+        names = list(algebra.basis) if algebra else [f"x{i + 1}" for i in range(system.dim)]
+        put("component", names, "element of the basis")
     elif of_state[-1] == "part":
-        found["part"] = list(PARTS)
+        put("part", list(PARTS), "part of a complex number")
     changes = solution.change()
-    found |= {
-        "invariant": list(changes),
-        "tenth": np.arange(1, next(iter(changes.values())).tenths.shape[-1] + 1),
-    }
+    put("invariant", list(changes), "what the motion keeps")
+    tenths = next(iter(changes.values())).tenths.shape[-1]
+    put("tenth", np.arange(1, tenths + 1), "number of a tenth of the run")
     if solution.work:
-        found["account"] = [f"{force}: {name}" for force, name in accounts_of(solution)]
+        put("account", [f"{force}: {name}" for force, name in accounts_of(solution)], "force, and what it changes")
     return found
 
 

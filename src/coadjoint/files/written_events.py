@@ -10,6 +10,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.files.polynomials import read_polynomial
 from coadjoint.files.record_entries import Entry, made_of
 from coadjoint.files.state_arrays import in_parts, state_dimensions
+from coadjoint.files.variables import named
 from coadjoint.given import read_whole
 from coadjoint.runs.events import Event, Events
 from coadjoint.systems.batch import Batch
@@ -82,14 +83,14 @@ def variables_of(events: Events) -> dict[str, Any]:
     """Return crossings as variables of a dataset, over ``crossing``."""
     over = ("crossing",)
     found: dict[str, Any] = {
-        "event_time": (over, events.t, {"long_name": "time of a crossing"}),
-        "event_x": ((*over, *state_dimensions(events.x, 1)), in_parts(events.x), {"long_name": "momentum there"}),
+        "event_time": (over, events.t, named("time of a crossing")),
+        "event_x": ((*over, *state_dimensions(events.x, 1)), in_parts(events.x), named("momentum there")),
         "event_which": (over, events.which, {"long_name": "number of the event"}),
         "event_member": (over, events.member, {"long_name": "member that crosses"}),
         "event_direction": (over, events.direction, {"long_name": "1 where g rises, -1 where it falls"}),
     }
     if events.attitude is not None:
-        found["event_attitude"] = ((*over, "row", "column"), events.attitude, {"long_name": "group element there"})
+        found["event_attitude"] = ((*over, "row", "column"), events.attitude, named("group element there"))
     return found
 
 
