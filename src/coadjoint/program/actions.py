@@ -15,6 +15,7 @@ from coadjoint.program.layers import layers
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.program.parts import Parts
 from coadjoint.program.sparse_rows import fresh, order_by, starts_of
+from coadjoint.program.wide_generators import check_products
 
 
 class Action(NamedTuple):
@@ -58,7 +59,13 @@ def build_action(matrices: BasisMatrices, parts: Parts, number: Number = float) 
     -------
     Action
         The table.
+
+    Raises
+    ------
+    TooWide
+        There are many generators of very many products.
     """
+    check_products(matrices.products(parts.forms), "the Hamiltonian")
     tables = [block_table(some, roundoff(number)) for some in matrices.combinations(parts.forms, number)]
     if not tables:
         return _empty(matrices.size, len(parts), number)

@@ -189,6 +189,8 @@ def _larger(sets: Components, u: Any) -> BlockTable:
     """Return the blocks of patterns with cycles; a lattice has equal ones at every site, which are classified once."""
     known: dict[Any, int] = {}
     models: list[Block] = []
+    tails: list[Integers] = []
+    flat: list[NDArray[Any]] = []
     which = np.empty(len(sets.angle), dtype=np.int64)
     width = sets.width.tolist()
     for s, (first, last) in enumerate(zip(sets.first[:-1].tolist(), sets.first[1:].tolist(), strict=True)):
@@ -198,10 +200,11 @@ def _larger(sets: Components, u: Any) -> BlockTable:
         if key not in known:
             local = tuple(zip(row.tolist(), column.tolist(), value.tolist(), strict=True))
             known[key] = len(models)
-            models.append(larger_block(width[s], local, u))
+            models.append(model := larger_block(width[s], local, u))
+            given = model.kind == Kind.SERIES  # then the entries are those of D, and there may be very many
+            tails.append(_tail(width[s], row, column) if given else _tail_of(model))
+            flat.append(np.array([*model.constants, *value] if given else _flat_constants(model), dtype=value.dtype))
         which[s] = known[key]
-    tails = [_tail(model) for model in models]
-    flat = [_flat_constants(model) for model in models]
     begin = starts_of(sets.width + np.array([len(tail) for tail in tails])[which])
     constant_begin = starts_of(np.array([len(constants) for constants in flat])[which])
     index = np.empty(begin[-1], dtype=np.int64)
@@ -216,10 +219,14 @@ def _larger(sets: Components, u: Any) -> BlockTable:
     return _table(sets.angle, kinds, sets.width, degrees, begin, index, constant_begin, constants)
 
 
-def _tail(block: Block) -> list[int]:
+def _tail(width: int, row: Integers, column: Integers) -> Integers:
     """Return what follows the coordinates of a block: where its rows begin, and the columns."""
-    count = np.bincount([entry[0] for entry in block.entries], minlength=len(block.coordinates))
-    return [*starts_of(count).tolist(), *(entry[1] for entry in block.entries)]
+    return np.concatenate([starts_of(np.bincount(row, minlength=width)), column])
+
+
+def _tail_of(block: Block) -> Integers:
+    row, column = np.array([entry[:2] for entry in block.entries], dtype=np.int64).T
+    return _tail(len(block.coordinates), row, column)
 
 
 def _flat_constants(block: Block) -> list[Any]:

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.rounding import UNIT_ROUNDOFF
+
 
 class Kind(IntEnum):
     """How exp(theta D) - 1 acts on a block.
@@ -33,6 +35,8 @@ class Kind(IntEnum):
 TAYLOR_DEGREE = 20
 # Constants of a CUBIC block before the values of its entries.
 CUBIC_HEADER = 6
+# Larger matrices are not multiplied to tell their kind where one of their columns tells it.
+MOST_MULTIPLIED = 64
 MOST_SUBSTEPS = 4096
 """Substeps of norm one that a SERIES block takes at most: no step of use needs more."""
 
@@ -71,9 +75,12 @@ def larger_block(size: int, local: tuple[tuple[int, int, Any], ...], u: Any) -> 
         CUBIC, or SERIES.
     """
     coordinates = tuple(range(size))
-    matrix = np.zeros((size, size), dtype=np.array([local[0][2]]).dtype)
-    for i, j, value in local:
-        matrix[i, j] = value
+    rows, columns, values = (np.array(column) for column in zip(*local, strict=True))
+    if size > MOST_MULTIPLIED and values.dtype == np.float64 and _surely_series(size, rows, columns, values):
+        norm = float(np.max(np.bincount(columns, weights=np.abs(values), minlength=size)))
+        return Block(Kind.SERIES, coordinates, (norm,), local, TAYLOR_DEGREE)
+    matrix = np.zeros((size, size), dtype=values.dtype)
+    matrix[rows, columns] = values
     power, bound = matrix, abs(matrix)
     for depth in range(2, 4):
         power, bound = power @ matrix, bound @ abs(matrix)
@@ -82,8 +89,32 @@ def larger_block(size: int, local: tuple[tuple[int, int, Any], ...], u: Any) -> 
     lam = _cubic_factor(matrix, power)
     if lam != 0 and _vanishes(power - lam * matrix, 8 * size * 3 * u * (bound + abs(lam) * abs(matrix))):
         return _cubic(coordinates, matrix)
-    norm = max(sum(abs(matrix[:, column]).tolist()) for column in range(size))
+    norm = max(np.cumsum(abs(matrix), axis=0)[-1].tolist())
     return Block(Kind.SERIES, coordinates, (norm,), local, TAYLOR_DEGREE)
+
+
+def _surely_series(size: int, rows: NDArray[Any], columns: NDArray[Any], values: NDArray[np.float64]) -> bool:
+    """Return whether one column of D^2 and of D^3 - lam D, that of the largest entry, is nonzero by far more than
+    rounding can do. Whole products of large matrices, which would say so too, take size^3 multiplications.
+    """
+
+    def times(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.bincount(rows, weights=matrix * vector[columns], minlength=size).astype(np.float64)
+
+    largest = int(np.argmax(np.abs(values)))
+    first = np.zeros(size)
+    own = columns == columns[largest]
+    first[rows[own]] = values[own]
+    second, bound = times(values, first), times(np.abs(values), np.abs(first))
+    third, high = times(values, second), times(np.abs(values), bound)
+    lam = third[rows[largest]] / values[largest]
+    margin = 32 * size * 3 * UNIT_ROUNDOFF
+    cubic = high + high[rows[largest]] + abs(lam) * np.abs(first)
+    return (
+        bool(np.any(np.abs(second) > margin * bound))
+        and bool(np.any(np.abs(third) > margin * high))
+        and bool(np.any(np.abs(third - lam * first) > margin * cubic))
+    )
 
 
 def _cubic(coordinates: tuple[int, ...], matrix: NDArray[Any]) -> Block:

@@ -9,19 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.joins import Integers, chunks, expand, groups
+from coadjoint.algebra.joins import CHUNK, Integers, chunks, expand, groups
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.program.clashing_forms import BRACKET_ROUNDOFF, surely_clashing
 from coadjoint.program.parts import Parts
 from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
 from coadjoint.program.sparse_rows import fresh, order_by, starts_of, sums
-from coadjoint.rounding import UNIT_ROUNDOFF
 
 Pairs = tuple[Integers, Integers]
 
 # Forms are looked up in a dense table up to this many entries.
 LARGEST_TABLE = 1 << 22
-# A bracket of two forms is zero where it is below this many units of round-off of its products.
-BRACKET_ROUNDOFF = 16 * UNIT_ROUNDOFF
 
 
 class Commutation:
@@ -40,6 +38,11 @@ class Commutation:
     def pattern(self) -> Pairs:
         """Which coordinates commute: equal for algebras that differ in the sizes of their constants alone."""
         return self._algebra.neighbours()
+
+    @property
+    def products(self) -> Integers:
+        """How many entries the generator of each coordinate has, shape (n,)."""
+        return np.diff(self._algebra.actions[0])
 
     def first_clash(self, coordinates: Iterable[int]) -> tuple[int, int] | None:
         """Return two of the coordinates whose basis elements do not commute, or None."""
@@ -87,6 +90,12 @@ class Commutation:
         held = np.bincount(coordinate, minlength=size)
         start, holder = starts_of(held), part[order]
         if int(held[i] @ held[j]) > count * (count + 1) // 2:
+            if max(count, size) ** 2 <= LARGEST_TABLE:
+                # Numbers of pairs of coordinates, which in float32 are zero only where there are none.
+                holds, apart = np.zeros((count, size), dtype=np.float32), np.zeros((size, size), dtype=np.float32)
+                holds[part, coordinate], apart[i, j], apart[j, i] = 1.0, 1.0, 1.0
+                first, second = np.nonzero(np.triu(holds @ apart @ holds.T))
+                return first.astype(np.int64), second.astype(np.int64)
             touching = np.zeros((count, count), dtype=bool)
             for pair in chunks(np.arange(len(i)), held[i] * held[j]):
                 one, other = _pairs(start, holder, i[pair], j[pair])
@@ -109,6 +118,13 @@ class Commutation:
         cost = np.diff(start)[forms.coordinate]
         costs = np.diff(np.concatenate([[0], np.cumsum(cost)])[forms.start])[f]
         commute = np.ones(len(first), dtype=bool)
+        if int(costs.sum()) > CHUNK and len(forms.start) * max(size, len(forms.start)) <= LARGEST_TABLE:
+            dense = np.zeros((len(forms.start) - 1, size))
+            dense[forms.owner, forms.coordinate] = values
+            clash = surely_clashing(dense, self._algebra, f, g, costs)
+            commute[pair[clash]] = False
+            left = commute[pair]
+            pair, f, g, costs = pair[left], f[left], g[left], costs[left]
         for part in chunks(np.arange(len(f)), costs):
             own, entry = expand(forms.start[f[part]], forms.start[f[part] + 1])
             i = forms.coordinate[entry].astype(np.int64)

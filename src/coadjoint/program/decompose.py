@@ -21,6 +21,7 @@ from coadjoint.program.parts import Parts
 from coadjoint.program.shift import QuadraticCasimir, Shift, candidate_shifts, quadratic_casimirs, shifted_terms
 from coadjoint.program.shift_counts import numbers_of_parts
 from coadjoint.program.split import NotSplit, check_splits, split
+from coadjoint.program.wide_generators import TooWide
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.linear_term import linear_of, with_all_present
 
@@ -30,6 +31,8 @@ SAMPLES = 16
 LARGEST_COMPARED = 24
 # So many systems are compared at once. More do not fit into a cache.
 MOST_TOGETHER = 256
+# Multiplications that shifts may take. Where more than some 100 coordinates are all coupled, the first ones are tried.
+MOST_WORK = 1 << 26
 CALLED = ("free_body", "bonds")
 """Choices whose first parts turn momenta by an attitude, not about fixed axes."""
 
@@ -183,15 +186,24 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
     shifts = list(candidate_shifts(system, found[0].parts, casimirs)) if fewest > 1 else []
     # For many shifts of a large system the parts are counted without being made.
     counts = [0] * len(shifts) if comparing else numbers_of_parts(system, casimirs, shifts)
+    work, spent = _work(found[0].parts), 0
     for shift, count in zip(shifts, counts, strict=True):
         if count >= fewest:
             continue
+        spent += work
+        if spent > MOST_WORK and not comparing:
+            break
         parts = split(system, "auto", shifted_terms(terms, casimirs, shift))
         if len(parts) < fewest:
             found, fewest = [], len(parts)
         if not found or (comparing and len(parts) == fewest):
             found.append(Candidate(shift, parts))
     return found
+
+
+def _work(parts: Parts) -> int:
+    """Return about how many multiplications completed squares take: each takes its form off all entries that it has."""
+    return int(np.sum(np.diff(parts.forms.start) ** 2))
 
 
 def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
@@ -208,7 +220,7 @@ def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
             check_splits(system)
         else:
             decompose(system, choice)
-    except NotSplit as reason:
+    except (NotSplit, TooWide) as reason:
         raise ValueError(f"{scheme} cannot serve {system.name}: {reason}") from None
     if key is not None:
         _CHECKED.setdefault(system, set()).add(key)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.joins import Integers, chunks, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.numbers import Number, array_of, roundoff
-from coadjoint.program.sparse_rows import SparseRows, fresh, order_by, sums
+from coadjoint.program.sparse_rows import SparseRows, fresh, order_by, starts_of, sums
 
 
 class Generators(NamedTuple):
@@ -48,6 +48,11 @@ class BasisMatrices:
         order = order_by(basis, rows, columns)
         start = np.searchsorted(basis, np.arange(algebra.dim + 1))
         return cls(size, start, rows[order], columns[order], values[order])
+
+    def products(self, forms: SparseRows) -> Integers:
+        """Return how many products are added up for each of the forms."""
+        cost = starts_of(np.diff(self._start)[forms.coordinate])
+        return np.diff(cost[forms.start])
 
     def combinations(self, forms: SparseRows, number: Number) -> Iterator[Generators]:
         """Yield sum_i form_i D_i of all forms, some angles at a time; entries that cancel up to rounding are dropped.

@@ -13,10 +13,14 @@ from coadjoint.algebra.joins import Integers
 from coadjoint.program.commutation import Commutation
 from coadjoint.program.parts import Parts
 from coadjoint.program.sparse_rows import SparseRows, fresh, order_by, starts_of
-from coadjoint.program.sparse_squares import SparseSquares, sparse_squares
+from coadjoint.program.sparse_squares import DENSE_ROW, SparseSquares, sparse_squares
 from coadjoint.program.squares import LARGEST_RATIONAL
+from coadjoint.program.wide_generators import check_products
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.terms import QuadraticTerm
+
+# A matrix with fewer entries has no squares of very many coordinates.
+LEAST_JUDGED = 1 << 14
 
 
 def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, apart: bool) -> Parts:
@@ -53,6 +57,27 @@ def coupled_atoms(term: QuadraticTerm, commutation: Commutation) -> Parts | None
     """
     label, members, squared = _sets(term, commutation, apart=False)
     return None if np.any(squared) else _coupled(term, members, label[members])
+
+
+def check_width(term: QuadraticTerm, commutation: Commutation) -> None:
+    """Refuse a term whose squares, of very many coordinates that are all coupled, would have too many entries.
+
+    Each of m squares takes a coordinate from the forms that follow, so that they have half of all on average. What is
+    coupled sparsely is not judged here: its forms may stay short.
+
+    Raises
+    ------
+    TooWide
+        With an estimate.
+    """
+    if len(term.values) < LEAST_JUDGED:
+        return
+    label, members, squared = _sets(term, commutation, apart=False)
+    label = label[members]
+    size, entries = np.bincount(label), np.bincount(label, weights=np.diff(term.indptr)[members])
+    full = squared & (entries >= DENSE_ROW * size)
+    products = np.bincount(label, weights=commutation.products[members]) / 2
+    check_products(np.repeat(products[full].astype(np.int64), size[full]), "the Hamiltonian")
 
 
 def _sets(term: QuadraticTerm, commutation: Commutation, apart: bool) -> tuple[Integers, Integers, NDArray[np.bool_]]:

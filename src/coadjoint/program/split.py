@@ -16,7 +16,7 @@ from coadjoint.program.commutation import Commutation
 from coadjoint.program.few_parts import few_parts
 from coadjoint.program.parts import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.pattern import LARGEST_PATTERN, Pattern
-from coadjoint.program.quadratic_atoms import coupled_atoms, quadratic_atoms
+from coadjoint.program.quadratic_atoms import check_width, coupled_atoms, quadratic_atoms
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
@@ -166,13 +166,13 @@ def _function_atom(system: LiePoissonSystem, term: FunctionTerm, commutation: Co
 
 
 class _Clashes:
-    """What stands in the way of splitting a term: nothing of a quadratic one, whose squares are completed."""
+    """What stands in the way of splitting a term: of a quadratic one, whose squares are completed, their number."""
 
     def __init__(self, system: LiePoissonSystem, commutation: Commutation) -> None:
         self._system, self._commutation = system, commutation
 
     def quadratic(self, term: QuadraticTerm) -> None:
-        pass
+        check_width(term, self._commutation)
 
     def polynomial(self, term: PolynomialTerm) -> None:
         for exponents, coefficient in term.polynomial.monomials.items():
@@ -197,10 +197,10 @@ def check_splits(system: LiePoissonSystem) -> None:
     ------
     NotSplit
         With the first piece whose coordinates do not commute.
+    TooWide
+        There are too many long squares.
     """
     terms = system.hamiltonian.terms()
-    if all(term.form is not None for term in terms):
-        return
     clashes = _Clashes(system, Commutation(system.algebra))
     for term in terms:
         term.given_to(clashes)

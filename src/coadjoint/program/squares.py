@@ -72,30 +72,34 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
     weights: list[Any] = []
     betas: list[Any] = []
     steps: list[tuple[int, int, int]] = []
-    free = np.ones(size, dtype=bool)
-    while free.any():
-        places = np.flatnonzero(free)
-        best = places[np.argmax(np.abs(residual[places, places]))]
-        flat = int(np.argmax(np.abs(residual[np.ix_(places, places)])))
-        row, column = places[flat // len(places)], places[flat % len(places)]
+    # The rows and columns of pivots are zero, and are left out when they are many.
+    places, left = np.arange(size), size
+    while left:
+        if 4 * left <= 3 * len(places):
+            kept = np.flatnonzero(~np.isin(places, [p for _, *pair in steps for p in pair]))
+            places, residual = places[kept], residual[np.ix_(kept, kept)]
+        best = int(np.argmax(np.abs(np.diagonal(residual))))
+        row, column = divmod(int(np.argmax(np.abs(residual))), len(places))
         largest = abs(residual[row, column])
         if largest <= floor:
             break
         alone = abs(residual[best, best]) * SMALLEST_PIVOT.denominator >= largest * SMALLEST_PIVOT.numerator
-        pivots = (int(best),) if alone else (int(row), int(column))
-        new = _square(residual, pivots[0]) if len(pivots) == 1 else _pair(residual, *pivots)
-        for form, weight in new:
+        own = [best] if alone else [row, column]
+        new = _square(residual, best) if alone else _pair(residual, row, column)
+        found = split_linear(b[places[own]], [form[own] for form, _ in new])
+        for (form, weight), beta in zip(new, found, strict=True):
             residual = residual - weight * np.multiply.outer(form, form)
-            forms.append(form)
+            b[places] = b[places] - beta * form
+            whole = np.zeros(size, dtype=b.dtype)
+            whole[places] = form
+            forms.append(whole)
             weights.append(weight)
+        betas.extend(found)
+        pivots = places[own].tolist()
         steps += [(len(steps), pivots[0], pivots[-1])] * len(new)
-        residual[list(pivots), :] = residual[:, list(pivots)] = 0 * residual[0, 0]
-        free[list(pivots)] = False
-        at = list(pivots)
-        betas.extend(split_linear(b[at], [form[at] for form, _ in new]))
-        for form, beta in zip(forms[-len(new) :], betas[-len(new) :], strict=True):
-            b = b - beta * form
-        b[list(pivots)] = 0 * b[0]
+        residual[own, :] = residual[:, own] = 0 * residual[0, 0]
+        b[pivots] = 0 * b[0]
+        left -= len(own)
     for k in np.flatnonzero(b != 0):
         form = 0 * b
         form[k] = form[k] + 1

@@ -23,6 +23,7 @@ from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.program.split import NotSplit
 from coadjoint.program.sweeps import Swept
 from coadjoint.program.term_table import Terms, TermTable
+from coadjoint.program.wide_generators import TooWide
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.terms import FunctionTerm
 
@@ -118,7 +119,7 @@ def build_program(
     """
     try:
         decomposition = decompose(system, method.parts)
-    except NotSplit as reason:
+    except (NotSplit, TooWide) as reason:
         raise ValueError(f"{type(method).__name__} cannot serve {system.name}: {reason}") from None
     parts = decomposition.parts
     if decomposition.shift is None and group is not None:

@@ -1,0 +1,130 @@
+"""Splittings of many coupled coordinates: the quick ways decide what the plain ways decide, and what is too much is
+refused."""
+
+import time
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.program import blocks, clashing_forms, commutation, decompose
+from coadjoint.program.commutation import Commutation
+from coadjoint.program.quadratic_atoms import quadratic_atoms
+from coadjoint.program.wide_generators import TooWide, check_products
+
+ALGEBRAS = {
+    "so(6)": co.algebras.so(6),
+    "su(4)": co.algebras.su(4),
+    "sp": co.algebras.get("sp(4)"),
+    "sl(4)": co.algebras.sl(4),
+    "e(4)": co.algebras.e(4),
+    "Heisenberg": co.algebras.heisenberg(6),
+    "a sum": co.algebras.direct_sum(co.algebras.so(4), co.algebras.sl(3)),
+}
+
+
+def symmetric(rng, n, density):
+    M = rng.normal(size=(n, n)) * (rng.random((n, n)) < density)
+    return M + M.T + np.diag(rng.normal(size=n))
+
+
+@pytest.mark.parametrize("name", ALGEBRAS)
+@pytest.mark.parametrize("density", [0.05, 0.3, 1.0])
+def test_clashes_are_those_of_all_products(name, density, monkeypatch):
+    algebra = ALGEBRAS[name]
+    rng = np.random.default_rng(len(name))
+    (term,) = co.LiePoissonSystem(algebra, co.Quadratic(symmetric(rng, algebra.dim, density))).hamiltonian.terms()
+    own = Commutation(algebra)
+    parts = quadratic_atoms(term, own, apart=True)
+    monkeypatch.setattr(commutation, "CHUNK", 0)  # every sum is a long one
+    quick = own._touching(parts)
+    found = own.clashes(parts, quick)
+    monkeypatch.setattr(commutation, "LARGEST_TABLE", 0)
+    plain = own._touching(parts)
+    for one, other in ((quick, plain), (found, own.clashes(parts, plain))):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_forms_that_commute_are_never_said_to_clash():
+    """Multiples of one form commute, to rounding; forms beside them in a Cartan subalgebra exactly."""
+    algebra, rng = co.algebras.su(5), np.random.default_rng(3)
+    form = rng.normal(size=algebra.dim)
+    forms = np.array([form, 3.7 * form, form / 7, rng.normal(size=algebra.dim)])
+    first, second = np.triu_indices(4, 1)
+    said = clashing_forms.surely_clashing(forms, algebra, first, second, np.full(6, 10**9))
+    np.testing.assert_array_equal(said, second == 3)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_kinds_of_blocks_are_those_of_whole_products(seed, monkeypatch):
+    rng, n = np.random.default_rng(seed), 9
+    full = rng.normal(size=(n, n))
+    u, v = rng.normal(size=(2, n))
+    matrices = {
+        "full": full,
+        "sparse": full * (rng.random((n, n)) < 0.3) + np.roll(np.eye(n), 1, axis=1),
+        "D^2 = 0": np.outer(u, v - (u @ v) / (u @ u) * u),
+        "D^3 = lam D": np.outer(u, v) - np.outer(v, u),
+        "D^2 = lam D": np.outer(u, v),
+    }
+    for matrix in matrices.values():
+        local = tuple((i, j, matrix[i, j]) for i, j in np.argwhere(matrix != 0).tolist())
+        monkeypatch.setattr(blocks, "MOST_MULTIPLIED", 1000)
+        plain = blocks.larger_block(n, local, 2.0**-53)
+        monkeypatch.setattr(blocks, "MOST_MULTIPLIED", 2)
+        assert blocks.larger_block(n, local, 2.0**-53) == plain
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_many_coupled_coordinates_move_rightly(order):
+    algebra = co.algebras.su(9)  # 80 coordinates, above every bound of what is small
+    rng = np.random.default_rng(2)
+    M = symmetric(rng, algebra.dim, 1.0) / 20
+    system = co.LiePoissonSystem(algebra, co.Quadratic(M))
+    x = rng.normal(size=algebra.dim) / 3
+    expected = co.integrate(system, x, (0.0, 0.25), 1 / 64, co.GaussLegendre(4)).x[-1]
+    errors = [
+        np.abs(co.integrate(system, x, (0.0, 0.25), h, co.Splitting(order=order)).x[-1] - expected).max()
+        for h in (1 / 32, 1 / 64)
+    ]
+    assert 2 ** (order - 0.7) < errors[0] / errors[1] < 2 ** (order + 0.7)
+
+
+def test_shifts_take_no_more_than_a_bounded_work(monkeypatch):
+    algebra = co.algebras.so(8)
+    M = symmetric(np.random.default_rng(5), algebra.dim, 1.0)
+    system = co.LiePoissonSystem(algebra, co.Quadratic(M))
+    calls = []
+    monkeypatch.setattr(decompose, "split", lambda *given, split=decompose.split: (calls.append(1), split(*given))[1])
+    decompose.candidates(system, comparing=False)
+    every = len(calls)
+    work = decompose._work(decompose.split(system))
+    calls.clear()
+    monkeypatch.setattr(decompose, "MOST_WORK", 5 * work)
+    decompose.candidates(system, comparing=False)
+    assert len(calls) == 6 < every
+
+
+@pytest.mark.parametrize("algebra, count", [("su(32)", 1023), ("so(45)", 990)])
+@pytest.mark.parametrize("method", [co.Splitting(order=2), co.Splitting(order=4, parts="coordinates")], ids=str)
+def test_what_takes_minutes_is_refused_at_once(algebra, count, method):
+    g = co.algebras.get(algebra)
+    M = symmetric(np.random.default_rng(7), g.dim, 1.0)
+    system = co.LiePoissonSystem(g, co.Quadratic(M))
+    begun = time.perf_counter()
+    for refused in (
+        lambda: method.properties(system),
+        lambda: co.prepare(system, method, 0.1),
+        lambda: co.integrate(system, np.ones(g.dim), (0, 1), 0.1, method),
+    ):
+        with pytest.raises(ValueError, match=rf"Splitting cannot serve .* has {count} flows of .* take GaussLegendre"):
+            refused()
+    assert time.perf_counter() - begun < 10.0
+    assert co.GaussLegendre(2).properties(system).energy
+
+
+def test_lattices_are_not_too_wide():
+    check_products(np.full(10**7, 30), "a lattice")
+    with pytest.raises(TooWide, match=r"H has 1000 flows of 60000 products each: .* about 120 s and 9.0 GB"):
+        check_products(np.full(1000, 60_000), "H")
+    check_products(np.full(270, 60_000), "H")
