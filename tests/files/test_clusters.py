@@ -260,7 +260,7 @@ parameters = { inertia = [1.0, 2.0, 2.5] }
 [initial]
 x = [1.0, 0.1, 0.5]
 [sweep.over]
-"system.parameters.inertia[2]" = { linear = [2.5, 4.0], count = 4 }
+"system.parameters.inertia[2]" = { linear = [2.25, 3.0], count = 4 }
 "initial.x[1]" = [0.25, -0.5]
 [run]
 t_span = [0.0, 1.0]
@@ -298,7 +298,7 @@ def test_a_sweep_by_the_command(tmp_path, monkeypatch, capsys):
         (("workers = 2", "workers = 0"), "run.toml: run.workers: must be 1 or more, not 0"),
         (
             ("workers = 2", "workers = 2\nt_eval = [0.5]"),
-            "run.toml: run.workers: workers keep every save_every",
+            "run.toml: run.t_eval: an archive keeps every save_every-th step",
         ),
     ],
 )
