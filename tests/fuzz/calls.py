@@ -81,7 +81,7 @@ INNER = {"absolute", "among", "both", "bracket", "chosen", "disc_profile", "dual
          "from_vector", "is_in_numbers", "mode_array", "numbered_from",
          "pairing", "point_modes", "projected", "random_modes",
          "read", "read_places", "relative", "side_by_side", "slope_of", "spectrum_of_modes", "states",
-         "tangent_by", "terms", "to_vector"}  # fmt: skip
+         "tangent_by", "terms", "times", "to_vector"}  # fmt: skip
 
 
 def _of_objects():
