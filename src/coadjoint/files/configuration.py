@@ -28,6 +28,8 @@ from coadjoint.methods.splitting import Splitting
 from coadjoint.methods.suggested import suggested_scheme
 from coadjoint.runs.any_time import moments_of
 from coadjoint.runs.events import Event
+from coadjoint.runs.integrate import chosen_for, integrate
+from coadjoint.runs.solution import Solution, with_choice
 from coadjoint.runs.start import momenta_of, start_of
 from coadjoint.runs.times import times_of
 from coadjoint.systems.batch import Batch
@@ -42,8 +44,9 @@ if TYPE_CHECKING:
     import xarray
     from pydantic import BaseModel
 
+    from coadjoint.choosing.accuracy import Choice
     from coadjoint.files.configuration_models import File
-    from coadjoint.runs.solution import Solution
+    from coadjoint.runs.prepared_run import PreparedRun
 
     Model = TypeVar("Model", bound=BaseModel)
 
@@ -60,6 +63,8 @@ class Configuration:
         As for `coadjoint.integrate`.
     output, archive, figure, movie : str or None
         Where the file wants the results; relative to the current directory.
+    choice : Choice or None
+        Where the file asks for an accuracy, what `choose` says: `method` and `step` are its.
     swept : mapping
         Of a sweep: place of the file -> what it is set to, one for each member.
     text : str
@@ -99,6 +104,7 @@ class Configuration:
     archive: str | None = None
     figure: str | None = None
     movie: str | None = None
+    choice: Choice | None = None
     swept: Mapping[str, list[Any]] = field(default_factory=dict, repr=False)
     text: str = field(default="", repr=False)
 
@@ -123,14 +129,12 @@ class Configuration:
         IntegrationError
             The run fails while running.
         """
-        from coadjoint.runs.integrate import integrate
-
         if archive is not None or self.workers is not None:
             return self._integrate_into(archive, progress)
         self._check_memory()
         # `load` checked everything else. What is still refused here was found when the scheme was made ready.
         with section(self.path, "method"):
-            return integrate(
+            found = integrate(
                 self.system,
                 self.x0,
                 self.t_span,
@@ -145,15 +149,20 @@ class Configuration:
                 threads=self.threads,
                 progress=progress,
             )
+        return with_choice(found, self.choice)
 
-    def _integrate_into(self, archive: str | Path | None, progress: bool) -> Solution:
-        from coadjoint.files.archives import archive_run
+    def ready(self) -> PreparedRun:
+        """Return the run made ready, from which it begins.
+
+        Raises
+        ------
+        ConfigurationError
+            The scheme refuses the system.
+        """
         from coadjoint.runs.prepared_run import PreparedRun
 
-        if archive is not None:
-            check_archived(self.path, self.t_eval, self.events)
         with section(self.path, "method"):
-            ready = PreparedRun(
+            return PreparedRun(
                 self.system,
                 self.method,
                 self.step,
@@ -162,25 +171,23 @@ class Configuration:
                 observe=self.observe,
                 threads=self.threads,
             )
+
+    def _integrate_into(self, archive: str | Path | None, progress: bool) -> Solution:
+        from coadjoint.files.archives import archive_run
+
+        if archive is not None:
+            check_archived(self.path, self.t_eval, self.events)
+        ready = self.ready()
         about = About(self.swept_coordinates(), {CONFIGURATION: self.text})
         if self.workers is not None:
             from coadjoint.files.run_in_blocks import run_in_blocks, team_of
 
             team = team_of(None, self.workers, self.threads)
             given = ready, self.x0, self.t_span, self.save_every, archive, team
-            return run_in_blocks(*given, progress=progress, about=about)
+            return with_choice(run_in_blocks(*given, progress=progress, about=about), self.choice)
         assert archive is not None
-        return archive_run(
-            ready,
-            self.x0,
-            self.t_span,
-            self.save_every,
-            archive,
-            t_eval=self.t_eval,
-            events=self.events,
-            progress=progress,
-            about=about,
-        )
+        run = ready, self.x0, self.t_span, self.save_every, archive
+        return with_choice(archive_run(*run, progress=progress, about=about), self.choice)
 
     def _check_memory(self) -> None:
         """Refuse more saved states than there is memory for, before the first of them."""
@@ -224,8 +231,8 @@ class Configuration:
 def system_of_text(text: str) -> Any:
     """Return the system of a configuration by the text of its file, kept with a result."""
     name = "the configuration of this run"
-    raw = tables_of(name, text)
-    return _configured(name, text, raw).system
+    file, sweep = _read(name, tables_of(name, text))
+    return _system(name, file, sweep)
 
 
 def load(path: str | Path) -> Configuration:
@@ -254,17 +261,24 @@ def load(path: str | Path) -> Configuration:
     """
     need("reading a configuration file", "pydantic")
     name, text = str(read_path(path, "path")), text_of(path)
-    return _configured(name, text, tables_of(name, text))
+    return _configuration(name, text, *_read(name, tables_of(name, text)))
 
 
-def _configured(name: str, text: str, raw: dict[str, Any]) -> Configuration:
+def _read(name: str, raw: dict[str, Any]) -> tuple[File, Sweep | None]:
+    """Return the checked tables of a file, of a sweep those of its first member."""
     from coadjoint.files.configuration_models import File, OfSweep
 
     sweep = None
     if "sweep" in raw:
         sweep = read_sweep(name, raw, _checked(name, OfSweep, raw).sweep)
         raw = sweep.raw_of(0)
-    return _configuration(name, text, _checked(name, File, raw), sweep)
+    return _checked(name, File, raw), sweep
+
+
+def _system(name: str, file: File, sweep: Sweep | None) -> Any:
+    from coadjoint.files.configuration_models import File as Tables
+
+    return system_of_file(name, file) if sweep is None else swept_system(sweep, file, partial(_checked, name, Tables))
 
 
 def _checked(name: str, model: type[Model], raw: Mapping[str, Any]) -> Model:
@@ -284,6 +298,15 @@ def _method(name: str, file: File, system: Any) -> Method:
     if file.method is not None:
         return method_of_file(name, file.method)
     return suggested_scheme(cast(Any, system)) if isinstance(system, MatrixSystem) else Splitting()
+
+
+def _check_times(name: str, file: File, system: Any, step: float) -> None:
+    """Refuse times that do not go with the step, or with the forces."""
+    with section(name, "run"):
+        times = times_of(file.run.t_span, step, file.run.save_every)
+        if file.run.t_eval is not None:
+            moments_of(file.run.t_eval, times, file.run.save_every)
+        check_direction(system, times.h)
 
 
 def _check_workers(name: str, file: File, system: Any, x0: Any) -> None:
@@ -309,15 +332,12 @@ def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Con
 
     check_named(name, file)
     checked = partial(_checked, name, Tables)
-    system: Any = system_of_file(name, file) if sweep is None else swept_system(sweep, file, checked)
-    method = _method(name, file, system)
+    system = _system(name, file, sweep)
+    method, step, choice = _method(name, file, system), file.run.step, None
     with section(name, "method"):
         check_serves(system[0] if isinstance(system, Batch) else system, method)
-    with section(name, "run"):
-        times = times_of(file.run.t_span, file.run.step, file.run.save_every)
-        if file.run.t_eval is not None:
-            moments_of(file.run.t_eval, times, file.run.save_every)
-        check_direction(system, times.h)
+    if step is not None:
+        _check_times(name, file, system, step)
     if file.output.archive is not None:
         check_archived(name, file.run.t_eval, file.events)
     x0 = state_by_name(name, file.initial, system) if sweep is None else swept_states(sweep, file, system, checked)
@@ -326,6 +346,13 @@ def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Con
         start_of(system, serving(system, method), x0, False)
     with section(name, "initial.attitude"):
         start_of(system, serving(system, method), x0, file.initial.attitude)
+    if file.run.accuracy is not None:
+        with section(name, "run.accuracy"):
+            wanted = None if file.method is None else method
+            choice = chosen_for(file.run.accuracy, system, x0, file.run.t_span, file.initial.attitude, wanted)
+        method, step = choice.method, choice.step
+        _check_times(name, file, system, step)
+    assert step is not None
     if file.run.workers is not None:
         _check_workers(name, file, system, x0)
     observe = {}
@@ -343,7 +370,7 @@ def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Con
         system=system,
         x0=x0,
         t_span=(float(file.run.t_span[0]), float(file.run.t_span[1])),
-        step=file.run.step,
+        step=step,
         method=method,
         save_every=file.run.save_every,
         t_eval=file.run.t_eval,
@@ -357,6 +384,7 @@ def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Con
         archive=file.output.archive,
         figure=file.output.figure,
         movie=file.output.movie,
+        choice=choice,
         swept={} if sweep is None else sweep.values,
         text=text,
     )

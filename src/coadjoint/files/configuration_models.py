@@ -101,12 +101,17 @@ class InitialTable(Table):
 
 
 class RunTable(Table):
-    """The times of the run, and what is saved and watched."""
+    """The times of the run, and what is saved and watched. Either `step` or `accuracy`."""
+
+    model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["step"]}, {"required": ["accuracy"]}]})
 
     t_span: Span
     """Start and end (time); backward where the end comes first."""
-    step: Annotated[float, Field(gt=0)]
+    step: Annotated[float, Field(gt=0)] | None = None
     """Length of a step (time); it divides the span."""
+    accuracy: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """In place of `step`: the error of the momentum at the end that is wanted, relative to its largest size on the way
+    (no unit). The step is chosen, and the scheme where there is no `method`."""
     save_every: Whole = 1
     """Steps from one saved state to the next."""
     t_eval: Vector | None = None
@@ -117,6 +122,14 @@ class RunTable(Table):
     """Threads among which the members of an ensemble are shared; all cores without it. The bits do not depend on it."""
     workers: Whole | None = None
     """Processes of this machine that run the members of an ensemble in blocks; this process alone without it."""
+
+    @model_validator(mode="after")
+    def _step_or_accuracy(self) -> RunTable:
+        if self.step is None and self.accuracy is None:
+            raise ValueError("step is missing; give it, or the accuracy for which it is to be chosen")
+        if self.step is not None and self.accuracy is not None:
+            raise ValueError("step and accuracy are both given; give step, or accuracy to have it chosen")
+        return self
 
 
 class EventTable(Table):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from coadjoint.keywords import told
 from coadjoint.methods.base import NO_ERROR_CONTROL, Method
@@ -15,6 +15,9 @@ from coadjoint.runs.solution import Solution, with_choice
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_system
+
+if TYPE_CHECKING:
+    from coadjoint.choosing.accuracy import Choice
 
 
 @told
@@ -141,12 +144,7 @@ def integrate(
     progress = read_progress(progress)
     choice = None
     if accuracy is not None:
-        check_system(system)
-        if isinstance(system, Batch):
-            raise TypeError("accuracy chooses the step for one system, and this is a batch; choose for a member")
-        from coadjoint.choosing.accuracy import choose
-
-        choice = choose(cast(Any, system), x0, t_span, accuracy, attitude=attitude, methods=method)
+        choice = chosen_for(accuracy, system, x0, t_span, attitude, method)
         method, step = choice.method, choice.step
     assert step is not None
     ready = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads)
@@ -157,3 +155,30 @@ def integrate(
 
         sol = archive_run(ready, x0, t_span, save_every, archive, t_eval=t_eval, progress=progress, events=events)
     return with_choice(sol, choice)
+
+
+def chosen_for(
+    accuracy: float, system: Any, x0: Any, t_span: tuple[float, float], attitude: Any, method: Method | None
+) -> Choice:
+    """Return the scheme and the step that `integrate` takes for an accuracy; parameters are those of `integrate`.
+
+    Raises
+    ------
+    TypeError
+        A batch.
+    ValueError, TypeError
+        As `choose` says.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+    >>> chosen_for(1e-6, body, (1.0, 0.2, 0.1), (0, 1), False, co.Splitting(order=4)).method
+    Splitting(order=4...)
+    """
+    check_system(system)
+    if isinstance(system, Batch):
+        raise TypeError("accuracy chooses the step for one system, and this is a batch; choose for a member")
+    from coadjoint.choosing.accuracy import choose
+
+    return choose(cast(Any, system), x0, t_span, accuracy, attitude=attitude, methods=method)

@@ -12,6 +12,11 @@ BYTES = 8
 PER_POINT = 24  # its time, its number, and what was asked to be observed
 
 
+def bytes_of_run(layout: Layout, times: Times) -> int:
+    """Return how many bytes a run holds."""
+    return BYTES * (layout.saved.size + layout.state.size) + PER_POINT * times.points
+
+
 def check_room_of_run(layout: Layout, times: Times, members: int) -> None:
     """Refuse a run whose arrays do not fit in memory, and say how many of its points would.
 
@@ -29,7 +34,7 @@ def check_room_of_run(layout: Layout, times: Times, members: int) -> None:
     ValueError
         With the memory that is estimated and that is free, and a `save_every` that fits, where there is one.
     """
-    need = BYTES * (layout.saved.size + layout.state.size) + PER_POINT * times.points
+    need = bytes_of_run(layout, times)
     if need <= SMALL:
         return
     free = memory.available()
