@@ -14,6 +14,7 @@ import xarray
 import coadjoint
 import coadjoint as co
 from coadjoint import cli
+from coadjoint.algebra.low_dimensional import entries, parameters_of
 from coadjoint.experiments.statement import judged
 
 SOURCE = Path(coadjoint.__file__).parents[1]
@@ -141,8 +142,8 @@ def test_failed_run_without_output(folder, capsys):
         (["rnu"], "coadjoint: unknown command 'rnu'; did you mean 'run'?"),
         (
             ["zzzzz"],
-            "coadjoint: unknown command 'zzzzz'; there are certify, gallery, methods, reproduce, resume, run, schema, "
-            "selftest, systems",
+            "coadjoint: unknown command 'zzzzz'; there are algebras, certify, check, gallery, methods, reproduce, "
+            "resume, run, schema, selftest, systems",
         ),
         (["run"], "coadjoint: missing argument 'FILE' (see 'coadjoint run --help')"),
         (["run", "body.toml", "--ot", "x"], "coadjoint: unknown option '--ot'; did you mean '--out'?"),
@@ -326,3 +327,45 @@ def test_gallery_draws_and_writes_a_page(folder, capsys):
     assert said.out.splitlines() == ["1 of 1: so_n_body", f"written: {Path('seen/here/index.html')}"]
     assert sorted(p.name for p in (folder / "seen/here").iterdir()) == ["index.html", "so_n_body.png"]
     assert (folder / "seen/here/so_n_body.png").read_bytes().startswith(b"\x89PNG")
+
+
+WITH_PARAMETERS = {name for name in entries() if parameters_of(name)}
+
+
+def test_algebras_are_listed(capsys):
+    assert cli.main(["algebras"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(co.algebras.names())
+    assert "A4_9(b)         dimension 4, -1 < b <= 1" in lines
+    assert "so(p,q)         a family; give the numbers, such as so(3,1)" in lines
+
+
+def test_an_algebra_is_described(capsys):
+    assert cli.main(["algebras", "A5,23", "b=1/2"]) == 0
+    found = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()[1:] if line[0] != " ")
+    assert found["dimension"] == "5" and found["brackets"] == "[e1, e5] = 2 e1"
+    assert "2*log|x4| - b*log|x1|" in found["casimirs"]
+    for name in co.algebras.names():
+        # Without its numbers a family is refused, and what has parameters.
+        asked = name.endswith(("n)", "q)")) or name in WITH_PARAMETERS
+        assert cli.main(["algebras", name]) == (2 if asked else 0)
+        assert ("dimension " in capsys.readouterr().out) is not asked
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("so(n)",), "so(n) is a family; give its numbers, such as so(3)"),
+        (("so(x)",), "unknown algebra 'so(x)'; did you mean 'so(n)'?"),
+        (("A5,23", "b"), "'b' is no parameter; give a name and a number, such as b=0.5 or b=1/3"),
+        (("A5,23", "b=1/0"), "'b=1/0' is no parameter; give a name and a number, such as b=0.5 or b=1/3"),
+        (("A5,23", "b=1e999999999"), "'b=1e999999999' is no parameter"),
+        (("A5,23",), "algebra 'A5_23' needs the parameter 'b'"),
+        (("A5,23", "b=0"), "b"),
+    ],
+)
+def test_no_such_algebra(capsys, arguments, said):
+    assert cli.main(["algebras", *arguments]) == 2
+    given = capsys.readouterr()
+    assert given.out == "" and given.err.startswith("coadjoint: ") and said in given.err
+    assert given.err.count("\n") == 1

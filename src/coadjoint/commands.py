@@ -9,6 +9,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ from coadjoint.extras import need
 from coadjoint.run_endings import ending, writing
 from coadjoint.wording import short
 
+LONGEST_NUMBER = 60
 UNREAD = 141  # nobody reads what is printed
 
 if TYPE_CHECKING:
@@ -150,6 +152,30 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
         click.echo(f"written: {place}")
 
 
+@commands.command("check")
+@click.argument("file", type=click.Path())
+def check_file(file: str) -> None:
+    """Say what the configuration FILE (TOML) would run, and what that would cost; nothing is written.
+
+    The time is estimated from a trial of the first steps. Exit status 2, and one line, where the file is wrong; 1
+    where the trial fails, as the run would.
+    """
+    from coadjoint.files.archives import check_new
+    from coadjoint.files.configuration import load
+    from coadjoint.files.output import DATASETS, FIGURES, check_target
+    from coadjoint.files.plan import plan
+
+    configuration = load(file)
+    _place(configuration, "archive", None, check_new)
+    _place(configuration, "file", None, lambda path: check_target(path, DATASETS))
+    _place(configuration, "figure", None, lambda path: check_target(path, FIGURES))
+    _place(configuration, "movie", None, lambda path: _movie_target(configuration, path))
+    found = plan(configuration)
+    click.echo(str(found))
+    if found.failed:
+        raise click.exceptions.Exit(1)
+
+
 @commands.command("resume")
 @click.argument("path", type=click.Path())
 @click.option("--t-end", type=float, metavar="T", help="A later end than the run was begun with.")
@@ -257,6 +283,37 @@ def _show_system(name: str, mapping: str | None) -> None:
     if target is not None:
         write_text(json.dumps(told, indent=1), target)
         click.echo(f"written: {target}")
+
+
+@commands.command("algebras")
+@click.argument("name", required=False)
+@click.argument("parameters", nargs=-1, metavar="[KEY=NUMBER]...")
+def list_algebras(name: str | None, parameters: tuple[str, ...]) -> None:
+    """List the algebras of the catalogue, or say of one, NAME, its dimension, brackets and Casimirs.
+
+    Parameters of an algebra follow its name, such as A4,9 b=0.5.
+    """
+    from coadjoint.algebra.algebra_text import algebra_of, algebra_text, listed_algebras
+
+    if name is None:
+        for line in listed_algebras():
+            click.echo(line)
+        return
+    try:
+        click.echo(algebra_text(algebra_of(name, dict(map(_parameter, parameters)))))
+    except (ValueError, TypeError) as reason:
+        raise click.UsageError(str(reason)) from None
+
+
+def _parameter(text: str) -> tuple[str, Fraction]:
+    key, _, number = text.partition("=")
+    try:
+        if len(text) > LONGEST_NUMBER:
+            raise ValueError
+        # An exponent may ask for a number of any size.
+        return key, Fraction(float(number) if "e" in number.lower() else number)
+    except (ValueError, ArithmeticError):
+        raise ValueError(f"{short(text)} is no parameter; give a name and a number, such as b=0.5 or b=1/3") from None
 
 
 @commands.command("methods")

@@ -39,7 +39,7 @@ def test_ready_made_system(written):
 
 
 def test_own_brackets_are_the_same_motion(written):
-    own = load(written(OWN))
+    own = load(written(OWN, ("0.25]", "0.4]")))
     assert own.system.algebra == co.algebras.so(3)
     assert (own.system.name, own.system.sign, list(own.system.casimirs)) == ("mine", -1, ["|x|^2"])
     body = co.systems.rigid_body((1.0, 2.0, 2.5))
@@ -113,7 +113,7 @@ def test_catalogue_attitude_ensemble_and_observed(written):
         ),
         ([('"rigid_body"', '"rigidbody"')], "system: unknown system 'rigidbody'; did you mean 'rigid_body'?"),
         ([("inertia =", "inertias =")], "system.parameters.inertias: unknown key; did you mean 'inertia'?"),
-        ([("4.0]", "-4.0]")], "system: inertia[2] is -4; every principal moment must be positive"),
+        ([("2.5]", "-2.5]")], "system: inertia[2] is -2.5; every principal moment must be positive"),
         ([("[system]", "sign = -1\n[system]")], "sign: belongs to [algebra]; the system 'rigid_body' has its own"),
         ([('"Splitting"', '"Spliting"')], "method: unknown method 'Spliting'; did you mean 'Splitting'?"),
         ([("order", "oder")], "method.oder: unknown key; did you mean 'order'?"),

@@ -42,7 +42,7 @@ _integrate = Configuration.integrate
 
 def shortened(configuration, *given, **named):
     """Run a configuration, no longer than `MOST_STEPS`."""
-    configuration._check_memory()
+    configuration.check_memory()
     start, end = configuration.t_span
     steps = abs(end - start) / configuration.step
     if steps > MOST_STEPS:

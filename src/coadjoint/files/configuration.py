@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     import xarray
     from pydantic import BaseModel
 
-    from coadjoint.choosing.accuracy import Choice
     from coadjoint.files.configuration_models import File
     from coadjoint.runs.prepared_run import PreparedRun
 
@@ -104,7 +103,7 @@ class Configuration:
     archive: str | None = None
     figure: str | None = None
     movie: str | None = None
-    choice: Choice | None = None
+    choice: Any = None
     swept: Mapping[str, list[Any]] = field(default_factory=dict, repr=False)
     text: str = field(default="", repr=False)
 
@@ -131,7 +130,7 @@ class Configuration:
         """
         if archive is not None or self.workers is not None:
             return self._integrate_into(archive, progress)
-        self._check_memory()
+        self.check_memory()
         # `load` checked everything else. What is still refused here was found when the scheme was made ready.
         with section(self.path, "method"):
             found = integrate(
@@ -189,7 +188,7 @@ class Configuration:
         run = ready, self.x0, self.t_span, self.save_every, archive
         return with_choice(archive_run(*run, progress=progress, about=about), self.choice)
 
-    def _check_memory(self) -> None:
+    def check_memory(self) -> None:
         """Refuse more saved states than there is memory for, before the first of them."""
         every = times_of(self.t_span, self.step, self.save_every).points
         points = every if self.t_eval is None else 2 * len(self.t_eval)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 from coadjoint.keywords import told
 from coadjoint.methods.base import NO_ERROR_CONTROL, Method
@@ -15,9 +15,6 @@ from coadjoint.runs.solution import Solution, with_choice
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_system
-
-if TYPE_CHECKING:
-    from coadjoint.choosing.accuracy import Choice
 
 
 @told
@@ -159,8 +156,8 @@ def integrate(
 
 def chosen_for(
     accuracy: float, system: Any, x0: Any, t_span: tuple[float, float], attitude: Any, method: Method | None
-) -> Choice:
-    """Return the scheme and the step that `integrate` takes for an accuracy; parameters are those of `integrate`.
+) -> Any:
+    """Return the `Choice` that `integrate` takes for an accuracy; parameters are those of `integrate`.
 
     Raises
     ------

@@ -1,0 +1,137 @@
+"""What a file would run and cost, beside what it runs and costs."""
+
+import time
+from pathlib import Path
+
+import pytest
+from configuration_files import OWN, READY_MADE
+
+from coadjoint import cli
+from coadjoint.files.configuration import load
+from coadjoint.files.plan import plan
+from coadjoint.systems.batch import Batch
+
+EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.toml"))
+GROWING = """
+sign = -1
+[algebra]
+dim = 2
+brackets = ["[e1, e2] = e2"]
+[hamiltonian]
+linear = [1.0, 0.0]
+[initial]
+x = [1.0, 1.0]
+[run]
+t_span = [0.0, 1000.0]
+step = 1.0
+save_every = 100
+"""
+SWEEP = '[sweep]\nsamples = 3\nseed = 7\n[sweep.over]\n"initial.x" = { sphere = 1.0 }\n'
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def planned(folder, text):
+    (folder / "run.toml").write_text(text, encoding="utf-8")
+    return plan(load("run.toml"))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        READY_MADE,
+        READY_MADE.replace("step = 0.1", "step = 0.01\nsave_every = 7"),
+        READY_MADE.replace("[0, 1]", "[1, -1]"),
+        READY_MADE.replace("step = 0.1", "step = 0.1\nt_eval = [0.05, 0.3, 0.77]"),
+        READY_MADE.replace("step = 0.1", "accuracy = 1e-8"),
+        READY_MADE.replace("[0, 1]", "[0, 0]"),
+        READY_MADE.replace("x = [1.0, 0.1, 0.5]", "x = [[1.0, 0.1, 0.5], [0.0, 1.0, 0.5]]\nattitude = true"),
+        READY_MADE + '[observe]\nq = "x1*x2"\n',
+        READY_MADE + SWEEP,
+        READY_MADE + SWEEP + '"system.parameters.inertia[2]" = [2.25, 2.5]\n',
+        OWN,
+        'system = {name = "matrix_body"}\ninitial = {x = [[0.0, -1.0, 0.5, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0], '
+        "[-0.5, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.25], [0.0, 0.0, 0.0, -0.25, 0.0]]}\n"
+        "run = {t_span = [0, 1], step = 0.125}\n",
+    ],
+)
+def test_what_runs_is_what_was_said(folder, text):
+    found = planned(folder, text)
+    before = {path.name for path in folder.iterdir()}
+    sol = found.configuration.integrate()
+    assert before == {"run.toml"}
+    assert (found.steps, found.points) == (sol.stats.steps, len(sol.t))
+    assert found.members == (sol.x.shape[1] if sol.failed is not None else 1)
+    assert found.written == found.configuration.dataset(sol).nbytes
+    assert found.memory >= sol.x.nbytes
+    first = sol.system[0] if isinstance(sol.system, Batch) else sol.system
+    assert found.properties == found.configuration.method.properties(first)
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_every_example(folder, capsys, example):
+    assert cli.main(["check", str(example)]) == 0
+    said = capsys.readouterr().out
+    for name in ("system", "members", "scheme", "keeps", "steps", "saved", "memory", "output", "time"):
+        assert f"\n{name} " in f"\n{said}", name
+    assert not [*folder.iterdir()]
+
+
+def test_the_time_is_that_of_the_run(folder):
+    text = READY_MADE.replace("[0, 1]", "[0, 400000]").replace("step = 0.1", "step = 0.1\nsave_every = 1000")
+    found = planned(folder, text)
+    begun = time.perf_counter()
+    found.configuration.integrate()
+    taken = time.perf_counter() - begun
+    # The machine may do something else meanwhile, but not all of the time.
+    assert taken / 3 < found.seconds + found.ready < 3 * taken and 0 < found.tried < found.steps
+
+
+def test_what_is_printed(folder, capsys):
+    text = READY_MADE.replace("step = 0.1", "step = 0.1\nworkers = 2").replace("1.0, 0.1, 0.5]", "1.0, 0.1, 0.5]")
+    text = text.replace("x = [1.0, 0.1, 0.5]", "x = [[1.0, 0.1, 0.5], [0.0, 1.0, 0.5]]") + '[output]\nfile = "a.nc"\n'
+    (folder / "run.toml").write_text(text, encoding="utf-8")
+    assert cli.main(["check", "run.toml"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:4] == [
+        "system        rigid_body, dimension 3",
+        "members       2",
+        "scheme        Splitting(order=4), of order 4",
+        "keeps         Poisson bracket, all Casimirs; not the energy",
+    ]
+    assert lines[4] == "steps         10 of 0.1, from t = 0 to 1" and lines[5] == "saved         11 points of 2 members"
+    assert lines[7].endswith("before compression; to a.nc")
+    assert ", in one process; 2 workers share it; estimated from a trial of all its steps, " in lines[8]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (READY_MADE.replace("step", "stpe"), "run.toml: run.stpe: unknown key; did you mean 'step'?\n"),
+        (READY_MADE + '[output]\nfile = "none/a.nc"\n', "run.toml: output.file: none/a.nc: the folder none does not"),
+        (
+            READY_MADE.replace("[0, 1]", "[0, 1e13]"),
+            "run.toml: run.save_every: the saved states do not fit into memory",
+        ),
+        (
+            READY_MADE.replace('"Splitting"\norder = 4', '"SphericalMidpoint"').replace("rigid_body", "heavy_top"),
+            "run.toml: ",
+        ),
+    ],
+)
+def test_bad_input_is_one_line(folder, capsys, text, said):
+    (folder / "run.toml").write_text(text, encoding="utf-8")
+    assert cli.main(["check", "run.toml"]) == 2
+    given = capsys.readouterr()
+    assert given.out == "" and given.err.startswith(said) and given.err.count("\n") == 1
+
+
+def test_a_trial_that_fails_is_told(folder, capsys):
+    (folder / "run.toml").write_text(GROWING, encoding="utf-8")
+    assert cli.main(["check", "run.toml"]) == 1
+    said = capsys.readouterr()
+    assert "time          not known: the trial failed (in step 710, " in said.out and said.err == ""
