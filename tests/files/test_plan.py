@@ -82,7 +82,7 @@ def test_every_example(folder, capsys, example):
 
 
 def test_the_time_is_that_of_the_run(folder):
-    text = READY_MADE.replace("[0, 1]", "[0, 400000]").replace("step = 0.1", "step = 0.1\nsave_every = 1000")
+    text = READY_MADE.replace("[0, 1]", "[0, 1000000]").replace("step = 0.1", "step = 0.1\nsave_every = 1000")
     found = planned(folder, text)
     begun = time.perf_counter()
     found.configuration.integrate()
