@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
-from functools import lru_cache
+import warnings
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numba
 import numpy as np
 from numba import carray, types
 
+from coadjoint.kernels.alike_functions import key_of
 from coadjoint.systems.user_functions import MultipleOf
 
 SIGNATURE = types.void(types.CPointer(types.float64), types.float64, types.CPointer(types.float64))
@@ -20,17 +21,50 @@ def callback_of(
     function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str
 ) -> Any:
     """Return a function as a C callback, or refuse it with Numba's reason; see `CompiledFunction`."""
-    try:
-        return _compiled(function, size, results, scalar, flat, timed)
-    except Exception as error:  # Numba raises errors of many kinds
-        raise TypeError(f"{what} cannot be compiled by Numba: {reason_of(error)}") from error
+    key = key_of(function), size, results, scalar, flat, timed
+    if key not in _COMPILED:
+        try:
+            found = _compiled(function, size, results, scalar, flat, timed)
+        except Exception as error:  # Numba raises errors of many kinds
+            raise TypeError(f"{what} cannot be compiled by Numba: {reason_of(error)}") from error
+        while len(_COMPILED) >= MOST_KEPT:
+            del _COMPILED[next(iter(_COMPILED))]
+        _COMPILED[key] = found
+    return _COMPILED[key]
 
 
-# A stepper or a scan makes many runs of one system, so that each of its functions is compiled once.
-@lru_cache(maxsize=256)
+# A stepper or a scan makes many runs of one system, and a lattice has one function at all of its sites. What is equal
+# is compiled once.
+_COMPILED: dict[Any, Any] = {}
+MOST_KEPT = 4096
+MANY = 48
+SECONDS_EACH = 0.05
+
+
+def tell_of_many(functions: Sequence[Callable[..., Any]]) -> None:
+    """Warn beforehand where so many functions are to be compiled that it takes seconds.
+
+    Parameters
+    ----------
+    functions : sequence of callable
+        Those of a Hamiltonian.
+    """
+    if len(functions) < MANY:
+        return
+    known = {key[0] for key in _COMPILED}
+    count = len({key_of(function) for function in functions} - known)
+    if count >= MANY:
+        warnings.warn(
+            f"{count} different functions of Python are compiled one by one, about {SECONDS_EACH * count:.0f} s in "
+            "all; one function of many coordinates that commute, with an array of numbers, is compiled once: "
+            "SplitHamiltonian([((0, 3, 6), Hamiltonian(value, gradient))])",
+            UserWarning,
+            stacklevel=2,
+        )
+
+
 def _compiled(function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool) -> Any:
-    inner = _inner(function)
-    body = _BODIES[(scalar, flat and not scalar, timed)](inner, size, results)
+    body = _BODIES[(scalar, flat and not scalar, timed)](_inner(function), size, results)
     return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(body)
 
 
@@ -38,13 +72,17 @@ def _inner(function: Any) -> Any:
     """Return a function as compiled code calls it."""
     if isinstance(function, MultipleOf):
         return _multiple(_inner(function.function), function.factor, function.scalar)
-    return numba.njit(error_model="numpy", boundscheck=True)(function) if inspect.isfunction(function) else function
+    return numba.njit(boundscheck=True, **_WITHIN)(function) if inspect.isfunction(function) else function
+
+
+# Compiled code alone calls it, so that no ways in from Python are compiled.
+_WITHIN: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 def _multiple(inner: Any, factor: float, scalar: bool) -> Any:
     if scalar:
-        return numba.njit(error_model="numpy")(lambda *arguments: factor * inner(*arguments))
-    return numba.njit(error_model="numpy")(lambda *arguments: factor * np.asarray(inner(*arguments)))
+        return numba.njit(**_WITHIN)(lambda *arguments: factor * inner(*arguments))
+    return numba.njit(**_WITHIN)(lambda *arguments: factor * np.asarray(inner(*arguments)))
 
 
 def reason_of(error: Exception) -> str:

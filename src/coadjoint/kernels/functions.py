@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
 from coadjoint.algebra.logarithmic import Forms
-from coadjoint.extras import need
+from coadjoint.extras import installed, need
 from coadjoint.kernels.structures import pointed
 
 
@@ -62,6 +62,16 @@ class CompiledFunction:
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what compiles the function again, in another process."""
         return _compiled_again, self._given
+
+
+def tell_of_compiling(functions: Iterable[Callable[..., Any]]) -> None:
+    """Warn beforehand where functions of Python are so many that compiling them takes seconds; without Numba say
+    nothing here.
+    """
+    if installed("numba"):
+        from coadjoint.kernels.callbacks import tell_of_many
+
+        tell_of_many(list(functions))
 
 
 def _compiled_again(function: Any, size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str) -> Any:

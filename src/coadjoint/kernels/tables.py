@@ -13,7 +13,7 @@ from coadjoint.algebra.logarithmic import LogarithmicInvariant
 from coadjoint.kernels.bodies import body_tables
 from coadjoint.kernels.description import limit
 from coadjoint.kernels.flow import FlowTables
-from coadjoint.kernels.functions import CalledFunction, CompiledFunction, Kept, TabledFunction
+from coadjoint.kernels.functions import CalledFunction, CompiledFunction, Kept, TabledFunction, tell_of_compiling
 from coadjoint.kernels.watching import Watch
 from coadjoint.program.actions import Action, empty_action
 from coadjoint.program.blocks import Kind
@@ -61,6 +61,7 @@ def addresses_of(
     keep: list[CompiledFunction | TabledFunction | CalledFunction] = []
     if not functions:
         return addresses, ()
+    tell_of_compiling(getattr(term, which) for term in functions.values() if which != "value" or term.forms is None)
     for k, term in functions.items():
         if which == "value" and term.forms is not None:
             keep.append(TabledFunction(term.forms))

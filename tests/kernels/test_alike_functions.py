@@ -1,0 +1,150 @@
+"""Functions that are alike are compiled once; those that differ in anything are not; many are told of beforehand."""
+
+import math
+import types
+import warnings
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.kernels.alike_functions import key_of
+
+numba = pytest.importorskip("numba")
+
+from coadjoint.kernels import callbacks  # noqa: E402
+
+SLOPE = 2.0
+
+
+def times(a):
+    return lambda y: a * np.cosh(y), lambda y: a * np.sinh(y)
+
+
+def defaults(a):
+    return lambda y, a=a: a * y
+
+
+def inner(y):
+    return SLOPE * y
+
+
+def reads_another(y):
+    return inner(y) + math.sin(y)
+
+
+def with_module(**names):
+    """Return a function whose module has some values."""
+    return types.FunctionType(reads_another.__code__, {"math": math, "inner": inner, **names})
+
+
+def test_what_is_alike():
+    for one, other in (
+        (times(2.0)[0], times(2.0)[0]),
+        (defaults(0.5), defaults(0.5)),
+        (times(np.arange(3.0))[0], times(np.arange(3.0))[0]),
+        (with_module(), with_module()),
+        (times((1, "a"))[0], times((1, "a"))[0]),
+    ):
+        assert one is not other and key_of(one) == key_of(other) and hash(key_of(one)) == hash(key_of(other))
+
+
+@pytest.mark.parametrize(
+    "one, other",
+    [
+        (times(2.0)[0], times(2.0)[1]),
+        (times(2.0)[0], times(3.0)[0]),
+        (times(2.0)[0], times(2)[0]),
+        (times(0.0)[0], times(-0.0)[0]),
+        (times(1)[0], times(True)[0]),
+        (times(np.float32(2))[0], times(np.float64(2))[0]),
+        (times(np.zeros(2))[0], times(np.zeros((2, 1)))[0]),
+        (times(np.ones(2))[0], times(np.zeros(2))[0]),
+        (times((1.0, 2.0))[0], times((2.0, 1.0))[0]),
+        (times([1.0])[0], times([1.0])[0]),
+        (defaults(0.5), defaults(0.25)),
+        (times(inner)[0], times(math.sin)[0]),
+        (with_module(), with_module(inner=math.cos)),
+        (with_module(), types.FunctionType(reads_another.__code__, {"math": np, "inner": inner})),
+        (
+            with_module(),
+            with_module(inner=types.FunctionType(inner.__code__, {"SLOPE": 3.0})),
+        ),
+    ],
+)
+def test_what_is_not_alike(one, other):
+    assert key_of(one) != key_of(other)
+
+
+def test_functions_that_call_themselves():
+    def power(y, k=3):
+        return 1.0 if k == 0 else y * power(y, k - 1)
+
+    assert key_of(power) == key_of(power)
+
+
+def spins(functions):
+    count = len(functions)
+    pairs = {3 * k: pair for k, pair in enumerate(functions)}
+    return co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), count), co.Separable(pairs))
+
+
+def test_one_text_at_many_sites_is_compiled_once(monkeypatch):
+    compiled = []
+    plain = callbacks._compiled
+    monkeypatch.setattr(callbacks, "_compiled", lambda *given: (compiled.append(given), plain(*given))[1])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        system = spins([times(0.7251)] * 40 + [times(0.7251) for _ in range(40)])
+        x = np.tile([0.3, 0.4, -0.2], 80)
+        sol = co.integrate(system, x, (0.0, 0.5), 0.05, co.Splitting())
+    assert len(compiled) == 2  # a value and a slope
+    # Each spin turns about its axis, by a cosh(y)-slope that it keeps.
+    angle = 0.5 * 0.7251 * np.sinh(0.3)
+    sign = np.sign(system.vector_field(x)[1]) / np.sign(-x[2])
+    c, d = np.cos(angle), sign * np.sin(angle)
+    turned = np.array([0.3, 0.4 * c + 0.2 * d, -0.2 * c + 0.4 * d])
+    np.testing.assert_allclose(sol.x[-1].reshape(80, 3), np.tile(turned, (80, 1)), rtol=0, atol=1e-14)
+
+
+def test_other_numbers_are_other_functions():
+    system = spins([times(1.0 + k / 7) for k in range(5)])
+    x = np.tile([0.3, 0.4, -0.2], 5)
+    sol = co.integrate(system, x, (0.0, 0.5), 0.05, co.Splitting())
+    for k in range(5):
+        alone = co.integrate(spins([times(1.0 + k / 7)]), x[:3], (0.0, 0.5), 0.05, co.Splitting())
+        np.testing.assert_array_equal(sol.x[:, 3 * k : 3 * k + 3], alone.x)
+
+
+def test_a_module_that_has_changed_is_compiled_again():
+    module = types.ModuleType("changing")
+    exec("import numpy as np\nSLOPE = 2.0\ndef value(y): return SLOPE * y\ndef slope(y): return SLOPE", vars(module))
+
+    def end():
+        system = spins([(module.value, module.slope)])
+        return co.integrate(system, [0.0, 1.0, 0.0], (0.0, 0.5), 0.5, co.Splitting()).x[-1, 2]
+
+    first = end()
+    module.SLOPE = 1.0
+    assert abs(first) == pytest.approx(np.sin(1.0), abs=1e-15)
+    assert abs(end()) == pytest.approx(np.sin(0.5), abs=1e-15)
+
+
+def test_many_functions_are_told_of_beforehand(monkeypatch):
+    monkeypatch.setattr(callbacks, "MANY", 4)
+    system = spins([times(5.0 + k) for k in range(4)])
+    with pytest.warns(UserWarning, match="4 different functions of Python are compiled one by one, about 0 s in all"):
+        co.prepare(system, co.Splitting(), 0.1)
+    few = spins([times(50.0), times(51.0), times(52.0), times(52.0)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        co.prepare(system, co.Splitting(), 0.2)  # they are known by now
+        co.prepare(few, co.Splitting(), 0.2)
+
+
+def test_what_is_kept_is_bounded(monkeypatch):
+    monkeypatch.setattr(callbacks, "_COMPILED", {})
+    monkeypatch.setattr(callbacks, "MOST_KEPT", 3)
+    for k in range(5):
+        co.prepare(spins([times(90.0 + k)]), co.Splitting(), 0.1)
+    assert len(callbacks._COMPILED) == 3
