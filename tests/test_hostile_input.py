@@ -274,6 +274,7 @@ CALLS = {
     "inverse": (BETTER.inverse, {"x": X, "h": 0.1}),
     "archive": (lambda archive: co.integrate(BODY, X, (0, 1), 0.1, archive=in_a_folder(archive)), {"archive": ARCHIVE}),
     "open_archive": (co.open_archive, {"path": ARCHIVE}),
+    "load": (co.load, {"path": ARCHIVE, "system": None}),
     "resume": (co.resume, {"path": ARCHIVE}),
     "stepper": (co.stepper, {"system": BODY, "method": co.Splitting(), "h": 0.1}),
     "a step": (STEP, {"x": X, "t": 0.0}),

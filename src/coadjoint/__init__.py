@@ -78,6 +78,7 @@ _HOME = {
     "modified_field": "coadjoint.analysis.modified_field",
     "modified_hamiltonian": "coadjoint.analysis.modified_hamiltonian",
     "phase_drift": "coadjoint.analysis.phase_drift",
+    "load": "coadjoint.files.loaded_solution",
     "open_archive": "coadjoint.files.archived_solution",
     "predicted_drift": "coadjoint.analysis.predicted_drift",
     "resume": "coadjoint.files.archives",
@@ -124,6 +125,7 @@ if TYPE_CHECKING:
     from coadjoint.files.archived_solution import open_archive as open_archive
     from coadjoint.files.archives import resume as resume
     from coadjoint.files.ensemble import ensemble as ensemble
+    from coadjoint.files.loaded_solution import load as load
     from coadjoint.methods.commutator_free import CommutatorFree as CommutatorFree
     from coadjoint.methods.composition import Composition as Composition
     from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta as ExplicitRungeKutta

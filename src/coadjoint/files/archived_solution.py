@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from math import prod
 from pathlib import Path
@@ -18,15 +18,11 @@ from coadjoint.files.archive_store import ArchiveError, ArchiveMoved, path_of, r
 from coadjoint.files.archived_run import ACCOUNTS, FINISHED, STEPS, states_of
 from coadjoint.files.blocks import SIZE
 from coadjoint.files.export import solution_inputs
+from coadjoint.files.read_solution import ReadSolution
 from coadjoint.files.stored_arrays import GROWING, StoredArray
 from coadjoint.memory import check_room
-from coadjoint.methods.forced import serving
 from coadjoint.runs.piecewise_run import STATE, larger
-from coadjoint.runs.solution import Solution, Statistics
-from coadjoint.runs.start import Start, start_of
-from coadjoint.runs.times import Times, times_of
-from coadjoint.systems.batch import Batch
-from coadjoint.systems.kinds import System
+from coadjoint.runs.solution import Statistics
 
 if TYPE_CHECKING:
     import xarray
@@ -37,7 +33,7 @@ REPORTED = (f"{STATE}worst", "earlier", "initial")
 ATTEMPTS = 20
 
 
-class ArchivedSolution(Solution):
+class ArchivedSolution(ReadSolution):
     """A run in an archive, as far as it had come when it was opened; `open_archive` returns it.
 
     It has all that a `Solution` has. Arrays are read when they are first asked for, and kept; of those that do not fit
@@ -79,7 +75,6 @@ class ArchivedSolution(Solution):
     reached: int
     _given: Any
     _arrays: dict[str, StoredArray]
-    attributes: dict[str, Any]
     _stored: dict[str, NDArray[Any]]
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -90,7 +85,6 @@ class ArchivedSolution(Solution):
         return f"<archive {self.path}, {state}: {self._arrays['time'].shape[0]} points>"
 
     def inputs(self, events: Any = ()) -> dict[str, Any]:
-        """Return the arguments of `integrate` that repeat the run."""
         import xarray
 
         names: list[str] = [name for name in ("x0", "attitude0") if name in self._arrays]
@@ -99,10 +93,6 @@ class ArchivedSolution(Solution):
         values = {name: (self._arrays[name].dims, self._whole(name)) for name in names}
         return solution_inputs(xarray.Dataset(values, attrs=self.attributes), self._given, events)
 
-    @cached_property
-    def _inputs(self) -> dict[str, Any]:
-        return self.inputs()
-
     def _whole(self, name: str) -> NDArray[Any]:
         """Return all of an array."""
         array = self._arrays[name]
@@ -110,96 +100,10 @@ class ArchivedSolution(Solution):
         check_room(16 * prod(array.shape), what, f"read a part of to_xarray()[{name!r}]")
         return read_array(self.path, name, array)
 
-    def _read(self, name: str) -> NDArray[Any]:
-        """Return all of an array, of complex numbers where it has their parts."""
-        values = self._whole(name)
-        return values[..., 0] + 1j * values[..., 1] if self._arrays[name].dims[-1] == "part" else values
-
-    @cached_property
-    def system(self) -> Any:
-        """What moved; where it has functions, which are not stored, it must be given to `open_archive`."""
-        return self._inputs["system"]
-
-    @cached_property
-    def method(self) -> Any:  # type: ignore[override]
-        return self._inputs["method"]
-
-    @cached_property
-    def watched(self) -> bool:  # type: ignore[override]
-        return bool(self.attributes["watch"])
-
-    @cached_property
-    def _times(self) -> Times:  # type: ignore[override]
-        attributes = self.attributes
-        return times_of(json.loads(attributes["t_span"]), float(attributes["step"]), int(attributes["save_every"]))
-
-    @cached_property
-    def _start(self) -> Start:  # type: ignore[override]
-        inputs = self._inputs
-        system, method = inputs["system"], inputs["method"]
-        return start_of(system, serving(system, method), inputs["x0"], inputs["attitude"])
-
-    @cached_property
-    def _system(self) -> System | Batch:  # type: ignore[override]
-        return self.system
-
-    @cached_property
-    def t(self) -> NDArray[np.float64]:
-        return self._read("time")
-
-    @cached_property
-    def x(self) -> NDArray[Any]:
-        return self._read("x")
-
-    @cached_property
-    def x0(self) -> NDArray[Any]:
-        return self._read("x0")
-
-    @cached_property
-    def attitude0(self) -> NDArray[np.float64] | None:
-        return self._read("attitude0") if "attitude0" in self._arrays else None
-
-    @cached_property
-    def attitude(self) -> NDArray[np.float64] | None:
-        return self._read("attitude") if "attitude" in self._arrays else None
-
-    @cached_property
-    def t_eval(self) -> NDArray[np.float64] | None:
-        return self.t if self.attributes["between_steps"] else None
-
-    @cached_property
-    def _names(self) -> list[str]:  # type: ignore[override]
-        return [str(name) for name in self._whole("invariant")]
-
     @cached_property
     def initial(self) -> Mapping[str, Any]:
         values = self._stored["initial"]
         return {name: values[0, i] if self.failed is None else values[:, i] for i, name in enumerate(self._names)}
-
-    @cached_property
-    def energy(self) -> NDArray[np.float64]:
-        return self._read("energy")
-
-    @cached_property
-    def casimirs(self) -> Mapping[str, NDArray[np.float64]]:
-        return self._series("casimir_")
-
-    @cached_property
-    def observed(self) -> Mapping[str, NDArray[np.float64]]:  # type: ignore[override]
-        return self._series("observed_")
-
-    def _series(self, kind: str) -> Any:
-        labels = {
-            str(array.attributes["long_name"]): label for label, array in self._arrays.items() if label.startswith(kind)
-        }
-        return Read(labels, self._read)
-
-    @cached_property
-    def work(self) -> Mapping[str, Mapping[str, NDArray[np.float64]]]:
-        found: dict[str, dict[str, NDArray[np.float64]]] = {}
-        for place, (force, invariant) in enumerate(self._accounts):
-            found.setdefault(force, {})[invariant] = self._read("work")[..., place]
-        return found
 
     @cached_property
     def stats(self) -> Statistics:
@@ -207,15 +111,6 @@ class ArchivedSolution(Solution):
         return Statistics(
             self.reached, int(attributes["evaluations"]), int(attributes["iterations"]), float(attributes["seconds"])
         )
-
-    @cached_property
-    def failed(self) -> NDArray[np.bool_] | None:
-        return self._read("failed") if "failed" in self._arrays else None
-
-    @cached_property
-    def carried(self) -> str | None:
-        said = str(self.attributes["attitude_carried"])
-        return None if said == "none" else said
 
     @cached_property
     def _worst(self) -> NDArray[np.float64]:
@@ -231,24 +126,6 @@ class ArchivedSolution(Solution):
         found = found.assign_coords(names)
         # It may have grown since it was opened.
         return found.isel({dim: slice(self._arrays[dim].shape[0]) for dim in GROWING if dim in self._arrays})
-
-
-class Read(Mapping[str, NDArray[Any]]):
-    """Arrays by name, each read when it is first asked for."""
-
-    def __init__(self, labels: Mapping[str, str], read: Callable[[str], NDArray[Any]]) -> None:
-        self._labels, self._read, self._found = dict(labels), read, dict[str, NDArray[Any]]()
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        if name not in self._found:
-            self._found[name] = self._read(self._labels[name])
-        return self._found[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._labels)
-
-    def __len__(self) -> int:
-        return len(self._labels)
 
 
 def _opened(path: Path, system: Any) -> ArchivedSolution:

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 NEEDED = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
 
+ENDED = "ended_after"
+"""The attribute that has the number of steps after which an event has ended the run."""
+
 
 def dataset_of(solution: Solution) -> xarray.Dataset:
     """Return a solution as a dataset whose attributes make it repeatable.
@@ -92,6 +95,8 @@ def attributes_of(solution: Solution) -> dict[str, Any]:
         "iterations": solution.stats.iterations,
         "seconds": solution.stats.seconds,
     }
+    if solution.t_span != solution.asked_span:
+        attributes[ENDED] = solution.stats.steps
     if solution.events is not None:
         attributes["events"], functions = written_events(solution.events.asked, solution.events.names)
         missing += [f"event: {name}" for name in functions]

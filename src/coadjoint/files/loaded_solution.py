@@ -1,0 +1,223 @@
+"""What does a file say that holds a run? A solution again: `load`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import OneLineError, in_one_line
+from coadjoint.extras import need
+from coadjoint.files.archive_store import HIDDEN
+from coadjoint.files.archived_solution import open_archive
+from coadjoint.files.export import ENDED, NEEDED, solution_inputs
+from coadjoint.files.read_solution import ReadSolution
+from coadjoint.given import read_path
+from coadjoint.memory import check_room
+from coadjoint.runs.events import Ending, Event, Events
+from coadjoint.runs.solution import Solution, Statistics
+from coadjoint.systems.coordinate_names import coordinate_names
+from coadjoint.systems.kinds import unforced
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+
+if TYPE_CHECKING:
+    import xarray
+
+KINDS = {b"\x89HDF": ("h5netcdf", ("xarray", "h5netcdf", "h5py")), b"CDF": ("scipy", ("xarray", "scipy"))}
+"""How files begin, who reads them, and which packages that needs."""
+
+
+class LoadError(OneLineError):
+    """A file or folder holds no run that can be read."""
+
+
+class LoadedSolution(ReadSolution):
+    """A run from a file; `load` returns it. It has all that a `Solution` has, but the choice of an accuracy.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    dataset : xarray.Dataset
+        What it holds, in memory; what a sweep has set is a coordinate of it.
+    """
+
+    path: Path
+    dataset: xarray.Dataset
+    _given: Any
+
+    def __init__(self, path: Path, dataset: xarray.Dataset, system: Any = None) -> None:
+        arrays = {
+            str(name): SimpleNamespace(dims=values.dims, attributes=values.attrs)
+            for name, values in dataset.variables.items()
+        }
+        told = [str(each).rpartition(": ") for each in dataset["account"].values] if "account" in arrays else []
+        self.__dict__.update(
+            path=path,
+            dataset=dataset,
+            choice=None,
+            _error=None,
+            _began=None,
+            _given=system,
+            _arrays=arrays,
+            attributes=dict(dataset.attrs),
+            _accounts=tuple((force, name) for force, _, name in told),
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return LoadedSolution, (self.path, self.dataset, self._given)
+
+    def inputs(self, events: Any = ()) -> dict[str, Any]:
+        return solution_inputs(self.dataset, self._given, events)
+
+    def _whole(self, name: str) -> NDArray[Any]:
+        return np.asarray(self.dataset[name].values)
+
+    @cached_property
+    def initial(self) -> Mapping[str, Any]:
+        values = [self.energy, *self.casimirs.values()]
+        if self.t[0] == self.t_span[0]:
+            return {name: series[0] for name, series in zip(self._names, values, strict=True)}
+        # The start was not among the times that were kept.
+        system = self.system
+        found = {"energy": system.energy(self.x0, self.t_span[0])}
+        return found | {name: casimir(self.x0) for name, casimir in system.casimirs.items()}
+
+    @cached_property
+    def _ending(self) -> Ending | None:  # type: ignore[override]
+        """How an event has ended the run, where one has."""
+        if ENDED not in self.attributes:
+            return None
+        values = np.array([self.energy[-1], *(series[-1] for series in self.casimirs.values())])
+        attitude = None if self.attitude is None else self.attitude[-1]
+        return Ending(len(self.t), int(self.attributes[ENDED]), float(self.t[-1]), self.x[-1], values, attitude)
+
+    @cached_property
+    def stats(self) -> Statistics:
+        said = self.attributes
+        steps = int(said[ENDED if ENDED in said else "steps"])
+        return Statistics(steps, int(said["evaluations"]), int(said["iterations"]), float(said["seconds"]))
+
+    @cached_property
+    def _worst(self) -> NDArray[np.float64]:
+        names = ("change", "balance") if "change" in self._arrays else ("drift",)
+        return np.concatenate([np.moveaxis(self._whole(name), -2, -1) for name in names], axis=-1)
+
+    @cached_property
+    def events(self) -> Events | None:  # type: ignore[override]
+        """What was found of the events that were looked for."""
+        if "event_time" not in self._arrays:
+            return None
+        asked: tuple[Event, ...] = solution_inputs(self.dataset, self._given, None)["events"]
+        moved: Any = unforced(self._system)
+        named = () if isinstance(moved, MatrixSystem) else tuple(coordinate_names(moved, moved.dim))
+        t, x, which, member, direction = (
+            self._read(f"event_{name}") for name in ("time", "x", "which", "member", "direction")
+        )
+        attitude = self._read("event_attitude") if "event_attitude" in self._arrays else None
+        names = tuple(str(event.name) for event in asked)
+        return Events(names, t, x, which, member, direction, attitude, named, asked)
+
+    def to_xarray(self) -> xarray.Dataset:
+        return self.dataset.copy()
+
+
+def load(path: str | Path, system: Any = None) -> Solution:
+    """Open a run that was written to a file or a folder.
+
+    What ``sol.to_xarray().to_netcdf(path)``, ``to_zarr`` and `coadjoint run` wrote is read into memory; an archive is
+    read when it is asked, as by `open_archive`.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file ``.nc``, a folder ``.zarr``, or an archive. It is told by what is in it, not by its name.
+    system : optional
+        The system of the run, where it has functions, which are not stored. Only what asks for the system needs it.
+
+    Returns
+    -------
+    Solution
+        With the states, energies, Casimirs, attitudes, events and drifts of the run, to the bit. What moved and how is
+        made again when it is asked for. `path` is where it comes from, and of a file `dataset` what it holds, such as
+        the coordinates of a sweep.
+
+    Raises
+    ------
+    ValueError
+        There is no such file, or it holds no run of this library, or it is damaged; in one sentence.
+    ArchiveError
+        An archive is damaged, or a later version of the library has written it.
+    MissingPackageError
+        The format needs a package that is not installed.
+
+    See Also
+    --------
+    open_archive : For archives alone; they may still be written.
+    coadjoint.files.export.rebuild : Runs what a dataset describes once more.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import tempfile
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), (0, 10), 0.1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = sol.to_xarray().to_netcdf(f"{folder}/run.nc", engine="h5netcdf")
+    ...     again = co.load(f"{folder}/run.nc")
+    >>> bool((again.x == sol.x).all()), again.drift() == sol.drift(), again.method
+    (True, True, Splitting(order=2...))
+    """
+    place = read_path(path, "path")
+    shown = in_one_line(str(place), 200)
+    try:
+        if (place / HIDDEN).is_dir():
+            return open_archive(place, system)
+        engine, packages = _reader(place)
+    except (OSError, ValueError) as reason:
+        if isinstance(reason, OneLineError):
+            raise
+        raise LoadError(f"{shown}: cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
+    need(f"{shown}: reading it", *packages)
+    import xarray
+
+    try:
+        with xarray.open_dataset(place, engine=engine) as opened:
+            absent = [key for key in (*NEEDED, "evaluations", "iterations", "seconds") if key not in opened.attrs]
+            if absent or any(name not in opened.variables for name in ("x", "x0", "energy", "time", "invariant")):
+                raise LoadError(f"{shown}: holds no run: it was not written by this library")
+            check_room(2 * opened.nbytes, f"{shown}: the run in it", "read parts of it with xarray")
+            dataset = opened.load()
+    except LoadError:
+        raise
+    except Exception as reason:  # of xarray, or of whoever reads for it: a damaged file has no kind of its own
+        raise LoadError(f"{shown}: cannot be read as a dataset ({in_one_line(str(reason), 200)})") from None
+    return LoadedSolution(place, dataset, system)
+
+
+def _reader(place: Path) -> tuple[str, tuple[str, ...]]:
+    """Return the engine that reads a file or folder, and the packages that it needs."""
+    shown = in_one_line(str(place), 200)
+    if place.is_dir():
+        if not any((place / name).is_file() for name in ("zarr.json", ".zgroup")):
+            raise LoadError(
+                f"{in_one_line(str(place), 200)}: is a folder that holds no run; give a .nc file or a .zarr folder"
+            )
+        return "zarr", ("xarray", "zarr")
+    if place.exists() and not place.is_file():
+        raise LoadError(f"{shown}: is no file and no folder")
+    with open(place, "rb", opener=_not_waiting) as file:
+        begin = file.read(4)
+    for head, found in KINDS.items():
+        if begin.startswith(head):
+            return found
+    raise LoadError(f"{shown}: is no NetCDF file; give what to_xarray() or the command wrote")
+
+
+def _not_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

@@ -1,0 +1,167 @@
+"""Runs opened again from whatever they were written to: every part has the bits that it had."""
+
+import pickle
+
+import h5py
+import numpy as np
+import pytest
+import xarray
+from configuration_files import READY_MADE
+
+import coadjoint as co
+from coadjoint import cli
+from coadjoint.files.archived_solution import ArchivedSolution
+from coadjoint.files.loaded_solution import LoadedSolution
+from coadjoint.files.output import write_dataset
+
+X = (1.0, 0.1, 0.5)
+BODY = co.systems.rigid_body()
+P = co.Polynomial({(1, 1, 0): 1})
+MATRICES = co.systems.torus_euler(N=5)
+RUNS = {
+    "one member": lambda **more: co.integrate(BODY, X, (0.0, 2.0), 0.1, co.Splitting(order=4), save_every=3, **more),
+    "an ensemble": lambda **more: co.integrate(BODY, [X, X[::-1]], (0.0, 2.0), 0.1, co.GaussLegendre(2), **more),
+    "backward": lambda **more: co.integrate(co.systems.paper_a37(), X, (1.0, -1.0), 0.1, watch=False, **more),
+    "attitude": lambda **more: co.integrate(BODY, X, (0.0, 2.0), 0.1, attitude=True, **more),
+    "observed": lambda **more: co.integrate(BODY, X, (0.0, 2.0), 0.1, observe={"a b": P}, **more),
+    "matrices": lambda **more: co.integrate(MATRICES, MATRICES.random(1, degrees=(1, 2)), (0, 0.5), 0.125, **more),
+    "a batch": lambda **more: co.integrate(
+        co.batch([BODY, co.systems.rigid_body((1, 2, 2.5))]), [X, X], (0.0, 2.0), 0.1, **more
+    ),
+    "forces": lambda **more: co.integrate(
+        BODY.with_forces(co.forces.LinearDamping(0.1), co.forces.DoubleBracketDamping(0.1)), [X], (0, 2), 0.125, **more
+    ),
+}
+ONLY_IN_FILES = {
+    "events": lambda: co.integrate(BODY, [X, X], (0, 20), 0.1, events=[co.Event("x2"), co.Event(P, direction=1)]),
+    "ended by an event": lambda: co.integrate(BODY, X, (0, 20), 0.1, attitude=True, events=co.Event(2, terminal=True)),
+    "between steps": lambda: co.integrate(BODY, X, (0, 2), 0.1, t_eval=[0.33, 0.7, 1.99]),
+}
+WAYS = {
+    "to_netcdf": lambda sol, path: sol.to_xarray().to_netcdf(path, engine="h5netcdf"),
+    "to_netcdf alone": lambda sol, path: sol.to_xarray().to_netcdf(path),
+    "to_zarr": lambda sol, path: sol.to_xarray().to_zarr(path),
+    "run.nc": lambda sol, path: write_dataset(sol.to_xarray(), path.with_suffix(".nc")),
+    "run.zarr": lambda sol, path: write_dataset(sol.to_xarray(), path.with_suffix(".zarr")),
+}
+
+
+def same(one, other):
+    if one is None or other is None:
+        return one is other
+    one, other = np.asarray(one), np.asarray(other)
+    return one.shape == other.shape and one.dtype == other.dtype and one.tobytes() == other.tobytes()
+
+
+def check_same(found, sol):
+    for name in ("t", "x", "energy", "attitude", "x0", "attitude0", "failed", "t_eval"):
+        assert same(getattr(found, name), getattr(sol, name)), name
+    for name in ("casimirs", "observed", "initial"):
+        one, other = getattr(found, name), getattr(sol, name)
+        assert list(one) == list(other) and all(same(one[key], other[key]) for key in other), name
+    for name in ("change", "balance"):
+        one, other = getattr(found, name)(), getattr(sol, name)()
+        assert list(one) == list(other), name
+        for key in other:
+            assert same(one[key].tenths, other[key].tenths) and same(one[key].initial, other[key].initial)
+    assert {f: {k: v.tolist() for k, v in w.items()} for f, w in found.work.items()} == {
+        f: {k: v.tolist() for k, v in w.items()} for f, w in sol.work.items()
+    }
+    assert (found.t_span, found.step, found.save_every) == (sol.t_span, sol.step, sol.save_every)
+    assert (found.method, found.watched, found.carried) == (sol.method, sol.watched, sol.carried)
+    assert found.stats == sol.stats
+    assert (found.events is None) == (sol.events is None)
+    if sol.events is not None:
+        assert (found.events.names, found.events.coordinates) == (sol.events.names, sol.events.coordinates)
+        for name in ("t", "x", "which", "member", "direction", "attitude"):
+            assert same(getattr(found.events, name), getattr(sol.events, name)), name
+
+
+@pytest.mark.filterwarnings("ignore::zarr.errors.UnstableSpecificationWarning")
+@pytest.mark.filterwarnings("ignore:Consolidated metadata")
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("name", [*RUNS, *ONLY_IN_FILES])
+def test_every_part_has_its_bits(tmp_path, name, way):
+    sol, path = (RUNS | ONLY_IN_FILES)[name](), tmp_path / "kept"
+    WAYS[way](sol, path)
+    found = co.load(next(tmp_path.iterdir()))
+    assert isinstance(found, LoadedSolution) and repr(found) == repr(sol)
+    check_same(found, sol)
+    xarray.testing.assert_identical(found.to_xarray(), sol.to_xarray())
+    check_same(pickle.loads(pickle.dumps(found)), sol)
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_archives_are_opened_as_such(tmp_path, name):
+    sol = RUNS[name](archive=tmp_path / "run.zarr")
+    found = co.load(tmp_path / "run.zarr")
+    assert isinstance(found, ArchivedSolution) and found.finished
+    assert same(found.x, sol.x)
+
+
+def test_what_the_command_wrote_with_a_sweep(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = READY_MADE + '[sweep.over]\n"system.parameters.inertia[2]" = [2.25, 2.5, 2.75]\n'
+    (tmp_path / "run.toml").write_text(text, encoding="utf-8")
+    assert cli.main(["run", "run.toml", "--out", "run.nc", "--quiet"]) == 0
+    found = co.load("run.nc")
+    assert found.dataset["swept_inertia_2"].values.tolist() == [2.25, 2.5, 2.75]
+    assert [body.parameters["inertia"][2] for body in found.system] == [2.25, 2.5, 2.75]
+
+
+def test_a_system_with_functions_is_asked_for(tmp_path):
+    H = co.Hamiltonian(lambda x: float(x @ x), lambda x: 2 * x)
+    system = co.LiePoissonSystem(co.algebras.so(3), H)
+    sol = co.integrate(system, X, (0, 1), 0.125, co.GaussLegendre(2))
+    sol.to_xarray().to_netcdf(tmp_path / "run.nc", engine="h5netcdf")
+    found = co.load(tmp_path / "run.nc")
+    assert same(found.x, sol.x) and found.drift() == sol.drift()
+    with pytest.raises(ValueError, match="not stored"):
+        _ = found.system
+    assert co.load(tmp_path / "run.nc", system=system).system is system
+
+
+def test_a_run_that_failed_is_opened_as_far_as_it_came(tmp_path):
+    grows = co.LiePoissonSystem(co.algebras.get("A2_1"), co.Quadratic(0.0, linear=[1.0, 0.0]), sign=-1)
+    with pytest.raises(co.IntegrationError) as failed:
+        co.integrate(grows, (1.0, 1.0), (0, 1000), 1.0, save_every=100)
+    from coadjoint.files.export import mark_failed
+
+    partial = failed.value.partial
+    mark_failed(partial.to_xarray(), failed.value).to_netcdf(tmp_path / "run.nc", engine="h5netcdf")
+    found = co.load(tmp_path / "run.nc")
+    assert same(found.x, partial.x) and found.stats == partial.stats
+
+
+@pytest.mark.filterwarnings("ignore:Consolidated metadata")
+def test_other_files_are_refused_in_one_sentence(tmp_path):
+    (tmp_path / "a.txt").write_text("nothing", encoding="utf-8")
+    (tmp_path / "empty.nc").touch()
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "cut.nc").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
+    (tmp_path / "cdf.nc").write_bytes(b"CDF\x01" + bytes(3))
+    with h5py.File(tmp_path / "other.nc", "w") as file:
+        file["x"] = np.ones(3)
+    xarray.Dataset({"x": ("time", np.ones(3))}).to_zarr(tmp_path / "other.zarr")
+    sol = RUNS["one member"]()
+    sol.to_xarray().drop_vars("x0").to_netcdf(tmp_path / "less.nc", engine="h5netcdf")
+    said = {
+        "none.nc": "cannot be read (No such file or directory)",
+        "a.txt": "is no NetCDF file; give what to_xarray() or the command wrote",
+        "empty.nc": "is no NetCDF file",
+        "folder": "is a folder that holds no run; give a .nc file or a .zarr folder",
+        "cut.nc": "cannot be read as a dataset (",
+        "cdf.nc": "cannot be read as a dataset (",
+        "other.nc": "",
+        "other.zarr": "holds no run: it was not written by this library",
+        "less.nc": "holds no run: it was not written by this library",
+        "x" * 3000: "",
+    }
+    for name, message in said.items():
+        with pytest.raises(ValueError, match=r".") as raised:
+            co.load(tmp_path / name)
+        text = str(raised.value)
+        assert message in text and "\n" not in text and len(text) < 1000, name
+    for wrong in (None, 3, b"a.nc", ["a.nc"]):
+        with pytest.raises(TypeError, match="path is"):
+            co.load(wrong)
