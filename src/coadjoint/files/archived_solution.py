@@ -94,7 +94,6 @@ class ArchivedSolution(ReadSolution):
         return solution_inputs(xarray.Dataset(values, attrs=self.attributes), self._given, events)
 
     def _whole(self, name: str) -> NDArray[Any]:
-        """Return all of an array."""
         array = self._arrays[name]
         what = f"{name} of the archive {self.path}"
         check_room(16 * prod(array.shape), what, f"read a part of to_xarray()[{name!r}]")
