@@ -44,10 +44,11 @@ mutants: kernels
 	cd tests && ../$(BIN)/python -m mutants.plant $(MUTANTS)
 
 # Random systems, schemes and crowds: the same bits in any company, and an end to every run. Then runs with archives
-# are killed at random moments, 100 times or COUNT / 10 times, whichever is more.
+# are killed at random moments, 100 times or COUNT / 10 times, whichever is more, and workers 12 or COUNT / 100 times.
 soak: kernels
 	cd tests && ../$(BIN)/python -m random_runs.soak $(FIRST) $(COUNT) --jobs 2
 	cd tests && ../$(BIN)/python files/killed_runs.py $(FIRST) $$(( $(COUNT) > 1000 ? $(COUNT) / 10 : 100 ))
+	cd tests && ../$(BIN)/python files/killed_workers.py $(FIRST) $$(( $(COUNT) > 1200 ? $(COUNT) / 100 : 12 ))
 
 # Configurations and calls with wild values: a result or one sentence for each, however many.
 fuzz: kernels

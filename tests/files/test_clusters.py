@@ -6,7 +6,9 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from threading import Thread, Timer
 
+import killed_workers
 import numpy as np
 import pytest
 from distributed import Client, LocalCluster
@@ -110,8 +112,6 @@ def test_a_block_that_an_earlier_call_still_runs_is_waited_for(tmp_path, client,
             lost.setattr("coadjoint.files.run_in_blocks.run_block", lambda *given: {"busy": True})
             co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, members_per_block=4)
     lock = locked(archive / ".coadjoint" / "block-000001.lock", os.O_CREAT)
-    from threading import Timer
-
     Timer(3.0, os.close, [lock]).start()
     began = time.monotonic()
     found = co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, client=client)
@@ -163,23 +163,30 @@ def written(archive):
     return {k: (archive / ".coadjoint" / f"block-{k:06d}").stat().st_mtime_ns for k in done(archive)}
 
 
-def test_a_worker_is_killed(tmp_path, client):
+@pytest.mark.parametrize("count", [1, 2])
+def test_workers_are_killed(tmp_path, client, count):
+    """One of them, or all that have the tables: these are sent once more."""
     archive, killed = tmp_path / "many.zarr", []
 
     def kill():
         until(lambda: archive.exists() and done(archive))
-        pid = next(iter(client.run(os.getpid, nanny=False).values()))
-        os.kill(pid, signal.SIGKILL)
-        killed.append(pid)
-
-    from threading import Thread
+        for pid in list(client.run(os.getpid, nanny=False).values())[:count]:
+            os.kill(pid, signal.SIGKILL)
+            killed.append(pid)
 
     thread = Thread(target=kill)
     thread.start()
     found = co.ensemble(BODY, X, (0, SPAN), 0.125, archive=archive, client=client, save_every=2000, members_per_block=1)
     thread.join()
-    assert killed
+    assert len(killed) == count
     assert_same(found, whole())
+
+
+@pytest.mark.long
+def test_workers_are_killed_in_the_middle_of_their_blocks(tmp_path):
+    """`make soak` does the same many times more."""
+    kills, from_the_middle = killed_workers.killed(1, tmp_path)
+    assert kills and from_the_middle
 
 
 def test_the_client_is_killed_and_called_again(tmp_path):
@@ -219,7 +226,6 @@ def test_the_scheduler_is_killed_and_another_one_started(tmp_path):
 
     scheduler, worker, file = begun()
     try:
-        from threading import Thread
 
         def kill():
             until(lambda: archive.exists() and len(done(archive)) >= 2)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
 
 RETRIES = 3
-"""How often a block is run again where its worker, or what was sent to it, is lost by no fault of the cluster."""
+"""How often what is left is begun again where workers, or what was sent to them, are lost and no block gets done."""
 SECONDS_BETWEEN_LOOKS = 0.5
 SECONDS_WITHOUT_SCHEDULER = 10.0
 SECONDS_BETWEEN_TRIES = 2.0
@@ -78,12 +78,15 @@ def on_client(
         A worker does not see the archive, or has another version of the library.
     """
     with progress_bar(sum(block.last - block.first for block in left), progress, "member") as bar:
-        for _ in range(RETRIES):
+        tries = 0
+        while tries < RETRIES:
+            before = len(left)
             left, failure = _round(client, store, left, ready, threads or 1, bar)
             if not left:
                 return
             if isinstance(failure, ArchiveError | ArchiveUnwritten):
                 raise failure
+            tries = 0 if len(left) < before else tries + 1
     members = sum(block.last - block.first for block in left)
     raise ArchiveUnwritten(
         f"{store.path}: {members} members could not be computed, since workers were lost again and again "
@@ -110,7 +113,13 @@ def _round(
     tries, seen = 0, time.monotonic()
     try:
         while tasks:
-            done = _done(client, tasks)
+            try:
+                done = _done(client, tasks)
+            except CancelledError as lost:
+                # All who had the tables are lost, or the scheduler is.
+                if not _answers(client):
+                    raise
+                return [*undone, *tasks.values()], failure or lost
             seen = time.monotonic() if client.status == "running" else seen
             if time.monotonic() - seen > SECONDS_WITHOUT_SCHEDULER:
                 raise _lost(store)
@@ -149,6 +158,15 @@ def _done(client: Any, tasks: Any) -> Any:
         return distributed.wait(list(tasks), timeout=SECONDS_BETWEEN_LOOKS, return_when="FIRST_COMPLETED").done
     except TimeoutError:
         return set()
+
+
+def _answers(client: Any) -> bool:
+    """Return whether there is a scheduler."""
+    try:
+        client.sync(client.scheduler.identity, n_workers=0, callback_timeout=SECONDS_WITHOUT_SCHEDULER)
+    except (OSError, CancelledError):
+        return False
+    return bool(client.status == "running")
 
 
 def _lost(store: ArchiveStore) -> ArchiveUnwritten:
