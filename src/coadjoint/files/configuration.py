@@ -8,12 +8,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
+from coadjoint import systems
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.extras import need
 from coadjoint.files.configuration_parts import ConfigurationError, method_of_file, section, system_of_file
 from coadjoint.files.configuration_text import tables_of, text_of
 from coadjoint.files.initial_states import initial_state
 from coadjoint.files.polynomials import read_polynomial
+from coadjoint.files.several_errors import SeveralErrors, told_together
 from coadjoint.files.states_by_name import check_named, state_by_name
 from coadjoint.files.sweeps import Sweep, read_sweep
 from coadjoint.files.swept_members import swept_states, swept_system
@@ -284,12 +286,25 @@ def _checked(name: str, model: type[Model], raw: Mapping[str, Any]) -> Model:
     """Return what a file says as a model, or refuse it by its key."""
     from pydantic import ValidationError
 
-    from coadjoint.files.configuration_models import first_error
+    from coadjoint.files.configuration_models import all_errors
 
     try:
         return model.model_validate(raw)
     except ValidationError as error:
-        raise ConfigurationError(f"{name}: {': '.join(first_error(error))}") from None
+        raise ConfigurationError(f"{name}: {told_together([*all_errors(error), *_unknown_system(raw)])}") from None
+
+
+def _unknown_system(raw: Mapping[str, Any]) -> list[str]:
+    """Return what is wrong with the name of the ready-made system, which is told beside what is wrong with keys."""
+    table = raw.get("system")
+    given = table.get("name") if isinstance(table, Mapping) else None
+    if not isinstance(given, str) or given in systems.names():
+        return []
+    try:
+        systems.get(given)
+    except ValueError as error:
+        return [f"system: {error}"]
+    return []
 
 
 def _method(name: str, file: File, system: Any) -> Method:
@@ -329,19 +344,38 @@ def check_archived(name: str, t_eval: Any, events: Any) -> None:
 def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Configuration:
     from coadjoint.files.configuration_models import File as Tables
 
-    check_named(name, file)
-    checked = partial(_checked, name, Tables)
-    system = _system(name, file, sweep)
-    method, step, choice = _method(name, file, system), file.run.step, None
-    with section(name, "method"):
-        check_serves(system[0] if isinstance(system, Batch) else system, method)
-    if step is not None:
-        _check_times(name, file, system, step)
+    wrong = SeveralErrors(name)
+    system: Any = None
+    method: Any = None
+    x0: Any = None
+    step, choice, checked = file.run.step, None, partial(_checked, name, Tables)
+    with wrong.caught():
+        check_named(name, file)
+        system = _system(name, file, sweep)
     if file.output.archive is not None:
-        check_archived(name, file.run.t_eval, file.events)
-    x0 = state_by_name(name, file.initial, system) if sweep is None else swept_states(sweep, file, system, checked)
+        with wrong.caught():
+            check_archived(name, file.run.t_eval, file.events)
+    # What the system is asked for is looked at where there is one; the scheme and the times tell nothing of each other.
+    if system is not None:
+        with wrong.caught():
+            found = _method(name, file, system)
+            with section(name, "method"):
+                check_serves(system[0] if isinstance(system, Batch) else system, found)
+            method = found
+        if step is not None:
+            with wrong.caught():
+                _check_times(name, file, system, step)
+        with wrong.caught():
+            x0 = (
+                state_by_name(name, file.initial, system)
+                if sweep is None
+                else swept_states(sweep, file, system, checked)
+            )
+            with section(name, "initial.x"):
+                x0 = initial_state(system, file.initial.x, Path(name).parent) if x0 is None else x0
+                momenta_of(system, x0)
+    wrong.tell()
     with section(name, "initial.x"):
-        x0 = initial_state(system, file.initial.x, Path(name).parent) if x0 is None else x0
         start_of(system, serving(system, method), x0, False)
     with section(name, "initial.attitude"):
         start_of(system, serving(system, method), x0, file.initial.attitude)

@@ -205,10 +205,10 @@ def unknown_key(key: str, known: Iterable[str]) -> str:
     return f"unknown key; known here: {', '.join(names)}" if names else "unknown key; there are none here"
 
 
-def first_error(error: ValidationError) -> tuple[str, str]:
-    """Return the dotted path of what is wrong first, and the reason.
+def all_errors(error: ValidationError) -> list[str]:
+    """Return what is wrong with the tables of a file: the dotted path of each key, and the reason.
 
-    An unknown key comes first, since a missing one is often the same key, misspelled.
+    Unknown keys come first. A missing key is often one of them, misspelled, and then is not told.
 
     Parameters
     ----------
@@ -217,24 +217,30 @@ def first_error(error: ValidationError) -> tuple[str, str]:
 
     Returns
     -------
-    path : str
-    reason : str
+    list of str
 
     Examples
     --------
     >>> try:
     ...     File.model_validate({"initial": {"x": [1.0]}, "run": {"t_span": [0, 1], "stpe": 0.1}})
     ... except ValidationError as error:
-    ...     first_error(error)
-    ('run.stpe', "unknown key; did you mean 'step'?")
+    ...     all_errors(error)
+    ["run.stpe: unknown key; did you mean 'step'?"]
     """
     rank = {"extra_forbidden": 0, "missing": 2}
-    found = sorted(error.errors(), key=lambda entry: rank.get(entry["type"], 1))[0]
-    # Where a key of a table is wrong, "[key]" follows it.
-    place = [key for key in found["loc"] if key != "[key]"]
-    path = "".join(f"[{key}]" if isinstance(key, int) else f".{in_one_line(key, SHOWN)}" for key in place)
-    path = path.lstrip(".")
-    return path, _reason(found["type"], found["msg"], found["input"], found.get("ctx", {}), place)
+    found = sorted(error.errors(), key=lambda entry: rank.get(entry["type"], 1))
+    said: dict[str, str] = {}
+    for entry in found:
+        # Where a key of a table is wrong, "[key]" follows it.
+        place = [key for key in entry["loc"] if key != "[key]"]
+        path = "".join(f"[{key}]" if isinstance(key, int) else f".{in_one_line(key, SHOWN)}" for key in place)
+        path = path.lstrip(".")
+        reason = _reason(entry["type"], entry["msg"], entry["input"], entry.get("ctx", {}), place)
+        misspelled = entry["type"] == "missing" and any(f"did you mean {place[-1]!r}?" in one for one in said.values())
+        # Of a value that may be of several kinds each kind says why it is not: the first is told.
+        if not misspelled:
+            said.setdefault(".".join(map(str, place[:2])), f"{path}: {reason}" if path else f": {reason}")
+    return list(said.values())
 
 
 def _reason(kind: str, message: str, given: Any, context: Mapping[str, Any], place: list[int | str]) -> str:
