@@ -48,7 +48,7 @@ def test_a_table_of_a_body():
         "<b>rigid_body</b>",
         "3: x1, x2, x3",
         "<td>so(3)</td>",
-        "0.5*x1^2 + 0.25*x2^2 + 0.125*x3^2",
+        "0.5*x1^2 + 0.25*x2^2 + 0.2*x3^2",
         "<td>-1</td>",
     ):
         assert text in table, table

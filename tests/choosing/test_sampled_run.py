@@ -98,8 +98,8 @@ def test_a_state_at_rest_and_one_that_is_refused():
 def test_a_clock_is_looked_at_where_it_is():
     """The same body by a clock that runs ever faster: later steps are larger ones."""
     quick = co.Hamiltonian(
-        lambda x, t: (1.0 + t) * (0.5 * x[0] ** 2 + 0.25 * x[1] ** 2 + 0.125 * x[2] ** 2),
-        lambda x, t: (1.0 + t) * x * np.array([1.0, 0.5, 0.25]),
+        lambda x, t: (1.0 + t) * (0.5 * x[0] ** 2 + 0.25 * x[1] ** 2 + 0.2 * x[2] ** 2),
+        lambda x, t: (1.0 + t) * x * np.array([1.0, 0.5, 0.4]),
     )
     system = co.LiePoissonSystem(co.algebras.so(3), quick, sign=-1)
     ready = co.prepare(system, accuracy=1e-8, x0=SAMPLE[:3], t_span=(0, 4))

@@ -176,6 +176,7 @@ def outcome(dataset):
 
 
 @pytest.mark.parametrize("name", RUNS)
+@pytest.mark.filterwarnings("ignore:inertia")  # moments are damaged too
 def test_damaged(name, datasets):
     refusals = 0
     for seed in SEEDS:

@@ -181,6 +181,8 @@ OTHERS = {
     ("double_spherical_pendulum", "masses"): ({}, [(1.5, 0.75)]),  # compiled for each
     ("kirchhoff_body", "coupling"): ({}, [[[0.2, 0.5, -0.1], [0.0, -0.3, 0.4], [0.3, 0.1, 0.25]]]),
     ("satellite", "inertia"): ({}, [(2.0, 1.5, 1.0)]),
+    ("rigid_body", "inertia"): ({}, [(2.0, 2.5, 1.0)]),
+    ("gyrostat", "inertia"): ({}, [(2.0, 2.5, 1.0)]),
     ("separable_cosh", "algebra"): ({}, ["sl(2)"]),
     ("reduced_mhd", "N"): ({}, [5]),
     ("reduced_mhd", "surface"): ({"N": 5}, ["torus"]),

@@ -59,8 +59,8 @@ def test_one_time_serves_all_and_exact_numbers_stay_exact():
     system = _driven()
     x = np.random.default_rng(4).normal(size=(3, 3))
     assert (system.energy(x, 0.7) == [system.energy(row, 0.7) for row in x]).all()
-    body = co.systems.rigid_body((1, 2, 2.5))
-    exact = body.vector_field(np.array([[Fraction(1), Fraction(2), Fraction(4)]] * 2))
+    form = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 0.5, 0.25]), sign=-1)
+    exact = form.vector_field(np.array([[Fraction(1), Fraction(2), Fraction(4)]] * 2))
     assert exact.dtype == object and exact.tolist() == [[Fraction(-2), Fraction(3), Fraction(-1)]] * 2
 
 
