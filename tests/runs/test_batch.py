@@ -146,7 +146,7 @@ def test_statistics_and_drift_have_a_place_for_each_member():
 def test_a_dataset_of_a_batch_runs_again_to_the_same_bits(suffix, tmp_path):
     import xarray
 
-    batch = co.batch([body(1, 2, 1.75 + m / 500) for m in range(600)])  # a record above 64 kB of some formats' attributes
+    batch = co.batch([body(1, 2, 1.75 + m / 500) for m in range(600)])  # a record above the 64 kB of some attributes
     first = co.integrate(batch, X, (0, 1), 0.1, attitude=True)
     dataset = first.to_xarray()
     assert dict(dataset.sizes)["member"] == 600
