@@ -107,7 +107,7 @@ def test_outputs_that_the_file_names(folder, capsys):
 def test_progress_goes_to_the_standard_error(folder, capsys):
     assert cli.main(["run", "body.toml", "--progress", "--quiet"]) == 0
     said = capsys.readouterr()
-    assert said.out == "" and "10.0/10.0" in said.err
+    assert said.out == "" and "10 of 10 steps (100 %)" in said.err
 
 
 @pytest.mark.parametrize("name", ["part.nc", "part.zarr"])

@@ -206,7 +206,7 @@ def test_one_call_for_a_run_and_many_under_a_progress_bar(monkeypatch, capsys):
     assert len(cuts) > 10
     assert [k0 for k0, _ in cuts[1:]] == [k1 for _, k1 in cuts[:-1]] and cuts[-1][1] == 10**5
     assert np.array_equal(whole.x, pieces.x)
-    assert "100%" in capsys.readouterr().err
+    assert "(100 %)" in capsys.readouterr().err
 
 
 def test_a_solution_shows_what_it_has_from_the_start():

@@ -16,7 +16,7 @@ from coadjoint.files.export import said_of
 from coadjoint.files.stored_arrays import TYPES, StoredArray, chunk_of, rows_of_chunk
 from coadjoint.files.variables import Variables, coordinates_of, over_time, starts_of, summaries_of, times_of_points
 from coadjoint.runs.piecewise_run import PiecewiseRun
-from coadjoint.runs.run import progress_bar
+from coadjoint.runs.progress import progress_bar
 
 if TYPE_CHECKING:
     from coadjoint.errors import IntegrationError

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from coadjoint.files.archive_store import ArchiveError, ArchiveStore, ArchiveUnwritten
 from coadjoint.files.block_run import BUSY, run_block
-from coadjoint.runs.run import progress_bar
+from coadjoint.runs.progress import progress_bar
 from coadjoint.systems.batch import Batch
 
 if TYPE_CHECKING:

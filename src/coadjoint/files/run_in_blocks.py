@@ -22,7 +22,7 @@ from coadjoint.files.given_functions import asked_again
 from coadjoint.files.variables import NOTHING, About
 from coadjoint.given import read_whole
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.run import progress_bar
+from coadjoint.runs.progress import progress_bar
 from coadjoint.wording import short
 
 if TYPE_CHECKING:

@@ -14,7 +14,8 @@ from coadjoint.runs.crossings import Crossings, Failed, WatchedEvents
 from coadjoint.runs.events import Ending, Events
 from coadjoint.runs.loops import Plan
 from coadjoint.runs.parts_of_steps import PartsOfSteps
-from coadjoint.runs.run import Run, progress_bar
+from coadjoint.runs.progress import progress_bar
+from coadjoint.runs.run import Run
 from coadjoint.systems.kinds import unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 

@@ -24,6 +24,7 @@ from coadjoint.runs.crews_at_work import at_work, name_of_status, pool_of, what_
 from coadjoint.runs.events import Ending, Events
 from coadjoint.runs.loops import Loops
 from coadjoint.runs.observed import Observed
+from coadjoint.runs.progress import progress_bar
 from coadjoint.runs.room import check_room_of_run
 from coadjoint.runs.solution import Solution
 from coadjoint.runs.start import Start
@@ -337,21 +338,3 @@ def read_progress(progress: Any) -> bool:
     if shown:
         need("progress=True", "tqdm")
     return shown
-
-
-class progress_bar:
-    """A progress bar over the steps, or over what else is counted; or nothing."""
-
-    def __init__(self, steps: int, shown: bool, unit: str = "step") -> None:
-        self._bar: Any = None
-        if shown:
-            from tqdm import tqdm
-
-            self._bar = tqdm(total=steps, unit=unit, unit_scale=True)
-
-    def __enter__(self) -> Callable[[int], None]:
-        return (lambda count: None) if self._bar is None else (lambda count: self._bar.update(count))
-
-    def __exit__(self, *exception: object) -> None:
-        if self._bar is not None:
-            self._bar.close()

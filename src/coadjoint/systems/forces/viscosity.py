@@ -79,4 +79,5 @@ class Viscosity(ModeRates):
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
         spared = 2.0 if modes.kind == "HARMONICS" and not self.rotation and self.layer == "vorticity" else 0.0
-        return np.asarray(self.nu * (modes.eigenvalues(d, numbers) - spared) ** self.power)
+        with np.errstate(over="ignore"):  # what decays at an infinite rate is gone
+            return np.asarray(self.nu * (modes.eigenvalues(d, numbers) - spared) ** self.power)
