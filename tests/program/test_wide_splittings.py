@@ -98,11 +98,22 @@ def test_shifts_take_no_more_than_a_bounded_work(monkeypatch):
     monkeypatch.setattr(decompose, "split", lambda *given, split=decompose.split: (calls.append(1), split(*given))[1])
     decompose.candidates(system, comparing=False)
     every = len(calls)
-    work = decompose._work(decompose.split(system))
+    work = decompose._work(system, decompose.split(system))
     calls.clear()
+    monkeypatch.setattr(decompose, "FEWEST_SHIFTS", 3)
     monkeypatch.setattr(decompose, "MOST_WORK", 5 * work)
     decompose.candidates(system, comparing=False)
     assert len(calls) == 6 < every
+
+
+def test_diagonal_forms_of_large_algebras_try_few_shifts(monkeypatch):
+    """The Casimir of su(N) is not diagonal, so that only making the parts tells how many there are."""
+    g = co.algebras.su(24)
+    system = co.LiePoissonSystem(g, co.Quadratic(np.sqrt(np.arange(1.0, g.dim + 1))))
+    calls = []
+    monkeypatch.setattr(decompose, "split", lambda *given, split=decompose.split: (calls.append(1), split(*given))[1])
+    decompose.candidates(system, comparing=False)
+    assert decompose.FEWEST_SHIFTS < len(calls) < 100
 
 
 @pytest.mark.parametrize("algebra, count", [("su(32)", 1023), ("so(45)", 990)])

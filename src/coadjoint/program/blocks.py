@@ -121,9 +121,11 @@ def _cubic(coordinates: tuple[int, ...], matrix: NDArray[Any]) -> Block:
     """Return the block with D^2, 1/sqrt(abs(lam)) and 1/lam to twice the precision: their rounding would turn a
     rotation into one that always stretches, or always shrinks, by a little.
     """
-    exact = _lift(matrix) if matrix.dtype == np.float64 else matrix
-    square = exact @ exact
-    lam = _cubic_factor(exact, square @ exact)
+    if matrix.dtype == np.float64:
+        square, lam = _exact_square(matrix)
+    else:
+        square = matrix @ matrix
+        lam = _cubic_factor(matrix, square @ matrix)
     root = Fraction(_decimal(abs(lam)).sqrt(PRECISE)) if isinstance(lam, Fraction) else abs(lam) ** (type(lam)(1) / 2)
     numbers = (lam, root, 1 / root, 1 / lam)
     constants = (*(_rounded(number) for number in numbers[:2]), *_twice(numbers[2]), *_twice(numbers[3]))
@@ -132,8 +134,20 @@ def _cubic(coordinates: tuple[int, ...], matrix: NDArray[Any]) -> Block:
     return Block(Kind.CUBIC, coordinates, constants, entries)
 
 
+def _exact_square(matrix: NDArray[np.float64]) -> tuple[NDArray[Any], Fraction]:
+    """Return D^2 in fractions, of the nonzero entries of D alone, and lam with D^3 = lam D at the largest entry."""
+    rows = [{j: Fraction(matrix[i, j]) for j in np.flatnonzero(matrix[i]).tolist()} for i in range(len(matrix))]
+    square = np.full(matrix.shape, Fraction(0), dtype=object)
+    for i, row in enumerate(rows):
+        for k, value in row.items():
+            for j, other in rows[k].items():
+                square[i, j] = square[i, j] + value * other
+    i, j = divmod(int(np.argmax(abs(matrix))), len(matrix))
+    cube = sum((square[i, k] * row[j] for k, row in enumerate(rows) if j in row), Fraction(0))
+    return square, cube / rows[i][j]
+
+
 PRECISE = Context(prec=50)
-_lift = np.vectorize(Fraction, otypes=[object])
 
 
 def _decimal(value: Fraction) -> Decimal:

@@ -33,6 +33,8 @@ LARGEST_COMPARED = 24
 MOST_TOGETHER = 256
 # Multiplications that shifts may take. Where more than some 100 coordinates are all coupled, the first ones are tried.
 MOST_WORK = 1 << 26
+FEWEST_SHIFTS = 8
+WORK_PER_CONSTANT = 16
 CALLED = ("free_body", "bonds")
 """Choices whose first parts turn momenta by an attitude, not about fixed axes."""
 
@@ -186,12 +188,12 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
     shifts = list(candidate_shifts(system, found[0].parts, casimirs)) if fewest > 1 else []
     # For many shifts of a large system the parts are counted without being made.
     counts = [0] * len(shifts) if comparing else numbers_of_parts(system, casimirs, shifts)
-    work, spent = _work(found[0].parts), 0
+    work, spent = _work(system, found[0].parts), 0
     for shift, count in zip(shifts, counts, strict=True):
         if count >= fewest:
             continue
         spent += work
-        if spent > MOST_WORK and not comparing:
+        if spent > max(MOST_WORK, FEWEST_SHIFTS * work) and not comparing:
             break
         parts = split(system, "auto", shifted_terms(terms, casimirs, shift))
         if len(parts) < fewest:
@@ -201,9 +203,11 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
     return found
 
 
-def _work(parts: Parts) -> int:
-    """Return about how many multiplications completed squares take: each takes its form off all entries that it has."""
-    return int(np.sum(np.diff(parts.forms.start) ** 2))
+def _work(system: LiePoissonSystem, parts: Parts) -> int:
+    """Return about how many multiplications parts take: each square takes its form off all entries that it has, and
+    the brackets of the algebra tell which parts commute.
+    """
+    return int(np.sum(np.diff(parts.forms.start) ** 2)) + WORK_PER_CONSTANT * len(system.algebra.triples.c)
 
 
 def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
