@@ -41,6 +41,14 @@ def test_three_wrong_keys_and_values_are_told_at_once(tmp_path):
     assert "run.step: is missing" not in said and "\n" not in said and said.count("; and ") == 2
 
 
+def test_a_misspelled_key_is_not_told_as_missing_too(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text(FILE.format(**RIGHT).replace("t_span", "t_spam"))
+    with pytest.raises(ConfigurationError) as error:
+        load(path)
+    assert str(error.value) == f"{path}: run.t_spam: unknown key; did you mean 't_span'?"
+
+
 def test_a_wrong_system_is_told_beside_wrong_keys(tmp_path):
     said = refused(tmp_path, name="rigid_bodi", step="stepp", end='"late"')
     assert "system: unknown system 'rigid_bodi'; did you mean 'rigid_body'?" in said
