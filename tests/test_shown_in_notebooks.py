@@ -80,3 +80,29 @@ def test_of_many_casimirs_the_worst_are_shown():
     table, moved = sol._repr_html_(), sol.drift()
     worst = max((name for name in moved if name != "energy"), key=lambda name: moved[name])
     assert f"<th>drift of {worst}</th>" in table and "<th>other Casimirs</th><td>6, none beyond" in table
+
+
+def test_what_holds_functions_shows_no_address():
+    body = co.systems.rigid_body()
+    shown = {
+        "Event(g=a lambda, direction=0, count=None, terminal=False, name=None)": co.Event(lambda x: x[0]),
+        "Torque(torque=a lambda)": co.forces.Torque(lambda t: np.zeros(3)),
+        "OwnForce(function=a lambda, name='own force', keeps_casimirs=False, backward=True)": co.forces.OwnForce(
+            lambda x, t, tau: x
+        ),
+        "Torque(torque=(0.0, 0.0, 1.0))": co.forces.Torque((0, 0, 1)),
+    }
+    for text, thing in shown.items():
+        assert repr(thing) == text
+    assert " at 0x" not in repr(body.with_forces(co.forces.Torque(lambda t: np.zeros(3))))
+
+
+def test_a_phase_drift_is_one_line():
+    drift = co.phase_drift(co.integrate(co.systems.rigid_body((1, 2, 2.5)), (1, 0.2, 0.1), (0, 50), 0.1))
+    assert repr(drift).startswith("<phase drift 3.78e-06 +- ") and repr(drift).endswith(": bounded, 501 points>")
+
+
+def test_a_table_of_matrices():
+    table = co.systems.torus_euler(N=5)._repr_html_()
+    for text in ("<b>torus_euler</b>", "5 x 5, of 50 real numbers", "<td>su(5)</td>", "4, traces of powers"):
+        assert text in table, table

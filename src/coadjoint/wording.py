@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields
 from types import BuiltinFunctionType, FunctionType, MethodType
 from typing import Any
 
@@ -59,6 +60,23 @@ def html_table(title: str, rows: Mapping[str, Any]) -> str:
 
     lines = [f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in rows.items()]
     return f"<table><caption><b>{escape(title)}</b></caption>{''.join(lines)}</table>"
+
+
+def shown_fields(given: Any) -> str:
+    """Return the representation of a dataclass, in which functions have names and no addresses.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass(repr=False)
+    ... class Pair:
+    ...     first: object
+    ...     second: object
+    >>> shown_fields(Pair(abs, "b"))
+    "Pair(first=the function abs, second='b')"
+    """
+    listed = (f"{field.name}={short(getattr(given, field.name))}" for field in fields(given) if field.repr)
+    return f"{type(given).__name__}({', '.join(listed)})"
 
 
 def named_function(function: Any) -> str:

@@ -61,6 +61,9 @@ class PhaseDrift:
     slow_deviation: float
     exponent: float
 
+    def __repr__(self) -> str:
+        return f"<phase drift {self.slope:.3g} +- {self.uncertainty:.1g}: {self.growth}, {len(self.t)} points>"
+
     @property
     def growth(self) -> str:
         """``"faster"``, ``"linear"``, ``"wandering"`` or ``"bounded"``; `phase_drift` has the criterion."""

@@ -14,7 +14,7 @@ from coadjoint.given import read_choice, read_flag, read_title, read_whole
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.separable import MOST_COORDINATES
 from coadjoint.systems.user_functions import takes_time
-from coadjoint.wording import short
+from coadjoint.wording import short, shown_fields
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -97,6 +97,9 @@ class Event:
             keep(self, "name", read_title(self.name, "name of an event"))
         if callable(self.g) and not isinstance(self.g, Polynomial | Quadratic):
             takes_time(self.g, "g of an event")
+
+    def __repr__(self) -> str:
+        return shown_fields(self)
 
     @property
     def until(self) -> int:

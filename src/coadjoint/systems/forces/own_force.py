@@ -14,6 +14,7 @@ from coadjoint.given import read_flag, read_title
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.matrices import moves_matrices, sample_states
 from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments
+from coadjoint.wording import shown_fields
 
 MOMENT = 2.0**-12
 
@@ -64,6 +65,9 @@ class OwnForce(Force):
         object.__setattr__(self, "name", read_title(self.name, "name of a force"))
         for flag in ("keeps_casimirs", "backward"):
             object.__setattr__(self, flag, read_flag(getattr(self, flag), flag))
+
+    def __repr__(self) -> str:
+        return shown_fields(self)
 
     @property
     def label(self) -> str:

@@ -14,6 +14,7 @@ from coadjoint.given import read_numbers
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.matrices import check_state, moves_matrices, numbers_of, read_state, sample_states
 from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
+from coadjoint.wording import shown_fields
 
 # Nodes and weights of Gauss' formula with five points on (-1, 1).
 NODES = (-0.9061798459386640, -0.5384693101056831, 0.0, 0.5384693101056831, 0.9061798459386640)
@@ -57,6 +58,9 @@ class Torque(Force):
             self._arguments()
         else:
             object.__setattr__(self, "torque", read_state(self.torque, "the torque"))
+
+    def __repr__(self) -> str:
+        return shown_fields(self)
 
     def _arguments(self) -> str:
         """Return what the function takes: "t", "x" or "x, t"."""

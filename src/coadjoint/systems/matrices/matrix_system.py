@@ -21,7 +21,7 @@ from coadjoint.systems.matrices.matrix_energy import MatrixEnergy, check_stream,
 from coadjoint.systems.matrices.streams import Stream
 from coadjoint.systems.matrices.traces import traces_of, values_of
 from coadjoint.systems.points import checked_sign
-from coadjoint.wording import short
+from coadjoint.wording import html_table, short
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -131,6 +131,16 @@ class MatrixSystem:
             )
         self.hamiltonian = MatrixEnergy(self)
         check_stream(self)
+
+    def _repr_html_(self) -> str:
+        return html_table(
+            self.name,
+            {
+                "states": f"{' x '.join(map(str, self.shape))}, of {self.dim} real numbers",
+                "algebra": str(self.algebra),
+                "Casimirs": f"{len(self.casimirs)}, traces of powers",
+            },
+        )
 
     def __repr__(self) -> str:
         return f"<{self.name} on {self.algebra}>"
