@@ -283,7 +283,7 @@ def test_vectors_that_become_parallel_are_refused():
         ({"save_every": 0}, "save_every"),
         ({"threads": 0}, "threads"),
         ({"x0": (1.0, 2.0)}, "x0 has the shape"),
-        ({"method": "splitting"}, "method is"),
+        ({"method": "splitting"}, "did you mean 'Splitting'"),
         ({"system": "body"}, "system is"),
     ],
 )

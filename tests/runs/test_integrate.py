@@ -381,3 +381,22 @@ def test_refusals(change, error, message):
     with pytest.raises(error, match=message) as refusal:
         co.integrate(**given)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("written", ["Splitting", {"name": "Splitting", "order": 4}])
+def test_schemes_by_name_wherever_one_is_taken(written):
+    body, X = co.systems.rigid_body(), (1.0, 0.2, 0.1)
+    method = co.Splitting() if isinstance(written, str) else co.Splitting(order=4)
+    calls = (
+        lambda given: co.integrate(body, X, (0, 1), 0.125, given).x,
+        lambda given: co.prepare(body, given, 0.125).end(X, (0, 1)),
+        lambda given: co.stepper(body, given, 0.125)(X),
+        lambda given: co.ensemble(body, [X, X], (0, 1), 0.125, given).x,
+        lambda given: co.section(body, [X], co.Event(1), (0, 20), 0.125, given).x,
+        lambda given: co.lyapunov(body, X, (0, 5), 0.125, given).exponents,
+        lambda given: co.choose(body, X, (0, 1), 1e-3, methods=given).step,
+        lambda given: co.choose(body, X, (0, 1), 1e-3, methods=[given, co.GaussLegendre(3)]).step,
+        lambda given: [row.value for row in co.certify(body, given, X, 0.125, steps=5).table],
+    )
+    for call in calls:
+        np.testing.assert_array_equal(np.asarray(call(written), float), np.asarray(call(method), float))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from coadjoint.analysis.given_step import scheme_and_claims
 from coadjoint.given import read_number, read_whole
 from coadjoint.methods.base import Method
 from coadjoint.methods.properties import Properties
-from coadjoint.methods.registry import description_of
+from coadjoint.methods.registry import description_of, read_method
 from coadjoint.runs.start import momenta_of
 from coadjoint.systems.kinds import System, check_one_system, in_coordinates
 
@@ -102,6 +103,8 @@ def certify(
     if h == 0.0:
         raise ValueError(f"step is {h!r}; it must not be zero")
     count = read_whole(steps, "steps", 1, MOST_STEPS, floats=True)
+    if isinstance(method, str | Mapping):
+        method = read_method(method)
     scheme, claims = scheme_and_claims(system, method, order, properties, symmetric)
     states, _ = momenta_of(system, x0)
     system = in_coordinates(system)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from coadjoint.given import read_number, read_whole
 from coadjoint.kernels.tangents import Frame
 from coadjoint.memory import check_room
 from coadjoint.methods.base import Method
+from coadjoint.methods.registry import read_method
 from coadjoint.methods.splitting import Splitting
 from coadjoint.runs.start import start_of
 from coadjoint.runs.stretching import make_orthonormal, stretching
@@ -111,7 +113,7 @@ def lyapunov(
     x0: Any,
     t_span: tuple[float, float],
     step: float,
-    method: Method | None = None,
+    method: Method | str | Mapping[str, Any] | None = None,
     *,
     exponents: int | None = None,
     renormalize_every: int = 10,
@@ -177,9 +179,7 @@ def lyapunov(
     >>> bool(abs(found.exponents - [rate, 0.0, -rate]).max() < 1e-3)
     True
     """
-    scheme = Splitting() if method is None else method
-    if not isinstance(scheme, Method):
-        raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=2)")
+    scheme = Splitting() if method is None else read_method(method)
     check_system(system)
     if isinstance(system, MatrixSystem):
         check_vectors(system, "Lyapunov exponents are found for vectors: directions beside the algebra do not move")

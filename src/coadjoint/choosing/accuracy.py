@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from coadjoint.given import read_flag, read_list, read_number
 from coadjoint.keywords import told
 from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.registry import read_method
 from coadjoint.methods.splitting import Splitting
 from coadjoint.methods.taylor import Taylor
 from coadjoint.runs.start import start_of
@@ -104,7 +105,7 @@ def choose(
     accuracy: float,
     *,
     attitude: Any = False,
-    methods: Method | Sequence[Method] | None = None,
+    methods: Method | str | Mapping[str, Any] | Sequence[Method | str | Mapping[str, Any]] | None = None,
     processed: bool = False,
 ) -> Choice:
     """Choose the scheme and the step that reach a wanted accuracy with the least work.
@@ -204,7 +205,11 @@ def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
         known = (*SCHEMES, *PROCESSED) if processed else SCHEMES
         return tuple(each for each in known if dim <= each.largest)
     rule = "it must be one or more schemes such as Splitting(order=4)"
-    given = (methods,) if isinstance(methods, Method) else read_list(methods, "methods", rule)
+    one = isinstance(methods, Method | str | Mapping)
+    given = tuple(
+        read_method(each) if isinstance(each, str | Mapping) else each
+        for each in ((methods,) if one else read_list(methods, "methods", rule))
+    )
     wrong = [each for each in given if not isinstance(each, Method)]
     if wrong or not given:
         raise TypeError(f"methods contains {short(wrong[0]) if wrong else 'nothing'}; {rule}")
