@@ -337,6 +337,7 @@ def patience():
 @pytest.mark.parametrize(
     ("name", "parameter"), long_where(SLOW, [(name, key) for name in CALLS for key in CALLS[name][1]])
 )
+@pytest.mark.filterwarnings("ignore:.*no body has a principal moment")  # that is an answer too
 def test_an_answer_or_a_refusal(name, parameter, monkeypatch):
     monkeypatch.setattr("coadjoint.memory.available", lambda: 3 * 10**8)
     function, arguments = CALLS[name]

@@ -47,6 +47,19 @@ MISTAKES = {
     "prepare with dt": (lambda: co.prepare(BODY, co.Splitting(), dt=0.1), "prepare has no dt; give step="),
     "inertia as I": (lambda: co.systems.rigid_body(I=(1, 2, 3)), "rigid_body has no I; give inertia=, the principal"),
     "order of Gauss": (lambda: co.GaussLegendre(order=4), "GaussLegendre has no order; it takes stages"),
+    # algebras and attitudes
+    "names as indices": (
+        lambda: co.LieAlgebra([("D", "H", "H", 2.0)]),
+        "structure constants use indices from 0; give brackets by names to LieAlgebra.from_brackets",
+    ),
+    "brackets without a dimension": (
+        lambda: co.LieAlgebra.from_brackets({("D", "H"): {"H": 2}}),
+        "brackets is {('D', 'H'): {'H': 2}}; give lines such as '[h, e] = 2 e', or first the dimension, as in",
+    ),
+    "an attitude that is no rotation": (
+        lambda: full(attitude=2 * np.eye(3)),
+        "attitude is no element of the group of rigid_body: it is not orthogonal: g^T g differs from the unit",
+    ),
     # schemes
     "an adaptive scheme": (
         lambda: full(method="RK45"),

@@ -161,7 +161,10 @@ class LieAlgebra(Structure):
         LieAlgebra(dim=3: [h, e] = 2 e, [h, f] = -2 f, [e, f] = h)
         """
         if brackets is None:
-            lines = read_list(dim, "brackets", "give lines such as '[h, e] = 2 e', or a dimension and brackets")
+            rule = (
+                "give lines such as '[h, e] = 2 e', or first the dimension, as in from_brackets(3, {(0, 1): {2: 1.0}})"
+            )
+            lines = read_list(dim, "brackets", rule)
             basis = names_in(lines) if basis is None else read_list(basis, "basis", "give names, one for each element")
             dim, brackets = len(basis), lines
         size = read_whole(dim, "dim")
