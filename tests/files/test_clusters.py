@@ -41,36 +41,44 @@ def derive(*given, **more):
 
 def forbid():
     """Let every derivation of tables on this worker fail."""
-    from coadjoint.methods.splitting import Splitting
+    from coadjoint.methods.base import Method
 
-    Splitting.kept_loop, Splitting.loop = Splitting.loop, derive
+    Method.kept_loop, Method.loop = Method.loop, derive
 
 
 def allow():
-    from coadjoint.methods.splitting import Splitting
+    from coadjoint.methods.base import Method
 
-    Splitting.loop = Splitting.kept_loop
+    Method.loop = Method.kept_loop
 
 
-@pytest.mark.parametrize("name", ["one system", "batch", "noise"])
+TOP, FLUID = co.systems.heavy_top(), co.systems.sphere_euler(4)
+MOVED = {
+    "one system": (BODY, X, co.Splitting(), True),
+    "batch": (co.batch([co.systems.rigid_body((1, 2, 2 + 0.0625 * k)) for k in range(11)]), X, co.Splitting(), True),
+    "noise": (BODY.with_forces(co.forces.HeatBath(0.3, temperature=0.5, seed=4)), X, None, False),
+    "stages": (TOP, np.hstack([X, X]), co.GaussLegendre(2), "coadjoint"),
+    "series": (TOP, np.hstack([X, X]), co.Taylor(order=6), False),
+    "series in steps of their own": (BODY, X, co.Taylor(order=8, tolerance=1e-9), False),
+    "exponentials": (BODY, X, co.CommutatorFree(order=3), "coadjoint"),
+    "matrices": (FLUID, np.stack([FLUID.random(seed) for seed in range(11)]), co.IsospectralGauss(2), False),
+    "free body": (BODY, X, co.Splitting(order=4, parts="free_body"), False),
+}
+
+
+@pytest.mark.parametrize("name", MOVED)
 def test_the_bits_of_one_machine(tmp_path, client, name):
-    system = {
-        "one system": BODY,
-        "batch": co.batch([co.systems.rigid_body(inertia=(1, 2, 2 + 0.0625 * k)) for k in range(11)]),
-        "noise": BODY.with_forces(co.forces.HeatBath(0.3, temperature=0.5, seed=4)),
-    }[name]
-    attitude = name != "noise"
-    archive = tmp_path / "many.zarr"
+    """By tables that no worker derives, but for the loops around others, which are laid out where they run."""
+    (system, x0, method, attitude), archive = MOVED[name], tmp_path / "many.zarr"
+    run = (0, 2), 0.125, method
     if name != "noise":
         client.run(forbid)
     try:
-        found = co.ensemble(
-            system, X, (0, 2), 0.125, archive=archive, client=client, members_per_block=4, attitude=attitude
-        )
+        found = co.ensemble(system, x0, *run, archive=archive, client=client, members_per_block=4, attitude=attitude)
     finally:
         if name != "noise":
             client.run(allow)
-    assert_same(found, co.integrate(system, X, (0, 2), 0.125, attitude=attitude))
+    assert_same(found, co.integrate(system, x0, *run, attitude=attitude))
 
 
 def test_results_never_move_through_the_client(tmp_path, client):

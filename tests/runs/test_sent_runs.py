@@ -89,3 +89,41 @@ numpy.save({str(tmp_path / "x.npy")!r}, ready.run((0.1, 1.0, 0.2), (0, 2)).x)
 """
     subprocess.run([sys.executable, "-c", code], check=True)
     np.testing.assert_array_equal(np.load(tmp_path / "x.npy"), ready.run((0.1, 1.0, 0.2), (0, 2)).x)
+
+
+TOP, FLUID = co.systems.heavy_top(), co.systems.sphere_euler(4)
+ELSEWHERE = {
+    **{name: (system, method, attitude, X) for name, (system, method, attitude) in CASES.items()},
+    "steps of their own": (BODY, co.Taylor(8, tolerance=1e-9), False, X),
+    "stages": (TOP, co.GaussLegendre(2), "coadjoint", np.hstack([X, X])),
+    "exponentials": (BODY, co.CommutatorFree(order=3), "coadjoint", X),
+    "Kahan": (BODY, co.Kahan(), False, X),
+    "matrices": (FLUID, co.IsospectralGauss(2), False, np.stack([FLUID.random(seed) for seed in range(len(X))])),
+}
+THERE = """
+import sys
+import cloudpickle
+import numpy as np
+with open(sys.argv[1], "rb") as file:
+    cases = cloudpickle.load(file)
+for name, (ready, x0, expected) in cases.items():
+    assert np.array_equal(ready.run(x0, (0.0, 2.0)).x, expected), name
+print(len(cases))
+"""
+
+
+def test_another_process_has_the_same_bits(tmp_path):
+    """Where everything stands at another address."""
+    cases = {}
+    for name, (system, method, attitude, x0) in ELSEWHERE.items():
+        ready = co.prepare(system, method, 0.125, attitude=attitude)
+        cases[name] = ready, x0, ready.run(x0, (0.0, 2.0)).x
+    path = tmp_path / "runs"
+    # The functions of this file go by their text, since the other process does not have it.
+    cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    try:
+        path.write_bytes(cloudpickle.dumps(cases))
+    finally:
+        cloudpickle.unregister_pickle_by_value(sys.modules[__name__])
+    done = subprocess.run([sys.executable, "-c", THERE, str(path)], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (0, f"{len(cases)}\n"), done.stderr

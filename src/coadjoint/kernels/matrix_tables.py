@@ -15,6 +15,9 @@ from coadjoint.kernels.step_tables import step_numbers
 from coadjoint.kernels.tables import Compiled
 from coadjoint.systems.matrices.function_stream import FunctionStream
 
+ROUTINES: dict[int, str] = {}
+"""The routines of BLAS that tables of this process bring, by their addresses."""
+
 
 @cache
 def blas_address(name: str) -> int:
@@ -37,7 +40,9 @@ def blas_address(name: str) -> int:
     api.PyCapsule_GetName.restype, api.PyCapsule_GetName.argtypes = ctypes.c_char_p, [ctypes.py_object]
     api.PyCapsule_GetPointer.restype = ctypes.c_void_p
     api.PyCapsule_GetPointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
-    return int(api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule)))
+    address = int(api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule)))
+    ROUTINES[address] = name
+    return address
 
 
 def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:

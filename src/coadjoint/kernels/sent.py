@@ -9,10 +9,34 @@ import numpy as np
 
 from coadjoint.kernels.functions import CalledFunction, CompiledFunction, TabledFunction
 from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.matrix_tables import ROUTINES, blas_address
+from coadjoint.kernels.stepping import STEPS, step_address
 from coadjoint.kernels.structures import varied_fields
 from coadjoint.kernels.tables import Compiled
 
 OWNERS = (CompiledFunction, TabledFunction, CalledFunction)
+STANDING = ("step", "whole")
+"""Fields with addresses of what every process has: of steps in the library, and of routines of BLAS."""
+
+
+class Standing(NamedTuple):
+    """What every process has at an address of its own.
+
+    Parameters
+    ----------
+    what : object
+        A step, as `step_address` takes it, or the name of a routine.
+    blas : bool
+        Whether it is a routine of BLAS.
+    """
+
+    what: Any
+    blas: bool
+
+    @property
+    def address(self) -> int:
+        """Where it stands in this process."""
+        return blas_address(self.what) if self.blas else step_address(self.what)
 
 
 class SentTables(NamedTuple):
@@ -41,7 +65,7 @@ def sent(tables: Any, keep: tuple[Any, ...]) -> SentTables:
     -------
     SentTables
     """
-    return SentTables(tables, tuple((kept.address, kept) for kept in keep))
+    return SentTables(tables, (*((kept.address, kept) for kept in keep), *_standing(tables).items()))
 
 
 def received(given: SentTables) -> Compiled:
@@ -59,7 +83,22 @@ def received(given: SentTables) -> Compiled:
     True
     """
     moved = {address: owner.address for address, owner in given.owners}
-    return Compiled(_moved(given.tables, moved) if moved else given.tables, tuple(owner for _, owner in given.owners))
+    keep = tuple(owner for _, owner in given.owners if isinstance(owner, OWNERS))
+    return Compiled(_moved(given.tables, moved) if moved else given.tables, keep)
+
+
+def _standing(tables: Any) -> dict[int, Standing]:
+    """Return what stands at addresses of tables in every process."""
+    found: dict[int, Standing] = {}
+    for name in getattr(type(tables), "_fields", ()):
+        value = getattr(tables, name)
+        if isinstance(value, tuple):
+            found |= _standing(value)
+        elif name in STANDING and isinstance(value, np.ndarray):
+            numbers = value.ravel().tolist()
+            found |= {number: Standing(STEPS[number], False) for number in numbers if number in STEPS}
+            found |= {number: Standing(ROUTINES[number], True) for number in numbers if number in ROUTINES}
+    return found
 
 
 def _moved(tables: Any, moved: Mapping[int, int]) -> Any:
@@ -73,7 +112,7 @@ def _moved(tables: Any, moved: Mapping[int, int]) -> Any:
     for name, value in own.items():
         if isinstance(value, tuple):
             own[name] = _moved(value, moved)
-        elif name in places and name in varied:
+        elif name in places and (name in varied or name in STANDING):
             own[name] = np.array([moved.get(old, old) for old in value.ravel().tolist()], np.int64).reshape(value.shape)
     return kind(**own)
 

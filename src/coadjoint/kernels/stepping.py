@@ -41,6 +41,10 @@ class Stepping(NamedTuple):
     serial: int = 0
 
 
+STEPS: dict[int, Any] = {}
+"""The steps that tables of this process bring, by their addresses: in another process they stand elsewhere."""
+
+
 def step_address(step: Any) -> int:
     """Return the address of the step that a scheme brings.
 
@@ -56,6 +60,7 @@ def step_address(step: Any) -> int:
         The library has no step of this name.
     """
     if not isinstance(step, str):
+        STEPS[int(step.address)] = step
         return int(step.address)
     try:
         found = getattr(kernels(), f"{step}_step")
@@ -63,7 +68,9 @@ def step_address(step: Any) -> int:
         raise ValueError(
             f"the kernels have no step {step!r}; its C++ file must stand beside the scheme when they are built"
         ) from error
-    return ctypes.cast(found, ctypes.c_void_p).value or 0
+    address = ctypes.cast(found, ctypes.c_void_p).value or 0
+    STEPS[address] = step
+    return address
 
 
 STEP_LOOP = "stepping_advance"
