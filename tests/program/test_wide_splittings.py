@@ -139,3 +139,21 @@ def test_lattices_are_not_too_wide():
     with pytest.raises(TooWide, match=r"H has 1000 flows of 60000 products each: .* about 120 s and 9.0 GB"):
         check_products(np.full(1000, 60_000), "H")
     check_products(np.full(270, 60_000), "H")
+
+
+def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
+    """Before most of them are made, on su(6) of 35 coordinates."""
+    from coadjoint.program import sweep_logarithm
+
+    g = co.algebras.su(6)
+    system = co.LiePoissonSystem(g, co.Quadratic(symmetric(np.random.default_rng(1), g.dim, 1.0)))
+    made = []
+    plain = sweep_logarithm.Commutators.check_room
+    monkeypatch.setattr(
+        sweep_logarithm.Commutators, "check_room", lambda self, count: (made.append(count), plain(self, count))[1]
+    )
+    monkeypatch.setattr(sweep_logarithm, "MOST_PRODUCTS", 10**6)
+    monkeypatch.setattr(sweep_logarithm, "TELLING", 10**4)
+    with pytest.raises(ValueError, match="the brackets of a modified Hamiltonian take"):
+        co.modified_hamiltonian(system, co.Splitting(order=2), order=4)
+    assert sum(made) < 5 * 10**5

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from functools import cache
 from math import comb
+from operator import mul
 
 from coadjoint.algebra.exact import rational
 from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
@@ -18,6 +19,9 @@ from coadjoint.memory import check_room
 
 MOST_PRODUCTS = 10**8
 """Of monomials, in all brackets together: about a minute, and more where numerators are long."""
+
+TELLING = MOST_PRODUCTS // 100
+"""From so many on it is looked ahead, whether all are too many."""
 
 BYTES_PER_MONOMIAL = 40
 
@@ -46,7 +50,7 @@ class Commutators:
 
     def __init__(self, ring: ExactPolynomials, sign: int) -> None:
         self.ring, self.sign = ring, sign
-        self._spent = 0
+        self.spent = 0
 
     def __call__(self, F: Exact, G: Exact) -> Exact:
         """Return [F, G]."""
@@ -58,14 +62,31 @@ class Commutators:
 
     def check_room(self, count: int) -> None:
         """Count the products of monomials of a bracket, and refuse it where all brackets so far would make too many."""
-        self._spent += count
-        if self._spent > MOST_PRODUCTS:
-            raise ValueError(
-                f"the brackets of a modified Hamiltonian take {self._spent:.0e} products of monomials or more, and at "
-                f"most {MOST_PRODUCTS:.0e} are made; take a lower order, or a system of fewer coordinates"
-            )
+        self.spent += count
+        self._check_products(self.spent)
         size = BYTES_PER_MONOMIAL + self.ring.dim + len(self.ring.symbols)
         check_room(count * size, "a bracket in a modified Hamiltonian")
+
+    def check_ahead(self, lengths: Sequence[Sequence[int]], series: Sequence[Exact]) -> None:
+        """Refuse before they are made the brackets of further fields with a series, which grows with each of them.
+
+        Parameters
+        ----------
+        lengths : sequence of lists of int
+            How many monomials the components of each field have.
+        series : sequence of fmpq_mpoly
+            As it is now.
+        """
+        slopes = [[len(term.derivative(i)) for i in range(self.ring.dim)] for term in series if term != 0]
+        ahead = sum(sum(map(mul, field, slope)) for field in lengths for slope in slopes)
+        self._check_products(self.spent + ahead)
+
+    def _check_products(self, count: int) -> None:
+        if count > MOST_PRODUCTS:
+            raise ValueError(
+                f"the brackets of a modified Hamiltonian take {count:.0e} products of monomials or more, and at "
+                f"most {MOST_PRODUCTS:.0e} are made; take a lower order, or a system of fewer coordinates"
+            )
 
 
 class WithFirst:
@@ -82,6 +103,7 @@ class WithFirst:
     def __init__(self, commutators: Commutators, field: Sequence[Exact]) -> None:
         self._commutators, self._ring = commutators, commutators.ring
         self._moving = [(i, component) for i, component in enumerate(field) if component != 0]
+        self.lengths = [len(component) for component in field]
 
     def __call__(self, G: Exact) -> Exact:
         """Return the bracket, or refuse by name one that is too large."""
@@ -117,7 +139,12 @@ def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: in
     """
     ring = commutators.ring
     R = [ring.zero] * highest
-    for flow in reversed(flows):
+    lengths: list[list[list[int]]] | None = None
+    for number, flow in enumerate(reversed(flows)):
+        if lengths is None and commutators.spent > TELLING:
+            lengths = [[commutators.with_first(W).lengths for W in one.values()] for one in reversed(flows)]
+        if lengths is not None:
+            commutators.check_ahead([one for later in lengths[number:] for one in later], R[:-1])
         for j, W in flow.items():
             R = _transported(commutators.with_first(W), j, R)
         for j, W in flow.items():
