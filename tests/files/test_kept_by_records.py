@@ -59,7 +59,8 @@ def made(hamiltonian):
 
 
 @pytest.mark.parametrize(
-    ("kind", "parameter"), [(kind, p) for kind, make in HAMILTONIANS.items() for p in parameters(make) if p != "dim"]
+    ("kind", "parameter"),
+    [(kind, p) for kind, make in HAMILTONIANS.items() for p in parameters(make) if p not in ("dim", "basis")],
 )
 def test_parameters_of_hamiltonians(kind, parameter):
     make = HAMILTONIANS[kind]
