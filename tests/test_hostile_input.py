@@ -334,6 +334,7 @@ def patience():
         signal.signal(signal.SIGALRM, before)
 
 
+@pytest.mark.filterwarnings("ignore:.*no body has:UserWarning")
 @pytest.mark.parametrize(
     ("name", "parameter"), long_where(SLOW, [(name, key) for name in CALLS for key in CALLS[name][1]])
 )

@@ -155,7 +155,7 @@ def test_steps_of_its_own(tmp_path, monkeypatch):
                     return x + (h - since) * slope
                 x, since = x + length * slope, since + length
 
-    body, method = co.systems.rigid_body(inertia=(1, 2, 4)), OwnLengths()
+    body, method = co.systems.rigid_body(inertia=(2, 3, 4)), OwnLengths()
     crowd = np.array([[0.6, 0.3, 0.8], [1.2, -0.6, 0.1], [0.1, 0.2, 0.3]])
     for end in (2.0, -2.0):
         every = co.integrate(body, crowd, (0, end), 0.125, method, threads=1)

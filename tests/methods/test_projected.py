@@ -147,7 +147,7 @@ def test_what_the_base_refuses_and_raises_comes_out():
         co.algebras.so(3), co.Hamiltonian(lambda x, t: x[0] * t, lambda x, t: np.array([t, 0.0, 0.0]))
     )
     with pytest.raises(ValueError, match="Projected restores energies that are polynomials"):
-        co.integrate(driven, (1, 0, 0), (0, 1), 0.1, co.Projected(co.Splitting(order=2)))
+        co.integrate(driven, (1, 0, 0), (0, 1), 0.1, co.Projected(co.GaussLegendre(2)))
     with pytest.raises(ValueError, match="Composition needs a symmetric base"):
         co.Composition(co.Projected(co.Kahan()), (0.5, 0.5))
     with pytest.raises(co.IntegrationError, match="singular"):

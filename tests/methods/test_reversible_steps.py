@@ -173,6 +173,15 @@ def test_a_speed_that_ends_is_a_failure_by_name():
         co.integrate(BODY, (1.0, 0.2, 0.3), (0.0, 40.0), 1.0, co.ReversibleSteps(co.Splitting(), 0.1, ending))
 
 
+def test_steps_without_end_are_a_failure():
+    """Of 1e-9 each more than 2^24 lie between two looks; one that looks more often gets there."""
+    with pytest.raises(co.IntegrationError, match=r"more than 2\^24 steps of its own lie between two points"):
+        co.integrate(BODY, (1.0, 0.2, 0.3), (0, 1), 1.0, co.ReversibleSteps(co.Splitting(order=1), 1e-9))
+    shorter = co.integrate(BODY, (1.0, 0.2, 0.3), (0, 2e-3), 1e-3, co.ReversibleSteps(co.Splitting(order=1), 1e-9))
+    there = BODY.exact((1.0, 0.2, 0.3), 2e-3)
+    assert np.abs(shorter.x[-1] - there).max() < 1e-8
+
+
 def driven(y, t):
     return 0.5 * y * y + np.sin(t) * y
 
@@ -244,7 +253,7 @@ def test_a_file_and_a_dataset_run_it_again(tmp_path):
 def test_prepared_runs_batches_and_ensembles(base):
     method = co.ReversibleSteps(base, 0.1)
     crowd = np.random.default_rng(3).uniform(0.2, 1.0, (9, 3))
-    bodies = co.batch([co.systems.rigid_body(inertia=(1.0, 2.0, 3.0 + 0.125 * k)) for k in range(9)])
+    bodies = co.batch([co.systems.rigid_body(inertia=(1.5, 2.0, 2.25 + 0.125 * k)) for k in range(9)])
     for end in (4.0, -4.0):
         batch = co.integrate(bodies, crowd, (0, end), 0.25, method, threads=2, attitude=True)
         ready = co.prepare(bodies, method, 0.25, attitude=True)

@@ -101,7 +101,7 @@ def test_one_run_is_taken_in_pieces(method):
 
 def test_members_of_several_groups_stay_in_the_order_in_which_they_were_given():
     """A batch whose members have tables of different structures, so that the loops hold them in another order."""
-    bodies = [co.systems.rigid_body(inertia) for inertia in ((1, 2, 3), (3, 1, 2), (1, 2, 2.5), (3, 1, 2.5), (1, 2, 5))]
+    bodies = [co.systems.rigid_body(inertia) for inertia in ((1, 2, 3), (3, 1, 2), (1, 2, 2.5), (3, 1, 2.5), (3, 4, 5))]
     states = np.multiply.outer(np.linspace(1.0, 1.4, 5), [0.3, -1.0, 0.7])
     batch, method = co.batch(bodies), co.Splitting(order=2)
     whole = begun(batch, method, states, "coadjoint", workers=2)

@@ -17,6 +17,7 @@ from coadjoint.methods.base import OWN_LOOKS, Finer, Method, Representation
 from coadjoint.methods.composed import with_settled_base
 from coadjoint.methods.properties import Properties
 from coadjoint.methods.speed import Speed, speed_of
+from coadjoint.methods.step_length import MANY
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.kinds import System, check_vectors
 from coadjoint.systems.quadratic import Quadratic
@@ -26,7 +27,10 @@ if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.work import Work
 
-NO_STEP = "the speed that steps follow fell to zero or below, so that there is no next step: take a smaller stride"
+NO_STEP = (
+    "the speed that steps follow fell to zero or below, where a smaller stride may help, or grew until they no longer "
+    f"change the time, {MANY}"
+)
 MOST_STEPS = 10**7
 """Of the plain reading."""
 

@@ -279,11 +279,11 @@ def as_hamiltonian(H: Any, n: int) -> HamiltonianLike:
         return _quadratic(H, tuple(map(type, monomials.values())))
     if isinstance(H, type) or not isinstance(H, HamiltonianLike):
         lacking = [name for name in MEMBERS if not hasattr(H, name)]
+        what = f"the class {H.__name__}" if isinstance(H, type) else f"a {type(H).__name__}"
         almost = not isinstance(H, type) and 0 < len(lacking) < len(MEMBERS) - 1
         own = f" (as a kind of your own it lacks {', '.join(lacking)})" if almost else ""
         raise TypeError(
-            f"the Hamiltonian is a {type(H).__name__}; give a Quadratic, Polynomial, Separable, SplitHamiltonian or "
-            f"Hamiltonian{own}"
+            f"the Hamiltonian is {what}; give a Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian{own}"
         )
     bound = H.bind(n)
     if type(H).__module__.partition(".")[0] != __name__.partition(".")[0]:

@@ -284,5 +284,5 @@ def test_what_is_refused(call, kind, said):
 
 def test_netcdf_without_xarray(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(MissingPackageError, match=r"a\.nc: NetCDF needs the packages xarray and h5netcdf"):
+    with pytest.raises(MissingPackageError, match=r"'a\.nc': NetCDF needs the packages xarray and h5netcdf"):
         TORUS.from_file("a.nc")

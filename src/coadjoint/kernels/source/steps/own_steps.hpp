@@ -7,7 +7,7 @@
 
 namespace coadjoint {
 
-constexpr int64_t MOST_OWN_STEPS = int64_t(1) << 40;  // between two looks
+constexpr int64_t MOST_OWN_STEPS = int64_t(1) << 24;  // between two looks
 
 struct OwnSteps : StepScheme {
     // What is remembered of a member: where its last step of its own ended, and the length of the one from there.
