@@ -198,7 +198,7 @@ def test_functions_with_a_domain():
         (lambda: SplitHamiltonian([((0, 1), Quadratic([1.0]))]), ValueError, "piece 0, of 2 coordinates"),
         (lambda: SplitHamiltonian([((0, 9), Quadratic(1.0))]).bind(4), ValueError, "coordinate 9"),
         (lambda: as_hamiltonian(3.0, 2), TypeError, "float"),
-        (lambda: as_hamiltonian(Quadratic, 2), TypeError, "the Hamiltonian is a"),
+        (lambda: as_hamiltonian(Quadratic, 2), TypeError, "the Hamiltonian is the class Quadratic"),
         (lambda: general().bind(4).bind(5), ValueError, "bound to dimension 4"),
         (lambda: Hamiltonian(lambda x: 0.0, lambda x: 0 * x).hessian([1.0]), TypeError, "hessian="),
         (lambda: Separable({0: (np.sin, np.cos)}).hessian([1.0]), TypeError, "coordinate 0"),
