@@ -147,7 +147,7 @@ MISTAKES = {
         lambda: SYSTEM(SO3, lambda x: x[0] ** 2),
         "the Hamiltonian is a function; give a Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian",
     ),
-    "M too short": (lambda: SYSTEM(E3, co.Quadratic([1, 2, 3])), "M has 3 entries; the system has dimension 6; give 6"),
+    "M too short": (lambda: SYSTEM(E3, co.Quadratic([1, 2, 3])), "M has 3 entries; e(3) has dimension 6; give 6"),
     "linear too long": (
         lambda: co.Quadratic([1, 2, 3], linear=[1] * 6),
         "M has 3 entries and linear has 6; give both one for each coordinate of the system",

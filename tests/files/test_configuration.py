@@ -157,7 +157,7 @@ def test_wrong_ready_made(written, changes, said):
         ([("0.25]", '0.25]\npolynomial = "x1"')], "hamiltonian.M: is given beside polynomial; write all of it there"),
         (
             [("M = [1.0, 0.5, 0.25]", "M = [1.0, 0.5]")],
-            "hamiltonian: M has 2 entries; the system has dimension 3; give 3",
+            "hamiltonian: M has 2 entries; the algebra has dimension 3; give 3",
         ),
         ([("M = [1.0, 0.5, 0.25]", "M = [[1, 2, 0], [0, 1, 0], [0, 0, 1]]")], "hamiltonian: M is not symmetric"),
         ([("M = [1.0, 0.5, 0.25]", "M = true")], "hamiltonian.M: must be a number or a list of numbers or "),

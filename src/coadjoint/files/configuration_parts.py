@@ -21,6 +21,7 @@ from coadjoint.methods import registry
 from coadjoint.methods.base import Method
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces import described
+from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.quadratic import Quadratic
@@ -122,7 +123,7 @@ def _hamiltonian_part(name: str, file: File) -> System:
     if file.algebra.brackets is not None:
         _check_dimension(name, file.algebra, file.initial.x)
     algebra = _algebra(name, file.algebra)
-    hamiltonian = _hamiltonian(name, file.hamiltonian, algebra.dim)
+    hamiltonian = _hamiltonian(name, file.hamiltonian, algebra)
     casimirs: dict[str, Polynomial] | None = None if file.casimirs is None else {}
     for key, written in (file.casimirs or {}).items():
         assert casimirs is not None
@@ -226,7 +227,7 @@ def _algebra(name: str, table: AlgebraTable) -> LieAlgebra:
         return LieAlgebra.from_brackets(dim, read_brackets(table.brackets or [], basis), basis=basis)
 
 
-def _hamiltonian(name: str, table: HamiltonianTable, dim: int) -> Any:
+def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra) -> Any:
     if table.polynomial is not None:
         for key in ("M", "linear", "constant"):
             if getattr(table, key) is not None:
@@ -234,9 +235,11 @@ def _hamiltonian(name: str, table: HamiltonianTable, dim: int) -> Any:
                     f"{name}: hamiltonian.{key}: is given beside polynomial; write all of it there"
                 )
         with section(name, "hamiltonian.polynomial"):
-            return read_polynomial(table.polynomial, dim)
+            return read_polynomial(table.polynomial, algebra.dim)
     if table.M is None and table.linear is None:
         raise ConfigurationError(f"{name}: hamiltonian.M: is missing; give M, linear or both, or polynomial")
     with section(name, "hamiltonian"):
         M, constant = 0.0 if table.M is None else table.M, table.constant or 0.0
-        return Quadratic(M, linear=table.linear, constant=constant).bind(dim)
+        return as_hamiltonian(
+            Quadratic(M, linear=table.linear, constant=constant), algebra.dim, algebra.name or "the algebra"
+        )

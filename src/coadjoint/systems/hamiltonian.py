@@ -230,9 +230,9 @@ class PolynomialHamiltonian(Summable):
         return f"PolynomialHamiltonian({self.polynomial!r})"
 
 
-def _check_variables(polynomial: Polynomial, n: int) -> None:
+def _check_variables(polynomial: Polynomial, n: int, owner: str = "the system") -> None:
     if polynomial.dim != n:
-        raise ValueError(f"the polynomial has {polynomial.dim} variables but the system has dimension {n}; give {n}")
+        raise ValueError(f"the polynomial has {polynomial.dim} variables but {owner} has dimension {n}; give {n}")
 
 
 # The members of an ensemble follow the same Casimirs, which are converted once. Polynomials of floats and of whole
@@ -242,7 +242,7 @@ def _quadratic(polynomial: Polynomial, kinds: tuple[type, ...]) -> Quadratic:
     return Quadratic.from_polynomial(polynomial)
 
 
-def as_hamiltonian(H: Any, n: int) -> HamiltonianLike:
+def as_hamiltonian(H: Any, n: int, owner: str = "the system") -> HamiltonianLike:
     """Return `H`, of any accepted kind, as a Hamiltonian bound to dimension `n`.
 
     Parameters
@@ -252,6 +252,8 @@ def as_hamiltonian(H: Any, n: int) -> HamiltonianLike:
         constant kept in the value).
     n : int
         Number of coordinates.
+    owner : str
+        What has so many, as messages name it.
 
     Returns
     -------
@@ -270,7 +272,7 @@ def as_hamiltonian(H: Any, n: int) -> HamiltonianLike:
     Quadratic([1.0, 2.0])
     """
     if isinstance(H, Polynomial):
-        _check_variables(H, n)
+        _check_variables(H, n, owner)
         if H.degree > 2:
             return PolynomialHamiltonian(H)
         monomials = H.monomials
@@ -285,6 +287,8 @@ def as_hamiltonian(H: Any, n: int) -> HamiltonianLike:
         raise TypeError(
             f"the Hamiltonian is {what}; give a Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian{own}"
         )
+    if isinstance(H, Quadratic):
+        H.check_dimension(n, owner)
     bound = H.bind(n)
     if type(H).__module__.partition(".")[0] != __name__.partition(".")[0]:
         check_own(bound, n)

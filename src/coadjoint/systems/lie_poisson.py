@@ -119,7 +119,7 @@ class LiePoissonSystem:
         keep = object.__setattr__
         keep(self, "algebra", algebra)
         keep(self, "sign", checked_sign(sign))
-        keep(self, "hamiltonian", as_hamiltonian(hamiltonian, algebra.dim))
+        keep(self, "hamiltonian", as_hamiltonian(hamiltonian, algebra.dim, algebra.name or "the algebra"))
         self._check_pieces()
         i, j, k, c = algebra.triples
         check_room(BYTES_PER_CONSTANT * c.size, f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},")

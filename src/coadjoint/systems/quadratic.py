@@ -285,9 +285,13 @@ class Quadratic(Summable):
             check_room(BYTES_PER_ENTRY * n, f"M of dimension {short(n)}")
             kind = object if not isinstance(self._scalar, float) else np.float64
             return Quadratic(np.full(n, self._scalar, dtype=kind), constant=self._constant)
-        if self.dim != n:
-            raise ValueError(f"{self._size()}; the system has dimension {n}; give {n}")
+        self.check_dimension(n)
         return self
+
+    def check_dimension(self, n: int, owner: str = "the system") -> None:
+        """Refuse M where its owner, as messages name it, has another dimension n; a number as M fits all."""
+        if self.dim not in (None, n):
+            raise ValueError(f"{self._size()}; {owner} has dimension {n}; give {n}")
 
     def _size(self) -> str:
         """Return how large M is, as it was probably given."""
