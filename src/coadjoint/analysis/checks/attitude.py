@@ -28,6 +28,8 @@ LARGEST = 64
 LARGEST_FOLLOWED = 16
 """Dimension up to which it is also followed by the independent code."""
 SAVED = 16
+MOST_WORK = 5e7
+"""Steps times the cube of the dimension: of large algebras the element is followed over fewer steps than the momentum."""
 LARGE_CONDITION = 1e3
 KEEPING = ("every representation", "coadjoint")
 
@@ -66,6 +68,7 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
         claimed = system.algebra is not None and kind != "none"
         found = verdict(claimed, None) if claimed else INAPPLICABLE
         return [Row("attitude", "group element", kind, "-", found, claimed=claimed, reason=why)]
+    steps = max(min(steps, SAVED), min(steps, int(MOST_WORK / system.dim**3)))
     claimed = kind in KEEPING
     rows = [_row(subject, "spatial momentum", "spatial momentum", kind, claimed, lambda: _momentum(subject, steps))]
     representation = system.representation
