@@ -28,6 +28,7 @@ save_every = 1000000
 # Sends a signal 0.3 s after the loops have begun to work, or after the archive is there.
 SIGNAL = """
 import os, signal, sys, threading, time
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run without a terminal
 from coadjoint.kernels.loop import Crew
 original = Crew.advance
 def later():

@@ -232,6 +232,18 @@ def test_an_archive_that_cannot_be_made_is_refused_before_the_run(tmp_path, monk
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.parametrize("rows", [2, 8])
+def test_a_last_point_of_its_own_behind_whole_chunks(tmp_path, monkeypatch, rows):
+    """It comes sooner than save_every steps after the one before, and that one may have filled the memory."""
+    for name in ("FEWEST_ROWS", "MOST_ROWS"):
+        monkeypatch.setattr(f"coadjoint.files.stored_arrays.{name}", rows)
+    for steps in range(4 * rows - 5, 4 * rows + 5):
+        run, path = (BODY, X, (0, steps * STEP), STEP, co.GaussLegendre(2)), tmp_path / f"{steps}.zarr"
+        whole, found = co.integrate(*run, save_every=4), co.integrate(*run, save_every=4, archive=path)
+        assert np.array_equal(found.t, whole.t) and np.array_equal(found.x, whole.x)
+        assert np.array_equal(found.energy, whole.energy)
+
+
 def test_an_archive_is_never_replaced(tmp_path):
     co.integrate(BODY, X, SPAN, STEP, archive=tmp_path / "run.zarr")
     with pytest.raises(

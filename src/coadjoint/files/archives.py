@@ -206,7 +206,7 @@ def resume(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     sol = co.integrate(body, (1.0, 0.2, 0.1), (0, 10), 0.1, archive=f"{folder}/run.zarr")
     ...     sol = co.resume(f"{folder}/run.zarr", t_end=20.0)
-    ...     sol.t[-1]
+    ...     float(sol.t[-1])
     20.0
     """
     from coadjoint.runs.prepared_run import PreparedRun

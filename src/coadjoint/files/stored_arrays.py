@@ -164,7 +164,7 @@ def chunk_of(dims: tuple[str, ...], shape: tuple[int, ...], rows: int) -> tuple[
     >>> chunk_of(("time", "component"), (11, 3), 64), chunk_of(("component",), (3,), 64)
     ((64, 3), (3,))
     >>> chunk_of(("time", "member", "component"), (1, 10**6, 3), 1)
-    (1, 174763, 3)
+    (1, 166667, 3)
     """
     grows = dims[0] in GROWING
     chunk = list(shape)

@@ -62,12 +62,13 @@ class Times(NamedTuple):
         Examples
         --------
         >>> Times(0.0, 0.5, 10, 4, most=2).reach, Times(0.0, 0.5, 10, 4, passed=1, most=2).reach
-        (7, 10)
+        (7, 9)
         """
         last = self.passed + self.points
         if last == self.every_point:
             return self.steps
-        return (last * self.save_every if self.marks is None else int(self.marks[last])) - 1
+        # The last point may come sooner than save_every steps after the one before.
+        return (min(last * self.save_every, self.steps) if self.marks is None else int(self.marks[last])) - 1
 
     def marking(self, numbers: Any) -> Times:
         """Return the same times with the saved steps given, ascending: any of 0 to `steps`.

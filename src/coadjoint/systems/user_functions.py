@@ -35,7 +35,7 @@ class MultipleOf:
 
     Examples
     --------
-    >>> MultipleOf(np.cosh, 2, True)(0.0)
+    >>> float(MultipleOf(np.cosh, 2, True)(0.0))
     2.0
     """
 
