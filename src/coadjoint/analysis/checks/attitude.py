@@ -29,7 +29,7 @@ LARGEST_FOLLOWED = 16
 """Dimension up to which it is also followed by the independent code."""
 SAVED = 16
 MOST_WORK = 5e7
-"""Steps times the cube of the dimension: of large algebras the element is followed over fewer steps than the momentum."""
+"""Steps times the cube of the dimension: on large algebras the element is followed over fewer steps."""
 LARGE_CONDITION = 1e3
 KEEPING = ("every representation", "coadjoint")
 
