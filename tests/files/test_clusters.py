@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import CancelledError
 from pathlib import Path
 from threading import Thread, Timer
 
@@ -14,6 +15,7 @@ import pytest
 from distributed import Client, LocalCluster
 
 import coadjoint as co
+from coadjoint.files import on_workers
 from coadjoint.files.archive_store import ArchiveError, ArchiveUnwritten
 from coadjoint.files.blocks import read_about
 from coadjoint.files.unfinished import locked
@@ -188,6 +190,23 @@ def test_workers_are_killed(tmp_path, client, count):
     thread.join()
     assert len(killed) == count
     assert_same(found, whole())
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_worker_is_lost_before_its_result_is_asked_for(monkeypatch, there):
+    class Task:
+        status = "finished"
+
+        def result(self):
+            raise CancelledError("already forgotten")
+
+    monkeypatch.setattr(on_workers, "_answers", lambda client: there)
+    if there:
+        ended, reason = on_workers._ended(None, Task())
+        assert ended is None and isinstance(reason, CancelledError), "the block is to be computed again"
+    else:
+        with pytest.raises(CancelledError):
+            on_workers._ended(None, Task())
 
 
 @pytest.mark.long

@@ -126,11 +126,11 @@ def _round(
             busy = []
             for task in done:
                 block = tasks.pop(task)
-                if task.status != "finished":
+                ended, reason = _ended(client, task)
+                if reason is not None:
                     undone.append(block)
-                    reason = task.exception() if task.status == "error" else None
-                    failure = failure or reason or RuntimeError(f"a task is {task.status}")
-                elif task.result() == BUSY:
+                    failure = failure or reason
+                elif ended == BUSY:
                     busy.append(block)
                 else:
                     bar(block.last - block.first)
@@ -158,6 +158,19 @@ def _done(client: Any, tasks: Any) -> Any:
         return distributed.wait(list(tasks), timeout=SECONDS_BETWEEN_LOOKS, return_when="FIRST_COMPLETED").done
     except TimeoutError:
         return set()
+
+
+def _ended(client: Any, task: Any) -> tuple[Any, BaseException | None]:
+    """Return what a task has returned, or why it has returned nothing."""
+    try:
+        if task.status == "finished":
+            return task.result(), None
+        return None, (task.exception() if task.status == "error" else RuntimeError(f"a task is {task.status}"))
+    except CancelledError as lost:
+        # The worker that has finished it may be lost before it is asked for what came of it.
+        if not _answers(client):
+            raise
+        return None, lost
 
 
 def _answers(client: Any) -> bool:
