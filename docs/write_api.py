@@ -148,7 +148,7 @@ def _sections() -> Iterator[str]:
         "Forces ([forces.md](forces.md))", [(f"co.forces.{name}", getattr(forces, name)) for name in forces.__all__]
     )
     yield _table(
-        "Schemes of your own ([extending.md](extending.md))",
+        "Schemes of your own ([own_schemes.md](own_schemes.md))",
         [(f"co.methods.{name}", getattr(co.methods, name)) for name in co.methods.__all__],
     )
     for title, kind in MEMBERS_OF:

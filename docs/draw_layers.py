@@ -1,4 +1,4 @@
-"""Draw `docs/rooms.svg`, the rooms of the library and how numbers go through them: ``python docs/draw_rooms.py``."""
+"""Draw `docs/layers.svg`, the layers of the library and what goes from one to the next: ``python docs/draw_layers.py``."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-PICTURE = Path(__file__).with_name("rooms.svg")
-ROOMS = {
+PICTURE = Path(__file__).with_name("layers.svg")
+LAYERS = {
     "algebra": ("where does\nthe state live?", 0.0, 0.0),
     "systems": ("what moves?", 1.0, 0.0),
     "program": ("as which\nexact flows?", 2.0, 0.0),
@@ -20,11 +20,11 @@ ROOMS = {
     "pictures": ("what does\nit look like?", 6.2, -1.95),
     "experiments": ("does it hold?", 7.4, -1.3),
 }
-"""Room: its question, and its place. A room uses rooms to its left, and those above it in this list."""
-DOORS = {"choosing": "accuracy=", "files": "to_xarray", "analysis": "modified_energy", "pictures": "plot"}
-"""What `runs` opens, only when it is asked to: `integrate(accuracy=)`, and methods of `Solution`."""
+"""Layer: its question, and its place. A layer uses layers to its left, and those above it in this list."""
+IMPORTED_LATE = {"choosing": "accuracy=", "files": "to_xarray", "analysis": "modified_energy", "pictures": "plot"}
+"""What `runs` imports, only when it is asked to: `integrate(accuracy=)`, and methods of `Solution`."""
 NEIGHBOURS = {("analysis", "pictures"): "plot"}
-"""Doors between rooms at one place, opened only when asked: `Certificate.plot`."""
+"""Imports between layers at one place, made only when asked: `Certificate.plot`."""
 WIDE, HIGH = 0.84, 0.92
 INK, FILL, COMPILED = "#1f2d3d", "#eef3f8", "#f7e7cf"
 
@@ -34,31 +34,31 @@ def draw() -> Any:
     import matplotlib
     from matplotlib.figure import Figure
 
-    matplotlib.rcParams["svg.hashsalt"] = "rooms"
+    matplotlib.rcParams["svg.hashsalt"] = "layers"
     figure = Figure(figsize=(12.2, 5.2), facecolor="white")
     axes = figure.add_axes((0, 0, 1, 1), xlim=(-0.6, 8.0), ylim=(-2.95, 2.6))
     axes.axis("off")
-    for name, (question, x, y) in ROOMS.items():
+    for name, (question, x, y) in LAYERS.items():
         _box(axes, name, question, x, y, COMPILED if name == "kernels" else FILL)
-    chain = list(ROOMS)[:6]
+    chain = list(LAYERS)[:6]
     for left, right in pairwise(chain):
-        _arrow(axes, (ROOMS[left][1] + WIDE / 2, 0), (ROOMS[right][1] - WIDE / 2, 0))
+        _arrow(axes, (LAYERS[left][1] + WIDE / 2, 0), (LAYERS[right][1] - WIDE / 2, 0))
     for name in ("choosing", "files", "analysis", "pictures"):
-        _, x, y = ROOMS[name]
+        _, x, y = LAYERS[name]
         _arrow(axes, (5 + WIDE / 2, 0.12 * y), (x - WIDE / 2, y))
-        if name in DOORS:
+        if name in IMPORTED_LATE:
             side = 1 if y > 0 else -1
             end = (4.85 + 0.3 * (abs(y) < 1), side * HIGH / 2)
             _arrow(axes, (x - WIDE / 2, y + 0.3 * side), end, dashed=True, bend=0.3 * side)
             label = {"ha": "right", "va": "center", "color": INK, "size": 8.5}
             paper = {"facecolor": "white", "edgecolor": "none", "pad": 1}
-            axes.text(x - WIDE / 2 - 0.08, y + 0.43 * side, DOORS[name], **label, bbox=paper)
+            axes.text(x - WIDE / 2 - 0.08, y + 0.43 * side, IMPORTED_LATE[name], **label, bbox=paper)
     for (above, below), said in NEIGHBOURS.items():
-        x, top, bottom = ROOMS[above][1] - 0.2, ROOMS[above][2] - HIGH / 2, ROOMS[below][2] + HIGH / 2
+        x, top, bottom = LAYERS[above][1] - 0.2, LAYERS[above][2] - HIGH / 2, LAYERS[below][2] + HIGH / 2
         _arrow(axes, (x, bottom), (x, top), dashed=True)
         axes.text(x + 0.06, (top + bottom) / 2, said, ha="left", va="center", color=INK, size=8.5)
     for name in ("analysis", "pictures"):
-        _arrow(axes, (6.2 + WIDE / 2, ROOMS[name][2]), (7.4 - WIDE / 2, -1.3))
+        _arrow(axes, (6.2 + WIDE / 2, LAYERS[name][2]), (7.4 - WIDE / 2, -1.3))
     _box(axes, "source", "the loops,\nin C++", 3.0, -1.5, COMPILED)
     _arrow(axes, (3.0 - 0.12, -HIGH / 2), (3.0 - 0.12, -1.5 + HIGH / 2))
     _arrow(axes, (3.0 + 0.12, -1.5 + HIGH / 2), (3.0 + 0.12, -HIGH / 2))
@@ -66,8 +66,8 @@ def draw() -> Any:
     for y, end in ((0.65, 0.65), (-0.5, 0.5)):
         _arrow(axes, (6.2 + WIDE / 2, y), (7.4 - WIDE / 2, end))
     _arrow(axes, (7.4, -1.3 + HIGH / 2), (7.4, 0.65 - HIGH / 2))
-    notes = ("algebra, energy, state go in at the left", "solid: what a room makes goes to the right")
-    for line, said in enumerate((*notes, "dashed: opened only when asked")):
+    notes = ("algebra, energy, state go in at the left", "solid: the results of a layer go to the right")
+    for line, said in enumerate((*notes, "dashed: imported only when asked")):
         axes.text(-0.43, 2.2 - 0.3 * line, said, ha="left", va="center", color=INK, size=11, style="italic")
     return figure
 

@@ -1,4 +1,4 @@
-"""What `docs/extending.md` shows beside its doctests: the scheme in C++, and a package that brings schemes."""
+"""What `docs/own_schemes.md` shows beside its doctests: the scheme in C++, and a package that brings schemes."""
 
 import importlib.util
 import json
@@ -15,7 +15,7 @@ import pytest
 
 import coadjoint as co
 
-PAGE = (Path(__file__).parents[1] / "docs" / "extending.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[1] / "docs" / "own_schemes.md").read_text(encoding="utf-8")
 SOURCE = Path(co.__file__).parents[1]
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X0 = (1.0, 0.2, 0.5)

@@ -1,4 +1,4 @@
-"""Rooms of the library import only from rooms before them, as `docs/architecture.md` draws them."""
+"""Layers of the library import only from layers before them, as `docs/architecture.md` draws them."""
 
 import ast
 import importlib.util
@@ -14,14 +14,14 @@ DOCS = Path(__file__).parents[1] / "docs"
 
 @pytest.fixture(scope="module")
 def drawn():
-    specification = importlib.util.spec_from_file_location("draw_rooms", DOCS / "draw_rooms.py")
+    specification = importlib.util.spec_from_file_location("draw_layers", DOCS / "draw_layers.py")
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     return module
 
 
 def imports(path):
-    """Yield the rooms and single files of the package that a file imports from, and whether a function does it."""
+    """Yield the layers and single files of the package that a file imports from, and whether a function does it."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     inside = {
         id(node)
@@ -42,34 +42,34 @@ def imports(path):
                 yield rest.partition(".")[0], id(node) in inside
 
 
-def test_every_folder_is_a_room_of_the_picture(drawn):
+def test_every_folder_is_a_layer_of_the_picture(drawn):
     folders = {path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()}
-    assert folders == set(drawn.ROOMS)
+    assert folders == set(drawn.LAYERS)
     table = (DOCS / "architecture.md").read_text(encoding="utf-8")
-    assert all(f"| `{room}/` | " in table for room in drawn.ROOMS)
+    assert all(f"| `{layer}/` | " in table for layer in drawn.LAYERS)
 
 
-def test_no_room_reaches_back(drawn):
-    order = list(drawn.ROOMS)
-    # Rooms at one place along the picture do not know each other; the first six stand in a row.
-    along = {room: x for room, (_, x, _) in drawn.ROOMS.items()}
-    wrong, doors, neighbours = [], set(), set()
-    for room in order:
-        for path in sorted((PACKAGE / room).rglob("*.py")):
+def test_no_layer_reaches_back(drawn):
+    order = list(drawn.LAYERS)
+    # Layers at one place along the picture do not know each other; the first six stand in a row.
+    along = {layer: x for layer, (_, x, _) in drawn.LAYERS.items()}
+    wrong, late, neighbours = [], set(), set()
+    for layer in order:
+        for path in sorted((PACKAGE / layer).rglob("*.py")):
             for other, deferred in imports(path):
-                if other not in along or other == room or along[other] < along[room]:
+                if other not in along or other == layer or along[other] < along[layer]:
                     continue
-                if room == "runs" and other in drawn.DOORS and deferred:
-                    doors.add(other)
-                elif (room, other) in drawn.NEIGHBOURS and deferred:
-                    neighbours.add((room, other))
+                if layer == "runs" and other in drawn.IMPORTED_LATE and deferred:
+                    late.add(other)
+                elif (layer, other) in drawn.NEIGHBOURS and deferred:
+                    neighbours.add((layer, other))
                 else:
                     wrong.append(f"{path.relative_to(PACKAGE)} imports from {other}")
     assert wrong == []
-    assert doors == set(drawn.DOORS)
+    assert late == set(drawn.IMPORTED_LATE)
     assert neighbours == set(drawn.NEIGHBOURS)
 
 
 def test_the_picture_can_be_drawn(drawn, tmp_path):
-    drawn.draw().savefig(tmp_path / "rooms.svg")
-    assert (DOCS / "rooms.svg").stat().st_size > 10_000 and (tmp_path / "rooms.svg").stat().st_size > 10_000
+    drawn.draw().savefig(tmp_path / "layers.svg")
+    assert (DOCS / "layers.svg").stat().st_size > 10_000 and (tmp_path / "layers.svg").stat().st_size > 10_000
