@@ -179,3 +179,9 @@ def test_powers_below_the_bounds():
 def test_polynomials_that_are_not_multiplied_out(text):
     with pytest.raises(ValueError, match=r"^'.*' cannot be read from '.*' on; write sums of products such as"):
         read_polynomial(text, 3)
+
+
+def test_what_is_subtracted_is_written_with_a_minus():
+    formula = read_formula("-log(x1)/2 - x2/x3 - a*atan2(x2, x1)", *NAMES)
+    assert str(formula).startswith("-1/2 log|x1| - (x2)/(x3) - ")
+    assert "+ -" not in str(formula)

@@ -397,6 +397,10 @@ def test_schemes_by_name_wherever_one_is_taken(written):
         lambda given: co.choose(body, X, (0, 1), 1e-3, methods=given).step,
         lambda given: co.choose(body, X, (0, 1), 1e-3, methods=[given, co.GaussLegendre(3)]).step,
         lambda given: [row.value for row in co.certify(body, given, X, 0.125, steps=5).table],
+        lambda given: co.modified_hamiltonian(body, given, 4)(X, 0.125),
+        lambda given: co.modified_field(body, given, 4)(X, 0.125),
+        lambda given: co.suggest_step(body, given, X, energy=1e-5),
+        lambda given: co.corrector(body, given, X)(X, 0.125),
     )
     for call in calls:
         np.testing.assert_array_equal(np.asarray(call(written), float), np.asarray(call(method), float))

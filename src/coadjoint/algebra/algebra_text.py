@@ -96,7 +96,7 @@ def algebra_text(algebra: LieAlgebra) -> str:
     basis         e1, e2, e3
     brackets      [e1, e3] = 2 e1 - e2
                   [e2, e3] = e1 + 2 e2
-    casimirs      log C = log|x1^2 + x2^2| + -4 atan2(x2, x1)
+    casimirs      log C = log|x1^2 + x2^2| - 4 atan2(x2, x1)
     matrices      3 x 3
     """
     return "\n".join(_lines(algebra))

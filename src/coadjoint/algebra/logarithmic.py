@@ -74,7 +74,7 @@ class LogarithmicSum:
     terms: tuple[Term, ...]
 
     def __str__(self) -> str:
-        return " + ".join(_written(term) for term in self.terms) or "0"
+        return " + ".join(_written(term) for term in self.terms).replace("+ -", "- ") or "0"
 
     @classmethod
     def quotient(cls, above: Polynomial, below: Polynomial) -> LogarithmicSum:
@@ -219,7 +219,7 @@ class LogarithmicSum:
 
 def _written(term: Term) -> str:
     """Return one term as text."""
-    weight = "" if term.weight == 1 else f"{term.weight} "
+    weight = "" if term.weight == 1 else "-" if term.weight == -1 else f"{term.weight} "
     if term.kind == QUOTIENT:
         return f"{weight}({term.first!r})/({term.second!r})"
     return (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import combinations_with_replacement
 from math import comb
 from typing import Any, cast
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.exact_polynomials import ExactPolynomials
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian, check_subject, modified_hamiltonian
+from coadjoint.analysis.modified_hamiltonian import ModifiedHamiltonian, modified_hamiltonian, read_subject
 from coadjoint.analysis.short_motion import short_motion
 from coadjoint.given import check_power, read_finite, read_number
 from coadjoint.memory import check_room
@@ -105,7 +106,7 @@ class Corrector:
         return np.asarray(run.x[-1]).reshape(states.shape)
 
 
-def corrector(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike) -> Corrector:
+def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any], x0: npt.ArrayLike) -> Corrector:
     """Return a map for output under which the energy of a splitting wanders less near a motion.
 
     This is processing without a new scheme: the map comes from the modified Hamiltonian of the system at hand. Choose
@@ -116,8 +117,8 @@ def corrector(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike) -> Co
     ----------
     system : LiePoissonSystem
         With a polynomial Hamiltonian that does not depend on time.
-    method : Method
-        A splitting or a composition of splittings: the kernel.
+    method : Method, str or mapping
+        A splitting or a composition of splittings, or its name as `integrate` takes it: the kernel.
     x0 : array_like, shape (n,) or (k, n)
         The state whose motion matters, or a sample of them.
 
@@ -137,8 +138,8 @@ def corrector(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike) -> Co
     S. Blanes, F. Casas and A. Murua, Composition methods for differential equations with processing, SIAM J. Sci.
     Comput. 27 (2006), for correctors of compositions.
     """
-    check_subject(system, method)
-    found, H = modified_hamiltonian(system, method, method.order), polynomial_of(system.hamiltonian)
+    system, scheme = read_subject(system, method)
+    found, H = modified_hamiltonian(system, scheme, scheme.order), polynomial_of(system.hamiltonian)
     if H is None or not isinstance(found, ModifiedHamiltonian):
         raise ValueError(f"the Hamiltonian of {system.name} is no polynomial; a corrector is a polynomial's flow")
     term = cast(Polynomial, found.error_term.term)
@@ -156,7 +157,7 @@ def corrector(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike) -> Co
     target = np.concatenate([_changes([term], points)[:, 0] for points in motions])
     size = float(np.max(np.abs(target), initial=0.0))
     if size == 0.0:
-        return Corrector(system, Polynomial({}, dim=system.dim), method.order, 0.0)
+        return Corrector(system, Polynomial({}, dim=system.dim), scheme.order, 0.0)
     every = np.concatenate(motions)
     bound = LARGEST * _moved_by(system, term, every) / min(rates)
     left, right, across = np.linalg.svd(columns, full_matrices=False)
@@ -168,7 +169,7 @@ def corrector(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike) -> Co
         if _moved_by(system, generator, every) <= bound:
             break
     rest = float(np.max(np.abs(target + system.sign * (columns @ factors)))) / size
-    return Corrector(system, generator, method.order, rest)
+    return Corrector(system, generator, scheme.order, rest)
 
 
 def _moved_by(system: LiePoissonSystem, function: Polynomial, points: Floats) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from coadjoint.analysis.step_series import ExactSystem, check_at_a_point, scale_
 from coadjoint.extras import need
 from coadjoint.given import read_choice, read_whole
 from coadjoint.methods.base import Method
+from coadjoint.methods.registry import read_method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.kinds import System, check_vectors
 from coadjoint.systems.user_functions import check_arguments
@@ -38,8 +39,8 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     ----------
     system : LiePoissonSystem or PoissonSystem
         The system; its Hamiltonian does not depend on time.
-    method : Method or callable
-        The scheme, or a step of your own as a function ``step(x, h)``.
+    method : Method, str, mapping or callable
+        The scheme, its name as `integrate` takes it, or a step of your own as a function ``step(x, h)``.
     order : int
         The terms f_k h^k with k < order are kept.
     way : {"auto", "exact", "numerical"}
@@ -80,6 +81,8 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
         raise ValueError(
             f"the Hamiltonian of {system.name} depends on time; a modified field is that of an autonomous system"
         )
+    if isinstance(method, str | Mapping):
+        method = read_method(method)
     if isinstance(method, Method):
         method.properties(system)
     elif not callable(method):

@@ -19,6 +19,7 @@ from coadjoint.analysis.symbols_of_hamiltonian import no_symbols, symbols_of
 from coadjoint.extras import need
 from coadjoint.given import is_of_a_ring, read_whole
 from coadjoint.methods.base import Method
+from coadjoint.methods.registry import read_method
 from coadjoint.program.composition_logarithm import swept_exactly
 from coadjoint.program.modified_terms import coordinates_of
 from coadjoint.systems.kinds import System
@@ -198,7 +199,7 @@ def _step(h: Any) -> Any:
 
 
 def modified_hamiltonian(
-    system: System, method: Method, order: int = 4, *, symbols: Any = False
+    system: System, method: Method | str | Mapping[str, Any], order: int = 4, *, symbols: Any = False
 ) -> ModifiedHamiltonian | ModifiedEnergyAtPoints:
     """Return the modified Hamiltonian of a splitting or a composition: the terms below h^order.
 
@@ -209,8 +210,9 @@ def modified_hamiltonian(
     ----------
     system : LiePoissonSystem
         The system. Its Hamiltonian splits and does not depend on time.
-    method : Method
-        `Splitting` of any order, scheme and parts, a `Composition` of them, or a flow method of your own.
+    method : Method, str or mapping
+        `Splitting` of any order, scheme and parts, a `Composition` of them, or a flow method of your own; or its name
+        as `integrate` takes it.
     order : int
         From 1 to 12. Order 2 is H for a scheme of order 2, order 4 is H + h^2 H2, and so on.
     symbols : bool or sequence of str
@@ -248,15 +250,15 @@ def modified_hamiltonian(
     >>> float(max(abs(kept - kept[0])) / run.drift()["energy"]) < 0.01
     True
     """
-    system = check_subject(system, method)
+    system, scheme = read_subject(system, method)
     order = read_whole(order, "order", 1, HIGHEST, why="the words in the free algebra double in number with each power")
-    program = method.program(system)
+    program = scheme.program(system)
     if system.hamiltonian.timed:
         raise ValueError(
             f"the Hamiltonian of {system.name} depends on time, so that no function of x is kept; "
             "a modified Hamiltonian is for autonomous systems"
         )
-    sweeps, after = swept_exactly(method.swept())
+    sweeps, after = swept_exactly(scheme.swept())
     H = polynomial_of(system.hamiltonian)
     if H is None:
         if symbols is not False:
@@ -266,10 +268,10 @@ def modified_hamiltonian(
                 f"the Hamiltonian of {system.name} is no polynomial, and rational rotations are flows of integrals of "
                 'it that are not known; take rotation="exact"'
             )
-        coordinates = coordinates_of(program, sweeps, after, order, method.order)
+        coordinates = coordinates_of(program, sweeps, after, order, scheme.order)
         return ModifiedEnergyAtPoints(system, program, coordinates, order)
     chosen = symbols_of(H, symbols, program) if symbols is not False else no_symbols(H)
-    return _made_of(SchemeTerms(system, program, sweeps, after, method.order, chosen), order)
+    return _made_of(SchemeTerms(system, program, sweeps, after, scheme.order, chosen), order)
 
 
 def _made_of(source: SchemeTerms, order: int) -> ModifiedHamiltonian:
@@ -278,10 +280,9 @@ def _made_of(source: SchemeTerms, order: int) -> ModifiedHamiltonian:
     return ModifiedHamiltonian(terms, order, radius=radius, neglected=neglected, values=values, source=source)
 
 
-def check_subject(system: System, method: Any) -> LiePoissonSystem:
-    """Return the system. Refuse anything but one system on a Lie algebra, with a scheme."""
-    if not isinstance(method, Method):
-        raise TypeError(f"method is {short(method)}; it must be a scheme such as Splitting(order=4)")
+def read_subject(system: System, method: Any) -> tuple[LiePoissonSystem, Method]:
+    """Return system and scheme. Refuse anything but one system on a Lie algebra, with a scheme."""
+    scheme = read_method(method)
     if not isinstance(system, LiePoissonSystem):
         raise TypeError(f"the system is {short(system)}; a modified Hamiltonian is for one LiePoissonSystem")
-    return system
+    return system, scheme

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.analysis.modified_hamiltonian import check_subject, modified_hamiltonian
+from coadjoint.analysis.modified_hamiltonian import modified_hamiltonian, read_subject
 from coadjoint.analysis.short_motion import short_motion
 from coadjoint.given import read_finite, read_positive
 from coadjoint.methods.base import Method
@@ -14,7 +17,9 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 HALVINGS = 40
 
 
-def suggest_step(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike, energy: float) -> float:
+def suggest_step(
+    system: LiePoissonSystem, method: Method | str | Mapping[str, Any], x0: npt.ArrayLike, energy: float
+) -> float:
     """Return the largest step at which the energy stays within a bound, from the modified Hamiltonian.
 
     A run keeps H + h^p H_p + .... So its energy wanders as h^p H_p does along the motion, however long the run. Choose
@@ -24,8 +29,8 @@ def suggest_step(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike, en
     ----------
     system : LiePoissonSystem
         With a polynomial Hamiltonian that does not depend on time.
-    method : Method
-        A splitting or a composition of splittings.
+    method : Method, str or mapping
+        A splitting or a composition of splittings, or its name as `integrate` takes it.
     x0 : array_like, shape (n,) or (k, n)
         The state, or a sample of states, for which the smallest of their steps is returned.
     energy : float
@@ -51,12 +56,12 @@ def suggest_step(system: LiePoissonSystem, method: Method, x0: npt.ArrayLike, en
     >>> 0.9e-5 < run.drift()["energy"] < 1.1e-5
     True
     """
-    check_subject(system, method)
+    system, scheme = read_subject(system, method)
     wanted = read_positive(energy, "energy")
     points = np.atleast_2d(read_finite(x0, "x0"))
     if points.ndim != 2 or points.shape[1] != system.dim:
         raise ValueError(f"x0 has the shape {points.shape}; it must be ({system.dim},) or (k, {system.dim})")
-    return min(_step_from(system, method, start, wanted) for start in points)
+    return min(_step_from(system, scheme, start, wanted) for start in points)
 
 
 def _step_from(system: LiePoissonSystem, method: Method, start: npt.NDArray[np.float64], wanted: float) -> float:

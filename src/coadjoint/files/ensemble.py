@@ -28,7 +28,7 @@ def ensemble(
     x0: Any,
     t_span: tuple[float, float],
     step: float,
-    method: Method | None = None,
+    method: Method | str | Mapping[str, Any] | None = None,
     *,
     save_every: int = 1,
     attitude: Any = False,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -98,7 +99,7 @@ def section(
     event: Event,
     t_span: tuple[float, float],
     step: float | None = None,
-    method: Method | None = None,
+    method: Method | str | Mapping[str, Any] | None = None,
     *,
     crossings: int | None = None,
     accuracy: float | None = None,
