@@ -406,7 +406,7 @@ def test_refusals():
         co.modified_hamiltonian(co.batch([body, body]), strang)
     with pytest.raises(TypeError, match="it must be a scheme"):
         co.modified_hamiltonian(body, 0.5)
-    with pytest.raises(ValueError, match="unknown method 'strang'; there are: .*Splitting"):
+    with pytest.raises(ValueError, match=r"unknown method 'strang'; there are: .*Splitting"):
         co.modified_hamiltonian(body, "strang")
     with pytest.raises(ValueError, match="order must be at most 12"):
         co.modified_hamiltonian(body, strang, 14)
