@@ -1,4 +1,4 @@
-"""Draw `docs/layers.svg`, the layers of the library and what goes from one to the next: ``python docs/draw_layers.py``."""
+"""Draw `docs/layers.svg`: the layers of the library, and what goes from one to the next."""
 
 from __future__ import annotations
 
