@@ -68,6 +68,24 @@ def test_what_goes_untried_is_no_cheaper(monkeypatch):
             assert chosen.error <= wanted
 
 
+def test_series_that_are_given_up_spare_the_trials_of_others(monkeypatch):
+    """Particles fly apart: steps of its own are so much longer that hardly another scheme is worth a trial."""
+    tried = []
+
+    def counted(pilot, candidate, *rest):
+        tried.append(candidate.method)
+        return fit(pilot, candidate, *rest)
+
+    fit = accuracy.fit
+    monkeypatch.setattr(accuracy, "fit", counted)
+    for wanted in (1e-6, 1e-9):
+        tried.clear()
+        chosen = co.choose(co.systems.toda(4), (-0.8, 0.1, -0.2, 0.9, 0.4, 0.35, 0.45), (0.0, 80.0), wanted)
+        assert chosen.method.own_steps
+        # Two series make the law; of 20 candidates each other one could be tried.
+        assert 2 <= len(tried) <= 6
+
+
 def test_what_is_remembered_changes_nothing():
     first = co.choose(BODY, (0.6, 0.0, 0.8), (0, 50), 1e-7)
     co.choose(BODY, (0.1, 2.0, 0.3), (50, 0), 1e-4)

@@ -11,7 +11,7 @@ import numpy as np
 
 from coadjoint.choosing.candidates import Candidate, admitted
 from coadjoint.choosing.fitting import Fit, confirmed, fit
-from coadjoint.choosing.law import Law, law_of
+from coadjoint.choosing.law import AHEAD, Law, law_of
 from coadjoint.choosing.pilot import Pilot
 from coadjoint.choosing.roundoff import least_roundoff
 from coadjoint.choosing.sampling import sample_of
@@ -224,9 +224,10 @@ def _goal(candidate: Candidate, wanted: float) -> float:
 
 
 def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[Fit]:
-    found: list[Fit] = []
+    found, given_up = list[Fit](), list[Fit]()
     least = least_roundoff(pilot)
     law: Law | None = None
+    rough: Law | None = None
     waiting = list(candidates)
     while waiting:
         candidate = waiting.pop(0)
@@ -236,11 +237,16 @@ def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[
         goal = _goal(candidate, wanted)
         if law is not None and law.least_cost(candidate, goal) > sound:
             continue
+        if rough is not None and rough.least_cost(candidate, goal, AHEAD) > sound:
+            continue
         if candidate.method.own_steps:
             result = fit_of_tolerance(pilot, candidate, goal, limit)
         else:
             result = fit(pilot, candidate, goal, limit, None if law is None else law.guess(candidate, goal))
-        if result is not None:
+        if result is not None and result.given_up:
+            given_up.append(result)
+            rough = law_of([*found, *given_up])
+        elif result is not None:
             found.append(result)
             if ROUNDING_SHARE * wanted < result.roundoff <= least:
                 # All others have as much rounding.

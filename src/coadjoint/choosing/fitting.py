@@ -37,6 +37,8 @@ class Fit:
     steps: int
     error: float
     trial: Trial
+    given_up: bool = False
+    """Whether a trial showed that it will be much dearer than another; its steps are a guess then."""
 
     @property
     def cost(self) -> float:
@@ -72,6 +74,7 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: fl
     Returns
     -------
     Fit or None
+        None where no number of steps was found.
     """
     order = candidate.method.order
     # Without a better guess, the step of the reference in proportion to the order. Far below it nothing can be seen.
@@ -94,7 +97,7 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: fl
         noise = CLEARLY * max(pilot.noise, _rounding(pilot, candidate, steps, 1.0))
         best = _extrapolated(pilot, candidate, goal, trial, noise)
         if best.cost > (1.0 + MUCH_DEARER / order) * limit and trial.error > noise:
-            return None
+            return replace(best, given_up=True)
         aim = max(goal / candidate.growth(pilot, trial), noise)
         change: float = (max(trial.error, noise / 256) / aim) ** (1.0 / order)
         most = DEAREST_TRIAL / candidate.cost(trial)

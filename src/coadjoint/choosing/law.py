@@ -46,11 +46,14 @@ class Law:
         steps = self.steps(candidate.method.order, goal)
         return steps if _is_series(candidate.method) else steps / OFTEN_AHEAD
 
-    def least_cost(self, candidate: Candidate, goal: float) -> float:
-        """Return what a scheme costs at the least that is to reach an error at the end."""
+    def least_cost(self, candidate: Candidate, goal: float, nearly: float = NEARLY) -> float:
+        """Return what a scheme costs at the least that is to reach an error at the end.
+
+        `nearly` says how many times fewer steps a series may need than the law foretells.
+        """
         method = candidate.method
         series = _is_series(method)
-        steps = self.steps(method.order, goal) / (NEARLY if series else AHEAD)
+        steps = self.steps(method.order, goal) / (nearly if series else AHEAD)
         iterations = 1.0 if series else min(float(method.order), ROUNDS)
         # No tableau of s stages has an order above 2 s.
         trial = Trial(1, Growth(0.0, 0.0, 0.0), iterations, iterations * method.order / 2)
