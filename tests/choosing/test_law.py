@@ -43,6 +43,11 @@ def some_problems():
     rng = np.random.default_rng(7)
     yield BODY, (0.6, 0.0, 0.8), 100.0
     yield co.systems.toda(4), (-0.8, 0.1, -0.2, 0.9, 0.4, 0.35, 0.45), 5.0
+    # A dense gradient on a solvable algebra in another basis: a Gauss method costs half of what a series does.
+    other = np.random.default_rng(73)
+    solvable = some_algebra(other)
+    M = other.standard_normal((6, 6))
+    yield co.LiePoissonSystem(solvable, co.Quadratic(M @ M.T / 6 + 0.3 * np.eye(6))), other.standard_normal(6), 5.0
     found = 0
     while found < 4:
         algebra = some_algebra(rng)
@@ -59,7 +64,7 @@ def some_problems():
 def test_what_goes_untried_is_no_cheaper(monkeypatch):
     """The steps of a scheme are found to a third or so from two starts of the search."""
     for system, x0, span in some_problems():
-        for wanted in (1e-3, 1e-8):
+        for wanted in (1e-3, 1e-10):
             chosen = co.choose(system, x0, (0.0, span), wanted)
             with monkeypatch.context() as all_tried:
                 all_tried.setattr(accuracy, "law_of", lambda found: None)
