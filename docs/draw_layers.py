@@ -1,4 +1,4 @@
-"""Draw `docs/layers.svg`: the layers of the library, and what goes from one to the next."""
+"""Draw `docs/layers.svg`, the layers of the library: ``python docs/draw_layers.py``."""
 
 from __future__ import annotations
 

@@ -72,7 +72,8 @@ MISTAKES = {
     "no stage": (lambda: co.GaussLegendre(0), "stages of GaussLegendre must be a whole number from 1 up, not 0"),
     "coupled functions": (
         lambda: co.Splitting().properties(CUBE),
-        "Splitting cannot serve Lie-Poisson system on so(3): its monomial x1*x2*x3 couples e1 and e2, which do not",
+        "Splitting cannot be used for Lie-Poisson system on so(3): its monomial x1*x2*x3 couples e1 and e2, which do "
+        "not",
     ),
     "matrices for a vector": (
         lambda: full(method=co.IsospectralGauss()),
@@ -187,7 +188,7 @@ MISTAKES = {
     # algebras
     "indices from 1": (
         lambda: co.LieAlgebra.from_brackets(3, {(1, 2): {3: 1.0}, (2, 3): {1: 1.0}, (3, 1): {2: 1.0}}),
-        "brackets use indices from 0, and these go from 1 to 3; take 1 off each",
+        "brackets use indices from 0, and these go from 1 to 3; subtract 1 from each",
     ),
     "names without a basis": (
         lambda: co.LieAlgebra.from_brackets(3, {("D", "H"): {"H": 1.0}}),

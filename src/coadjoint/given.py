@@ -236,14 +236,16 @@ def read_positive(value: Any, what: str) -> float:
 
 
 def check_power(number: float, power: int, what: str) -> None:
-    """Refuse a number whose power leaves float64.
+    """Refuse a number whose power leaves the range of float64.
 
     Examples
     --------
     >>> check_power(1e30, 10, "step")
     """
     if power * math.log2(max(abs(number), 1.0)) >= 1024.0:
-        raise ValueError(f"{what} is {number!r}, and its power {power} leaves float64; give a smaller number")
+        raise ValueError(
+            f"{what} is {number!r}, and its power {power} leaves the range of float64; give a smaller number"
+        )
 
 
 def read_whole(

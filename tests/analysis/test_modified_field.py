@@ -387,7 +387,7 @@ def test_a_step_that_branches_is_not_read_in_series() -> None:
             end = new
         return end
 
-    with pytest.raises(TypeError, match=r"off by .* it branches"):
+    with pytest.raises(TypeError, match=r"contradicts the step at a sample point .* a step that branches"):
         co.modified_field(system, stopped, 4, way="exact")
     found = co.modified_field(system, step, 4)
     known = co.modified_field(system, co.GaussLegendre(1), 4)

@@ -414,7 +414,7 @@ def test_refusals():
     with pytest.raises(ValueError, match="depends on time"):
         co.modified_hamiltonian(co.LiePoissonSystem(co.algebras.so(3), driven), strang)
     shifted = co.systems.rigid_body(inertia=(1, 2, 3))
-    with pytest.raises(ValueError, match=r'Casimir .* taken off H.*parts="coordinates"'):
+    with pytest.raises(ValueError, match=r'Casimir .* subtracted from H.*parts="coordinates"'):
         co.modified_hamiltonian(shifted, strang, symbols=True)
     with pytest.raises(ValueError, match="completed squares"):
         co.modified_hamiltonian(SYSTEMS["so(3), full, body"][0], co.Splitting(parts="coordinates"), symbols=True)

@@ -148,7 +148,7 @@ def test_a_first_step_with_other_bits_is_noticed(tmp_path, monkeypatch):
     cut(tmp_path / "run.zarr")
     monkeypatch.setattr("coadjoint.files.archives.first_step", lambda *_: "other")
     with pytest.raises(
-        ArchiveError, match="the first step, taken again, has other bits than when the archive was begun"
+        ArchiveError, match="the first step, computed again, has other bits than when the archive was begun"
     ):
         co.resume(tmp_path / "run.zarr")
 

@@ -351,4 +351,6 @@ def test_workers_need_an_ensemble(tmp_path, monkeypatch, capsys):
     text = SWEEP.replace("[sweep.over]", "").replace('"initial.x[1]" = [0.25, -0.5]', "")
     Path("run.toml").write_text("\n".join(line for line in text.splitlines() if "linear" not in line))
     assert cli.main(["run", "run.toml"]) == 2
-    assert "run.workers: workers run the members of an ensemble, and the file has one state" in capsys.readouterr().err
+    assert (
+        "run.workers: workers are for the members of an ensemble, and the file has one state" in capsys.readouterr().err
+    )

@@ -59,7 +59,7 @@ BRACKETS = ["[e1, e2] = e3"]
         "a name that is a number": (lambda: MATRICES.read(np.eye(3), 10**5000), "what must be a nonempty string"),
         "a derivative that is too large": (
             lambda: co.Polynomial({(2,): 1.7e308}).gradient([1.0]),
-            "a coefficient of a polynomial, or of its derivatives, leaves float64",
+            "a coefficient of a polynomial, or of its derivatives, leaves the range of float64",
         ),
         "a spectrum that takes no array": (
             lambda: TORUS.random(1, spectrum=int),

@@ -110,9 +110,9 @@ def test_what_is_refused():
     with pytest.raises(ValueError, match=r"CommutatorFree moves along coadjoint orbits.*no Lie algebra"):
         co.integrate(plane, (1, 0), (0, 1), 0.1, co.CommutatorFree())
     body = co.systems.rigid_body((1, 2, 3))
-    with pytest.raises(co.IntegrationError, match="reaches too far"):
+    with pytest.raises(co.IntegrationError, match="is too large for its series"):
         co.integrate(body, (1, 2, 3), (0, 1e5), 1e5, co.CommutatorFree())
-    with pytest.raises(co.IntegrationError, match="reaches too far"):
+    with pytest.raises(co.IntegrationError, match="is too large for its series"):
         co.CommutatorFree().step(body, np.array([1.0, 2, 3]), 0.0, 1e5)
     with pytest.raises(TypeError, match=r"take floats or mpmath\.mpf"):
         co.CommutatorFree().step(body, np.array([Fraction(1)] * 3), Fraction(0), Fraction(1, 10))

@@ -127,7 +127,7 @@ REFUSED = {
 @pytest.mark.parametrize("what", REFUSED)
 def test_what_is_not_quadratic_is_refused(what):
     system = REFUSED[what]
-    with pytest.raises(ValueError, match=f"Kahan serves quadratic fields.*{what}"):
+    with pytest.raises(ValueError, match=f"Kahan needs a quadratic vector field.*{what}"):
         co.integrate(system, np.full(system.dim, 0.5), (0, 1), 0.1, co.Kahan())
 
 

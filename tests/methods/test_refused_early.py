@@ -66,7 +66,8 @@ def test_declarations_refuse_what_a_run_refuses(name):
 def test_the_words_of_a_refusal():
     system = SYSTEMS["coupled cubic"]
     said = (
-        r"Splitting cannot serve .*: its monomial x1\*x2\*x3 couples e1 and e2, which do not commute; give H as a sum"
+        r"Splitting cannot be used for .*: its monomial x1\*x2\*x3 couples e1 and e2, which do not commute; give H as "
+        r"a sum"
     )
     with pytest.raises(ValueError, match=said):
         co.Splitting(order=4).properties(system)

@@ -196,7 +196,7 @@ def driven_slope(y, t):
         (lambda: co.ReversibleSteps("Splitting"), TypeError, "the base of ReversibleSteps is a scheme"),
         (lambda: co.ReversibleSteps(co.ExplicitRungeKutta("rk4")), ValueError, "needs a symmetric base"),
         (lambda: co.ReversibleSteps(co.Splitting(order=1)), ValueError, "needs a symmetric base"),
-        (lambda: co.ReversibleSteps(co.ReversibleSteps(co.Splitting())), ValueError, "takes steps of its own"),
+        (lambda: co.ReversibleSteps(co.ReversibleSteps(co.Splitting())), ValueError, "already chooses its own steps"),
         (lambda: co.ReversibleSteps(co.Splitting(), 0.0), ValueError, "it must be positive"),
         (lambda: co.ReversibleSteps(co.Splitting(), np.nan), ValueError, "it must be finite"),
         (lambda: co.ReversibleSteps(co.Splitting(), speed="arc"), TypeError, "it must be a Quadratic or a Polynomial"),

@@ -259,7 +259,7 @@ def test_a_general_function_is_refused_by_name():
     with pytest.raises(ValueError, match=f"^{why}"):
         split(s)
     for scheme in (co.Splitting(), co.Splitting(order=1, parts="coordinates")):
-        with pytest.raises(ValueError, match=f"^Splitting cannot serve top with a lid: {why}"):
+        with pytest.raises(ValueError, match=f"^Splitting cannot be used for top with a lid: {why}"):
             scheme.program(s)
 
 
@@ -268,7 +268,7 @@ def test_the_scheme_that_needs_the_parts_is_named():
         pass
 
     s = co.LiePoissonSystem(SO3, co.Polynomial({(2, 1, 0): 0.5}), name="top")
-    with pytest.raises(ValueError, match=r"^Sheared cannot serve top: its monomial"):
+    with pytest.raises(ValueError, match=r"^Sheared cannot be used for top: its monomial"):
         Sheared().program(s)
 
 

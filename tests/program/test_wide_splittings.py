@@ -128,7 +128,9 @@ def test_what_takes_minutes_is_refused_at_once(algebra, count, method):
         lambda: co.prepare(system, method, 0.1),
         lambda: co.integrate(system, np.ones(g.dim), (0, 1), 0.1, method),
     ):
-        with pytest.raises(ValueError, match=rf"Splitting cannot serve .* has {count} flows of .* take GaussLegendre"):
+        with pytest.raises(
+            ValueError, match=rf"Splitting cannot be used for .* has {count} flows of .* take GaussLegendre"
+        ):
             refused()
     assert time.perf_counter() - begun < 10.0
     assert co.GaussLegendre(2).properties(system).energy

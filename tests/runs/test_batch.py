@@ -86,7 +86,7 @@ def test_a_batch_is_no_single_system():
 def test_what_a_scheme_cannot_serve_names_the_member():
     split = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 2.0, 3.0]))
     coupled = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(2, 1, 0): 1.0}))
-    with pytest.raises(ValueError, match=r"member 1 of the batch: Splitting cannot serve"):
+    with pytest.raises(ValueError, match=r"member 1 of the batch: Splitting cannot be used for"):
         co.integrate(co.batch([split, coupled]), X, (0, 1), 0.1)
 
 

@@ -410,7 +410,7 @@ class TestAt:
         assert np.abs(there.x[first] - sol.events.of(first).x[-1]).max() < 32 * 70 * U * np.abs(x0).max()
         last = float(way * np.max(way * ends))
         assert np.isfinite(sol.at(last).x).sum() == 3
-        with pytest.raises(ValueError, match=f"when events have ended the runs of all members, the last at {last:g}"):
+        with pytest.raises(ValueError, match=f"after events ended the runs of all members, the last at {last:g}"):
             sol.at([0.0, end])
 
     def test_members_that_would_fail_after_their_ends(self):

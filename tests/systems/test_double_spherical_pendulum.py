@@ -153,7 +153,7 @@ def test_gauss_keeps_bracket_and_integrals():
 
 
 def test_what_cannot_be_done_is_said():
-    with pytest.raises(ValueError, match="Splitting cannot serve double_spherical_pendulum"):
+    with pytest.raises(ValueError, match="Splitting cannot be used for double_spherical_pendulum"):
         co.Splitting().describe(pendulum())
 
 

@@ -122,8 +122,8 @@ def test_a_triad_is_a_body_of_the_textbook():
         ({"first": (0.0, 0.0)}, "parallel"),
         ({"first": (1.0,)}, "first has shape"),
         ({"second": (1.0, np.inf)}, "second"),
-        ({"first": (1e-160, 0.0), "second": (0.0, 1e-160)}, "leave float64"),
-        ({"first": (1e200, 0.0), "second": (0.0, 1e200)}, "leave float64"),
+        ({"first": (1e-160, 0.0), "second": (0.0, 1e-160)}, "leave the range of float64"),
+        ({"first": (1e200, 0.0), "second": (0.0, 1e200)}, "leave the range of float64"),
     ],
 )
 def test_wrong_triads(given, message):
@@ -137,8 +137,8 @@ def test_wrong_triads(given, message):
         (0.0, 1.0, "k is 0.0; it must be positive"),
         (1.0, -1.0, "l is -1.0; it must be positive"),
         (np.nan, 1.0, "k"),
-        (1e-170, 1.0, "leave float64"),
-        (1e200, 1e200, "leave float64"),
+        (1e-170, 1.0, "leave the range of float64"),
+        (1e200, 1e200, "leave the range of float64"),
     ],
 )
 def test_wrong_wave_numbers(k, l, message):

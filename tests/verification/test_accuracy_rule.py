@@ -85,7 +85,7 @@ def test_what_is_refused_is_promised_from_where_it_can_be_kept(span):
     body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.5)
     with pytest.raises(ValueError, match="is below what float64 reaches with any scheme over the time") as refused:
         co.choose(body, x0, (0, span), 1e-16)
-    promised = float(re.search(r"rounding leaves room for (\S+) ", str(refused.value))[1])
+    promised = float(re.search(r"with rounding, (\S+) is the least", str(refused.value))[1])
     assert promised < 1e-10
     choice = co.choose(body, x0, (0, span), promised)
     run = co.integrate(body, x0, (0, span), choice.step, choice.method, watch=False, save_every=10**9)

@@ -1,4 +1,4 @@
-"""The known algebras by name, and new ones from old ones: behind ``coadjoint.algebras``."""
+"""Known algebras by name, and new algebras made from given ones: the namespace ``coadjoint.algebras``."""
 
 from __future__ import annotations
 

@@ -209,7 +209,7 @@ def read_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) -
         rows = [(*(_place(entry, names) for entry in row[:3]), row[3]) for row in rows]
     numbers = [entry for row in rows for entry in row[:3] if isinstance(entry, int)]
     if numbers and min(numbers) == 1 and max(numbers) == dim:
-        raise ValueError(f"brackets use indices from 0, and these go from 1 to {dim}; take 1 off each")
+        raise ValueError(f"brackets use indices from 0, and these go from 1 to {dim}; subtract 1 from each")
     return rows
 
 

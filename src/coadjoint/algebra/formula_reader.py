@@ -102,7 +102,9 @@ class Product:
             return
         above = self.value()
         if not (isinstance(above, Polynomial) and isinstance(divisor, Polynomial)):
-            raise self.reader.refused("divides by a polynomial what is none, or by a logarithm, an angle or a quotient")
+            raise self.reader.refused(
+                "has a division that is not known: polynomials divide polynomials, and numbers divide everything"
+            )
         self.number, self.exponents, self.degree = 1, None, 0
         self.rest = LogarithmicSum.quotient(above, divisor)
 
@@ -115,7 +117,7 @@ class Product:
 
     def _times(self, left: Polynomial | LogarithmicSum, right: Polynomial | LogarithmicSum) -> Polynomial:
         if isinstance(left, LogarithmicSum) or isinstance(right, LogarithmicSum):
-            raise self.reader.refused("multiplies a logarithm, an angle or a quotient by more than a number")
+            raise self.reader.refused("multiplies a logarithm, an angle or a quotient by something other than a number")
         self.reader.check_size(left.degree + right.degree, len(left.monomials) * len(right.monomials))
         return left * right
 
@@ -278,7 +280,7 @@ class Reader:
             forms.append(self.valued(self.sum()))
         self.need(")")
         if len(forms) != (1 if name == "log" else 2) or not all(isinstance(form, Polynomial) for form in forms):
-            raise self.refused(f"has {name} of something else than {'a polynomial' if name == 'log' else 'two'}")
+            raise self.refused(f"has {name} of something other than {'a polynomial' if name == 'log' else 'two'}")
         return LogarithmicSum.logarithm(*forms) if name == "log" else LogarithmicSum.angle(*forms)
 
     def _raised(self, base: Any, power: Any) -> Any:

@@ -27,7 +27,7 @@ Matrix = npt.NDArray[Any]
 
 @dataclass(frozen=True)
 class MatrixAlgebra:
-    """Matrices with the commutator ``[A, B] = A B - B A``: a classical Lie algebra, or a sum of some, block by block.
+    """Matrices with the commutator ``[A, B] = A B - B A``: a classical Lie algebra, or a block-diagonal sum.
 
     Choose it where structure constants would not fit: u(512) has some 2 N^3 of them. An invariant pairing makes the
     algebra its own dual: ``<A, B> = Re tr(A* B)`` where the algebra is skew, else ``Re tr(A B)``.
@@ -72,7 +72,7 @@ class MatrixAlgebra:
         if N % 2 and KINDS[kind].form == "symplectic":
             raise ValueError(f"N is {N}; matrices of {kind} have an even number of rows")
         if q and kind not in WITH_SIGNS:
-            raise ValueError(f"q is {q}; {kind} has no signs, only {', '.join(WITH_SIGNS)} have")
+            raise ValueError(f"q is {q}; {kind} has no negative signs (q must be 0); only {', '.join(WITH_SIGNS)} have")
         if not isinstance(self.blocks, tuple) or self.blocks:
             raise ValueError(f"blocks is {short(self.blocks)}; a sum of algebras is made by MatrixAlgebra.sum")
         for name, value in (("kind", kind), ("N", N), ("q", q)):
@@ -121,7 +121,7 @@ class MatrixAlgebra:
 
     @property
     def name(self) -> str:
-        """Such as "su(3)"."""
+        """The name, such as "su(3)"."""
         return str(self)
 
     @property
@@ -149,7 +149,7 @@ class MatrixAlgebra:
 
     @cached_property
     def dim(self) -> int:
-        """The dimension, real: how many numbers tell an element."""
+        """The real dimension: the number of independent real numbers in an element."""
         return sum(kind.dim(block.N) for _, block, kind in self.parts)
 
     @cached_property
@@ -282,7 +282,7 @@ class MatrixAlgebra:
 
     @property
     def says(self) -> str:
-        """What its matrices are, for messages."""
+        """Description of its matrices, for messages."""
         if self.blocks:
             return "block by block " + ", ".join(f"of {block}" for block in self.blocks) + ", and zero beside"
         signs = f", times the signs of {self.N - self.q} and {self.q}" if self.q else ""

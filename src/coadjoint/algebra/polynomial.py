@@ -21,10 +21,10 @@ from coadjoint.given import array_given, read_whole
 from coadjoint.memory import check_room
 from coadjoint.wording import short
 
-QUIET = np.errstate(over="ignore", invalid="ignore")  # a value that leaves float64 is infinite; no warning is needed
+QUIET = np.errstate(over="ignore", invalid="ignore")  # a value beyond float64 is infinite; no warning is needed
 
 MOST_DEGREE = 1024
-TOO_HIGH = "from there on even powers of 2 leave float64"
+TOO_HIGH = "beyond it even powers of 2 leave the range of float64"
 BYTES_PER_EXPONENT = 30  # while one monomial is made
 
 
@@ -236,7 +236,7 @@ class Polynomial:
             return NotImplemented
         below = read_coefficient(divisor, "the divisor of a Polynomial")
         if below == 0:
-            raise ValueError(f"a Polynomial is divided by {short(divisor)}")
+            raise ValueError(f"a Polynomial can be divided by a number other than 0, not by {short(divisor)}")
         return Polynomial._of({e: quotient(value, below) for e, value in self._monomials.items()}, self._dim)
 
     def __pow__(self, power: int) -> Polynomial:

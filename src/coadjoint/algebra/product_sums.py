@@ -60,7 +60,9 @@ class ProductSum:
             self._exact = exact_numbers(value for _, value, _ in rows)
             self._coefficients = np.array([float(value) for _, value, _ in rows])
         except OverflowError:
-            raise ValueError("a coefficient of a polynomial, or of its derivatives, leaves float64") from None
+            raise ValueError(
+                "a coefficient of a polynomial, or of its derivatives, leaves the range of float64"
+            ) from None
         sizes = [len(factors) for _, _, factors in rows if factors]
         self._starts = (
             np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64) if sizes else np.zeros(0, dtype=np.int64)

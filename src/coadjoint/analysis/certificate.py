@@ -108,7 +108,7 @@ def verdict(claimed: bool, kept: bool | None) -> str:
 
 @dataclass(frozen=True, repr=False)
 class Certificate:
-    """What `certify` found: a row for each property, and whether every declared one holds.
+    """The result of `certify`: a row for each property, and whether every declared property holds.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ class Certificate:
         return "not passed: " + ", ".join(f"{row.what} ({row.verdict})" for row in self.failures)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return all of it as plain numbers, lists and text.
+        """Return everything as plain numbers, lists and text.
 
         Returns
         -------

@@ -111,7 +111,8 @@ def certify(
     size = float(np.max(np.abs(states), initial=0.0))
     if size != 0.0 and not SIZES[0] <= size <= SIZES[1]:
         raise ValueError(
-            f"x0 has entries up to {size!r}; products of defects of them leave float64, so take units in which they "
+            f"x0 has entries up to {size!r}; products of defects of them leave the range of float64, so take units in "
+            "which they "
             f"are from {SIZES[0]} to {SIZES[1]}"
         )
     with np.errstate(all="ignore"):

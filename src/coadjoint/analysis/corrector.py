@@ -33,7 +33,7 @@ PARTS = tuple(10.0**-k for k in range(10, 0, -1))
 
 
 class Corrector:
-    """The flow of h^p G, which takes computed states to better ones; `corrector` makes it.
+    """A map that turns computed states into more accurate ones, the flow of h^p G; `corrector` makes it.
 
     A step of a kernel K of order p is the flow of H + h^p H_p + .... With this map P, the step P K P^-1 is the flow of
     H + h^p (H_p + sign {G, H}) + .... G is chosen so that the second term hardly changes along the motion. The kernel
@@ -107,7 +107,7 @@ class Corrector:
 
 
 def corrector(system: LiePoissonSystem, method: Method | str | Mapping[str, Any], x0: npt.ArrayLike) -> Corrector:
-    """Return a map for output under which the energy of a splitting wanders less near a motion.
+    """Return a map of the output under which the energy error of a splitting near a motion is smaller.
 
     This is processing without a new scheme: the map comes from the modified Hamiltonian of the system at hand. Choose
     it where energies or other smooth functions of the output are compared, at a step that is not small. It does nothing

@@ -58,8 +58,8 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     choice = solution.choice
     if choice is None:
         raise TypeError(
-            "the error of a run is estimated where its accuracy was asked for: give integrate accuracy= in place of "
-            "step=; of a run at a given step, compare the end with that of a run of half the step"
+            "error_estimate is known for runs with accuracy= only; give integrate accuracy= in place of step=, or "
+            "compare this run with one of half the step"
         )
     ends, starts = solution.x[-1:] if solution.x.ndim == 2 else solution.x[-1], solution._began
     assert starts is not None

@@ -91,7 +91,9 @@ class ExactField(ModifiedField):
         try:
             return self._given.value_of(as_hamiltonian(found, self.system.dim).value)
         except (TypeError, AttributeError, ArithmeticError) as reason:
-            raise TypeError(f"{short(given)} is no polynomial, and only of those it is known what is kept") from reason
+            raise TypeError(
+                f"{short(given)} is no polynomial; only for polynomials can be found whether they are kept"
+            ) from reason
 
     def _changes(self, F: Exact) -> dict[int, Exact]:
         ring, found = self._given.ring, {}

@@ -89,7 +89,7 @@ class FieldAtPoints(ModifiedField):
             errors = np.array(abs(sets[1] - sets[0]), dtype=np.float64)
         values = np.array(sets[0], dtype=np.float64)
         rate = slope / size if slope and size else 1.0
-        with np.errstate(over="ignore", invalid="ignore"):  # what leaves float64 is not worth it either
+        with np.errstate(over="ignore", invalid="ignore"):  # what leaves the range of float64 is not worth it either
             scale = np.maximum(np.abs(values).max(axis=1), max(slope, size) * rate ** np.arange(self.order))
             worst = np.max(errors / scale[:, None], axis=1)
         if not np.all(worst <= WORTH):

@@ -49,7 +49,7 @@ class Combinations:
 
 @dataclass(frozen=True)
 class Frequencies:
-    """The strongest lines of a signal, strongest first; of an ensemble every array begins with the axis of members.
+    """The strongest lines of a signal, strongest first; for an ensemble the first axis of every array is the member.
 
     Attributes
     ----------
@@ -205,7 +205,10 @@ def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WI
     samples = len(data.t)
     most = samples // (8 * (power + 1))
     if count > most:
-        raise ValueError(f"count is {count}; {samples} samples tell at most {most} lines apart, so give more samples")
+        raise ValueError(
+            f"count is {short(count)}; {samples} samples are enough for at most {most} lines; give more samples or a "
+            "smaller count"
+        )
     group = max(1, MOST_NUMBERS // (samples * (8 * count + 3 * data.values.shape[2])))
     parts = [_analysed(data.t, data.values[i : i + group], count, power) for i in range(0, len(data.values), group)]
     w, a, uncertainty, diffusion, mean, residual = (np.concatenate(pieces) for pieces in zip(*parts, strict=True))

@@ -75,7 +75,7 @@ def line_drift(
     check_solution(solution)
     w = read_number(frequency, "frequency")
     if w == 0.0:
-        raise ValueError("frequency is 0.0; what does not oscillate has no phase")
+        raise ValueError("frequency is 0.0; a constant has no phase; give another frequency")
     run = sampled(solution, signal, FEWEST_IN_WINDOW + FEWEST_SAMPLES)
     right = _right(solution, run, reference, signal)
     span = abs(run.t[-1] - run.t[0])

@@ -31,7 +31,7 @@ MOST_STEPS = 2**53  # of a run
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LyapunovExponents:
-    """Exponents of a run, or of each of its members, per unit of time; from `lyapunov`.
+    """The Lyapunov exponents of a run, or of each member, per unit of time; `lyapunov` computes them.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def lyapunov(
         raise found.run.failure(result)
     if not np.all(np.isfinite(result.exponents)):
         raise ValueError(
-            "the tangent vectors at the end of the run could no longer be told from each other; give a smaller "
+            "the tangent vectors at the end of the run could no longer be distinguished; give a smaller "
             f"renormalize_every than {every}, or a smaller step"
         )
     return result
@@ -215,7 +215,7 @@ def _marked(times: Times, transient: Any, save_every: Any, numbers_each: int) ->
     counted = times.steps - first
     if counted < 1:
         span = times.steps * abs(times.h)
-        raise ValueError(f"transient is {passed!r} of a time of {span!r}; some time must be left to be counted")
+        raise ValueError(f"transient is {passed!r} and the run lasts {span!r}; it must be shorter than the run")
     if save_every is None:
         every = max(1, counted // POINTS)
     else:

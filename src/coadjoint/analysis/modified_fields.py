@@ -47,7 +47,7 @@ class ModifiedField(ABC):
 
     @abstractmethod
     def keeps(self, invariant: Any) -> int | None:
-        """Return the first power of h whose term loses a function; None where every term keeps it.
+        """Return the first power of h whose term changes an invariant; None if every term keeps it.
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class ModifiedField(ABC):
     @property
     @abstractmethod
     def first_error(self) -> int | None:
-        """The first power of h whose term differs from the exact motion's; None where no term does.
+        """The first power of h whose term differs from that of the exact motion; None if no term differs.
 
         It is the order of the scheme; 0 where f_0 is not the field of the system, by a wrong coefficient or a wrong
         speed.

@@ -128,7 +128,9 @@ class ModifiedHamiltonian:
             for k in sorted(terms, reverse=True):
                 total = total + h**k * at(terms[k]) if k else total + at(terms[k])
         except OverflowError:
-            raise ValueError(f"the terms of the modified Hamiltonian at h = {short(h)} leave float64 there") from None
+            raise ValueError(
+                f"the terms of the modified Hamiltonian at h = {short(h)} leave the range of float64 there"
+            ) from None
         except TypeError:
             raise TypeError(
                 f"h is {short(h)}, a {type(h).__name__}, which the numbers of x cannot be multiplied by; "

@@ -33,7 +33,7 @@ def phase_error(
         Computed states.
     reference : callable or Solution, optional
         The right motion, where it is not the closed form: a function of times (k,) that returns states (k, n), or a run
-        by a better scheme or with a smaller step, whose saved points are dense enough to be read in between.
+        by a better scheme or with a smaller step, whose saved points are dense enough for interpolation.
 
     Returns
     -------

@@ -75,7 +75,7 @@ class PhaseDrift:
         return "wandering" if self.exponent > WANDERS else "bounded"
 
     def plot(self) -> Figure:
-        """Return a figure: the lead with its line, and what is left without it.
+        """Return a figure: the lead with its fitted line, and the rest without the line.
 
         Returns
         -------

@@ -119,11 +119,13 @@ def predicted_drift(
     """
     check_vectors(system, "a drift is predicted for vectors")
     if sum(given is not None for given in (modified, gradient, field)) != 1:
-        raise TypeError("give one of modified, gradient and field: what the scheme moves by at its step")
+        raise TypeError("give exactly one of modified, gradient and field: it says along what the scheme moves")
     if modified is not None:
         gradient, field = _at_step(system, modified, step)
     elif step is not None:
-        raise TypeError("step belongs to modified; a gradient or a field is that of one step")
+        raise TypeError(
+            "step is for modified only; a gradient or a field already belongs to one step, so leave step out"
+        )
     chosen: Any = gradient if field is None else field
     check_arguments(chosen, "gradient" if field is None else "field", "x")
     if gradient is not None:

@@ -47,7 +47,7 @@ def motion_of(system: System, reference: Any, x0: ArrayLike, member: int | None 
     TypeError
         No closed form is known, or the reference is none of these.
     ValueError
-        A run with too few or uneven saved points, or points too far apart to be read in between.
+        A run with too few or uneven saved points, or points too far apart for interpolation.
     """
     if reference is None:
         if system.algebra is None or getattr(system, "closed_form", None) is None:
@@ -90,7 +90,7 @@ def _between(system: System, run: Solution, member: int | None) -> Motion:
         raise ValueError(f"the reference has {states.shape[1]} coordinates; the system has {system.dim}")
     t = run.t
     if len(t) < NODES:
-        raise ValueError(f"the reference has {len(t)} saved points; {NODES} are needed to read it in between")
+        raise ValueError(f"the reference has {len(t)} saved points; {NODES} are needed to interpolate")
     slopes = field_along(system, states)
     largest = float(np.max(np.abs(states)))
     rising = t if t[-1] > t[0] else -t
@@ -110,7 +110,7 @@ def _between(system: System, run: Solution, member: int | None) -> Motion:
         off = float(np.max(np.abs(fine - coarse), initial=0.0))
         if off > TOLERANCE * largest:
             raise ValueError(
-                f"the saved points of the reference are too far apart to be read in between, with an error of about "
+                f"the saved points of the reference are too far apart for interpolation, with an error of about "
                 f"{off:.1e}; save it more often"
             )
         return fine

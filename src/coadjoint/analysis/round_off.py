@@ -117,7 +117,9 @@ def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
     """
     _check_kept(solution)
     if solution.energy.ndim == 1:
-        raise ValueError("round-off is judged over an ensemble, and the solution has one trajectory; give x0 members")
+        raise ValueError(
+            "round-off is measured over an ensemble, and the solution has one trajectory; give x0 of shape (members, n)"
+        )
     found = {}
     for name, values in {"energy": solution.energy, **solution.casimirs}.items():
         size = np.max(np.abs(values), axis=0)

@@ -29,14 +29,14 @@ def short_motion(system: LiePoissonSystem, start: Floats, count: int = STEPS) ->
     Returns
     -------
     points : ndarray, shape (count + 1, n)
-        The states; fewer where the motion leaves float64.
+        The states; fewer where the motion leaves the range of float64.
     rate : float
         In radians per unit of time.
 
     Raises
     ------
     ValueError
-        The motion leaves float64 within a few steps.
+        The motion leaves the range of float64 within a few steps.
     """
     rate = rate_at(system, start)
     spacing = PART / rate

@@ -123,8 +123,9 @@ def check_at_a_point(
         allowed = MOST_OFF * (mp.mpf(SLIGHT) ** (order + 1) + known_to * SLIGHT)
         if not size <= allowed:
             raise TypeError(
-                f"the step, read in exact series, is not the step at a point (off by {float(size):.2g}, where "
-                f"{float(allowed):.2g} is left out): it branches, or iterates until something is small"
+                f"the power series of the step contradicts the step at a sample point (by {float(size):.2g}, where "
+                f"{float(allowed):.2g} is allowed); a step that branches, or iterates to a tolerance, has no such "
+                "series"
             )
 
 

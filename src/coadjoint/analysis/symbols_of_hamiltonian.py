@@ -97,8 +97,8 @@ def symbols_of(H: Polynomial, wanted: Any, program: Program) -> Symbols:
     """
     if program.shift:
         raise ValueError(
-            f"a multiple of the Casimir {program.shift[0][0]!r} was taken off H, by its coefficients; for "
-            'symbols take parts="coordinates"'
+            f"a multiple of the Casimir {program.shift[0][0]!r} was subtracted from H, with a factor that depends "
+            'on its coefficients; for symbols take parts="coordinates"'
         )
     names = names_of(H)
     if wanted is not True:

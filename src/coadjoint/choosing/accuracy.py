@@ -51,7 +51,7 @@ PROCESSED: tuple[Method, ...] = tuple(Splitting(scheme=f"blanes_casas_murua{p}")
 
 @dataclass(frozen=True)
 class Choice:
-    """A scheme and a step for a wanted accuracy, and what is expected of them; printed, it says why in one line.
+    """A scheme and a step for a wanted accuracy, with the expected error; printed, it says in one line why.
 
     Parameters
     ----------
@@ -183,8 +183,8 @@ def _chosen(
     fits = _fits(pilot, candidates, wanted)
     if not fits:
         raise ValueError(
-            f"no step of {_named(candidates)} reaches the accuracy {wanted:g} over the time {abs(t1 - t0):g} at a "
-            "bearable cost; ask for less, or for a shorter time"
+            f"no step of {_named(candidates)} reaches the accuracy {wanted:g} over the time {abs(t1 - t0):g} at "
+            "an acceptable cost; ask for a larger error, or for a shorter time"
         )
     exact = [better for each in fits if (better := _rounded_well(each, wanted)) is not None]
     if not exact:
@@ -283,15 +283,15 @@ def _unreachable(fits: Sequence[Fit], candidates: Sequence[Candidate], wanted: f
     if not reached < 1.0:
         return _lost(candidates, time)
     return ValueError(
-        f"accuracy {wanted:g} is below what float64 reaches with {_named(candidates)} over the time {time:g}, where "
-        f"rounding leaves room for {_rounded_up(reached)} and no less; ask for that, or for a shorter time"
+        f"accuracy {wanted:g} is below what float64 reaches with {_named(candidates)} over the time {time:g}; with "
+        f"rounding, {_rounded_up(reached)} is the least; ask for that, or for a shorter time"
     )
 
 
 def _lost(candidates: Sequence[Candidate], time: float) -> ValueError:
     return ValueError(
-        f"no accuracy is reached in float64 with {_named(candidates)} over the time {time:g}: changes of the start "
-        "grow there until nothing is left of it; take a shorter time"
+        f"no accuracy is reached in float64 with {_named(candidates)} over the time {time:g}: small changes of the "
+        "initial state grow until nothing of it is left; take a shorter time"
     )
 
 

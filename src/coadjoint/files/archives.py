@@ -160,7 +160,7 @@ def resume(
     client: Any = None,
     workers: int | None = None,
 ) -> ArchivedSolution:
-    """Go on with the run of an archive, to the same bits as if it had never been cut.
+    """Continue the run of an archive, with the same bits as an uninterrupted run.
 
     A run that is finished is opened as it is, unless a later end is given.
 
@@ -242,9 +242,9 @@ def resume(
         times, _ = ready.times_of(inputs["t_span"], inputs["save_every"])
         if first_step(ready, times, start) != store.attributes[FIRST_STEP]:
             raise ArchiveError(
-                f"{place}: the first step, taken again, has other bits than when the archive was begun by coadjoint "
-                f"{store.attributes['coadjoint_version']} on {store.attributes['platform']}; go on there, or with the "
-                "same system"
+                f"{place}: the first step, computed again, has other bits than when the archive was begun by coadjoint "
+                f"{store.attributes['coadjoint_version']} on {store.attributes['platform']}; resume it there, and with "
+                "the same system"
             )
         if t_end is not None:
             longer = longer_times(store, times, ready, t_end)

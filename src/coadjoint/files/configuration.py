@@ -328,7 +328,9 @@ def _check_workers(name: str, file: File, system: Any, x0: Any) -> None:
     with section(name, "run.workers"):
         need("workers", "distributed")
         if momenta_of(system, x0)[1]:
-            raise ValueError("workers run the members of an ensemble, and the file has one state")
+            raise ValueError(
+                "workers are for the members of an ensemble, and the file has one state; leave workers out"
+            )
         if file.run.t_eval is not None or file.events:
             raise ValueError("workers keep every save_every-th step, and look for no events; give no t_eval and events")
 

@@ -108,7 +108,7 @@ def _again(
             run.let_go()
     if not np.array_equal(run.run.state["momenta"], after[f"{STATE}momenta"], equal_nan=True):
         raise ArchiveError(
-            f"{store.path}: steps that are taken once more have other bits than before; go on where the archive was "
-            "begun, or with the same system"
+            f"{store.path}: steps that were computed again have other bits than before; resume on the machine where "
+            "the archive was begun, and with the same system"
         )
     return run.worst

@@ -56,7 +56,7 @@ def tell_of_many(functions: Sequence[Callable[..., Any]]) -> None:
     if count >= MANY:
         warnings.warn(
             f"{count} different functions of Python are compiled one by one, about {SECONDS_EACH * count:.0f} s in "
-            "all; one function of many coordinates that commute, with an array of numbers, is compiled once: "
+            "all; it is faster to write one function of many commuting coordinates, with an array of numbers in it: "
             "SplitHamiltonian([((0, 3, 6), Hamiltonian(value, gradient))])",
             UserWarning,
             stacklevel=2,

@@ -1,4 +1,4 @@
-"""By which scheme? Each one a small frozen dataclass: its coefficients and what it declares to keep.
+"""The numerical schemes. Each is a small frozen dataclass with its parameters and what it declares to keep.
 
 Here are the base classes that a scheme of your own derives from, and the registry of schemes by name.
 """

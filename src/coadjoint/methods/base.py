@@ -51,7 +51,7 @@ LONGEST = 200  # characters of a parameter in a message
 
 
 class Method(ABC):
-    """A scheme: what it keeps, its compiled loop, its reading in Python, its tangent, and its work.
+    """A scheme: what it keeps, its compiled loop, its step in Python, its tangent, and its cost.
 
     Families implement that from coefficients (`FlowMethod`), a tableau (`RungeKuttaMethod`) or a step (`StepMethod`,
     `CompiledStepMethod`): a scheme of your own derives from one of them. All that runs, chooses or judges schemes talks
@@ -105,7 +105,7 @@ class Method(ABC):
     @property
     @abstractmethod
     def symmetric(self) -> bool:
-        """Whether a step back undoes a step."""
+        """Whether a step by -h undoes a step by h."""
 
     offered: ClassVar[bool] = True
     """Whether the registry lists the scheme."""
@@ -115,12 +115,12 @@ class Method(ABC):
 
     @property
     def own_steps(self) -> bool:
-        """Whether it takes steps of its own: the step of a run is then the distance of the points where one looks."""
+        """Whether it chooses its own steps; the step of a run is then the distance of points that can be saved."""
         return False
 
     @abstractmethod
     def properties(self, system: System) -> Properties:
-        """Return what the scheme keeps on a system; refuses by name one that it cannot serve.
+        """Return what the scheme keeps on a system; raise an error for a system that it cannot run.
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ class Method(ABC):
         """
 
     def composed(self, coefficients: Sequence[float]) -> Method:
-        """Return the scheme that takes a step of this one at each of these fractions of its step.
+        """Return the composition of this scheme with these fractions of its step.
 
         Parameters
         ----------
@@ -201,11 +201,11 @@ class Method(ABC):
 
     @abstractmethod
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
-        """Return the compiled loop of a system that the scheme serves; parameters are those of `loop`."""
+        """Return the compiled loop for a system that the scheme can run; parameters are those of `loop`."""
 
     @abstractmethod
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
-        """Return one step, read in Python.
+        """Return one step, computed in Python.
 
         Parameters
         ----------
@@ -317,7 +317,7 @@ class Method(ABC):
         return 0.0
 
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
-        """Return the table of elementary flows that a step is made of.
+        """Return the table of exact flows of which a step consists.
 
         Parameters
         ----------
@@ -356,7 +356,7 @@ class Method(ABC):
 
     @abstractmethod
     def work(self, system: System, group: Representation = None) -> Work:
-        """Return what a step on a system costs.
+        """Return the cost of a step on a system.
 
         Parameters
         ----------
@@ -371,7 +371,7 @@ class Method(ABC):
         """
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        """Return the same scheme with what it chooses by itself for a system written out: parts, for instance.
+        """Return the same scheme with everything that it chooses for a system written out, such as its parts.
 
         Systems that differ in some coefficients of the linear term of H alone then have tables of one structure.
 
@@ -395,7 +395,7 @@ class Method(ABC):
         return self
 
     def restored(self, system: System) -> Mapping[str, Any] | None:
-        """Return the invariants that a step restores beside the energy; None where not the energy either.
+        """Return the invariants that a step restores besides the energy; None if it does not restore the energy either.
 
         Parameters
         ----------
@@ -410,7 +410,7 @@ class Method(ABC):
         return None
 
     def finer(self, steps: int, times: float) -> Finer:
-        """Return how a run is made more accurate than one of so many steps: what the error of that one is told by.
+        """Return the scheme and number of steps of a more accurate run, with which the error of a run is estimated.
 
         Parameters
         ----------
@@ -428,7 +428,7 @@ class Method(ABC):
         return Finer(self, count, (steps / count) ** self.order)
 
     def reaching(self, system: System, tolerance: float) -> Method:
-        """Return the scheme, which takes steps of its own, with another tolerance for them.
+        """Return the same scheme with another tolerance, if it chooses its own steps.
 
         Parameters
         ----------
@@ -454,16 +454,16 @@ class Method(ABC):
         return None
 
     def took_newton(self, memory: NDArray[np.float64]) -> bool:
-        """Return whether steps needed Newton's method, from what the members (members, numbers) of a run remember."""
+        """Return whether steps needed Newton's method, from the memory (members, numbers) of a run."""
         return False
 
     def look_ahead(self, systems: Sequence[System]) -> None:
-        """Find for many systems at once what `loop` would find for one after the other; nothing by default."""
+        """Prepare for many systems at once what `loop` would prepare for each; nothing by default."""
         return
 
     @classmethod
     def examples(cls) -> Sequence[Method]:
-        """Return schemes of this kind that between them do everything that it does: what tests try."""
+        """Return schemes of this kind for the tests, which together use everything that the kind can do."""
         return [cls()]
 
 

@@ -64,7 +64,7 @@ SCHEMES = {
 
 @dataclass(frozen=True)
 class CommutatorFree(CompiledStepMethod):
-    """Commutator-free Lie group method: explicit, on the coadjoint orbit, so every Casimir kept; no Poisson map.
+    """Commutator-free Lie group method: explicit, stays on the coadjoint orbit, keeps every Casimir; no Poisson map.
 
     A step moves the momentum by exponentials ``exp(h sign D_k)``, each k a combination of gradients of H at stages that
     are reached in the same way: two of them for order 2, four for order 3, five for order 4. So it never leaves the
@@ -107,7 +107,7 @@ class CommutatorFree(CompiledStepMethod):
 
     explicit = True
     symmetric = False
-    failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "an exponential of the step reaches too far for its series"}
+    failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "an exponential in the step is too large for its series"}
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "order", read_whole(self.order, "order of CommutatorFree", 2, 4))
@@ -255,7 +255,9 @@ def extent(norm: float, unit: Any) -> tuple[int, int]:
     from coadjoint.kernels.description import limit
 
     if unit == 0:
-        raise TypeError("an exponential is no fraction: take floats or mpmath.mpf")
+        raise TypeError(
+            "the step needs exponentials, which exact fractions cannot represent; take floats or mpmath.mpf"
+        )
     if not norm <= limit("MOST_SUBSTEPS"):
         said = CommutatorFree.failures["UNDEFINED"]
         raise IntegrationError(said, step=1, time=float("nan"), residual=float("nan"))

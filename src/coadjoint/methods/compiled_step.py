@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class CompiledStepMethod(SteppedMethod):
-    """A scheme with a step in C++, and the same step read in NumPy.
+    """A scheme with a step in C++, and the same step in NumPy.
 
     The C++ file derives from ``StepScheme`` of ``steps/step_scheme.hpp``, which says what it is given. It stands beside
     the Python file of the scheme, or anywhere, and is then compiled by `compile_step`.

@@ -31,7 +31,7 @@ TABLEAUX: dict[str, tuple[int, tuple[Any, ...], tuple[tuple[Any, ...], ...], tup
 
 @dataclass(frozen=True)
 class ExplicitRungeKutta(RungeKuttaMethod):
-    """An explicit Runge-Kutta method, the general-purpose scheme to compare with; it keeps nothing.
+    """An explicit Runge-Kutta method, a general-purpose scheme for comparisons; it keeps no invariants.
 
     ``X_i = x + h sum_{j<i} a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)``. The group element is integrated beside
     the momentum, ``g' = -sign g rho(grad H)`` (equation (13)), and leaves the group slowly. For short runs, and to show

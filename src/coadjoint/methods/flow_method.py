@@ -38,7 +38,7 @@ MOST_OFF = 2.0**-40  # of the sum of absolute coefficients of sweeps: rounding, 
 
 
 class FlowMethod(Method):
-    """A scheme made of exact flows of parts: it says in which order they flow, and over which fractions of the step."""
+    """A scheme made of exact flows of parts: in which order, and for which fractions of the step."""
 
     @property
     def parts(self) -> Any:

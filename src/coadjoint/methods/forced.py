@@ -42,7 +42,7 @@ def serving(system: Any, method: Method) -> Method:
         The scheme is already `Forced`.
     """
     if isinstance(method, Forced):
-        raise TypeError(f"{method} is what runs make of {method.base} on a system with forces; give that")
+        raise TypeError(f"{method} is made by runs themselves for a system with forces; give {method.base}")
     one = system[0] if isinstance(system, Batch) else system
     return Forced(method) if isinstance(one, ForcedSystem) else method
 
@@ -68,7 +68,7 @@ def check_direction(system: Any, h: float) -> None:
 
 @dataclass(frozen=True)
 class Forced(Method):
-    """A scheme on a system with forces, split symmetrically: of order two, or one where the scheme is of order one.
+    """A scheme for a system with forces, as a symmetric splitting: order two, or one if the scheme has order one.
 
     A step is the half flows of the forces in their order, a step of the base for the Hamiltonian part, and the half
     flows in the opposite order. Every step of the base begins anew, but for the guesses of schemes of matrices.

@@ -124,7 +124,7 @@ def _in_floats(stages: int, radau: bool) -> Collocation:
 def _refuse_fractions(stages: int, number: Number) -> None:
     if stages > 1 and roundoff(number) == 0:
         raise TypeError(
-            f"the nodes of {stages} stages are irrational: exact fractions do not hold them, take mpmath.mpf"
+            f"the nodes of {stages} stages are irrational, and exact fractions cannot represent them; take mpmath.mpf"
         )
 
 

@@ -48,7 +48,7 @@ def stages_given(value: Any, what: str) -> int:
 
 @dataclass(frozen=True)
 class GaussLegendre(RungeKuttaMethod):
-    """The Gauss-Legendre method with s stages: implicit, symmetric, of order 2 s; every quadratic invariant is kept.
+    """The Gauss-Legendre method with s stages: implicit, symmetric, of order 2 s; keeps every quadratic invariant.
 
     ``X_i = x + h sum_j a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)`` (equation (5)), by function iteration
     until the corrections stop falling, and by Newton's method where that is slow or diverges. With many stages and

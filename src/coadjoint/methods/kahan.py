@@ -26,7 +26,7 @@ COLUMNS = 24  # products with f' in a step of many dimensions, about
 
 @dataclass(frozen=True)
 class Kahan(CompiledStepMethod):
-    """Kahan's method for quadratic fields: symmetric, order 2, one linear system a step, nothing kept exactly.
+    """Kahan's method for quadratic fields: symmetric, order 2, one linear system per step; keeps nothing exactly.
 
     ``(1 - h/2 f'(x)) (x_new - x) = h f(x)``, a rational map whose inverse is the same map with -h. It serves every Lie
     algebra with a quadratic H, linear terms included, and a `PoissonSystem` with quadratic H whose J is linear, or
@@ -67,12 +67,13 @@ class Kahan(CompiledStepMethod):
         check_vectors(system)
         if not has_quadratic_energy(system):
             raise ValueError(
-                f"Kahan serves quadratic fields, but the Hamiltonian of {system.name} is not quadratic or depends on "
+                f"Kahan needs a quadratic vector field, but the Hamiltonian of {system.name} is not quadratic or "
+                "depends on "
                 "time; take Splitting or GaussLegendre"
             )
         if system.algebra is None and not _has_linear_structure(system):
             raise ValueError(
-                f"Kahan serves quadratic fields, but J of {system.name} is not linear in x; take GaussLegendre"
+                f"Kahan needs a quadratic vector field, but J of {system.name} is not linear in x; take GaussLegendre"
             )
         return Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 

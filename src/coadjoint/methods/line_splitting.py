@@ -42,7 +42,7 @@ class Line(NamedTuple):
 
 @dataclass(frozen=True)
 class LineSplitting(SteppedMethod):
-    """McLachlan's splitting of the fluid on the torus into lines of modes: explicit, Poisson, the spectrum kept.
+    """McLachlan's splitting of the fluid on the torus into lines of modes: explicit, a Poisson map, keeps the spectrum.
 
     For a prime N the N^2 - 1 modes are N + 1 lines ``{j k}`` through the origin, of N - 1 modes that commute. H is the
     sum of the energies of the lines; that of one line turns W by the exponential of the line's stream, ``W -> U W U*``,

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Projected(Method):
-    """A scheme whose steps are brought back to the level set of the energy and of the polynomial Casimirs.
+    """A scheme with a projection: after each step, energy and polynomial Casimirs get their initial values again.
 
     A step z of the base becomes ``y = z + sum_a lambda_a grad C_a(z)``, where every C_a has the value that it had at
     the start of the run: energy and polynomial Casimirs do not drift, however long the run and whatever the base.

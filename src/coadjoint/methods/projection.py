@@ -94,7 +94,7 @@ def project(
     exact, stagnant = limit("PROJECTION_EXACT"), limit("PROJECTION_STAGNANT")
     unit = roundoff(number)
     if unit == 0:
-        raise TypeError("a projection solves equations that exact fractions do not settle: take projected=False")
+        raise TypeError("a projection iterates, and does not end in exact fractions; take projected=False")
     wanted = [C.value(x) for C in invariants]
     sizes = [max(_terms_of(C, y) for y in (x, z)) for C in invariants]
     # Constant slopes are fractions, which mpmath before 1.4 does not subtract from.

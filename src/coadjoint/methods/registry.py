@@ -28,7 +28,7 @@ _registered: dict[str, type[Method]] = {}
 
 
 def register(scheme: Scheme) -> Scheme:
-    """Let a scheme be known by its name: in `get`, configuration files, saved runs, and ``coadjoint methods``.
+    """Register a scheme under its name: for `get`, configuration files, saved runs, and ``coadjoint methods``.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.work import Work
 
 NO_STEP = (
-    "the speed that steps follow fell to zero or below, where a smaller stride may help, or grew until they no longer "
+    "the speed of the motion fell to zero or below (a smaller stride may help), or grew until the steps no longer "
     f"change the time, {MANY}"
 )
 MOST_STEPS = 10**7
@@ -37,7 +37,7 @@ MOST_STEPS = 10**7
 
 @dataclass(frozen=True)
 class ReversibleSteps(Method):
-    """A symmetric scheme in steps whose length follows the motion, and that can be taken back one after the other.
+    """A symmetric scheme whose step length follows the speed of the motion, in a reversible way.
 
     The controller of Hairer and Soederlind: with the speed Q(x) of the motion, step n has the length stride / rho_n,
     and ``rho_(n+1) = rho_n + stride Q'/Q`` at the state between them; it begins as Q, half a step on. States and rho
@@ -98,7 +98,7 @@ class ReversibleSteps(Method):
                 f"the base of ReversibleSteps is a scheme such as Splitting(order=2), not {short(self.base)}"
             )
         if self.base.own_steps:
-            raise ValueError(f"{self.base} takes steps of its own, and ReversibleSteps gives them; take its base")
+            raise ValueError(f"{self.base} already chooses its own steps; give ReversibleSteps the base of it")
         if not self.base.symmetric:
             raise ValueError(
                 f"ReversibleSteps needs a symmetric base, which {self.base} is not"
@@ -208,7 +208,12 @@ class ReversibleSteps(Method):
             since = since + length
             if not abs(length.real) > UNIT_ROUNDOFF * abs(since.real):
                 break
-        raise IntegrationError("its own steps no longer change the time", step=1, time=float(t), residual=0.0)
+        raise IntegrationError(
+            "its steps became so short that they no longer change the time",
+            step=1,
+            time=float(t),
+            residual=0.0,
+        )
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return the motion over h and its derivative, by complex steps or differences."""

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class RungeKuttaMethod(SteppedMethod):
-    """A tableau and a solver. A new scheme says what its coefficients are and how it finds its slopes."""
+    """A Runge-Kutta scheme of your own: a tableau, and how its stages are found."""
 
     tables_of_any_step = True
 

@@ -92,12 +92,12 @@ def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, step
     Returns
     -------
     ShortOrbit
-        It is shorter where the motion leaves float64.
+        It is shorter where the motion leaves the range of float64.
 
     Raises
     ------
     ValueError
-        The motion leaves float64 within a few steps.
+        The motion leaves the range of float64 within a few steps.
     """
     spacing = PART / rate_at(system, x0, t)
     points, tangents = [x0], []
@@ -116,7 +116,7 @@ def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, step
 
 
 def cannot_follow(x0: Floats, spacing: float) -> ValueError:
-    """Return the error for a motion that leaves float64 at once."""
+    """Return the error for a motion that leaves the range of float64 at once."""
     return ValueError(
         f"the motion from x0 = {short(x0.tolist())} cannot be followed: it overflows within {FEWEST} steps of "
         f"{spacing:g}; take another state"

@@ -138,7 +138,9 @@ def settle(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDA
     most_growth = 2 ** limit("GROWTH_BITS")  # an iteration whose correction grows by so much will not converge
     unit = roundoff(float if step.x.dtype != object else type(step.x[0]))
     if unit == 0:
-        raise TypeError("the stages solve equations that exact fractions do not settle: take floats or mpmath.mpf")
+        raise TypeError(
+            "the stages are found by iterating, which does not end in exact fractions; take floats or mpmath.mpf"
+        )
     most = MOST_ITERATIONS * max(1, int(-np.log2(float(unit)) / 53))
     points, least, quiet, largest, first = step.start(), None, 0, None, 0
     with np.errstate(over="ignore", invalid="ignore"):  # its last correction shows that an iteration diverges

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Splitting(FlowMethod):
-    """Composition of the exact flows of commuting parts of the Hamiltonian: explicit, Poisson, all Casimirs kept.
+    """Composition of exact flows of parts of the Hamiltonian: explicit, a Poisson map, keeps all Casimirs.
 
     The first choice for long runs: each step costs a few rotations or shears, is a Poisson map to round-off, and keeps
     every Casimir and the spatial momentum of every representation. The energy is not kept but stays within
@@ -140,7 +140,7 @@ class Splitting(FlowMethod):
     @classmethod
     @QUIET
     def tuned(cls, system: LiePoissonSystem, x0: npt.ArrayLike, order: int = 2, **options: Any) -> Splitting:
-        """Return a splitting whose parts are chosen for a state: shift and order with the smallest error from there.
+        """Return a splitting whose parts are chosen for given states: shift and order with the smallest error there.
 
         The error is what the first term of the modified Hamiltonian makes along a short motion from the state (128
         steps, some 30 radians), carried on by the tangent map. On bodies, tops and random systems errors were 0.4 to
@@ -184,7 +184,7 @@ class Splitting(FlowMethod):
         return scheme(tuned_parts(system, scheme, points))
 
     def describe(self, system: LiePoissonSystem) -> Description:
-        """Return what this splitting does on a system: parts, generators, kinds of blocks, operations a step.
+        """Return a description of the splitting of a system: parts, generators, kinds of blocks, operations per step.
 
         Parameters
         ----------

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class StepMethod(SteppedMethod):
-    """A scheme that is one function, the step; for schemes of your own, in a script or a package.
+    """A scheme of your own whose step is one Python function.
 
     Derive from it, as a frozen dataclass whose fields are the parameters of the scheme. Set `order`, `explicit` and
     `symmetric`, and write `properties` and `step`. Then every run, stepper, composition and choice takes it. Where
@@ -52,7 +52,7 @@ class StepMethod(SteppedMethod):
     True
     """
 
-    failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "the step gave numbers that are not finite, or failed"}
+    failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "the step returned numbers that are not finite, or failed"}
     compensates: ClassVar[bool] = False
     known_to = UNIT_ROUNDOFF
 

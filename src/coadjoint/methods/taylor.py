@@ -36,7 +36,7 @@ MOST = 64
 USUAL, LEAST_ORDER = 16, 4
 ORDERS = range(6, 25, 2)  # sums of higher orders are not written out
 FINER = 32.0  # times smaller tolerances tell an error
-TOO_FAR = "the group element turns too far in a step for its series"
+TOO_FAR = "the group element turns too far in one step for its series"
 # The terms that the series of a group element takes, mostly, and those that it may take beyond the order.
 TERMS_OF_GROUP, MORE_TERMS = 16, 40
 # Members go side by side up to this dimension, see `SMALL` in ``stepping.cpp``.
@@ -46,7 +46,7 @@ LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-18, 0.1
 
 @dataclass(frozen=True)
 class Taylor(CompiledStepMethod):
-    """The Taylor series of the motion up to a high order, then back to where energy and Casimirs are what they were.
+    """The Taylor series of the motion, and a projection that keeps energy and Casimirs at their initial values.
 
     The coefficients follow from each other by products of series, ``x_(k+1) = f_k / (k + 1)`` with f_k those of the
     field. A step is explicit and long, up to about the time in which the momentum turns by one radian. It costs about
@@ -142,7 +142,8 @@ class Taylor(CompiledStepMethod):
         check_vectors(system)
         if system.algebra is None:
             raise ValueError(
-                f"Taylor multiplies series, but the structure matrix of {system.name} is a function; take GaussLegendre"
+                f"Taylor needs a polynomial structure matrix, and that of {system.name} is a Python function; take "
+                "GaussLegendre"
             )
         if any(term.degree is None for term in system.hamiltonian.terms()):
             raise ValueError(
@@ -233,7 +234,7 @@ class Taylor(CompiledStepMethod):
     def composed(self, coefficients: Sequence[float]) -> Method:
         """Return the scheme whose step is made of these substeps; those that have a tolerance have none."""
         if self.tolerance is not None:
-            raise TypeError(f"{self} takes steps of its own, which cannot be composed; give no tolerance")
+            raise TypeError(f"{self} chooses its own steps, which cannot be composed; give no tolerance")
         return super().composed(coefficients)
 
     def operations(self, system: System) -> Operations:

@@ -11,7 +11,7 @@ Floats = npt.NDArray[np.float64]
 
 COLUMNS = 600
 """Stretches of time that a printed line can tell apart."""
-LARGEST = 1e280  # beyond it a scale with its margins leaves float64
+LARGEST = 1e280  # beyond it a scale with its margins leaves the range of float64
 TOO_MANY = COLUMNS // 2
 """Turning points of a series that is drawn as an envelope: fewer than two columns for each half of an oscillation."""
 

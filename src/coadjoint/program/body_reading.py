@@ -139,7 +139,7 @@ def pieces(reach: Any, ceil: Callable[[Any], int]) -> int:
     """Return in how many pieces a flow goes that reaches so far; one that reaches too far is refused."""
     if not reach <= MOST_SUBSTEPS:
         raise ValueError(
-            f"a free body turns {float(reach):.3g} times as far as one piece of its flow reaches, and "
-            f"{MOST_SUBSTEPS} times is the most; take a smaller step, or start nearer to the origin"
+            f"a free body turns too far in one step: it would take {float(reach):.3g} pieces, and at most "
+            f"{MOST_SUBSTEPS} are allowed; take a smaller step, or start nearer to the origin"
         )
     return max(1, ceil(reach))

@@ -225,7 +225,7 @@ def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
         else:
             decompose(system, choice)
     except (NotSplit, TooWide) as reason:
-        raise ValueError(f"{scheme} cannot serve {system.name}: {reason}") from None
+        raise ValueError(f"{scheme} cannot be used for {system.name}: {reason}") from None
     if key is not None:
         _CHECKED.setdefault(system, set()).add(key)
 

@@ -245,8 +245,8 @@ class Reading:
         reach = abs(angle) * norm
         if not reach <= MOST_SUBSTEPS:
             raise ValueError(
-                f"a flow goes {float(reach):.3g} times as far as one term of its series reaches, and "
-                f"{MOST_SUBSTEPS} times is the most; take a smaller step, or start nearer to the origin"
+                f"a flow goes too far in one step: it would take {float(reach):.3g} pieces, and at most "
+                f"{MOST_SUBSTEPS} are allowed; take a smaller step, or start nearer to the origin"
             )
         substeps = max(1, self.functions.ceil(reach))
         h, start = angle / substeps, own

@@ -147,7 +147,7 @@ class Samples:
 
     def sizes(self, orders: Sequence[Sequence[int]]) -> Floats:
         """Return the root mean square of H2 over the points, shape (sets, orders)."""
-        # A term that leaves float64 is larger than all others.
+        # A term that leaves the range of float64 is larger than all others.
         with np.errstate(over="ignore", invalid="ignore"):
             terms = self.second_order_terms(orders)
             squares = np.zeros(terms.shape[:2])

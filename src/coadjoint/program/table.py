@@ -120,12 +120,12 @@ def build_program(
     try:
         decomposition = decompose(system, method.parts)
     except (NotSplit, TooWide) as reason:
-        raise ValueError(f"{type(method).__name__} cannot serve {system.name}: {reason}") from None
+        raise ValueError(f"{type(method).__name__} cannot be used for {system.name}: {reason}") from None
     parts = decomposition.parts
     if decomposition.shift is None and group is not None:
         raise ValueError(
-            f'parts="{method.parts}" takes Casimirs off the energy of {system.name} that are too long to be written, '
-            'so that the attitude is not known; take parts="auto"'
+            f'parts="{method.parts}" subtracts Casimirs from the energy of {system.name} that have too many terms '
+            'for the attitude to be computed; take parts="auto"'
         )
     table = _term_table(parts)
     state = _state_action(system.algebra, parts, number)

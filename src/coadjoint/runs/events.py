@@ -26,7 +26,7 @@ PER_CROSSING = ("t", "x", "which", "member", "direction")
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """A function g of state and time whose zeros are looked for along a run.
+    """A function g of state and time whose zeros are found during a run.
 
     Choose it for Poincare sections, periods, turning points, and to end a run where something has happened.
 
@@ -131,7 +131,7 @@ def read_events(given: Any) -> tuple[Event, ...]:
 
 
 class Events:
-    """What a run has found of its events: m crossings, ordered by member, those of each as the run came to them.
+    """The m crossings of events that a run found, ordered by member, and for each member in the order of the run.
 
     Attributes
     ----------

@@ -205,7 +205,7 @@ class PreparedRun:
         return times, moments
 
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
-        """Return the state at the end of a run alone, in a fifth of the time that the call of `run` takes.
+        """Return only the state at the end of a run, in a fifth of the time of a call of `run`.
 
         For shooting, maps and control loops of few steps: beside its steps a call takes about 3 us. It has the bits of
         ``run(x0, t_span).x[-1]``, and fails where that fails. Ensembles, batches and matrices, and what was
@@ -251,7 +251,7 @@ class PreparedRun:
 
     @property
     def carries(self) -> bool:
-        """Whether a group element is carried."""
+        """Whether the group element is computed."""
         return self._representations[0] is not None
 
     def values_of(self, inputs: Mapping[str, Any]) -> NDArray[np.float64] | None:
@@ -354,7 +354,7 @@ class PreparedRun:
         return SystemLoops(self.system, self._scheme, h, self._representations[0])
 
     def observed(self, start: Start) -> Observed | None:
-        """Return what is to be observed along a run, if anything."""
+        """Return the quantities to observe during a run, if any."""
         if not self.observe:
             return None
         with self._making:
@@ -379,7 +379,7 @@ def prepare(
     threads: int | None = None,
     inputs: Any = None,
 ) -> PreparedRun:
-    """Make a run ready once, for many short calls: control loops, shooting, maps, ensembles that arrive one by one.
+    """Make a run ready once for many short calls: control loops, shooting methods, maps.
 
     `integrate` does the same and throws it away. Parameters are those of `integrate`, but for the initial state and
     the times, which are given to each run.

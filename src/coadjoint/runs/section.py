@@ -106,7 +106,7 @@ def section(
     threads: int | None = None,
     progress: bool = False,
 ) -> Section:
-    """Return where motions go through a surface: a Poincare section of an ensemble.
+    """Return the points where motions cross a surface: a Poincare section of an ensemble.
 
     Nothing else is saved or watched, so that millions of crossings take seconds.
 

@@ -91,7 +91,7 @@ class Drift(float):
 
 
 class Solution:
-    """A run: arrays over the saved times, k of them, for one member or (k, members, ...) for an ensemble.
+    """The result of a run: arrays over the k saved times, (k, ...) for one member, (k, members, ...) for an ensemble.
 
     Attributes
     ----------
@@ -183,7 +183,7 @@ class Solution:
             self.__dict__["observed"] = {name: self._picked(values) for name, values in series.items()}
 
     def __setattr__(self, name: str, value: Any) -> None:
-        raise FrozenInstanceError(f"cannot assign to field {name!r}: a Solution stays as the run left it")
+        raise FrozenInstanceError(f"cannot assign to field {name!r}: a Solution cannot be changed")
 
     if not TYPE_CHECKING:
 
@@ -196,7 +196,7 @@ class Solution:
             raise no_such_part(name, dir(self))
 
     def __delattr__(self, name: str) -> None:
-        raise FrozenInstanceError(f"cannot delete field {name!r}: a Solution stays as the run left it")
+        raise FrozenInstanceError(f"cannot delete field {name!r}: a Solution cannot be changed")
 
     def __repr__(self) -> str:
         points = f"{len(self.t)} points from t = {self.t_span[0]:g} to {self.t_span[1]:g}"
@@ -221,7 +221,7 @@ class Solution:
 
     @cached_property
     def system(self) -> System | Batch:
-        """What moved; of a run with inputs the system with those."""
+        """The system; for a run with inputs, the system with these inputs."""
         return self._system() if isinstance(self._system, partial) else self._system
 
     @cached_property
@@ -292,7 +292,7 @@ class Solution:
 
     @cached_property
     def attitude(self) -> NDArray[np.float64] | None:
-        """Group elements, with what was taken off the Hamiltonian put back."""
+        """Group elements (attitudes) at the saved times."""
         if self._start.representation is None:
             return None
         found = self._turned(self._start, self._times, self._saved, self._kept)
@@ -302,7 +302,7 @@ class Solution:
 
     @cached_property
     def stats(self) -> Statistics:
-        """The work done."""
+        """The work done, such as numbers of steps and evaluations."""
         return Statistics(
             steps=int(self._times.steps if self._ending is None else self._ending.steps),
             evaluations=int(self._state["evaluations"].sum()),
@@ -322,22 +322,22 @@ class Solution:
 
     @cached_property
     def asked_span(self) -> tuple[float, float]:
-        """Start and end as they were asked for: `t_span`, unless an event has ended the run."""
+        """The requested start and end: equal to `t_span`, unless an event ended the run."""
         return self._times.t0, self._times.end
 
     @cached_property
     def step(self) -> float:
-        """Its size."""
+        """The size of the step."""
         return abs(self._times.h)
 
     @cached_property
     def save_every(self) -> int:
-        """As it was given, no more than the steps."""
+        """The argument save_every, at most the number of steps."""
         return self._times.save_every
 
     @cached_property
     def carried(self) -> str | None:
-        """In which matrices the group element is."""
+        """The kind of matrices in which the group element is stored."""
         return self._start.carried
 
     @cached_property
@@ -346,7 +346,7 @@ class Solution:
         return worst[0] if self._start.single else worst
 
     def drift(self) -> dict[str, Drift]:
-        """Return how far each invariant strayed from its start.
+        """Return how far each invariant deviated from its initial value.
 
         Returns
         -------
@@ -356,13 +356,14 @@ class Solution:
         """
         if self.work:
             raise TypeError(
-                f"energy and Casimirs of {self.system.name} are changed by its forces; take balance(), what is left of "
-                "the changes beside the work of the forces, or change()"
+                f"energy and Casimirs of {self.system.name} are changed by its forces; take balance(), the change "
+                "minus "
+                "the work of the forces, or change()"
             )
         return self._deviations(0)
 
     def balance(self) -> dict[str, Drift]:
-        """Return what is left of the change of each invariant beside what the forces have done: the error of the run.
+        """Return the change of each invariant minus the work of the forces: the error of the scheme.
 
         What a force does is the difference of the invariant before and after each of its flows, added up with
         compensation along the run; `work` has it at the saved points. What is left is what the scheme adds where the
@@ -402,7 +403,7 @@ class Solution:
 
     @property
     def error_estimate(self) -> Any:
-        """How far the last state is from the motion, relative to the largest momentum on the way.
+        """The estimated error of the last state, relative to the largest momentum during the run.
 
         Found when it is first asked for, by a run of one and a half times as many steps, and where that leaves no more
         than rounding by another of one and three quarters: 1.5 or 3.25 times the cost of the run. It is honest within a
@@ -508,7 +509,7 @@ class Solution:
         return np.asarray(modified_hamiltonian(self.system, self.method, order)(self.x, h))
 
     def at(self, t: Any) -> StateAt:
-        """Return the states at any times within the run, as good as those at its steps.
+        """Return the states at any times within the run, as accurate as those at its steps.
 
         From the saved point before a time whole steps are taken again, and then a part of a step of the same scheme: of
         its order, and with what it keeps, where a polynomial through saved points has neither. Many times are better
@@ -549,7 +550,7 @@ class Solution:
         return state_at(self, t)
 
     def to_xarray(self) -> xarray.Dataset:
-        """Return the run as a dataset whose attributes make it repeatable.
+        """Return the run as an xarray dataset, with everything that is needed to repeat it.
 
         Returns
         -------
@@ -561,7 +562,7 @@ class Solution:
         return dataset_of(self)
 
     def plot(self, panels: Any = None, components: Any = None, axes: Any = None, members: Any = None) -> Figure:
-        """Return a figure: drift, components, and what the system wants to show first.
+        """Return a figure: drift, components, and the pictures that the system declares.
 
         Lines are drawn only where the motion is known between their points: where the saved points lie too far apart,
         `at` gives the states between them, at most 10 000 and for some 1.5 s. Where there are none to be had there are

@@ -89,7 +89,7 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     if len(late):
         latest = float(way * np.max(way * ends))
         raise ValueError(
-            f"t is {wanted[late[0]]:g}, when events have ended the runs of all members, the last at {latest:g}"
+            f"t is {wanted[late[0]]:g}, after events ended the runs of all members, the last at {latest:g}"
         )
     before = np.clip(np.searchsorted(saved, way * wanted + near, side="right") - 1, 0, None)
     ahead = np.maximum(way * wanted - saved[before], 0.0)
@@ -98,7 +98,7 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     last = [int(steps[before == j].max()) for j in pieces]
     if sum(last) > MOST_STEPS:
         raise ValueError(
-            f"the times lie {sum(last)} steps behind the saved points, and at most {MOST_STEPS} are taken again; "
+            f"the times lie {sum(last)} steps after saved points, and at most {MOST_STEPS} steps are computed again; "
             "integrate with t_eval, or with a smaller save_every"
         )
     order = np.lexsort((way * wanted, before))

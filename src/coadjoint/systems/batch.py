@@ -35,7 +35,7 @@ class Batch:
     def __init__(self, systems: Iterable[Member | ForcedSystem]) -> None:
         rule = "give a list of systems, one for each member"
         if isinstance(systems, (*KINDS, Batch)):
-            raise TypeError(f"what batch was given is {short(systems)}; {rule}")
+            raise TypeError(f"the systems of a batch are {short(systems)}; {rule}")
         self.systems: tuple[Any, ...] = read_list(systems, "what batch was given", rule)
         if not self.systems:
             raise ValueError("the batch is empty; give at least one system")
@@ -118,7 +118,7 @@ def _own_bracket(first: Any, other: Any) -> str:
 
 
 def batch(systems: Iterable[Member | ForcedSystem]) -> Batch:
-    """Return systems of the same structure with other constants, as one ensemble for `integrate` and `prepare`.
+    """Return several systems of equal structure and different constants as one ensemble, for `integrate` and `prepare`.
 
     Choose it for scans over parameters: inertias, coupling constants, constants of the algebra. Every member has the
     bits that it has alone. For one system with many initial states give x0 of shape (members, n) instead.

@@ -62,7 +62,10 @@ def warn_of_negative_mass(second_moments: npt.NDArray[np.float64]) -> None:
     """
     principal = second_moments if second_moments.ndim == 1 else np.linalg.eigvalsh(second_moments)
     if principal.min() < -SLACK * np.abs(principal).max():
-        _warn(f"inertia: no mass has a negative second moment; {_MEANT.format(f'so({len(principal)})')}")
+        _warn(
+            "inertia: a second moment of the mass is negative, and no body has that; "
+            f"{_MEANT.format(f'so({len(principal)})')}"
+        )
 
 
 def _warn(text: str) -> None:

@@ -81,7 +81,7 @@ def clebsch_body(
     try:
         integral = _integral([Fraction(v) for v in kept], [Fraction(v) for v in c.tolist()])
     except OverflowError:
-        raise ValueError("products of inertia and inverse_mass leave float64; take other units") from None
+        raise ValueError("products of inertia and inverse_mass leave the range of float64; take other units") from None
     return LiePoissonSystem(
         rigid_motions(),
         Quadratic(np.concatenate([M, c])),

@@ -48,7 +48,7 @@ def _swinging() -> npt.NDArray[np.float64]:
 def double_spherical_pendulum(
     masses: npt.ArrayLike = (1.0, 1.0), lengths: npt.ArrayLike = (1.0, 1.0), gravity: float = 1.0
 ) -> LiePoissonSystem:
-    """Return a spherical pendulum that hangs from another one: two directions in space and their momenta, no chart.
+    """Return a spherical pendulum that hangs from another one, by two directions in space and their momenta.
 
     With unit vectors u_1 (from the pivot to the first mass) and u_2 (from there to the second), the Lagrangian is ``a
     |u_1'|^2/2 + b |u_2'|^2/2 + c u_1'.u_2' - gravity ((m_1 + m_2) l_1 u_13 + m_2 l_2 u_23)``, a = (m_1 + m_2) l_1^2,

@@ -46,7 +46,7 @@ def _two_waves(system: Any) -> float:
     )
 )
 def fluid_triad(first: npt.ArrayLike = (1.0, 0.0), second: npt.ArrayLike = (0.5, 1.5)) -> LiePoissonSystem:
-    """Return a triad of waves of the two-dimensional Euler equations, a rigid body in disguise.
+    """Return a triad of waves of the two-dimensional Euler equations, which moves like a rigid body.
 
     The vorticity ``sum of x_i cos(k_i . r)`` has three waves with k1 + k2 + k3 = 0, and the Euler equations are kept to
     these: ``x1' = (S/2) (1/k3^2 - 1/k2^2) x2 x3`` and so on around, S = k1 cross k2. So so(3) with brackets S, sign -1,
@@ -68,7 +68,7 @@ def fluid_triad(first: npt.ArrayLike = (1.0, 0.0), second: npt.ArrayLike = (0.5,
     Raises
     ------
     ValueError
-        Not two finite numbers each; or parallel vectors, whose waves do not interact; or a size that leaves float64.
+        Not two finite numbers each; or parallel vectors, whose waves do not interact; or a size beyond float64.
 
     Notes
     -----
@@ -92,7 +92,7 @@ def fluid_triad(first: npt.ArrayLike = (1.0, 0.0), second: npt.ArrayLike = (0.5,
         S, masses = 0.0, ()
     if S == 0.0 or 0.0 in masses:
         raise ValueError(
-            f"first {short(first)} and second {short(second)} leave float64 when squared; take other units"
+            f"first {short(first)} and second {short(second)} leave the range of float64 when squared; take other units"
         )
     quarter = Fraction(1, 4)
     return body_in_disguise(

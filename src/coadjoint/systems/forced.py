@@ -17,7 +17,7 @@ from coadjoint.wording import short
 
 
 class ForcedSystem:
-    """A system that forces move as well: ``x' = sign J(x) grad H(x, t) + the sum of the forces``.
+    """A system with forces: ``x' = sign J(x) grad H(x, t) + the sum of the forces``.
 
     ``system.with_forces(...)`` makes it. A run splits it symmetrically: half flows of the forces in their order, a step
     of the scheme for the Hamiltonian part, half flows in the opposite order. What the forces break is labelled in
@@ -93,7 +93,7 @@ class ForcedSystem:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """What the forces are called: their labels, numbered from the second of a kind on."""
+        """Labels of the forces, numbered from the second of a kind on."""
         found: list[str] = []
         for k, force in enumerate(self.forces):
             earlier = sum(other.label == force.label for other in self.forces[:k])
@@ -102,7 +102,7 @@ class ForcedSystem:
 
     @property
     def reversible(self) -> bool:
-        """Whether all forces may run backward."""
+        """Whether all forces can run backward in time."""
         return all(force.reversible for force in self.forces)
 
     @property
@@ -112,22 +112,22 @@ class ForcedSystem:
 
     @property
     def sign(self) -> int:
-        """Of the Hamiltonian part."""
+        """The sign of the Hamiltonian part."""
         return int(self.system.sign)
 
     @property
     def name(self) -> str:
-        """That of the Hamiltonian part, with the forces."""
+        """The name of the Hamiltonian part, with the forces."""
         return title(f"{self.system.name} with {', '.join(self.labels)}")
 
     @property
     def algebra(self) -> Any:
-        """That of the Hamiltonian part."""
+        """The one of the Hamiltonian part."""
         return self.system.algebra
 
     @property
     def representation(self) -> Any:
-        """That of the Hamiltonian part."""
+        """The one of the Hamiltonian part."""
         return self.system.representation
 
     @property
@@ -137,7 +137,7 @@ class ForcedSystem:
 
     @property
     def casimirs(self) -> dict[str, Any]:
-        """Those of the Hamiltonian part, which forces may change."""
+        """The Casimirs of the Hamiltonian part, which forces may change."""
         return dict(self.system.casimirs)
 
     @property

@@ -98,7 +98,9 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
         rate = (M * k).sum(axis=1) if M.ndim == 2 else M * k
         constant = 0.5 * float((k * rate).sum())
     if not math.isfinite(constant):
-        raise ValueError(f"the energy of the rotors, {short(k.tolist())}, leaves float64; take other units")
+        raise ValueError(
+            f"the energy of the rotors, {short(k.tolist())}, leaves the range of float64; take other units"
+        )
     H = Quadratic(M, linear=-rate, constant=constant)
     axis, m = axis_of_symmetry(M, k), principal(M)
     return LiePoissonSystem(

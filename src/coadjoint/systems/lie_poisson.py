@@ -173,12 +173,12 @@ class LiePoissonSystem:
 
     @property
     def integrals(self) -> dict[str, Any]:
-        """Name to `Polynomial`, `Quadratic` or `Invariant`: what is kept beside energy and Casimirs (a copy)."""
+        """Name to `Polynomial`, `Quadratic` or `Invariant`: further constants of the motion (a copy)."""
         return dict(self._integrals)
 
     @property
     def parameters(self) -> dict[str, Any] | None:
-        """What makes this system again by ``co.systems.get(name, **parameters)``, or None (a copy)."""
+        """Parameters that make this system again by ``co.systems.get(name, **parameters)``, or None (a copy)."""
         return None if self._parameters is None else dict(self._parameters)
 
     @property
@@ -301,7 +301,7 @@ class LiePoissonSystem:
         return solution_of(self._exact, self.name)(x0, t, attitude)
 
     def with_forces(self, *forces: Force) -> ForcedSystem:
-        """Return the system with damping, torques or noise, which break its structure and are labelled so.
+        """Return the system with damping, torques or noise in addition; these change invariants, and runs record how.
 
         Parameters
         ----------

@@ -36,7 +36,7 @@ def _states(count: int) -> npt.NDArray[np.float64]:
     )
 )
 def lorenz_1960(k: float = 2.0, l: float = 1.0) -> LiePoissonSystem:
-    """Return the three equations of Lorenz (1960) for a westerly current and a wave, a rigid body in disguise.
+    """Return the three equations of Lorenz (1960) for a westerly current and a wave, which move like a rigid body.
 
     The vorticity ``A cos(l y) + F cos(k x) + 2 G sin(l y) sin(k x)`` of an ideal fluid, kept to these waves:
     ``A' = -(1/k^2 - 1/(k^2 + l^2)) k l F G``, ``F' = (1/l^2 - 1/(k^2 + l^2)) k l A G``,
@@ -59,7 +59,7 @@ def lorenz_1960(k: float = 2.0, l: float = 1.0) -> LiePoissonSystem:
     Raises
     ------
     ValueError
-        k or l is not positive, or so large or small that its square leaves float64.
+        k or l is not positive, or so large or small that its square leaves the range of float64.
 
     Notes
     -----
@@ -79,7 +79,7 @@ def lorenz_1960(k: float = 2.0, l: float = 1.0) -> LiePoissonSystem:
     except OverflowError:
         lost = True
     if lost:
-        raise ValueError(f"the squares of k = {k:g} and l = {l:g} leave float64; take other units")
+        raise ValueError(f"the squares of k = {k:g} and l = {l:g} leave the range of float64; take other units")
     quarter = Fraction(1, 4)
     return body_in_disguise(
         (c, c, 2.0 * c),

@@ -19,7 +19,7 @@ from coadjoint.systems.quadratic import Quadratic
 HIGHEST_N = 6
 """Up to which n the integrals of degree 4 and more are written out; their terms grow like n^4 and faster."""
 HIGHEST_POWER = 10
-"""Of a in a quadratic integral: in large dimensions higher ones would leave float64."""
+"""Of a in a quadratic integral: in large dimensions higher ones would leave the range of float64."""
 
 
 @lru_cache(maxsize=8)

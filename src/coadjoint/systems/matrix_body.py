@@ -98,7 +98,7 @@ def matrix_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0, 5.0)) -> MatrixSys
         np.fill_diagonal(sums, np.inf)
         inverse = -1.0 / sums
     if not (np.isfinite(sums) | np.eye(len(values), dtype=bool)).all() or not np.isfinite(inverse).all():
-        raise ValueError("sums of two moments of inertia or their inverses leave float64; change units")
+        raise ValueError("sums of two moments of inertia or their inverses leave the range of float64; change units")
     warn_of_negative_mass(values)
     parameters = {"inertia": tuple(values.tolist())}
     algebra = MatrixAlgebra("so", len(values))

@@ -37,7 +37,7 @@ def _latitude_as_dye() -> npt.NDArray[np.complex128]:
     )
 )
 def passive_scalar(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
-    """Return an ideal fluid in two dimensions with a scalar that it carries, quantized.
+    """Return an ideal fluid in two dimensions that carries a scalar, as two matrices.
 
     ``W' = [P, W]``, ``Theta' = [P, Theta]`` with ``L P = -W``: W is the vorticity, Theta the scalar, which does not act
     back. All traces of products of W and Theta are kept.

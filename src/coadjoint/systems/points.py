@@ -21,7 +21,7 @@ Of = TypeVar("Of", bound=Callable[..., Any])
 
 
 def QUIET(method: Of) -> Of:
-    """Let a method give infinity or NaN without a warning where it leaves float64.
+    """Let a method give infinity or NaN without a warning where it leaves the range of float64.
 
     Whole numbers of Python have no infinity; where one of them meets floats and is too large for them, that is said.
 

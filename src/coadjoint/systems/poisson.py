@@ -163,7 +163,7 @@ class PoissonSystem:
 
     @property
     def parameters(self) -> dict[str, Any] | None:
-        """What makes this system again by ``co.systems.get(name, **parameters)``, or None (a copy)."""
+        """Parameters that make this system again by ``co.systems.get(name, **parameters)``, or None (a copy)."""
         return None if self._parameters is None else dict(self._parameters)
 
     @property

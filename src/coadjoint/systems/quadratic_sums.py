@@ -30,7 +30,7 @@ def added(first: Quadratic, second: Quadratic) -> Quadratic:
     Raises
     ------
     ValueError
-        They have different dimensions, or a sum leaves float64.
+        They have different dimensions, or a sum leaves the range of float64.
 
     Examples
     --------
@@ -75,7 +75,7 @@ def multiplied(H: Quadratic, factor: Coefficient) -> Quadratic:
     Raises
     ------
     ValueError
-        A product leaves float64.
+        A product leaves the range of float64.
 
     Examples
     --------

@@ -45,7 +45,7 @@ def _two_vortices() -> npt.NDArray[np.complex128]:
     )
 )
 def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
-    """Return the equations of an ideal conducting fluid in two dimensions, quantized.
+    """Return the equations of an ideal conducting fluid in two dimensions, as two matrices.
 
     ``W' = [P, W] + [J, Theta]``, ``Theta' = [P, Theta]`` with ``L P = -W`` and ``J = -L Theta``: W is the vorticity,
     Theta the magnetic potential, J the current. Alfven waves run along the magnetic field.

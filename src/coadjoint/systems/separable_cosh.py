@@ -70,7 +70,7 @@ def separable_cosh(
     ------
     ValueError, TypeError
         The algebra or its parameters are unknown, masses of another length or all zero, a stiffness that is not
-        positive, or numbers so large that H'' leaves float64.
+        positive, or numbers so large that H'' leaves the range of float64.
 
     Notes
     -----

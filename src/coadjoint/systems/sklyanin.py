@@ -68,7 +68,7 @@ def sklyanin(
     Raises
     ------
     ValueError
-        Not three and four finite numbers, or so large that their products leave float64.
+        Not three and four finite numbers, or so large that their products leave the range of float64.
 
     Notes
     -----
@@ -88,7 +88,9 @@ def sklyanin(
         j1, j2, j3 = (float(j) for j in differences)
         body = [float(Fraction(m) - Fraction(M[0]) * Fraction(j)) for m, j in zip(M[1:], J, strict=True)]
     except OverflowError:
-        raise ValueError(f"anisotropy {short(J)} and masses {short(M)} leave float64; take other units") from None
+        raise ValueError(
+            f"anisotropy {short(J)} and masses {short(M)} leave the range of float64; take other units"
+        ) from None
 
     def structure(x: Any) -> Any:
         a, b, c = j1 * x[2] * x[3], j2 * x[3] * x[1], j3 * x[1] * x[2]

@@ -118,7 +118,9 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
             sums = given[first] + given[second]
             M, a = 1.0 / sums, given**2
         if not (np.isfinite(sums).all() and np.isfinite(M).all()):
-            raise ValueError("sums of two principal values of inertia or their inverses leave float64; change units")
+            raise ValueError(
+                "sums of two principal values of inertia or their inverses leave the range of float64; change units"
+            )
     else:
         need = BYTES_PER_ENTRY * algebra.dim**2
         check_room(need, f"the inverse of an inertia of dimension {n}", "give principal values")

@@ -288,7 +288,7 @@ def _unstable_jet() -> Matrix:
     )
 )
 def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
-    """Return the Euler equations of an ideal fluid on the sphere, quantized: ``W' = [P, W]``, ``L P = -W``.
+    """Return the Euler equations of an ideal fluid on the sphere for a vorticity matrix: ``W' = [P, W]``, ``L P = -W``.
 
     W is the vorticity, a matrix in su(N), and P the stream matrix, L the Laplacian of Hoppe and Yau. All traces of
     powers of W are kept, which stand for the integrals of powers of the vorticity. The time is that of the Euler

@@ -184,7 +184,9 @@ def _numbers(given: Any, what: str, shapes: tuple[tuple[int, ...], ...]) -> Floa
         wanted = " or ".join(str(shape) for shape in shapes).replace("()", "one number")
         raise ValueError(f"{what} has shape {array.shape}; give {wanted}")
     if np.abs(array).max(initial=0.0) > LARGEST:
-        raise ValueError(f"{what} has numbers beyond {LARGEST:g}, whose products leave float64; take larger units")
+        raise ValueError(
+            f"{what} has numbers beyond {LARGEST:g}, whose products leave the range of float64; take larger units"
+        )
     return array
 
 

@@ -47,7 +47,7 @@ class Summable(ABC):
     def __sub__(self, other: Any) -> Any:
         # A Polynomial has its own minus sign, and so may have a kind of the user.
         if not hasattr(type(other), "__neg__"):
-            raise TypeError(f"{short(other)} cannot be taken off a Hamiltonian: it has no negative")
+            raise TypeError(f"{short(other)} cannot be subtracted from a Hamiltonian: it has no negative")
         return self + -other
 
     def __rsub__(self, other: Any) -> Any:
@@ -62,7 +62,7 @@ class Summable(ABC):
     def __truediv__(self, divisor: Any) -> Self:
         below = _factor(divisor)
         if below == 0:
-            raise ValueError(f"a Hamiltonian is divided by {short(divisor)}")
+            raise ValueError(f"a Hamiltonian can be divided by a number other than 0, not by {short(divisor)}")
         return self * (1.0 / below if isinstance(below, float) else Fraction(1, 1) / below)
 
 

@@ -46,7 +46,7 @@ def convergence_rows(subject: Subject, found: Study | None) -> list[Row]:
     declared = "nothing" if p is None else str(p)
     converges = "nothing" if p is None else "converges"
     if found is None or subject.rests:
-        why = "no reference: the motion is too fast for the step, or leaves float64"
+        why = "no reference: the motion is too fast for the step, or leaves the range of float64"
         why = "every state rests" if subject.rests else why
         return [
             Row(key, what, said, "-", verdict(p is not None, None), claimed=p is not None, reason=why)

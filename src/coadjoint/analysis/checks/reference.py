@@ -59,7 +59,7 @@ def motion(system: System, x: Floats, t: float) -> Motion | None:
     Returns
     -------
     Motion or None
-        None where the motion leaves float64, or takes too many steps to be followed.
+        None where the motion leaves the range of float64, or takes too many steps to be followed.
     """
     return _motion(system, x.tobytes(), x.shape, t)
 

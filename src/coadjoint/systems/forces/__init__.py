@@ -1,4 +1,4 @@
-"""What moves a state beside the Hamiltonian: damping, torques, heat baths (``co.forces``).
+"""Forces, which act in addition to the Hamiltonian: damping, torques, heat baths (``co.forces``).
 
 A force breaks the structure, and says what it keeps. ``system.with_forces(force, ...)`` is the system with it.
 """

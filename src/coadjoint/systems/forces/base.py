@@ -49,7 +49,7 @@ class ForceReader(Protocol):
 
 
 class Force(ABC):
-    """What moves a state beside the Hamiltonian: a flow of its own, which breaks the structure and says how.
+    """A force, which acts in addition to the Hamiltonian: its flow, and which invariants it changes.
 
     `LinearDamping`, `Torque`, `DoubleBracketDamping` and `HeatBath` are forces, and `OwnForce` makes one of a function.
     A force of your own kind derives from one of them, or from this class.
@@ -66,7 +66,7 @@ class Force(ABC):
 
     @property
     def label(self) -> str:
-        """What it is called in balances and messages."""
+        """Its name in balances and messages."""
         return type(self).__name__
 
     def __str__(self) -> str:
@@ -77,7 +77,7 @@ class Force(ABC):
 
     @abstractmethod
     def check(self, system: Any) -> None:
-        """Refuse by name a system that the force cannot act on.
+        """Raise an error for a system on which the force cannot act.
 
         Parameters
         ----------
@@ -115,7 +115,7 @@ class Force(ABC):
 
     @abstractmethod
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        """Return where the force alone moves a state in a time, read in Python.
+        """Return the state that the force alone reaches after a time, computed in Python.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ class Force(ABC):
 
     @abstractmethod
     def given_to(self, reader: ForceReader, system: Any) -> Any:
-        """Give the force to a reader, in one of the kinds that it takes; return what it gave.
+        """Pass the force to the compiled loops, in one of the forms that they have.
 
         Parameters
         ----------

@@ -20,7 +20,7 @@ MOST_TERMS = 60
 
 @dataclass(frozen=True)
 class DoubleBracketDamping(Force):
-    """Damping along the coadjoint orbit, ``x' = alpha J(x) P J(x) grad H``: energy falls, every Casimir stays.
+    """Damping along the coadjoint orbit, ``x' = alpha J(x) P J(x) grad H``: reduces the energy, keeps every Casimir.
 
     For spins (copies of so(3), with H = -B.S and the like) this is the damping of Landau and Lifshitz,
     ``S' = -alpha S x (S x B)`` with B = -grad H. For the form of Gilbert with damping a multiply the Hamiltonian by

@@ -15,7 +15,7 @@ from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers
 
 @dataclass(frozen=True)
 class Friction(ModeRates):
-    """Friction that selects scales, of a fluid of matrices: ``W' = -rate(l) W`` on the degree l, exactly.
+    """Friction that depends on the scale, for a fluid of matrices: ``W' = -rate(l) W`` on the degree l, solved exactly.
 
     Choose it for drag on large scales alone, or for a filter. Where all scales have the same rate `LinearDamping` takes
     less time, for `Viscosity` is a class of its own.

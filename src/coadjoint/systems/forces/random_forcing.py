@@ -18,7 +18,7 @@ from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves, str
 
 @dataclass(frozen=True)
 class RandomForcing(OnLayer):
-    """White noise in time on a band of scales of a fluid of matrices, which feeds energy in at a known mean rate.
+    """White noise in time on a band of scales of a fluid of matrices, which adds energy at a known mean rate.
 
     Every mode of the band, its real and its imaginary part by themselves, has a Wiener process of its own, and all have
     the same share of the energy: the noise is isotropic. Its flow has the exact law, since nothing else moves W in it.

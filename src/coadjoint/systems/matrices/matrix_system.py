@@ -34,7 +34,7 @@ DIGITS = 1e-9
 
 
 class MatrixSystem:
-    """A matrix W in a Lie algebra of matrices that moves by ``W' = [P, W]``, P = stream(W) + linear.
+    """A system whose state is a matrix W in a Lie algebra of matrices, ``W' = [P, W]`` with P = stream(W) + linear.
 
     Choose it for algebras too large for structure constants: the quantized sphere and torus, bodies of many dimensions.
     The spectrum of W is constant; its invariants are followed as traces of powers, at the saved points.
@@ -147,7 +147,7 @@ class MatrixSystem:
 
     @property
     def integrals(self) -> dict[str, Any]:
-        """Name -> what else is constant: nothing that is known of every such system."""
+        """Name -> further constants of motion: none is known for every such system."""
         return {}
 
     @property
@@ -167,7 +167,7 @@ class MatrixSystem:
 
     @cached_property
     def in_numbers(self) -> MatrixSystem:
-        """The same system whose states are rows of numbers, as `to_vector` has them: for what looks at coordinates.
+        """The same system with vectors as states, as `to_vector` makes them, for functions that need coordinates.
 
         Any row of numbers stands for the nearest matrix of the algebra.
         """
@@ -177,7 +177,7 @@ class MatrixSystem:
         return seen
 
     def slope_of(self, W: Matrix, t: float = 0.0) -> Matrix:
-        """Return stream(W), of matrices (..., N, N)."""
+        """Return stream(W) for matrices (..., N, N)."""
         return np.asarray(self.stream(W, t) if self.timed else self.stream(W))  # type: ignore[call-arg]
 
     def stream_of(self, W: Any, t: float = 0.0) -> Matrix:
@@ -187,7 +187,7 @@ class MatrixSystem:
 
     @property
     def quadratic_casimirs(self) -> tuple[str, ...]:
-        """Names of those of degree two that runs with forces keep account of: tr W^2, of one block."""
+        """Names of the quadratic Casimirs for which runs record the work of forces: tr W^2, with one block."""
         return tuple(name for name in ("tr W^2", "Re tr W^2") if name in self.casimirs)
 
     def with_forces(self, *forces: Force) -> ForcedSystem:
@@ -292,7 +292,7 @@ class MatrixSystem:
             raise no_numbers(x, "a state") from None
 
     def read(self, given: Any, what: str = "x0") -> Floats:
-        """Return initial states as rows of numbers, one for a state and more for members; refuse others."""
+        """Return checked initial states as vectors, one for a state and several for members."""
         if self.shape == self.algebra.shape:
             return self.to_vector(self.algebra.read(given, what))
         rows = read_numbers(given, what)
