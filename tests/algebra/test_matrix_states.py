@@ -82,7 +82,7 @@ def test_sums():
         (lambda: G("so", 1), "N"),
         (lambda: G("sp", 5), "even number of rows"),
         (lambda: G("sq", 4), "kind"),
-        (lambda: G("gl", 4, 1), "no signs"),
+        (lambda: G("gl", 4, 1), "no negative signs"),
         (lambda: G("so", 4, 5), "q"),
         (lambda: G("so", 4, 0, (G("so", 2), G("so", 2))), "MatrixAlgebra.sum"),
         (lambda: G.sum(G("so", 3)), "two MatrixAlgebras"),

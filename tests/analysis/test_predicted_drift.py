@@ -230,16 +230,16 @@ def test_what_has_no_period_is_refused() -> None:
 
 def test_wrong_input_is_refused() -> None:
     body = BODIES["1, 2, 3"]
-    with pytest.raises(TypeError, match="give one of"):
+    with pytest.raises(TypeError, match="give exactly one of"):
         predicted_drift(body, STATES[0])
-    with pytest.raises(TypeError, match="give one of"):
+    with pytest.raises(TypeError, match="give exactly one of"):
         predicted_drift(body, STATES[0], gradient=body.hamiltonian.gradient, field=body.vector_field)
     with pytest.raises(TypeError, match=r"function of \(x\)"):
         predicted_drift(body, STATES[0], field=3.0)
     with pytest.raises(TypeError, match="give gradient"):
         predicted_drift(body, STATES[0], field=body.vector_field, attitude=True)
     H = co.modified_hamiltonian(body, co.Splitting())
-    with pytest.raises(TypeError, match="give one of"):
+    with pytest.raises(TypeError, match="give exactly one of"):
         predicted_drift(body, STATES[0], modified=H, step=0.1, field=body.vector_field)
     with pytest.raises(TypeError, match="step is missing"):
         predicted_drift(body, STATES[0], modified=H)
