@@ -46,7 +46,7 @@ class _Commands(click.Group):
 @click.version_option(__version__, prog_name="coadjoint", message="%(prog)s %(version)s")
 @click.pass_context
 def commands(context: click.Context) -> None:
-    """Integrate generalized Euler equations x' = J(x) grad H(x) with their structure kept."""
+    """Integrate Lie-Poisson systems x' = J(x) grad H(x), and keep their invariants."""
     if context.invoked_subcommand is None:
         click.echo(context.get_help())
 
@@ -55,8 +55,10 @@ def commands(context: click.Context) -> None:
 @click.argument("file", type=click.Path())
 @click.option("--out", metavar="PATH", help="Where to write the solution: .nc or .zarr; otherwise what the file says.")
 @click.option("--archive", metavar="PATH", help="Where to write the run while it runs, to be resumed: a new folder.")
-@click.option("--figure", metavar="PATH", help="Where to draw it: .png, .pdf or .svg; otherwise what the file says.")
-@click.option("--movie", metavar="PATH", help="Where to show it move: .mp4 or .gif; otherwise what the file says.")
+@click.option(
+    "--figure", metavar="PATH", help="Where to write a figure: .png, .pdf or .svg; otherwise what the file says."
+)
+@click.option("--movie", metavar="PATH", help="Where to write a movie: .mp4 or .gif; otherwise what the file says.")
 @click.option("--progress", is_flag=True, help="Show a progress bar.")
 @click.option("--quiet", is_flag=True, help="Print nothing.")
 def run_file(
@@ -71,7 +73,7 @@ def run_file(
     """Run the configuration FILE (TOML).
 
     A run that fails while running writes what it had, marked as failed, and ends with exit status 1. One that is
-    interrupted writes what it had, marked as incomplete; an archive is gone on with by `coadjoint resume`.
+    interrupted writes what it had, marked as incomplete; `coadjoint resume` continues an archive.
     """
     from coadjoint.files.archives import check_new
     from coadjoint.files.configuration import load
@@ -178,15 +180,17 @@ def check_file(file: str) -> None:
 
 @commands.command("resume")
 @click.argument("path", type=click.Path())
-@click.option("--t-end", type=float, metavar="T", help="A later end than the run was begun with.")
-@click.option("--threads", type=int, metavar="N", help="Threads for the members of an ensemble; one for each core.")
-@click.option("--workers", type=int, metavar="N", help="Processes that go on with an ensemble in blocks.")
+@click.option("--t-end", type=float, metavar="T", help="A later end of the run (time).")
+@click.option(
+    "--threads", type=int, metavar="N", help="Number of threads for the members of an ensemble; by default all cores."
+)
+@click.option("--workers", type=int, metavar="N", help="Number of processes that continue an ensemble in blocks.")
 @click.option("--progress", is_flag=True, help="Show a progress bar.")
 @click.option("--quiet", is_flag=True, help="Print nothing.")
 def resume_archive(
     path: str, t_end: float | None, threads: int | None, workers: int | None, progress: bool, quiet: bool
 ) -> None:
-    """Go on with the run of the archive PATH, to the same bits as if it had never been cut.
+    """Continue the run of the archive PATH, with the same bits as an uninterrupted run.
 
     A run that is finished is left as it is, unless a later end is given.
     """
@@ -208,13 +212,13 @@ def resume_archive(
 
 @commands.command("certify")
 @click.argument("file", type=click.Path())
-@click.option("--json", "mapping", metavar="PATH", help="Where to write all that was measured: .json.")
+@click.option("--json", "mapping", metavar="PATH", help="Where to write all measurements: .json.")
 @click.option("--plot", "figure", metavar="PATH", help="Where to draw the evidence: .png, .pdf or .svg.")
 @click.option("--steps", type=int, metavar="N", help="Steps of the long run, 2000 by default.")
 def certify_file(file: str, mapping: str | None, figure: str | None, steps: int | None) -> None:
-    """Measure what the scheme of the configuration FILE (TOML) keeps, and hold it against what it declares.
+    """Measure what the scheme of the configuration FILE (TOML) keeps, and compare it with what it declares.
 
-    Exit status 0 only where every declared property holds; 1 where one fails or cannot be decided.
+    The exit status is 0 if every declared property holds, and 1 if one fails or cannot be decided.
     """
     from coadjoint.analysis.certify import STEPS, certify
     from coadjoint.files.configuration import load
@@ -246,11 +250,11 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
 
 @commands.command("systems")
 @click.argument("name", required=False)
-@click.option("--json", "mapping", metavar="PATH", help="Where to write all that is said of NAME: .json.")
+@click.option("--json", "mapping", metavar="PATH", help="Where to write the description of NAME: .json.")
 def list_systems(name: str | None, mapping: str | None) -> None:
-    """List the ready-made systems with their parameters, or say of one, NAME, what it is and how to begin.
+    """List the ready-made systems with their parameters, or describe one, NAME, and how to begin with it.
 
-    Of one: its parameters with their units, algebra, Casimirs, integrals, whether there are a closed form and an
+    The description has parameters with units, algebra, Casimirs, integrals, whether there are a closed form and an
     attitude, and the scheme and step to begin with.
     """
     from coadjoint.systems.ready_made import ready_made_systems
@@ -289,7 +293,7 @@ def _show_system(name: str, mapping: str | None) -> None:
 @click.argument("name", required=False)
 @click.argument("parameters", nargs=-1, metavar="[KEY=NUMBER]...")
 def list_algebras(name: str | None, parameters: tuple[str, ...]) -> None:
-    """List the algebras of the catalogue, or say of one, NAME, its dimension, brackets and Casimirs.
+    """List the algebras of the catalogue, or show dimension, brackets and Casimirs of one, NAME.
 
     Parameters of an algebra follow its name, such as A4,9 b=0.5.
     """
@@ -332,11 +336,11 @@ def _describe(name: str, parameters: Mapping[str, Any], documentation: str) -> N
 
 
 @commands.command("selftest")
-@click.option("--quiet", is_flag=True, help="Print nothing but what fails.")
+@click.option("--quiet", is_flag=True, help="Print only the checks that fail.")
 def check_installation(quiet: bool) -> None:
-    """Check the installed package on this machine, in under a minute: what is measured, beside what is allowed.
+    """Check the installed package on this machine, in under a minute; print each measurement and its bound.
 
-    Exit status 0 only where every check holds; what is skipped, for want of a package, does not fail.
+    The exit status is 0 if every check passes. A check that is skipped, because a package is missing, does not fail.
     """
     from coadjoint.experiments.selftest.run import selftest
 
@@ -389,7 +393,7 @@ def _folder(out: str) -> Path:
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--out", metavar="DIR", default="gallery", show_default=True, help="Folder for pictures and page.")
 def draw_gallery(names: tuple[str, ...], out: str) -> None:
-    """Run every ready-made system, or those with a NAME, for a telling time; draw them, and write a page.
+    """Run the ready-made systems, or those with a NAME; draw each, and write a page of the pictures.
 
     The page is index.html, beside the pictures. The NAME decaying_turbulence is a run of minutes.
     """

@@ -26,7 +26,7 @@ FEWEST_IN_WINDOW = 32
 def line_drift(
     solution: Any, frequency: float, reference: Any = None, signal: Any = None, width: float | None = None
 ) -> Any:
-    """Return how the phase of one frequency of a run grows, against the same line of the right motion.
+    """Return how the phase of one frequency of a run grows, against the same line of the exact motion.
 
     Choose it for quasi-periodic motions, which have a phase error in each of their angles; `phase_drift` gives the
     average lead of the state.

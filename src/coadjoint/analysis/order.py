@@ -33,7 +33,7 @@ class OrderFit(NamedTuple):
 
 
 def fit_order(steps: npt.ArrayLike, errors: npt.ArrayLike, floor: npt.ArrayLike = 0.0) -> OrderFit:
-    """Fit an order to errors at several steps, without the points that round-off decides.
+    """Fit an order to errors at several steps, without the points that are dominated by round-off.
 
     From the largest step down, points are used until one is at or below its `floor`, or the error no longer falls at
     least like the square root of the step (a plateau: no scheme has order 1/2).

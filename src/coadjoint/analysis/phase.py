@@ -19,7 +19,7 @@ FIRST = 4  # points whose lead is sought from zero; then the leads found so far 
 def phase_error(
     system: System, x0: npt.ArrayLike, t: npt.ArrayLike, x: npt.ArrayLike, reference: Any = None
 ) -> npt.NDArray[np.float64]:
-    """Return the signed phase error of computed states: by how much time they are ahead of the right motion.
+    """Return the signed phase error of computed states: by how much time they are ahead of the exact motion.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ Function = Callable[[Floats], Any]
 
 
 class PredictedDrift(NamedTuple):
-    """What a modified Hamiltonian or field says of the phase.
+    """The phase drift that a modified Hamiltonian or field predicts.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ class SystemTable(Table):
     """A ready-made system; `coadjoint systems` lists them."""
 
     name: str
-    """Which one."""
+    """The name of the system."""
     parameters: dict[str, Any] = {}
     """Its parameters; those that are left out have their defaults."""
 
@@ -66,13 +66,13 @@ class HamiltonianTable(Table):
     linear: Vector | None = None
     """The linear term (energy per momentum)."""
     constant: Number | None = None
-    """What is added to H (an energy)."""
+    """A constant that is added to H (an energy)."""
     polynomial: Written | None = None
     """All of H: text such as "0.5*x1^2 + x2*x3", or a list of [coefficient, [exponents]] (an energy)."""
 
 
 class InitialTable(Table):
-    """The initial state, or states; or the kind of one, whose parameters are the further keys."""
+    """The initial state, or several; or a kind of state, with its parameters as further keys."""
 
     x: States | None = None
     """The initial momentum; a list of them is an ensemble. Or the name of a file .npy, from the folder of this file."""
@@ -81,7 +81,7 @@ class InitialTable(Table):
     parameters: dict[str, Any] = {}
     """The further keys beside `kind`."""
     attitude: Attitude = False
-    """Whether the group element is carried: true, "coadjoint", or its initial matrix (numbers without unit)."""
+    """Whether the group element (attitude) is computed: true, "coadjoint", or its initial matrix (no unit)."""
 
     @model_validator(mode="before")
     @classmethod
@@ -96,7 +96,7 @@ class InitialTable(Table):
         if self.kind is None and self.x is None:
             raise ValueError("x is missing; give it, or the kind of an initial state")
         if self.kind is None and self.parameters:
-            raise ValueError("parameters belong to a kind of initial state; give kind, and them beside it")
+            raise ValueError("parameters belong to a kind of initial state; give kind too")
         return self
 
 
@@ -106,22 +106,22 @@ class RunTable(Table):
     model_config = ConfigDict(json_schema_extra={"oneOf": [{"required": ["step"]}, {"required": ["accuracy"]}]})
 
     t_span: Span
-    """Start and end (time); backward where the end comes first."""
+    """Start and end (time); the run goes backward if the end is the smaller one."""
     step: Annotated[float, Field(gt=0)] | None = None
     """Length of a step (time); it divides the span."""
     accuracy: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """In place of `step`: the error of the momentum at the end that is wanted, relative to its largest size on the way
-    (no unit). The step is chosen, and the scheme where there is no `method`."""
+    """In place of `step`: the wanted error of the momentum at the end, relative to the largest momentum during the run
+    (no unit). The step is chosen, and without `method` also the scheme."""
     save_every: Whole = 1
-    """Steps from one saved state to the next."""
+    """Number of steps from one saved state to the next."""
     t_eval: Vector | None = None
     """Times at which states are kept, in place of `save_every` (time)."""
     watch: bool = True
-    """Whether the invariants are looked at after every step, or at the saved states alone."""
+    """Whether the invariants are computed after every step, or only at the saved states."""
     threads: Whole | None = None
-    """Threads among which the members of an ensemble are shared; all cores without it. The bits do not depend on it."""
+    """Number of threads for the members of an ensemble; by default all cores. The bits do not depend on it."""
     workers: Whole | None = None
-    """Processes of this machine that run the members of an ensemble in blocks; this process alone without it."""
+    """Number of processes of this machine that run the members in blocks; by default this process only."""
 
     @model_validator(mode="after")
     def _step_or_accuracy(self) -> RunTable:
@@ -133,16 +133,16 @@ class RunTable(Table):
 
 
 class EventTable(Table):
-    """An event that is looked for: where a function of the state passes through zero."""
+    """An event: a function of the state passes through zero."""
 
     g: int | Written
     """The function: the number of a coordinate, from 0, its name, or a polynomial."""
     direction: Annotated[int, Field(json_schema_extra={"enum": [-1, 0, 1]})] = 0
     """1 where g rises, -1 where it falls, 0 for both."""
     count: Whole | None = None
-    """How many of them are kept, of each member; all without it."""
+    """How many crossings of each member are kept; by default all."""
     terminal: bool = False
-    """Whether the run ends at the last one that is kept."""
+    """Whether the run ends at the last crossing that is kept."""
 
 
 class OutputTable(Table):
@@ -151,15 +151,15 @@ class OutputTable(Table):
     file: Annotated[str, ending(".nc", ".zarr")] | None = None
     """The solution as a dataset, .nc or .zarr."""
     archive: str | None = None
-    """A new folder, such as run.zarr, to which the run is written while it runs; `coadjoint resume` goes on with it."""
+    """A new folder, such as run.zarr, to which the run is written while it runs; `coadjoint resume` continues it."""
     figure: Annotated[str, ending(".png", ".pdf", ".svg")] | None = None
-    """A picture of it, .png, .pdf or .svg."""
+    """A figure of the run, .png, .pdf or .svg."""
     movie: Annotated[str, ending(".mp4", ".gif")] | None = None
-    """How it moves, .mp4 or .gif."""
+    """A movie of the run, .mp4 or .gif."""
 
 
 class File(Table):
-    """A run: what moves, from where, by which scheme, for how long, and where the results go."""
+    """A run: the system, the initial state, the scheme, the times, and where the results go."""
 
     name: Name | None = None
     """The name of the system, for pictures and messages."""
@@ -169,13 +169,13 @@ class File(Table):
     algebra: AlgebraTable | None = None
     hamiltonian: HamiltonianTable | None = None
     casimirs: dict[Name, Written] | None = None
-    """Polynomials by name, checked to be Casimirs and followed along the run."""
+    """Polynomials by name, checked to be Casimirs and recorded during the run."""
     forces: list[dict[str, Any]] = []
-    """Forces beside H, one table each: a name, and its parameters beside it."""
+    """Forces in addition to H, one table for each: its name and its parameters."""
     initial: InitialTable
     sweep: SweepTable | None = None
     method: dict[str, Any] | None = None
-    """The scheme: its name, and its parameters beside it. `coadjoint methods` lists them."""
+    """The scheme: its name and its parameters. `coadjoint methods` lists them."""
     run: RunTable
     observe: dict[Name, Written] = {}
     """Polynomials by name, evaluated at the saved states."""

@@ -33,12 +33,12 @@ Positive = Annotated[Any, AfterValidator(_positive), WithJsonSchema({"type": "nu
 
 
 class SettingsTable(BaseModel):
-    """What one place of the file is set to: listed values, a grid, random numbers, or the rows of an array."""
+    """The values of one place of the file: listed values, a grid, random numbers, or the rows of an array."""
 
     model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
     values: list[Any] | None = None
-    """The values themselves; the list alone will do."""
+    """The values themselves; a plain list means the same."""
     linear: Two | None = None
     """A grid from the first number to the last, in equal steps (unit of the place)."""
     logarithmic: Two | None = None
@@ -52,11 +52,11 @@ class SettingsTable(BaseModel):
     sphere: Positive | None = None
     """Random vectors of this length (unit of the place)."""
     orbit: Positive | None = None
-    """States on the coadjoint orbit of the one in the file: it is moved by random group elements of this size."""
+    """States on the coadjoint orbit of the state in the file, moved by random group elements of this size."""
     file: str | None = None
     """The rows of an array in a file .npy, from the folder of this file."""
     column: Annotated[int, Field(ge=0)] | None = None
-    """The column of the array that is taken, from 0; without it all of a row."""
+    """The column of the array, counted from 0; by default the whole row."""
 
     @model_validator(mode="before")
     @classmethod
@@ -84,16 +84,16 @@ class SettingsTable(BaseModel):
 
 
 class SweepTable(BaseModel):
-    """Which places of the file are other ones for each member, and how many random members there are."""
+    """Which places of the file change from member to member, and how many random members there are."""
 
     model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
     samples: Annotated[int, Field(ge=1)] | None = None
     """How many random members there are."""
     seed: Annotated[int, Field(ge=0, le=LARGEST_SEED)] | None = None
-    """Which random members they are."""
+    """The seed of the random numbers."""
     over: dict[str, SettingsTable]
-    """Places of the file, such as "initial.x[0]", and what each is set to. Every combination is a member."""
+    """Places of the file, such as "initial.x[0]", and the values of each. Every combination is a member."""
 
     @model_validator(mode="after")
     def _drawn(self) -> SweepTable:
@@ -101,7 +101,7 @@ class SweepTable(BaseModel):
         if not self.over:
             raise ValueError("over is empty; name at least one place of the file, such as 'initial.x[0]'")
         if drawn and (self.samples is None or self.seed is None):
-            raise ValueError(f"over {short(drawn[0])} is random; give samples, how many, and seed")
+            raise ValueError(f"over {short(drawn[0])} is random; give samples (how many) and seed")
         if not drawn and (self.samples is not None or self.seed is not None):
             raise ValueError(f"samples and seed belong to random settings, {', '.join(DRAWN)}; there are none")
         return self

@@ -79,7 +79,7 @@ def register(scheme: Scheme) -> Scheme:
 
 
 def forget(name: str) -> None:
-    """Take back what `register` did.
+    """Undo `register`.
 
     Parameters
     ----------

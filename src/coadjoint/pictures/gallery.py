@@ -50,7 +50,7 @@ class Piece:
 
 
 def piece(name: str) -> Piece:
-    """Run a system for a telling time and draw it.
+    """Run a system from its declared start over its declared span, and draw it.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def _page(pieces: Sequence[Piece]) -> str:
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>coadjoint: gallery</title>'
         f'<meta name="viewport" content="width=device-width,initial-scale=1"><style>{_STYLE}</style></head><body>\n'
-        f"<h1>Every system for a telling time</h1>\n<nav>{links}</nav>\n{body}</body></html>\n"
+        f"<h1>Every ready-made system</h1>\n<nav>{links}</nav>\n{body}</body></html>\n"
     )
 
 

@@ -27,7 +27,7 @@ Prepare = Callable[..., Paint]
 
 
 class CannotShow(ValueError):
-    """A run has not what a picture shows; the message says what, and what would be right."""
+    """A run cannot show a picture; the message says what is missing and what would be right."""
 
 
 @dataclass(frozen=True)

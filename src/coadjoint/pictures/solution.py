@@ -27,7 +27,7 @@ WIDE = {True: 6.0, False: 5.4}  # a column of panels over time, or one picture
 def draw_solution(
     solution: Solution, panels: Any = None, components: Any = None, axes: Any = None, members: Any = None
 ) -> Figure:
-    """Return a figure of a run: drift, components, and the pictures that its system wants to show first.
+    """Return a figure of a run: drift, components, and the pictures that its system declares.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ from coadjoint.systems.terms import FunctionTerm
 
 @dataclass(frozen=True)
 class Program:
-    """A splitting of one system as a table: plain arrays that every reader takes, compiled or not.
+    """A splitting of one system as a table of plain arrays, which compiled and Python readers use.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from coadjoint.systems.ready_made import telling_of
 
 
 def telling_run(name: str) -> Solution:
-    """Run a ready-made system for a telling time, by the suggested scheme.
+    """Run a ready-made system over its declared span, by the suggested scheme.
 
     Parameters
     ----------
@@ -37,7 +37,9 @@ def telling_run(name: str) -> Solution:
     telling = telling_of(name)
     system = systems.get(name, **({} if telling is None else telling.parameters))
     if telling is None:
-        raise ValueError(f"{name} declares no telling run; give @ready_made a Telling, as docs/gallery.md shows")
+        raise ValueError(
+            f"{name} declares no start, span and step of a run; give @ready_made a Telling, as docs/gallery.md shows"
+        )
     return integrate(
         system,
         telling.start(),

@@ -78,7 +78,7 @@ def ready_made_systems() -> Mapping[str, Callable[..., Any]]:
 
 
 def telling_of(name: str) -> Telling | None:
-    """Return what a user of a ready-made system wants to see first, or None where nobody has said it.
+    """Return the declared run and pictures of a ready-made system, or None if it declares none.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def telling_of(name: str) -> Telling | None:
 
 
 def told_systems() -> tuple[str, ...]:
-    """Return the names of the ready-made systems that say what is seen first, sorted.
+    """Return the names of the ready-made systems that declare a run and pictures, sorted.
 
     Returns
     -------

@@ -17,7 +17,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, init=False)
 class Picture:
-    """A kind of picture by its name, with what that kind is told.
+    """A kind of picture by its name, with its options.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Telling:
-    """A run of a ready-made system that tells what it does, and its pictures.
+    """The run of a ready-made system that the gallery shows, and its pictures.
 
     Parameters
     ----------

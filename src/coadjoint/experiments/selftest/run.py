@@ -13,7 +13,7 @@ CHECKS = (motions, orders, certificates, same_bits, plain_reading, resumed)
 
 
 def selftest() -> Iterator[Finding]:
-    """Check the installed package on this machine: what is measured, beside what is allowed.
+    """Check the installed package on this machine; return each measurement with its bound.
 
     For machines, compilers and versions of packages on which nobody has tried it. All schemes of the library are tried,
     on seven systems; nothing that an extra brings is needed, and what is skipped without one says so.
