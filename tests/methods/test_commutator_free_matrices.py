@@ -109,7 +109,7 @@ def test_the_energy_drifts_and_the_spectrum_does_not():
 
 def test_a_step_beyond_its_series_fails_by_name():
     system = SYSTEMS["sphere"]
-    with pytest.raises(co.IntegrationError, match="too far for its series"):
+    with pytest.raises(co.IntegrationError, match="too large for its series"):
         co.integrate(system, state(system, 7, 1e6), (0.0, 1.0), 1.0, co.CommutatorFree())
 
 

@@ -169,7 +169,7 @@ def test_what_it_says_of_itself():
 
 def test_a_speed_that_ends_is_a_failure_by_name():
     ending = co.Polynomial({(0, 0, 0): 0.05, (0, 0, 1): 1.0})
-    with pytest.raises(co.IntegrationError, match="the speed that steps follow fell to zero or below"):
+    with pytest.raises(co.IntegrationError, match="the speed of the motion fell to zero or below"):
         co.integrate(BODY, (1.0, 0.2, 0.3), (0.0, 40.0), 1.0, co.ReversibleSteps(co.Splitting(), 0.1, ending))
 
 

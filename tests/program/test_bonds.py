@@ -129,7 +129,7 @@ def test_a_large_lattice_goes_without_its_attitude():
     run = co.integrate(chain, x0, (0.0, 0.2), 0.1, by_bonds(), watch=False)
     total = np.abs(run.x.reshape(3, 700, 3).sum(axis=1) - x0.reshape(700, 3).sum(axis=0)).max()
     assert total <= 2.0**6 * U * np.sqrt(700)
-    with pytest.raises(ValueError, match="attitude is not known"):
+    with pytest.raises(ValueError, match="too many terms for the attitude"):
         by_bonds().program(chain, group=np.zeros((2100, 2, 2)))
 
 

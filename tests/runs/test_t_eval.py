@@ -442,7 +442,7 @@ class TestAt:
         monkeypatch.setattr(state_at, "MOST_STEPS", 10)
         coarse = co.integrate(BODY, X, (0, 4), STEP, save_every=12)
         assert coarse.at(1.1).x.shape == (3,)
-        with pytest.raises(ValueError, match="the times lie 12 steps behind the saved points, and at most 10"):
+        with pytest.raises(ValueError, match="the times lie 12 steps after saved points, and at most 10"):
             coarse.at(1.45)
 
     def test_error_estimate_of_a_run_whose_end_was_not_asked_for(self):
