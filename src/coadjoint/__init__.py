@@ -26,6 +26,7 @@ _HOME = {
     "Invariant": "coadjoint.algebra.invariant",
     "IsospectralGauss": "coadjoint.methods.isospectral_gauss",
     "LieAlgebra": "coadjoint.algebra.lie_algebra",
+    "LongWait": "coadjoint.waiting",
     "LineSplitting": "coadjoint.methods.line_splitting",
     "Polynomial": "coadjoint.algebra.polynomial",
     "ForcedSystem": "coadjoint.systems.forced",
@@ -161,6 +162,7 @@ if TYPE_CHECKING:
     from coadjoint.systems.quadratic import Quadratic as Quadratic
     from coadjoint.systems.separable import Separable as Separable
     from coadjoint.systems.split_hamiltonian import SplitHamiltonian as SplitHamiltonian
+    from coadjoint.waiting import LongWait as LongWait
 
 
 if not TYPE_CHECKING:  # for these the names are known, and others are mistakes

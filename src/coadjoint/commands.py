@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import inspect
 import math
@@ -11,7 +12,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
@@ -19,6 +20,7 @@ from coadjoint import __version__
 from coadjoint.errors import in_one_line, nearest
 from coadjoint.extras import need
 from coadjoint.run_endings import ending, writing
+from coadjoint.waiting import LongWait
 from coadjoint.wording import short
 
 LONGEST_NUMBER = 60
@@ -220,7 +222,7 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
 
     The exit status is 0 if every declared property holds, and 1 if one fails or cannot be decided.
     """
-    from coadjoint.analysis.certify import STEPS, certify
+    from coadjoint.analysis.certify import certify
     from coadjoint.files.configuration import load
     from coadjoint.files.output import FIGURES, TEXTS, check_target, write_figure, write_text
 
@@ -232,7 +234,7 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
         configuration.method,
         configuration.x0,
         math.copysign(configuration.step, configuration.t_span[1] - configuration.t_span[0]),
-        steps=STEPS if steps is None else steps,
+        steps=steps,
     )
     click.echo(str(found))
     if target is not None:
@@ -454,10 +456,29 @@ def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
     >>> perform(["run", "no_such_file.toml"])
     (2, 'no_such_file.toml: cannot be read (No such file or directory)')
     """
-    with warnings.catch_warnings(record=True) as noticed:
+    noticed: list[str] = []
+
+    def notice(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        said = in_one_line(f"coadjoint: warning: {message}")
+        if not issubclass(category, LongWait):
+            noticed.append(said)
+            return
+        # Whoever waits is told at once.
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            print(said, file=sys.stderr, flush=True)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = notice
         status, said = _performed(list(sys.argv[1:] if arguments is None else arguments))
     if status == 0:
-        said = "\n".join(dict.fromkeys(in_one_line(f"coadjoint: warning: {found.message}") for found in noticed))
+        said = "\n".join(dict.fromkeys(noticed))
     return status, said
 
 

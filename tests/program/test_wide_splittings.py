@@ -11,6 +11,7 @@ from coadjoint.program import blocks, clashing_forms, commutation, decompose
 from coadjoint.program.commutation import Commutation
 from coadjoint.program.quadratic_atoms import quadratic_atoms
 from coadjoint.program.wide_generators import TooWide, check_products
+from coadjoint.waiting import LongWait
 
 ALGEBRAS = {
     "so(6)": co.algebras.so(6),
@@ -140,7 +141,8 @@ def test_lattices_are_not_too_wide():
     check_products(np.full(10**7, 30), "a lattice")
     with pytest.raises(TooWide, match=r"H has 1000 flows of 60000 products each: .* about 120 s and 9.0 GB"):
         check_products(np.full(1000, 60_000), "H")
-    check_products(np.full(270, 60_000), "H")
+    with pytest.warns(LongWait, match="making a splitting of H ready takes about 32 s; GaussLegendre is made ready"):
+        check_products(np.full(270, 60_000), "H")
 
 
 def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
@@ -159,3 +161,32 @@ def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
     with pytest.raises(ValueError, match="the brackets of a modified Hamiltonian take"):
         co.modified_hamiltonian(system, co.Splitting(order=2), order=4)
     assert sum(made) < 5 * 10**5
+
+
+@pytest.mark.parametrize("name, coupled", [("su(4)", True), ("so(4)", True), ("su(5)", False)])
+def test_products_of_brackets_are_counted_before_they_are_made(name, coupled, monkeypatch):
+    """Never more than are made; where all coordinates are coupled more than half of them."""
+    from coadjoint.program import modified_terms, sweep_logarithm
+
+    g = co.algebras.get(name)
+    M = symmetric(np.random.default_rng(1), g.dim, 1.0) if coupled else np.linspace(1.0, 2.0, g.dim)
+    counted, spent = [], []
+    monkeypatch.setattr(modified_terms, "check_products", counted.append)
+    plain = sweep_logarithm.Commutators.check_room
+    monkeypatch.setattr(
+        sweep_logarithm.Commutators, "check_room", lambda self, count: (plain(self, count), spent.append(self.spent))
+    )
+    co.modified_hamiltonian(co.LiePoissonSystem(g, co.Quadratic(M)), co.Splitting(order=2), order=4)
+    assert (0.5 if coupled else 0.0) * spent[-1] < counted[0] <= spent[-1]
+
+
+def test_terms_that_would_take_days_are_refused_at_once():
+    g = co.algebras.su(9)
+    system = co.LiePoissonSystem(g, co.Quadratic(symmetric(np.random.default_rng(1), g.dim, 1.0)))
+    begun = time.process_time()
+    with pytest.raises(
+        ValueError, match=r"take .e\+10 products of monomials .* about .e\+0[34] s, .* a lower order"
+    ):
+        co.modified_hamiltonian(system, co.Splitting(order=2), order=4)
+    assert time.process_time() - begun < 10.0
+    assert list(co.modified_hamiltonian(system, co.Splitting(order=2), order=2).terms) == [0]

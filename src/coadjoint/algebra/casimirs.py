@@ -20,6 +20,7 @@ from coadjoint.algebra.joins import Integers
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.rational_constants import cleared, rational_constants
 from coadjoint.given import read_whole
+from coadjoint.waiting import at, waiting
 
 MONOMIALS = 40_000  # monomials of one degree in one summand: a minute at most
 TERMS = 10_000_000  # terms of their derivatives, before like ones are collected: 1 GB
@@ -96,6 +97,7 @@ def _of_degree(
     triples: Triples, arithmetic: _Arithmetic, dim: int, degree: int, lower: Sequence[Polynomial]
 ) -> list[Polynomial]:
     """Return the Casimirs of a degree that are no sums of products of lower ones."""
+    at(f"degree {degree} of dimension {dim}")
     basis = monomials(dim, degree)
     space = arithmetic.kernel(equations(triples, arithmetic.constants, basis, dim), arithmetic.largest)
     # in a reduced row echelon basis the coordinates of an element are its coefficients at the leading monomials
@@ -181,6 +183,7 @@ class NoPolynomials(dict[str, Polynomial]):
         return f"{{}} ({said}{named})"
 
 
+@waiting("casimirs")
 def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> dict[str, Polynomial]:
     """Return generators of the polynomial Casimirs up to a degree: behind `LieAlgebra.casimirs`, which documents it.
 

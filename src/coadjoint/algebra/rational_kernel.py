@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from coadjoint import waiting
 from coadjoint.algebra.derivations import Equations, Vector, blocks, check_block
 from coadjoint.algebra.exact import rational
 from coadjoint.algebra.joins import groups
@@ -36,6 +37,7 @@ def _kernel_modulo(given: Equations, prime: int) -> tuple[tuple[int, ...], list[
     cuts = np.split(order, starts[1:]) if order.size else []
     kernel: Any = None
     for at in sorted(cuts, key=len, reverse=True):  # the longest first, since it cuts off most
+        waiting.at(f"the equations of {size} coupled coefficients")
         names, row = np.unique(given.target[at], return_inverse=True)
         flat = [0] * (names.size * size)
         for place, value in zip((row * size + given.columns[at]).tolist(), values[at].tolist(), strict=True):

@@ -12,7 +12,7 @@ import coadjoint
 from coadjoint.analysis.certificate import Certificate, Row
 from coadjoint.analysis.checks.attitude import attitude_rows
 from coadjoint.analysis.checks.convergence import convergence_rows
-from coadjoint.analysis.checks.invariants import invariant_rows, long_run, run_row
+from coadjoint.analysis.checks.invariants import invariant_rows, long_run, run_row, steps_of
 from coadjoint.analysis.checks.poisson import poisson_row
 from coadjoint.analysis.checks.study import study
 from coadjoint.analysis.checks.subject import Subject
@@ -24,8 +24,8 @@ from coadjoint.methods.properties import Properties
 from coadjoint.methods.registry import description_of, read_method
 from coadjoint.runs.start import momenta_of
 from coadjoint.systems.kinds import System, check_one_system, in_coordinates
+from coadjoint.waiting import tell, waiting
 
-STEPS = 2000
 MOST_STEPS = 10**7
 SIZES = (1e-75, 1e75)
 """Of the largest entry of a state."""
@@ -37,7 +37,7 @@ def certify(
     x0: Any,
     step: float,
     *,
-    steps: int = STEPS,
+    steps: int | None = None,
     order: int | None = None,
     properties: Properties | None = None,
     symmetric: bool | None = None,
@@ -59,11 +59,12 @@ def certify(
         parameters. What is not said is measured, and cannot fail.
     x0 : array_like, shape (n,) or (k, n)
         A state, or a sample of states. To fewer than four states others along the motion are added; of more than eight
-        the first eight are taken.
+        the first eight are taken. Where a step takes more than a millisecond, two states are enough.
     step : float
         The step; negative for backward. Order, symmetry and defects are also looked at with other steps.
     steps : int, optional
-        Number of steps of the long run.
+        Number of steps of the long run; None is 2000, or as many as take a few seconds, which the certificate then
+        says.
     order : int, optional
         Order of accuracy that a function declares.
     properties : Properties, optional
@@ -102,7 +103,7 @@ def certify(
     h = read_number(step, "step")
     if h == 0.0:
         raise ValueError(f"step is {h!r}; it must not be zero")
-    count = read_whole(steps, "steps", 1, MOST_STEPS, floats=True)
+    count = None if steps is None else read_whole(steps, "steps", 1, MOST_STEPS, floats=True)
     if isinstance(method, str | Mapping):
         method = read_method(method)
     scheme, claims = scheme_and_claims(system, method, order, properties, symmetric)
@@ -115,8 +116,11 @@ def certify(
             "which they "
             f"are from {SIZES[0]} to {SIZES[1]}"
         )
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), waiting("certify"):
         subject = Subject(system, scheme, claims, h, states, count, compiled=isinstance(method, Method))
+        if count is not None:
+            taken = subject.seconds * len(subject.states) * count
+            tell(f"the long run of {count} steps from {len(subject.states)} states", taken, "fewer steps= take less")
         return Certificate(_rows(subject), _described(subject))
 
 
@@ -148,7 +152,7 @@ def _described(subject: Subject) -> dict[str, Any]:
         },
         "scheme": {"shown": str(subject.method), "description": _description(subject.method)},
         "step": subject.h,
-        "steps": subject.steps,
+        "steps": steps_of(subject),
         "given": subject.given,
         "states": subject.states,
         "versions": {

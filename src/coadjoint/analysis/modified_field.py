@@ -20,6 +20,7 @@ from coadjoint.methods.registry import read_method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.kinds import System, check_vectors
 from coadjoint.systems.user_functions import check_arguments
+from coadjoint.waiting import waiting
 from coadjoint.wording import short
 
 MOST = 64
@@ -27,6 +28,7 @@ MARGIN = 1000  # below the order of a scheme, a term smaller than so many roundi
 WAYS = ("auto", "exact", "numerical")
 
 
+@waiting("modified_field")
 def modified_field(system: System, method: Any, order: int, *, way: str = "auto") -> ModifiedField:
     """Return the field X = f_0 + h f_1 + h^2 f_2 + ... whose flow over a time h is the step of a scheme (Lemma 6.1).
 

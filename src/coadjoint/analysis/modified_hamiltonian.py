@@ -25,6 +25,7 @@ from coadjoint.program.modified_terms import coordinates_of
 from coadjoint.systems.kinds import System
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.polynomial_form import polynomial_of
+from coadjoint.waiting import waiting
 from coadjoint.wording import short
 
 
@@ -200,6 +201,7 @@ def _step(h: Any) -> Any:
     return h
 
 
+@waiting("modified_hamiltonian")
 def modified_hamiltonian(
     system: System, method: Method | str | Mapping[str, Any], order: int = 4, *, symbols: Any = False
 ) -> ModifiedHamiltonian | ModifiedEnergyAtPoints:

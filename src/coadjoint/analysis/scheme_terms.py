@@ -12,7 +12,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.algebra.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.analysis.symbols_of_hamiltonian import Symbols
 from coadjoint.program.composition_logarithm import Coordinates
-from coadjoint.program.modified_terms import coordinates_of, modified_terms
+from coadjoint.program.modified_terms import check_ahead, coordinates_of, modified_terms
 from coadjoint.program.part_polynomials import part_polynomials, with_given_coefficients
 from coadjoint.program.sweeps import Sweep
 from coadjoint.program.table import Program
@@ -93,12 +93,15 @@ class SchemeTerms:
         return coordinates_of(self._program, self._sweeps, self._after, highest, self._order)
 
     def _terms(self, coordinates: Coordinates, weights: Iterable[int]) -> tuple[dict[int, Term], float, float]:
+        wanted = [weight for weight in weights if coordinates.of_weight[weight]]
         ring = ExactPolynomials(self._system.algebra, tuple(self.symbols.values))
         pieces = None
-        if not self._program.shift:
+        if (wanted or self.symbols.values) and not self._program.shift:
+            if wanted:
+                check_ahead(self._system, self._program, max(wanted))
             parts = self._program.parts
             own, factors = part_polynomials(ring, parts), self.symbols.factors(ring)
             pieces = with_given_coefficients(ring, parts, own, self.symbols.given, factors)
-        found = modified_terms(ring, self._system, self._program, coordinates, weights, pieces)
+        found = modified_terms(ring, self._system, self._program, coordinates, wanted, pieces)
         terms = {power: self.symbols.written(term) for power, term in found.of_power.items()}
         return terms, found.radius, found.neglected

@@ -26,6 +26,7 @@ from coadjoint.methods.taylor import Taylor
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import span_of
 from coadjoint.systems.kinds import System, check_vectors
+from coadjoint.waiting import waiting
 from coadjoint.wording import short
 
 # The error is aimed this much below the accuracy, and rounding alone may leave no more than half of it.
@@ -98,6 +99,7 @@ class Choice:
 
 
 @told
+@waiting("choose")
 def choose(
     system: System,
     x0: Any,

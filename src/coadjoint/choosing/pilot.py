@@ -17,6 +17,7 @@ from coadjoint.runs.run import Run
 from coadjoint.runs.start import with_group
 from coadjoint.runs.times import Times
 from coadjoint.systems.kinds import System
+from coadjoint.waiting import at
 
 REFERENCE = GaussLegendre(8)
 # Where the errors of a window are looked at: many divisors, so that runs of any number of steps share some.
@@ -233,6 +234,7 @@ def short_run(
     """Return a run without attitude that watches nothing, whatever became of it: its `status` says."""
     start = with_group(system, momenta, False, None, False)
     times = Times(t0, time / steps, steps, save_every)
+    at(f"a pilot run of {steps} steps by {method}")
     run = Run(system, method, loops_of(system, method, times.h), times, start, False)
     run.advance()
     return run

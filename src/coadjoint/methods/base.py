@@ -249,6 +249,28 @@ class Method(ABC):
             The iteration of an implicit scheme does not converge.
         """
 
+    def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
+        """Return the derivative of a step on tangent vectors (n, k), where that is cheaper than all of it.
+
+        Parameters
+        ----------
+        system, x, t, h
+            As for `tangent`.
+        vectors : (n, k) array
+            The vectors, in columns.
+
+        Returns
+        -------
+        (n, k) array
+            After the step.
+
+        Raises
+        ------
+        TypeError, IntegrationError
+            As `tangent` does.
+        """
+        return np.asarray(self.tangent(system, x, t, h)[1] @ vectors)
+
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         """Return how `tangent` finds the derivative: by its "formula", by "complex step" or by "differences".
 

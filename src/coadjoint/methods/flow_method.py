@@ -155,13 +155,21 @@ class FlowMethod(Method):
         return 0.0 if all(is_short(sweep.coefficient) for sweep in sweeps) else TABULATED
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
+        return self._carrying(system, x, t, h, np.eye(len(x)))
+
+    def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
+        return self._carrying(system, x, t, h, vectors)[1]
+
+    def _carrying(
+        self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
         point = np.asarray(x, dtype=np.float64)
         try:
-            after, P = _reading(self, system, float).steps(point, h, 1, t0=t, tangent=np.eye(len(point)))
+            after, carried = _reading(self, system, float).steps(point, h, 1, t0=t, tangent=vectors)
         except (OverflowError, ValueError) as error:  # sines of what left float64
             said = f"in step 1, at t = {t:g}, a number overflowed; take a smaller step than {abs(h):g}"
             raise IntegrationError(said, step=1, time=t, residual=float("nan")) from error
-        return after, P
+        return after, carried
 
     def work(self, system: System, group: Representation = None) -> Work:
         """Return the work of the rows of a step, each by the blocks that it turns."""

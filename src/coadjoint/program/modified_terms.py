@@ -9,14 +9,16 @@ import numpy as np
 
 from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.algebra.polynomial import Polynomial
+from coadjoint.program.bracket_sizes import products_ahead
 from coadjoint.program.composition_logarithm import Coordinates, composition_logarithm, swept_exactly
 from coadjoint.program.modified_series import Balls, ModifiedSeries
 from coadjoint.program.part_polynomials import part_polynomials
 from coadjoint.program.rational_pieces import rational_pieces
-from coadjoint.program.sweep_logarithm import Commutators
+from coadjoint.program.sweep_logarithm import SECONDS_PER_PRODUCT, Commutators, check_products
 from coadjoint.program.sweeps import Sweep, Swept
 from coadjoint.program.table import Program, build_program
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.waiting import tell
 
 
 class ModifiedTerms(NamedTuple):
@@ -74,6 +76,10 @@ def modified_terms(
     """
     wanted = [weight for weight in weights if coordinates.of_weight[weight]]
     highest = max(wanted, default=1)
+    if highest == 1:
+        return ModifiedTerms({}, 0.0, coordinates.neglected)
+    if pieces is None:
+        check_ahead(system, program, highest)
     own = part_polynomials(ring, program.parts) if pieces is None else pieces
     turned = rational_pieces(ring, program.parts, program.frequency, highest)
     flows = [{1: piece, **more} for piece, more in zip(own, turned, strict=True)]
@@ -90,6 +96,23 @@ def modified_terms(
         if polynomial.monomials:
             found[weight - 1] = polynomial
     return ModifiedTerms(found, radius, neglected)
+
+
+def check_ahead(system: LiePoissonSystem, program: Program, highest: int) -> None:
+    """Refuse terms whose brackets take too many products, and say how long the others take, before any is made.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem
+        With a polynomial Hamiltonian.
+    program : Program
+        The table of its splitting.
+    highest : int
+        The largest weight.
+    """
+    count = products_ahead(system.algebra, program.parts, highest)
+    check_products(count)
+    tell("the modified Hamiltonian", SECONDS_PER_PRODUCT * count, "a lower order takes less")
 
 
 def leading_term(system: LiePoissonSystem, method: Swept, order: int) -> Polynomial:

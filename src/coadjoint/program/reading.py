@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -185,24 +185,27 @@ class Reading:
 
     def generator(self, action: Action, part: int, angle: int) -> dict[tuple[int, int], Any]:
         """Return the entries of the generator of one form of a part."""
-        return self._entries(part, angle, action)
+        found: dict[tuple[int, int], Any] = {}
+        for run, q in self._runs(part, angle, action):
+            found.update(run_entries(action, run, q))
+        return found
 
     def _generator_on(self, part: int, angle: int, x: NDArray[Any]) -> NDArray[Any]:
         """Return D_a x for one form of a part (the verb `apply`)."""
-        entries = self._entries(part, angle, self.program.state)
-        result = 0 * x
-        for (i, j), value in entries.items():
-            result[i] += value * x[j]
+        action, result = self.program.state, 0 * x
+        for run, q in self._runs(part, angle, action):
+            for coordinates, matrix in run_blocks(action, run, q):
+                i, j = np.nonzero(matrix != 0)
+                np.add.at(result, coordinates[i], matrix[i, j] * x[coordinates[j]])
         return result
 
     @staticmethod
-    def _entries(part: int, angle: int, action: Action) -> dict[tuple[int, int], Any]:
-        found: dict[tuple[int, int], Any] = {}
+    def _runs(part: int, angle: int, action: Action) -> Iterator[tuple[int, int]]:
+        """Yield the runs of a part that have an angle, and its number in each."""
         for run in range(action.run[part], action.run[part + 1]):
             q = angle - int(action.angle[run])
             if 0 <= q < action.angles[run]:
-                found.update(run_entries(action, run, q))
-        return found
+                yield run, q
 
     def act(self, action: Action, part: int, theta: list[Any], vectors: NDArray[Any]) -> None:
         """Move vectors (n,) or (n, lanes) by exp(sum theta_a D_a) of one part, in place (the verb `act`)."""

@@ -16,12 +16,15 @@ from operator import mul
 from coadjoint.algebra.exact import rational
 from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.memory import check_room
+from coadjoint.waiting import at
 
 MOST_PRODUCTS = 10**8
-"""Of monomials, in all brackets together: about a minute, and more where numerators are long."""
+"""Of monomials, in all brackets together: some twenty seconds, and more where numerators are long."""
 
 TELLING = MOST_PRODUCTS // 100
 """From so many on it is looked ahead, whether all are too many."""
+
+SECONDS_PER_PRODUCT = 2e-7
 
 BYTES_PER_MONOMIAL = 40
 
@@ -63,7 +66,8 @@ class Commutators:
     def check_room(self, count: int) -> None:
         """Count the products of monomials of a bracket, and refuse it where all brackets so far would make too many."""
         self.spent += count
-        self._check_products(self.spent)
+        check_products(self.spent)
+        at("the brackets of a modified Hamiltonian")
         size = BYTES_PER_MONOMIAL + self.ring.dim + len(self.ring.symbols)
         check_room(count * size, "a bracket in a modified Hamiltonian")
 
@@ -79,14 +83,25 @@ class Commutators:
         """
         slopes = [[len(term.derivative(i)) for i in range(self.ring.dim)] for term in series if term != 0]
         ahead = sum(sum(map(mul, field, slope)) for field in lengths for slope in slopes)
-        self._check_products(self.spent + ahead)
+        check_products(self.spent + ahead)
 
-    def _check_products(self, count: int) -> None:
-        if count > MOST_PRODUCTS:
-            raise ValueError(
-                f"the brackets of a modified Hamiltonian take {count:.0e} products of monomials or more, and at "
-                f"most {MOST_PRODUCTS:.0e} are made; take a lower order, or a system of fewer coordinates"
-            )
+
+def check_products(count: float) -> None:
+    """Refuse brackets of so many products of monomials, where that is too much.
+
+    Examples
+    --------
+    >>> check_products(2e12)
+    Traceback (most recent call last):
+    ValueError: the brackets of a modified Hamiltonian take 2e+12 products of monomials or more, about 4e+05 s, and at
+    most 1e+08 are made; take a lower order, a system of fewer coordinates, or a run, whose energy shows their sum
+    """
+    if count > MOST_PRODUCTS:
+        raise ValueError(
+            f"the brackets of a modified Hamiltonian take {count:.0e} products of monomials or more, about "
+            f"{SECONDS_PER_PRODUCT * count:.0e} s, and at most {MOST_PRODUCTS:.0e} are made; take a lower order, "
+            "a system of fewer coordinates, or a run, whose energy shows their sum"
+        )
 
 
 class WithFirst:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -173,7 +174,16 @@ def _term_table(parts: Parts) -> TermTable:
 def _state_action(algebra: LieAlgebra, parts: Parts, number: Number) -> Action:
     if number is float and len(parts.offset) <= LARGEST_PATTERN:
         return _remembered_action(algebra, Pattern(parts, *parts.forms, parts.angle))
+    if number is float:
+        if parts not in _ACTIONS:
+            _ACTIONS[parts] = build_action(BasisMatrices.coadjoint(algebra), parts, number)
+        return _ACTIONS[parts]
     return build_action(BasisMatrices.coadjoint(algebra), parts, number)
+
+
+# Of large systems the action takes seconds to be made. All schemes and steps share it, as long as the system lives that
+# the parts are kept for.
+_ACTIONS: WeakKeyDictionary[Parts, Action] = WeakKeyDictionary()
 
 
 @lru_cache(maxsize=256)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.joins import Integers
 from coadjoint.memory import check_room, in_words
+from coadjoint.waiting import tell
 
 # A generator with fewer products is one of a lattice, which may have millions of them.
 WIDE = 1 << 12
@@ -55,3 +56,4 @@ def check_products(products: NDArray[np.int64] | Integers, what: str) -> None:
             f"{SECONDS_PER_STEP * total:.0f} s for a step; take GaussLegendre, which is made ready at once"
         )
     check_room(BYTES_PER_PRODUCT * total, f"a splitting of {what}", "take GaussLegendre")
+    tell(f"making a splitting of {what} ready", SECONDS_PER_PRODUCT * total, "GaussLegendre is made ready at once")

@@ -30,6 +30,8 @@ LARGEST_FOLLOWED = 16
 SAVED = 16
 MOST_WORK = 5e7
 """Steps times the cube of the dimension: on large algebras the element is followed over fewer steps."""
+SECONDS, FEWEST, MOST_STEPS = 2.0, 4, 2**53
+"""About how long the steps with an element may take, and how many are taken all the same."""
 LARGE_CONDITION = 1e3
 KEEPING = ("every representation", "coadjoint")
 
@@ -69,16 +71,20 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
         found = verdict(claimed, None) if claimed else INAPPLICABLE
         return [Row("attitude", "group element", kind, "-", found, claimed=claimed, reason=why)]
     steps = max(min(steps, SAVED), min(steps, int(MOST_WORK / system.dim**3)))
+    with_matrix = min(steps, _affordable(subject, "coadjoint"))
     claimed = kind in KEEPING
-    rows = [_row(subject, "spatial momentum", "spatial momentum", kind, claimed, lambda: _momentum(subject, steps))]
+    rows = [
+        _row(subject, "spatial momentum", "spatial momentum", kind, claimed, lambda: _momentum(subject, with_matrix))
+    ]
     representation = system.representation
     if representation is not None and _carried(subject):
         form = invariant_form(representation)
         if form is not None:
-            rows.append(_row(subject, "group", "group of a form", kind, claimed, lambda: _form(subject, form, steps)))
+            few = min(steps, _affordable(subject, representation))
+            rows.append(_row(subject, "group", "group of a form", kind, claimed, lambda: _form(subject, form, few)))
         if kind == "every representation":
             rows.append(
-                _row(subject, "element", "one group element", kind, claimed, lambda: _one_element(subject, steps))
+                _row(subject, "element", "one group element", kind, claimed, lambda: _one_element(subject, with_matrix))
             )
     # Without a declared order there is no step that an element would tend to its limit with.
     if study is not None and subject.claims.order is not None and system.dim <= LARGEST_FOLLOWED:
@@ -99,6 +105,12 @@ def _row(subject: Subject, key: str, what: str, kind: str, claimed: bool, look: 
     if key == "attitude":
         source = "6 times the error that the last change of the step implies, and round-off"
     return Row(key, what, kind, said, verdict(claimed, defect <= bound), claimed, defect, bound, source)
+
+
+def _affordable(subject: Subject, representation: Any) -> int:
+    """Return how many steps with an element may be taken in some seconds, by counted work."""
+    each = subject.seconds_with(representation) * len(subject.states)
+    return max(FEWEST, int(SECONDS / each)) if each > 0.0 else MOST_STEPS
 
 
 def _carried(subject: Subject) -> bool:

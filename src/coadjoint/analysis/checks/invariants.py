@@ -22,6 +22,10 @@ from coadjoint.systems.quadratic import Quadratic
 
 Floats = NDArray[np.float64]
 
+STEPS = 2000
+FEWEST_STEPS = 32
+"""Of the long run where nobody says how many; fewer would not tell how deviations grow."""
+SECONDS = 3.0
 SAVED = 128
 MUCH_LARGER = 16.0
 LOOKED_AT = 8
@@ -75,13 +79,20 @@ class LongRun:
     until: float = 0.0
 
 
+def steps_of(subject: Subject) -> int:
+    """Return the number of steps of the long run: what was asked for, or what takes some seconds."""
+    if subject.steps is not None:
+        return subject.steps
+    return min(STEPS, max(FEWEST_STEPS, subject.affordable(SECONDS)))
+
+
 def long_run(subject: Subject) -> LongRun:
     """Take the steps of the long run from every state, or half as many until they do not fail.
 
     It is also shortened where states have grown much. The step is then a different one in units of the motion, and the
     linear systems are conditioned worse than the bounds on round-off assume.
     """
-    count, failed, until = subject.steps, "", 0.0
+    count, failed, until = steps_of(subject), "", 0.0
     start = np.linalg.norm(subject.states, axis=1)
     while count:
         try:
@@ -101,11 +112,15 @@ def run_row(subject: Subject, run: LongRun) -> Row:
     A run that fails keeps nothing. So a scheme that declares anything must come to the end.
     """
     key, what, ends = "run", "long run", "ends"
-    steps = f"{subject.steps} steps of {subject.h:g} from {len(subject.states)} states"
+    count, reason = steps_of(subject), ""
+    if subject.steps is None and count < STEPS:
+        whole = subject.seconds * len(subject.states) * STEPS
+        reason = f"a step takes about {subject.seconds:.1g} s; steps={STEPS} would take about {whole:.2g} s"
+    steps = f"{count} steps of {subject.h:g} from {len(subject.states)} states"
     claims = subject.claims
     declares = any(said is not None for said in (claims.order, claims.symmetric, claims.properties))
     if not run.failed:
-        return Row(key, what, ends, steps, verdict(declares, True), claimed=declares)
+        return Row(key, what, ends, steps, verdict(declares, True), claimed=declares, reason=reason)
     if motion(subject.system, subject.states, run.until + subject.h) is None:
         why = "an independent code cannot follow the motion so far either"
         return Row(key, what, ends, run.failed, UNDECIDED, reason=why)
@@ -211,7 +226,7 @@ def _row(
 def _shorter(subject: Subject, run: LongRun) -> str:
     if run.failed:
         return "of the steps that did not fail"
-    shorter = run.solution is not None and run.solution.stats.steps < subject.steps
+    shorter = run.solution is not None and run.solution.stats.steps < steps_of(subject)
     return f"of the steps before a state has grown {MUCH_LARGER:.0f} times" if shorter else ""
 
 

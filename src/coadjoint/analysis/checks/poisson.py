@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.certificate import INAPPLICABLE, Row, verdict
 from coadjoint.analysis.checks.slope import Slope, slope_of_defects
-from coadjoint.analysis.checks.subject import LARGEST_DENSE, Subject
+from coadjoint.analysis.checks.subject import DIRECTIONS, LARGEST_DENSE, Subject, directions
 from coadjoint.analysis.checks.tangents import FLOOR_OF_DIFFERENCES, tangent
 from coadjoint.analysis.poisson_defect import defect_of_tangent
 from coadjoint.errors import IntegrationError
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.waiting import at
 
 SLOPES = 4
 # The roundings of a step that is a function are not counted. They are taken as those of so many evaluations of the
@@ -40,6 +42,8 @@ def poisson_row(subject: Subject, telling: float) -> Row:
     key, what, n = "poisson", "Poisson bracket", subject.system.dim
     if not hasattr(subject.system, "structure_matrix"):
         return Row(key, what, declared, "-", INAPPLICABLE, claimed=claimed, reason="no structure matrix is known")
+    if subject.dear:
+        return _along(subject, telling, Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed))
     if n > LARGEST_DENSE:
         why = f"it needs dense matrices of dimension {n}"
         return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=why)
@@ -82,6 +86,65 @@ def poisson_row(subject: Subject, telling: float) -> Row:
         reason=reason,
         evidence=evidence,
     )
+
+
+def _along(subject: Subject, telling: float, row: Row) -> Row:
+    """Return the row of a scheme whose steps are dear, from the derivatives of a step and of the step back along some
+    directions.
+
+    P J(x) P^T = J(y) says that P J(x) = J(y) Q^T, where y is the step and Q the derivative of the step back at y. A
+    number b.P J(x) a and the number -a.Q J(y) b show the difference of both for two covectors a and b.
+    """
+    if not subject.claims.symmetric:
+        why = f"a step takes about {subject.seconds:.1g} s; of one that its step back does not undo all of P is needed"
+        return Row(**{**vars(row), "reason": why})
+    method, system, n = subject.method, subject.system, subject.system.dim
+    a, b = directions(n, 1), directions(n, 2)
+    worst: tuple[float, float, float] | None = None
+    reason = ""
+    for h in dict.fromkeys((subject.h, telling) if row.claimed else (telling,)):
+        x = subject.states[0]
+        try:
+            after = subject.run(x, h, 1)
+            y = after.x[-1]
+            here, there = (_by_products(system, state, side) for state, side in ((x, a), (y, b)))
+            at(f"derivatives of a step along {DIRECTIONS} directions")
+            forward = method.tangent_on(system, x, 0.0, h, here)
+            back = method.tangent_on(system, y, h, -h, there)
+            exact = method.tangent_by(system, x, 0.0, h) != "differences"
+        except (IntegrationError, TypeError, ValueError) as error:
+            reason = reason or f"at the step {h:.3g}: {error}"
+            continue
+        # The mean square over directions is that of the entries.
+        defect = n * float(np.sqrt(np.mean((b.T @ forward + (a.T @ back).T) ** 2)))
+        sizes = (_mean_size(forward, n), _mean_size(back, n))
+        operations = (max(after.stats.evaluations, UNCOUNTED) + 4) * n
+        bound = (64 * UNIT_ROUNDOFF * operations if exact else FLOOR_OF_DIFFERENCES) * sum(sizes)
+        if worst is None or defect * worst[1] > worst[0] * bound:
+            worst = (defect, bound, h)
+    if worst is None:
+        return Row(**{**vars(row), "reason": reason})
+    defect, bound, h = worst
+    return Row(
+        row.key,
+        row.what,
+        row.declared,
+        f"defect {defect:.2g} at the step {h:.3g}, by tangents along {DIRECTIONS} directions there and back",
+        verdict(row.claimed, defect <= bound),
+        claimed=row.claimed,
+        value=defect,
+        bound=bound,
+        source="64 u (|P J| + |Q J|) times the operations" if exact else "floor of differences, 1e-9 (|P J| + |Q J|)",
+        reason=reason,
+    )
+
+
+def _by_products(system: Any, x: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(system.structure_matrix(x) @ vectors)
+
+
+def _mean_size(columns: NDArray[np.float64], n: int) -> float:
+    return float(np.sqrt(n * np.mean(np.sum(columns**2, axis=0))))
 
 
 def _defect(subject: Subject, x: NDArray[np.float64], h: float) -> tuple[float, float, str]:

@@ -27,6 +27,8 @@ FINEST, FINEST_OF_PYTHON = 512, 128
 MOST_GIVEN = 4096
 FEW = 64
 MOST_TRIALS = 16
+SECONDS = 3.0
+"""Of all runs, where a step is dear: about so long the study takes."""
 # Errors of high order fall by so much from one step of the study to the next. For low orders the step is halved.
 FALL = 16.0
 
@@ -93,19 +95,22 @@ def study(subject: Subject) -> Study | None:
         None where there is no reference.
     """
     p = subject.claims.order
+    finest = FINEST if subject.compiled else FINEST_OF_PYTHON
+    # All runs of the study together have about twice the steps of the longest.
+    most = subject.affordable(SECONDS / 2)
+    most_given, few, finest = min(MOST_GIVEN, most), min(FEW, max(1, most // 4)), min(finest, most)
     for halving in range(SHORTER):
         wanted = NATURAL_TIMES / 2.0**halving * subject.span_time
         # Where the given step is tiny, the order is measured with larger ones; where it is huge, with smaller ones.
         given = round(min(wanted / abs(subject.h), 2.0 * MOST_GIVEN))
         given = given if halving else max(1, given)
-        given = 0 if given > MOST_GIVEN else given
-        span, first = (given * subject.h, given) if given else (math.copysign(wanted, subject.h), FEW)
+        given = 0 if given > most_given else given
+        span, first = (given * subject.h, given) if given else (math.copysign(wanted, subject.h), few)
         reference = motion(subject.system, subject.states, span)
         if reference is not None:
             break
     else:
         return None
-    finest = FINEST if subject.compiled else FINEST_OF_PYTHON
     ratio = min(2.0, FALL ** (1.0 / p)) if p else math.sqrt(2.0)
     found = Study(span, [], [], [], [], reference, given, [])
     size = float(np.linalg.norm(reference.states)) or 1.0
@@ -141,7 +146,7 @@ def study(subject: Subject) -> Study | None:
         if count in found.counts and not clear(count):
             break
         count = max(count + 1, math.ceil(count * ratio))
-        if count > max(finest, 4 * first):
+        if count > min(max(finest, 4 * first), most):
             break
         tried(count)
     count = first

@@ -18,6 +18,7 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.solution import Solution
 from coadjoint.systems.kinds import System
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.waiting import at
 
 Floats = NDArray[np.float64]
 
@@ -28,6 +29,13 @@ MOST_STATES = 8
 APART = 0.7
 LARGEST_DENSE = 256
 """Dimension up to which matrices of a step are looked at."""
+ROTATION = 1.1e-8
+"""Seconds of one core that the unit of counted work takes."""
+DEAR = 1e-3
+"""Seconds of a step from which on matrices are looked at along some directions, and fewer states are taken."""
+STATES_OF_DEAR_STEPS = 2
+DIRECTIONS = 4
+SEED = 1993
 
 
 @dataclass(frozen=True)
@@ -43,8 +51,8 @@ class Subject:
         The step; negative for backward.
     given : ndarray, shape (k, n)
         The states that were given.
-    steps : int
-        Number of steps of the long run.
+    steps : int or None
+        Number of steps of the long run; None is as many as take a few seconds, 2000 at most.
     compiled : bool
         Whether steps are cheap; those of a function of the user are not.
     """
@@ -54,24 +62,55 @@ class Subject:
     claims: Claims
     h: float
     given: Floats
-    steps: int
+    steps: int | None
     compiled: bool = True
     _prepared: dict[Any, PreparedRun] = field(default_factory=dict)
+    _conditions: dict[Any, float] = field(default_factory=dict)
 
     @cached_property
     def states(self) -> Floats:
         """States, shape (k, n): those given, and where they are few, further ones along the motion of the first."""
-        if len(self.given) >= FEWEST_STATES:
-            return self.given[:MOST_STATES]
+        fewest, most = (STATES_OF_DEAR_STEPS,) * 2 if self.dear else (FEWEST_STATES, MOST_STATES)
+        if len(self.given) >= fewest:
+            return self.given[:most]
         found, x = list(self.given), self.given[0]
         apart = np.copysign(APART * self.time, self.h)
-        while len(found) < FEWEST_STATES:
+        while len(found) < fewest:
             ahead = motion(self.system, x[None], float(apart))
             if ahead is None:
                 break
             x = ahead.states[0]
             found.append(x)
         return np.array(found)
+
+    @cached_property
+    def seconds(self) -> float:
+        """About how many seconds of one core a step of one state takes, by counted work: no clock is asked.
+
+        0 where that is not known: where the step is a function of the user, or fails.
+        """
+        return self.seconds_with(None)
+
+    def seconds_with(self, representation: Any) -> float:
+        """Return the same with a group element in a representation, (n, d, d) or "coadjoint"."""
+        if not self.compiled:
+            return 0.0
+        try:
+            stats = self.run(self.given[0], self.h, 1).stats
+        except IntegrationError:
+            return 0.0
+        work = self.method.work(self.system, representation)
+        return ROTATION * float(work.cost(stats.iterations, stats.evaluations))
+
+    @property
+    def dear(self) -> bool:
+        """Whether a step takes so long that fewer states and steps are taken."""
+        return self.seconds > DEAR
+
+    def affordable(self, seconds: float) -> int:
+        """Return how many steps of all states may be taken in some seconds: a very large number for cheap ones."""
+        each = self.seconds * len(self.states)
+        return max(1, int(seconds / each)) if self.dear else 2**53
 
     @cached_property
     def time(self) -> float:
@@ -126,7 +165,27 @@ class Subject:
         return 4 * self.system.dim * UNIT_ROUNDOFF * (count + 1)
 
     def condition(self, x: Floats, h: float) -> float:
-        """Return how much a step of length h and one back amplify, by differences: |P| |P^-1|."""
+        """Return how much a step of length h and one back amplify, by differences: |P| |P^-1|.
+
+        Where a step is dear, the norms are those of some directions, and the inverse is the step back.
+        """
+        key = x.tobytes(), h
+        if key not in self._conditions:
+            self._conditions[key] = self._estimate(x, h) if self.dear else self._condition(x, h)
+        return self._conditions[key]
+
+    def _estimate(self, x: Floats, h: float) -> float:
+        there = self.step(x[None], h)[0]
+        return self.size_of_tangent(x, h) * self.size_of_tangent(there, -h)
+
+    def size_of_tangent(self, x: Floats, h: float) -> float:
+        """Return the norm of the derivative of a step, by differences along some directions."""
+        small = 2.0**-17 * (float(np.max(np.abs(x))) or 1.0)
+        units = directions(len(x)).T
+        moved = (self.step(x + small * units, h) - self.step(x - small * units, h)) / (2 * small)
+        return float(np.sqrt(len(x) * np.mean(np.sum(moved**2, axis=1))))
+
+    def _condition(self, x: Floats, h: float) -> float:
         small = 2.0**-17 * (float(np.max(np.abs(x))) or 1.0)
         units = small * np.eye(len(x))
         ahead, behind = self.step(x + units, h), self.step(x - units, h)
@@ -152,6 +211,7 @@ class Subject:
         t: float = 0.0,
     ) -> Solution:
         """Run so many steps of length h, from the time t."""
+        at("a run of one step" if count == 1 else f"a run of {count} steps")
         kind = attitude if isinstance(attitude, bool | str) else "given"
         key = (abs(h), kind, watch)
         if key not in self._prepared:
@@ -159,3 +219,15 @@ class Subject:
                 self.system, self.method, abs(h), attitude=attitude, watch=watch, threads=1
             )
         return self._prepared[key].run(x, (t, t + count * h), count if save_every is None else save_every)
+
+
+def directions(size: int, number: int = 0) -> Floats:
+    """Return `DIRECTIONS` vectors of length 1 in columns, the same ones always; `number` tells one set from another.
+
+    Examples
+    --------
+    >>> directions(100).shape, bool((directions(100) == directions(100)).all())
+    ((100, 4), True)
+    """
+    found = np.random.default_rng([SEED, number]).standard_normal((size, DIRECTIONS))
+    return np.asarray(found / np.linalg.norm(found, axis=0))

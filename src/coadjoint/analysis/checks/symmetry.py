@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.certificate import INAPPLICABLE, Row, verdict
 from coadjoint.analysis.checks.slope import Slope, slope_of_defects
-from coadjoint.analysis.checks.subject import LARGEST_DENSE, Subject
+from coadjoint.analysis.checks.subject import DIRECTIONS, LARGEST_DENSE, Subject
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 
@@ -21,6 +21,7 @@ There = Callable[[Floats, float], Floats]
 MOST_COORDINATES = 10
 """Up to so many, all reflections of coordinates are tried; beyond, x -> -x alone."""
 SLOPES = 6
+ALONG = f", seen along {DIRECTIONS} directions"
 # A step that is a function of the user may iterate. What the iteration leaves is measured as noise, and allowed up to
 # this size.
 MOST_NOISE = 1e-6
@@ -112,7 +113,7 @@ def _row(subject: Subject, telling: float, key: str, what: str, claim: bool | No
     if worst is None:
         return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=failed)
     defect, bound, h = worst
-    fitted = _defect_slope(subject, there, telling)
+    fitted = None if subject.dear and defect <= bound else _defect_slope(subject, there, telling)
     measured = f"defect {defect:.2g} at the step {h:.3g}"
     if defect > bound and fitted is not None:
         measured += f", of order {fitted}"
@@ -126,7 +127,7 @@ def _row(subject: Subject, telling: float, key: str, what: str, claim: bool | No
         claimed=claimed,
         value=defect,
         bound=bound,
-        source="round-off of two steps times the condition of one",
+        source="round-off of two steps times the condition of one" + (ALONG if subject.dear else ""),
         reason=failed,
         evidence=points,
     )

@@ -1,0 +1,131 @@
+"""Ctrl-C while something is made ready: it ends at once, leaves nothing behind, and the next call works."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+
+LONGEST = 3.0
+"""Seconds until an interrupt is heard; one on an idle machine."""
+CHILD = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import numpy as np
+import coadjoint as co
+from coadjoint.waiting import LongWait
+import warnings
+warnings.simplefilter("ignore")
+{setting}
+print("begun", flush=True)
+try:
+    {work}
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+else:
+    print("done", flush=True)
+{again}
+print("again", flush=True)
+"""
+FULL = """
+def system(g):
+    A = np.random.default_rng(1).normal(size=(g.dim, g.dim))
+    return co.LiePoissonSystem(g, co.Quadratic(A + A.T))
+"""
+FUNCTIONS = """
+def energy(k):
+    source = f"def value(x): return {k} * np.cosh(x)" + chr(10) + f"def slope(x): return {k} * np.sinh(x)"
+    names = {"np": np}
+    exec(source, names)
+    return names["value"], names["slope"]
+def spins(count):
+    H = co.Separable({3 * k: energy(1.0 + k) for k in range(count)})
+    return co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), count), H)
+def run(count):
+    return co.integrate(spins(count), np.tile([0.3, 0.4, -0.2], count), (0, 1), 0.1, co.Splitting())
+"""
+CASES = {
+    "a splitting": (
+        FULL + "large, small = system(co.algebras.su(16)), system(co.algebras.su(3))",
+        "co.prepare(large, co.Splitting(), 0.1)",
+        "assert co.integrate(small, np.ones(8) / 3, (0, 1), 0.1, co.Splitting()).drift()['energy'] < 1.0",
+    ),
+    "functions": (FUNCTIONS, "run(200)", "assert run(3).x.shape == (11, 9)"),
+    "Casimirs": (
+        "g = co.algebras.su(6)",
+        "g.casimirs(3)",
+        "assert list(co.algebras.su(3).casimirs(3)) == ['C2', 'C3']",
+    ),
+}
+
+
+def child(code, folder):
+    environment = os.environ | {"PYTHONPATH": str(Path(co.__file__).parents[1]), "TMPDIR": str(folder)}
+    environment["NUMBA_CACHE_DIR"] = str(folder)
+    return subprocess.Popen([sys.executable, "-c", code], stdout=-1, stderr=-1, text=True, env=environment, cwd=folder)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_making_ready_ends_at_an_interrupt(case, tmp_path):
+    setting, work, again = CASES[case]
+    with child(CHILD.format(setting=setting, work=work, again=again), tmp_path) as process:
+        assert process.stdout.readline() == "begun\n"
+        time.sleep(0.4)
+        process.send_signal(signal.SIGINT)
+        sent = time.monotonic()
+        assert process.stdout.readline() == "interrupted\n"
+        assert time.monotonic() - sent < LONGEST
+        rest, complaint = process.communicate(timeout=120)
+    assert (process.returncode, rest, complaint) == (0, "again\n", "")
+    assert os.listdir(tmp_path) == []
+
+
+FILE = """
+[algebra]
+name = "su(14)"
+
+[hamiltonian]
+M = {M}
+
+[initial]
+x = {x}
+
+[method]
+name = "Splitting"
+
+[run]
+t_span = [0.0, 1.0]
+step = 0.1
+"""
+
+
+def test_the_command_ends_in_one_line_while_it_makes_a_run_ready(tmp_path):
+    n = 14**2 - 1
+    A = np.random.default_rng(1).normal(size=(n, n)).round(2)
+    Path(tmp_path, "wide.toml").write_text(FILE.format(M=(A + A.T).tolist(), x=[0.05] * n), encoding="utf-8")
+    # It says itself when it begins to look for the parts of H, which takes seconds.
+    code = "\n".join(
+        [
+            "import sys",
+            "from coadjoint.program import decompose",
+            "split = decompose.split",
+            "decompose.split = lambda *given: (print('begun', flush=True), split(*given))[1]",
+            "from coadjoint.cli import run",
+            "sys.argv = ['coadjoint', 'run', 'wide.toml', '--out', 'wide.zarr']",
+            "run()",
+        ]
+    )
+    with child(code, tmp_path) as process:
+        assert process.stdout.readline() == "begun\n"
+        process.send_signal(signal.SIGINT)
+        sent = time.monotonic()
+        rest, complaint = process.communicate(timeout=120)
+        assert time.monotonic() - sent < LONGEST
+    assert (process.returncode, rest, complaint) == (130, "", "coadjoint: interrupted\n")
+    assert os.listdir(tmp_path) == ["wide.toml"]

@@ -1,0 +1,117 @@
+"""Nobody waits for long without a word: beforehand where the time is estimated, else after some seconds, once."""
+
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+
+import coadjoint as co
+from coadjoint import waiting
+from coadjoint.algebra import casimirs
+from coadjoint.waiting import LongWait, at, tell
+
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(Path(co.__file__).parents[1])}
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that a test moves on."""
+    now = [0.0]
+    monkeypatch.setattr(waiting.time, "monotonic", lambda: now[0])
+    return now
+
+
+def said(action):
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        action()
+    assert all(one.category is LongWait for one in found)
+    return [str(one.message) for one in found]
+
+
+def test_what_takes_seconds_is_told_beforehand():
+    assert said(lambda: tell("to make it ready", waiting.LONG)) == []
+    assert said(lambda: tell("to make it ready", 42.0, "take rk4")) == ["to make it ready takes about 42 s; take rk4"]
+
+
+def test_long_work_says_once_where_it_is_and_how_long_it_goes_on(clock):
+    def work():
+        with waiting.waiting("certify"):
+            for now in (2.0, waiting.LONG, 6.0, 60.0):
+                clock[0] = now
+                at("the long run", now / 24.0)
+
+    assert said(work) == [
+        "certify has taken 6 s so far, and about 18 s are left: it is at the long run; Ctrl-C ends it"
+    ]
+
+
+def test_the_outer_of_two_speaks_for_both(clock):
+    def work():
+        with waiting.waiting("certify"):
+            clock[0] = 4.0
+            for _ in range(2):
+                with waiting.waiting("choose"):
+                    clock[0] += 4.0
+                    at("a pilot run")
+
+    assert said(work) == ["certify has taken 8 s so far: it is at a pilot run; Ctrl-C ends it"]
+
+
+def test_outside_of_any_work_nothing_is_said(clock):
+    def work():
+        with waiting.waiting("certify"):
+            pass
+        clock[0] = 100.0
+        at("nothing")
+
+    assert said(work) == []
+
+
+def test_work_that_fails_is_over(clock):
+    def work():
+        with pytest.raises(ValueError, match="wrong"), waiting.waiting("certify"):
+            raise ValueError("wrong")
+        clock[0] = 100.0
+        at("nothing")
+
+    assert said(work) == []
+
+
+def test_the_line_of_the_caller_is_named(clock, monkeypatch):
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        tell("to make it ready", 42.0)
+        clock[0] = 0.0
+        with monkeypatch.context() as patch:
+            patch.setattr(casimirs, "generic_rank", lambda *given: (clock.append(clock.pop() + 9.0), 0)[1])
+            co.algebras.su(2).casimirs(3)
+    assert [one.filename for one in found] == [__file__, __file__]
+
+
+def test_the_command_tells_it_at_once():
+    """Other warnings are told in the end."""
+    code = "\n".join(
+        [
+            "import sys, warnings",
+            "from coadjoint import commands, waiting",
+            "def performed(arguments):",
+            "    warnings.warn('of another kind', UserWarning)",
+            "    waiting.tell('to make it ready', 42.0)",
+            "    print('ready', file=sys.stderr)",
+            "    return 0, ''",
+            "commands._performed = performed",
+            "from coadjoint.cli import main",
+            "sys.exit(main(['run', 'x.toml']))",
+        ]
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=ENVIRONMENT)
+    assert (done.returncode, done.stdout) == (0, "")
+    assert done.stderr.splitlines() == [
+        "coadjoint: warning: to make it ready takes about 42 s",
+        "ready",
+        "coadjoint: warning: of another kind",
+    ]
