@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program import blocks, clashing_forms, commutation, decompose
+from coadjoint.program import blocks, clashing_forms, commutation, decompose, table
 from coadjoint.program.commutation import Commutation
 from coadjoint.program.quadratic_atoms import quadratic_atoms
 from coadjoint.program.wide_generators import TooWide, check_products
@@ -146,8 +146,10 @@ def test_lattices_are_not_too_wide():
 
 
 def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
-    """Before most of them are made, on su(6) of 35 coordinates."""
-    from coadjoint.program import sweep_logarithm
+    """Before most of them are made, on su(6) of 35 coordinates, also where their number was not foreseen."""
+    from coadjoint.program import modified_terms, sweep_logarithm
+
+    monkeypatch.setattr(modified_terms, "products_ahead", lambda *given: 0.0)
 
     g = co.algebras.su(6)
     system = co.LiePoissonSystem(g, co.Quadratic(symmetric(np.random.default_rng(1), g.dim, 1.0)))
@@ -184,9 +186,19 @@ def test_terms_that_would_take_days_are_refused_at_once():
     g = co.algebras.su(9)
     system = co.LiePoissonSystem(g, co.Quadratic(symmetric(np.random.default_rng(1), g.dim, 1.0)))
     begun = time.process_time()
-    with pytest.raises(
-        ValueError, match=r"take .e\+10 products of monomials .* about .e\+0[34] s, .* a lower order"
-    ):
+    with pytest.raises(ValueError, match=r"take .e\+10 products of monomials .* about .e\+0[34] s, .* a lower order"):
         co.modified_hamiltonian(system, co.Splitting(order=2), order=4)
     assert time.process_time() - begun < 10.0
     assert list(co.modified_hamiltonian(system, co.Splitting(order=2), order=2).terms) == [0]
+
+
+def test_the_action_of_a_large_splitting_is_made_once(monkeypatch):
+    """For all schemes and steps of a system, and for no other one."""
+    made = []
+    plain = table.build_action
+    monkeypatch.setattr(table, "build_action", lambda *given: (made.append(1), plain(*given))[1])
+    g = co.algebras.su(9)
+    one, other = (co.LiePoissonSystem(g, co.Quadratic(np.linspace(1.0, last, g.dim))) for last in (2.0, 3.0))
+    shown = co.Splitting(order=2).program(one).state
+    assert co.Splitting(order=4).program(one).state is shown and len(made) == 1
+    assert co.Splitting(order=2).program(other).state is not shown and len(made) == 2
