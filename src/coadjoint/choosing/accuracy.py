@@ -112,43 +112,44 @@ def choose(
 ) -> Choice:
     """Choose the scheme and the step that reach a wanted accuracy with the least work.
 
-    The same inputs give the same choice: work is counted, not timed. Each scheme is run from x0 over a window, against
-    a reference that has settled; its error is extrapolated by its order in the step, and by its growth over a quarter,
-    a half and the whole window in time (at least linear, and quadratic for schemes that are neither symmetric nor
-    Poisson maps). Rounding is modelled. The choice is run over the window once more, and its step corrected if it
-    misses. A motion that changes its character after the window is not foreseen.
+    The same inputs give the same choice, since operations are counted and no time is measured. Each scheme runs from x0
+    over a window at the beginning of the span, and is compared with an accurate reference. The error at other steps
+    follows from the order. The error at the end of the span is extrapolated from its growth over a quarter, a half and
+    the whole window; the growth is taken as linear at least, and as quadratic at least for schemes that are neither
+    symmetric nor Poisson maps. Rounding is estimated. The chosen scheme runs over the window once more, and its step is
+    corrected if the error is too large. A motion that changes its character after the window is not foreseen.
 
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        What moves.
+        The system.
     x0 : array_like, shape (n,) or (members, n)
-        Initial momentum; of an ensemble, the worst of four members decides, which a coarse run picks.
+        Initial momentum. For an ensemble, the worst of four members decides, which a coarse run selects.
     t_span : (float, float)
-        Start and end, backward too.
+        Start and end; the end may be the smaller one.
     accuracy : float
         Wanted: abs(x_num(t_end) - x(t_end)) <= accuracy * max abs(x(t)). Between 0 and 1.
     attitude : bool, "coadjoint", or array_like
-        What the run is to carry, as in `integrate`: schemes that cannot are left out, and its work is counted. The
-        accuracy is that of the momentum.
+        Whether the run computes the group element, as in `integrate`. Schemes that cannot are left out, and its work is
+        counted. The accuracy is that of the momentum.
     methods : Method or sequence of Method, optional
-        Choose among these, or only the step for one; None is the rule's own list, Taylor series of order 6 to 24
-        with a constant step and in steps of their own (whose `tolerance` is chosen), Gauss-Legendre methods of 2 to 12
-        stages and splittings of order 2 to 10. Splittings alone keep a run a Poisson map.
+        The schemes to choose from; with a single one, only its step is chosen. The default is Taylor series of order 6
+        to 24 with a constant step or with steps of their own (whose `tolerance` is chosen), Gauss-Legendre methods of 2
+        to 12 stages, and splittings of order 2 to 10. Among these only splittings are Poisson maps.
     processed : bool
-        Consider processed splittings too. Their processor is not counted: for runs that look at few points, with
-        ``watch=False`` and a large `save_every`.
+        Include processed splittings. The cost of their processor is not counted, so use this for runs with few saved
+        points, ``watch=False`` and a large `save_every`.
 
     Returns
     -------
     Choice
-        With the scheme, the step, and what is expected of them.
+        The scheme, the step, and the expected error.
 
     Raises
     ------
     ValueError, TypeError
-        For wrong input; for an accuracy that no scheme reaches in float64 over the span, with the one that is reached;
-        for a motion that cannot be followed.
+        For wrong input; for an accuracy that no scheme reaches in float64 over the span (the message gives the smallest
+        possible one); for a motion that cannot be computed.
 
     See Also
     --------

@@ -50,12 +50,14 @@ def stages_given(value: Any, what: str) -> int:
 class GaussLegendre(RungeKuttaMethod):
     """The Gauss-Legendre method with s stages: implicit, symmetric, of order 2 s; keeps every quadratic invariant.
 
-    ``X_i = x + h sum_j a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)`` (equation (5)), by function iteration
-    until the corrections stop falling, and by Newton's method where that is slow or diverges. With many stages and
-    a large step it is a cheap way to high accuracy for any Hamiltonian (`Taylor` is mostly cheaper where that is a
-    polynomial); energy (if quadratic) and quadratic Casimirs then wander like the square root of time only. It is not
-    a Poisson map unless the bracket is constant (canonical variables), and Casimirs of higher degree are not kept: for
-    these take `Splitting`. `GaussLegendre(1)` is the implicit midpoint rule.
+    Choose it for high accuracy with any Hamiltonian, with many stages and a large step. (For polynomials `Taylor` is
+    mostly cheaper.) The errors of a quadratic energy and of quadratic Casimirs are round-off, which grows like the
+    square root of time. It is no Poisson map unless the bracket is constant (canonical variables), and does not keep
+    Casimirs of higher degree; for these take `Splitting`. `GaussLegendre(1)` is the implicit midpoint rule.
+
+    The equations are ``X_i = x + h sum_j a_ij f(X_j)``, ``x_new = x + h sum_i b_i f(X_i)`` (equation (5) of the paper).
+    They are solved by function iteration until the corrections stop falling, and by Newton's method if that is slow or
+    diverges.
 
     Parameters
     ----------
@@ -69,12 +71,12 @@ class GaussLegendre(RungeKuttaMethod):
 
     Notes
     -----
-    Computed as ``L_j = h b_j f(X_j)``, ``X_i = x + sum_j mu_ij L_j``, ``x_new = x + sum_j L_j`` with mu_ij = a_ij /
-    b_j rounded such that mu_ij + mu_ji = 1 exactly, and compensated summation. Stages start where the polynomial of
-    the step before leads, and their corrections are watched from the iteration in which they fell last in that step;
-    both belong to what a run keeps, so that a run that is cut has the same bits. Where
-    function iteration fails, Newton's method starts from X_i = x, with a dense matrix up to 200 unknowns, and above
-    with a banded one where the coordinates can be ordered so, or with none (GMRES).
+    A step computes ``L_j = h b_j f(X_j)``, ``X_i = x + sum_j mu_ij L_j``, ``x_new = x + sum_j L_j`` with mu_ij = a_ij /
+    b_j, rounded such that mu_ij + mu_ji = 1 exactly, and with compensated summation. The stages start from the
+    extrapolated previous step. Convergence is tested from the iteration in which it was reached in the previous step.
+    Both are part of the state of a run, so that a run that is interrupted and resumed has the same bits. If function
+    iteration fails, Newton's method starts from X_i = x. It uses a dense matrix for up to 200 unknowns, above that a
+    banded one if the coordinates can be ordered so, and otherwise none (GMRES).
 
     References
     ----------

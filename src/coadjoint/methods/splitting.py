@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 class Splitting(FlowMethod):
     """Composition of exact flows of parts of the Hamiltonian: explicit, a Poisson map, keeps all Casimirs.
 
-    The first choice for long runs: each step costs a few rotations or shears, is a Poisson map to round-off, and keeps
-    every Casimir and the spatial momentum of every representation. The energy is not kept but stays within
-    O(step^order) for exponentially long times.
+    The first choice for long runs. Each step costs a few rotations or shears. It is a Poisson map to round-off, and
+    keeps every Casimir and the spatial momentum of every representation. The energy is not kept exactly, but its error
+    stays within O(step^order) for exponentially long times.
 
     Parameters
     ----------
@@ -43,31 +43,29 @@ class Splitting(FlowMethod):
         4, 6, 8, 10: a symmetric composition of 5, 11, 21, 35 steps of order 2, of smallest error at equal cost on a
         rigid body.
     parts : "auto", "coordinates", "free_body", "bonds", sequence of sequences of int, or ChosenParts
-        ``"auto"``: commuting coordinates share a part, couplings inside a part are exact; multiples of quadratic
-        Casimirs are taken off H where that removes a part or lowers the error, and the parts are ordered, by the
-        algebra and H alone: the same system always gets the same (`describe` shows them). ``"coordinates"``: the
-        paper's, one coordinate each. ``"free_body"``: coordinates that span so(3), with all of the energy that is
-        quadratic in them, move as free rigid bodies, exactly, and turn everything else; a heavy top is then a free body
-        and gravity, a gyrostat a free body and a rotation about the axis of its rotors, and a rigid body alone has no
-        error but rounding. It costs about seven rotations, and pays where what is added to the body is weak.
-        ``"bonds"``: for momenta of copies of so(3), such as spins, each isotropic coupling c z.w is an exact flow,
-        which turns both about their sum; couplings that share no momentum are one part. The total momentum is then kept
-        wherever the couplings alone keep it, to rounding. Sets of coordinates are used as given, in that order. What
-        `tuned` chose for a state is explicit as well. Where M is not diagonal and couples coordinates that do not
-        commute, the parts are completed squares.
+        How H is divided into parts. ``"auto"``: commuting coordinates share a part. Multiples of quadratic Casimirs are
+        subtracted from H where this removes a part or lowers the error, and the parts are ordered. The same system
+        always has the same parts; `describe` shows them. ``"coordinates"``: one part for each coordinate, as in the
+        paper. ``"free_body"``: coordinates that span so(3), with all of the energy that is quadratic in them, are one
+        part, which is solved exactly as a free rigid body. A rigid body alone then has no error except rounding. This
+        costs about seven rotations, and is worth it if the rest of H is weak. ``"bonds"``: for copies of so(3), such as
+        spins, each isotropic coupling c z.w of two momenta is solved exactly, as a rotation of both about their sum.
+        Couplings that share no momentum are one part. The total momentum is then kept to rounding, if the couplings
+        keep it. Sets of coordinates are used as given, in that order. `tuned` returns a splitting with explicit parts.
+        If M couples coordinates that do not commute, the parts are completed squares.
     compensated : bool, optional
-        Compensated summation of the momentum; None is no. (The group element is always compensated.) Without it the
-        Casimirs of a rigid body, a heavy top and a body on so(4) are off by 5e-13, 3e-13 and 8e-13 of abs(x)^2 after
-        10^7 steps of 0.1 (root mean square of 16 states), growing like the root of time or a little faster, with a full
-        M on so(3) by 6e-12 and linearly; that is far below the energy error of any order, and the fastest. With it they
-        are off by 8e-15, 8e-15 and 3e-14, growing like the root of time (full M: 4e-13), for 1.1 to 1.4 times the time.
+        Whether the sums of the momentum are compensated, which reduces round-off; the default is no. (Those of the
+        group element always are.) After 10^7 steps of 0.1, the Casimirs of a rigid body, a heavy top and a body on
+        so(4) are off by 5e-13, 3e-13 and 8e-13 of abs(x)^2 without compensation, growing like the square root of time
+        or a little faster (root mean square of 16 states); with a full M on so(3) it is 6e-12, growing linearly. This
+        is far below the energy error of any order. With compensation they are off by 8e-15, 8e-15 and 3e-14, growing
+        like the square root of time (full M: 4e-13), and a step takes 1.1 to 1.4 times as long.
     rotation : {"exact", "rational"}
-        ``"exact"``: by sine and cosine. ``"rational"``: tan(angle/2) := half the angle, without trigonometry. The error
-        of order 2 is another one, everything else is kept, Poisson too: a rational rotation is the exact flow of
-        another function of the same form. Refused where it would not be: where a generator is no rotation of a single
-        frequency, or the angle depends on more than its own form. Two half rational rotations are not a whole one, so
-        consecutive steps share no flow, and a step takes about 1.1 times as long as an exact one: choose it for maps
-        without transcendental functions, not for speed.
+        ``"exact"``: by sine and cosine. ``"rational"``: with tan(angle/2) replaced by half the angle, so without
+        trigonometric functions. The step is still a Poisson map and keeps the same invariants, but has another error of
+        order 2. It is refused for a generator that is no rotation of a single frequency, and for an angle that depends
+        on more than its own linear form. A step takes about 1.1 times as long as an exact one, since consecutive steps
+        cannot share a flow. Choose it for maps without transcendental functions, not for speed.
     scheme : str, optional
         A named scheme in place of `order`, one of `coadjoint.methods.splitting_schemes.SCHEMES`: ``"strang"``,
         ``"yoshida4"`` (the paper's fourth-order scheme), ``"suzuki4"``, ``"kahan_li8a"``, ... Processed schemes

@@ -48,23 +48,24 @@ LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-18, 0.1
 class Taylor(CompiledStepMethod):
     """The Taylor series of the motion, and a projection that keeps energy and Casimirs at their initial values.
 
-    The coefficients follow from each other by products of series, ``x_(k+1) = f_k / (k + 1)`` with f_k those of the
-    field. A step is explicit and long, up to about the time in which the momentum turns by one radian. It costs about
-    order^2 / 2 evaluations of the products in the field. With a `tolerance` it takes steps of its own, as long as the
-    terms of the series allow: take it where the motion calms down or speeds up. The step of a run is then the distance
-    of the points at which one looks. What one sees there is the series itself, and neither these points nor who looks
-    change anything of the motion. Choose it for accuracy: where an error is to be reached with
-    the least work it is mostly the fastest scheme, and `choose` takes it. It is no Poisson map. For statistics of
-    chaotic motion, or energies that stay near forever without being forced to, take `Splitting`.
+    Choose it for accuracy: if an error is to be reached with the least work, it is mostly the fastest scheme, and
+    `choose` takes it. It is no Poisson map. For statistics of chaotic motion, or for energies that stay close without a
+    projection, take `Splitting`.
 
-    It serves every Hamiltonian that is a polynomial, of any degree, on every algebra. With ``projected`` the energy and
-    the polynomial Casimirs have the values of the start of the run after every step, up to rounding, however long the
-    run: y = z + sum_a lambda_a grad C_a(z), with C_a(y) = C_a(start).
+    The coefficients follow from each other by products of series, ``x_(k+1) = f_k / (k + 1)``, where f_k are those of
+    the field. A step is explicit and long, up to about the time in which the momentum turns by one radian. It costs
+    about order^2 / 2 evaluations of the products in the field. With a `tolerance` the scheme chooses its own steps, as
+    long as the terms of the series allow. Use this if the motion slows down or speeds up. The step of a run is then the
+    distance of the points that can be saved, and these points do not change the motion.
 
-    A group element goes along in every representation, as accurate as the momentum. Over a step the gradient of H is a
-    polynomial of the time, and the group equation with that polynomial is solved up to rounding. So the element stays
-    in its group: rotations stay orthogonal. The spatial momentum is kept as well as the series is accurate; take
-    `Splitting` where it is to be kept up to rounding.
+    It needs a polynomial Hamiltonian, of any degree, on any algebra. With ``projected`` the energy and the polynomial
+    Casimirs have their initial values after every step, up to rounding, however long the run is: y = z + sum_a lambda_a
+    grad C_a(z), with C_a(y) = C_a(start).
+
+    A group element is computed in every representation, as accurately as the momentum. Over a step the gradient of H is
+    a polynomial of time, and the group equation with this polynomial is solved to rounding. So the element stays in its
+    group: rotations stay orthogonal. The spatial momentum is kept as well as the series is accurate. Take `Splitting`
+    to keep it to rounding.
 
     Parameters
     ----------
@@ -72,10 +73,10 @@ class Taylor(CompiledStepMethod):
         Order p of the series, from 1 to 64. About 8 for errors of 1e-3, 12 for 1e-6, 18 for 1e-9, 24 for 1e-12. None is
         16, or what suits the `tolerance`.
     projected : bool
-        Whether the invariants are restored. Otherwise they are kept as well as the series is accurate.
+        Whether the invariants are reset after every step. Otherwise they are kept as well as the series is accurate.
     tolerance : float, optional
-        Wanted error of one of its own steps, relative to the largest size of the momentum so far; 1e-18 to 0.1. Errors
-        of the steps add up, and grow as the motion lets them. None is the step of the run.
+        Wanted error of each step, relative to the largest momentum so far, from 1e-18 to 0.1; the scheme then chooses
+        its own steps. Errors of the steps add up, and grow with the motion. By default the steps are those of the run.
 
     Raises
     ------

@@ -40,60 +40,60 @@ def integrate(
 ) -> Solution:
     """Integrate a system at a constant step, given or chosen for a wanted accuracy.
 
-    `prepare` sets a run up once for many calls.
+    For many short runs of one system use `prepare`.
 
-    No Python runs between saved points. The same inputs give the same bits, whatever `save_every`, `watch`, `threads`,
-    and whether a member runs alone or with others.
+    The loop over the steps is compiled. The same inputs give the same bits, whatever `save_every`, `watch` and
+    `threads` are, alone or in an ensemble.
 
     Parameters
     ----------
     system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
-        What moves; a `batch` has a system for each member.
+        The system; a `batch` has one for each member.
     x0 : array_like, shape (n,) or (members, n)
         Initial momentum, or one for each member of an ensemble; (n,) is shared by all members of a batch. For a
         `MatrixSystem` a matrix (N, N), or (members, N, N).
     t_span : (float, float)
-        Start and end; backward where the end lies before the start. A whole number of steps.
+        Start and end. The run goes backward in time if the end is the smaller one. The span must be a whole number of
+        steps.
     step : float, optional
-        Size of a step, positive; used as given. Either this or `accuracy`.
+        Size of a step, positive. It is used as given and never adjusted. Give either this or `accuracy`.
     method : Method, str or mapping, optional
         The scheme; or its name, such as ``"Splitting"``; or name and parameters, such as ``{"name": "Splitting",
-        "order": 4}``. None is `Splitting()` of order 2 (of matrices what `suggested_scheme` says), or with `accuracy`
-        the one that `choose` chooses.
+        "order": 4}``. The default is `Splitting()` of order 2 (for matrices the one of `suggested_scheme`), and with
+        `accuracy` the one that `choose` selects.
     accuracy : float, optional
-        Wanted error of the momentum at the end, relative to its largest size on the way; the step (and the scheme) are
-        then chosen by `choose`, the same for the same inputs.
+        Wanted error of the momentum at the end, relative to the largest momentum during the run. `choose` then selects
+        the step, and without `method` also the scheme.
     save_every : int
-        Keep every k-th step (the start and the end always); nothing else is held in memory.
+        Save every k-th step, and always the start and the end. Memory is needed for the saved points only.
     t_eval : array_like, shape (k,), optional
-        Keep the states at these times instead: any within `t_span`, sorted in its direction. Between two steps a part
-        of a step of the same scheme leads there, so that the state is as good as at the steps: of the scheme's order,
-        with what the scheme keeps. The steps have the same bits as without.
+        Save the states at these times instead: any times within `t_span`, sorted in its direction. A state between two
+        steps is reached by a part of a step of the same scheme, so it is as accurate as the states at the steps. The
+        steps themselves have the same bits as without `t_eval`.
     attitude : bool, "coadjoint", or array_like
-        The group element carried beside the momentum: in the system's own representation (True, or an initial element
-        of shape (d, d): for so(n) a rotation; other matrices are refused), or the coadjoint matrix K with K x
-        constant.
+        Whether to compute the group element as well. True: in the representation of the system, from the unit matrix.
+        An array of shape (d, d): the same, from this initial element (for so(n) a rotation). "coadjoint": as the
+        coadjoint matrix K, with K x constant.
     watch : bool
-        Follow the energy and every Casimir over every step; otherwise over the saved points, as those of matrices
-        always are.
+        Compute the energy and every Casimir after every step; otherwise only at the saved points. For matrices it is
+        always the saved points.
     observe : mapping, optional
-        Name -> `Polynomial`, `Quadratic` or function of x: further quantities, evaluated at the saved points. Where
-        states are matrices, functions of a matrix.
+        Name -> `Polynomial`, `Quadratic` or function of x: further quantities, computed at the saved points. If states
+        are matrices, functions of a matrix.
     threads : int, optional
-        Threads for the members of an ensemble; None is one for each core, and for matrices of more than 128 rows,
-        whose products BLAS shares out, one in all.
+        Number of threads for the members of an ensemble. The default is one for each core. For matrices of more than
+        128 rows it is one, since BLAS uses threads itself.
     progress : bool
         Show a progress bar.
     events : Event or sequence of Event, optional
-        Zeros of functions of the state that are looked for; ``sol.events`` has them. A terminal one ends the run, and
-        where there is one member, the last point of the solution is that of the event; of `t_eval` the times before it
-        are kept.
+        Functions of the state whose zeros are found; ``sol.events`` has them. A terminal event ends the run. With a
+        single member, the last point of the solution is then the event. Of `t_eval`, the times before it are saved.
     archive : str or Path, optional
-        A new folder, such as ``run.zarr``, to which the run is written while it runs, in the format Zarr. It takes the
-        same memory however long it is, can be read at any time, and is gone on with by `resume` after whatever has cut
-        it. The solution reads from there what it is asked for.
+        A new folder, such as ``run.zarr``, to which the run is written while it runs, in the format Zarr. The memory
+        does not grow with the length of the run. The folder can be read at any time, and `resume` continues the run
+        after any interruption. The solution reads from the folder only what you use.
     rtol, atol : None
-        Refused: no scheme lets an estimate of the error choose each step. The message says what to take instead.
+        Not available: no scheme chooses each step by an estimate of the error. The message says what to use instead.
 
     Returns
     -------
@@ -107,9 +107,10 @@ def integrate(
     IntegrationError
         If an iteration does not converge or a number overflows, with step, time, residual and the solution so far.
     KeyboardInterrupt
-        With what there is of the run in ``.partial``: the points that were saved, and their drifts; or the archive.
+        After Ctrl-C. Its ``.partial`` is the solution so far, or the archive.
     ArchiveError, ArchiveUnwritten
-        The archive exists or cannot be made; or it could not be written while the run went on, and is to be resumed.
+        If the archive exists or cannot be made; or if it could not be written during the run, which can then be
+        resumed.
 
     Examples
     --------

@@ -381,41 +381,42 @@ def prepare(
 ) -> PreparedRun:
     """Make a run ready once for many short calls: control loops, shooting methods, maps.
 
-    `integrate` does the same and throws it away. Parameters are those of `integrate`, but for the initial state and
-    the times, which are given to each run.
+    `integrate` does the same preparation in each call. The parameters are those of `integrate`, except the initial
+    state and the times, which are given to each run.
 
     Parameters
     ----------
     system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
-        What moves.
+        The system.
     method : Method or None
-        The scheme; `Splitting()` of order 2 if None, or of matrices what `suggested_scheme` says.
+        The scheme. The default is `Splitting()` of order 2, and for matrices the one of `suggested_scheme`.
     step : float, optional
-        Size of a step, positive. Runs backward are made ready when the first one comes. Either this or `accuracy`.
+        Size of a step, positive. Give either this or `accuracy`. Runs backward in time are made ready at the first such
+        run.
     accuracy : float, optional
-        Wanted error, as in `integrate`: scheme (or that of `method` alone) and step are chosen once, for a sample of
-        states. Each run is checked: its first step is compared with two of half the size, which may differ from it by
-        twice what they do along the motions from the sample. A run that does not pass is chosen for by itself, which
-        takes some ms, and changes nothing for others. A motion that is calm at its start, and rougher later than those
-        from the sample ever are, is not foreseen.
+        Wanted error, as in `integrate`. The step, and without `method` the scheme, are chosen once for a sample of
+        states. Each run is checked by its first step, which is compared with two steps of half the size. The difference
+        may be at most twice as large as along the motions from the sample. If it is larger, scheme and step are chosen
+        again for this run alone, which takes some ms. A motion that is slow at its start, and later faster than all
+        motions from the sample, is not foreseen.
     x0 : array_like, shape (n,) or (members, n), optional
-        With `accuracy` the sample: states like those that will run.
+        With `accuracy`: the sample, states like those that will run.
     t_span : (float, float), optional
-        With `accuracy` the longest run, and its direction.
+        With `accuracy`: the longest run, and its direction.
     attitude : bool, "coadjoint", or array_like
-        The group element carried beside the momentum; an array is the initial one of every run that does not give its
-        own.
+        Whether to compute the group element, as in `integrate`. An array is the initial element of every run that does
+        not give its own.
     watch : bool
-        Follow the energy and every Casimir over every step; otherwise over the saved points.
+        Compute the energy and every Casimir after every step; otherwise only at the saved points.
     observe : mapping, optional
-        Name -> `Polynomial` or function of x: further quantities, evaluated at the saved points.
+        Name -> `Polynomial` or function of x: further quantities, computed at the saved points.
     threads : int, optional
-        Threads for the members of an ensemble; None is one for each core.
+        Number of threads for the members of an ensemble. The default is one for each core.
     inputs : True, sequence of int, or mapping, optional
-        What may be another one in each run: coefficients of the linear term of H, such as a field, the weight of a top,
-        the momenta of rotors; and constant torques among the forces. Coordinates whose coefficients
-        ``run(..., linear=)`` brings, all of them for True; or a mapping with an input for each name: to coordinates, or
-        to the label of a `Torque` in ``system.labels``. See docs/control.md.
+        What may change from run to run: coefficients of the linear term of H (such as a field, the weight of a top, the
+        momenta of rotors), and constant torques. Give the coordinates whose coefficients change, or True for all;
+        ``run(..., linear=)`` then takes the values. Or give a mapping from a name for each input to coordinates, or to
+        the label of a `Torque` in ``system.labels``. See docs/control.md.
 
     Returns
     -------

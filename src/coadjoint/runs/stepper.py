@@ -29,11 +29,11 @@ class Stepper:
     Parameters
     ----------
     system : LiePoissonSystem, PoissonSystem or ForcedSystem
-        What moves.
+        The system.
     method : Method
         The scheme.
     h : float
-        The step; negative for backward.
+        The step; negative for a step backward in time.
     inputs : True, sequence of int, or mapping, optional
         What each call may bring, as for `prepare`.
     """
@@ -240,13 +240,13 @@ def stepper(
     Parameters
     ----------
     system : LiePoissonSystem, PoissonSystem or ForcedSystem
-        What moves.
+        The system.
     method : Method
         The scheme.
     h : float
-        The step; negative for backward.
+        The step; negative for a step backward in time.
     inputs : True, sequence of int, or mapping, optional
-        What each call may bring, as for `prepare`: coefficients of the linear term of H, and constant torques.
+        What may change from call to call, as for `prepare`: coefficients of the linear term of H, and constant torques.
 
     Returns
     -------
