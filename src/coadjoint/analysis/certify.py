@@ -45,21 +45,21 @@ def certify(
     """Measure what a scheme keeps on a system, and compare it with what the scheme declares.
 
     Choose it for the first run of a new system, a new scheme or an unusual step, and for every scheme of your own.
-    These are measured: the order and the limit of small steps, against a closed form or an independent code (a flow at
+    It measures the order and the limit of small steps, against a closed form or an independent code (since a motion at
     the wrong speed keeps every invariant); the symmetry; the Poisson bracket, by the tangent of the step; energy and
-    Casimirs, in a step and over a long run; and what the group element keeps, where the scheme carries one.
+    Casimirs, in a step and over a long run; and what the group element keeps, if the scheme computes one.
 
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        What moves.
+        The system.
     method : Method or callable
-        A scheme, or a function ``step(x, h)`` (``step(x, t, h)`` where the Hamiltonian depends on time) that returns
-        the state after a step of length h, negative for backward. What a function declares is said by the last three
-        parameters. What is not said is measured, and cannot fail.
+        A scheme, or a function ``step(x, h)`` (``step(x, t, h)`` if the Hamiltonian depends on time) that returns the
+        state after a step of length h, which may be negative. The last three parameters say what a function declares.
+        What is not declared is measured, and cannot fail.
     x0 : array_like, shape (n,) or (k, n)
-        A state, or a sample of states. To fewer than four states others along the motion are added; of more than eight
-        the first eight are taken. Where a step takes more than a millisecond, two states are enough.
+        A state, or a sample of states. If there are fewer than four, others along the motion are added; if a step takes
+        more than a millisecond, two states are enough. Of more than eight, the first eight are used.
     step : float
         The step; negative for backward. Order, symmetry and defects are also looked at with other steps.
     steps : int, optional
@@ -80,7 +80,7 @@ def certify(
     Raises
     ------
     ValueError, TypeError
-        For wrong input, and for a scheme that cannot serve the system. A run that fails is a row, not an error.
+        For wrong input, and for a scheme that cannot be used for the system. A run that fails is a row, not an error.
 
     Examples
     --------

@@ -79,7 +79,7 @@ def scheme_and_claims(
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        What moves.
+        The system.
     method : Method or callable
         A scheme, which declares itself, or a function.
     order, properties, symmetric

@@ -28,7 +28,7 @@ def motion_of(system: System, reference: Any, x0: ArrayLike, member: int | None 
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        What moves.
+        The system.
     reference : None, callable or Solution
         None: the closed form of the system from x0 at time zero. A function of times (k,) that returns states
         (k, n). A run of the system, by a scheme or a step that is much better.

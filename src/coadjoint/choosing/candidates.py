@@ -83,7 +83,7 @@ def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, 
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        What moves.
+        The system.
     schemes : sequence of Method
         To be looked at, in order.
     x0, attitude

@@ -64,7 +64,7 @@ class Pilot:
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        What moves.
+        The system.
     momenta : ndarray, shape (members, n)
         Where the sampled members start.
     t0, span : float

@@ -24,7 +24,7 @@ def sample_of(system: System, momenta: NDArray[np.float64], t0: float, span: flo
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        What moves.
+        The system.
     momenta : ndarray, shape (members, n)
         Where all members start.
     t0, span : float

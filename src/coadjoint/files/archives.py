@@ -73,7 +73,7 @@ def archive_run(
     Returns
     -------
     ArchivedSolution
-        Reads what it is asked for.
+        The solution, which reads from disk only what you use.
 
     Raises
     ------
@@ -169,25 +169,25 @@ def resume(
     path : str or Path
         The folder that ``integrate(..., archive=path)`` has written.
     t_end : float, optional
-        Another end than the run was begun with, a whole number of steps from its start and behind what was done. The
-        bits are those of a run that had this end from the beginning. So that the drifts in each tenth of it are known,
-        some steps are taken once more, as a rule less than a sixth of those that were taken.
+        A new end, a whole number of steps from the start and later than what was computed. The bits are those of a run
+        that had this end from the beginning. Some steps are computed again, usually less than a sixth, to find the
+        drifts in each tenth of the new run.
     system, observe, events : optional
-        Those of the run, where they have functions, which are not stored. What they are made of is compared with what
-        the run was begun with (`coadjoint.files.fingerprints` says what that can see), and another one is refused.
+        Those of the run, if they contain Python functions, which are not stored. They are compared with those with
+        which the run began (`coadjoint.files.fingerprints` says what can be compared), and refused if they differ.
     threads : int, optional
         As for `integrate`; it changes no bit.
     progress : bool
         Show a progress bar.
     until : int, optional
-        After how many steps the run is left again.
+        Number of steps after which the run stops again.
     client, workers : optional
-        Who goes on with an ensemble in blocks, as for `coadjoint.ensemble`; without them this process.
+        Where an ensemble in blocks is continued, as for `coadjoint.ensemble`; by default in this process.
 
     Returns
     -------
     ArchivedSolution
-        Reads what it is asked for.
+        The solution, which reads from disk only what you use.
 
     Raises
     ------

@@ -44,10 +44,10 @@ def ensemble(
 ) -> ArchivedEnsemble:
     """Integrate many members in blocks, on the workers of a cluster or here, into one archive.
 
-    Choose it for ensembles that take hours, or more memory than there is: `integrate` holds all members at once and
-    leaves nothing behind where it is killed. Each block of members is a task of its own, which writes its own files of
-    the archive; results never move through the client. A second call with the same archive computes what is missing,
-    whether workers, the scheduler or the client were lost. Each member has the bits that it has alone.
+    Choose it for ensembles that take hours, or need more memory than the machine has. (`integrate` keeps all members in
+    memory, and a kill loses them.) Each block of members is a task that writes its own files of the archive. Results
+    never pass through the client. If workers, the scheduler or the client are lost, a second call with the same archive
+    computes what is missing. Each member has the same bits as when it runs alone.
 
     Parameters
     ----------
@@ -59,11 +59,11 @@ def ensemble(
     client : distributed.Client, optional
         Of the cluster that works.
     workers : int, optional
-        So many processes of this machine, in place of a client. A script that asks for them must do so below
-        ``if __name__ == "__main__":``, since each of them imports it. Neither: this process works.
+        Number of processes of this machine, in place of a client. A script must make such a call below ``if __name__ ==
+        "__main__":``, since each process imports it. With neither, this process runs all blocks.
     members_per_block : int, optional
-        How many members are a task. By default there are four blocks for each worker, or more where members have many
-        numbers. That of an archive that is there stays.
+        Number of members of a block. By default there are about four blocks for each worker, or more if members have
+        many numbers. An existing archive keeps its number.
     threads : int, optional
         For the members of a block: one on workers by default, and otherwise all cores.
     progress : bool

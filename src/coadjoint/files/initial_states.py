@@ -21,7 +21,7 @@ def initial_state(system: Any, given: Any, folder: Path) -> Any:
     Parameters
     ----------
     system : object
-        What moves.
+        The system.
     given : list or str
         Numbers; of complex matrices each entry may be its real and imaginary part. Or a file ``.npy``.
     folder : Path

@@ -30,7 +30,7 @@ def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
         ``g``: the number or the name of a coordinate, or a polynomial as `read_polynomial` takes it; beside it
         ``direction``, ``count`` and ``terminal`` as for `Event`.
     system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
-        What moves.
+        The system.
 
     Returns
     -------

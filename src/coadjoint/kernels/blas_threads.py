@@ -20,7 +20,7 @@ def rows_of(system: Any) -> int:
     Parameters
     ----------
     system : System
-        What moves.
+        The system.
 
     Returns
     -------

@@ -135,7 +135,7 @@ class Method(ABC):
         Raises
         ------
         ValueError
-            If the scheme cannot serve the system.
+            If the scheme cannot be used for the system.
         """
 
     def composed(self, coefficients: Sequence[float]) -> Method:
@@ -191,7 +191,7 @@ class Method(ABC):
         Raises
         ------
         ValueError, TypeError
-            The scheme cannot serve the system.
+            The scheme cannot be used for the system.
         """
         declared_by(self, system)
         if system.algebra is not None and tabulated(system):
@@ -306,7 +306,7 @@ class Method(ABC):
         Raises
         ------
         ValueError, TypeError
-            The scheme cannot serve the system, or a derivative is not known.
+            The scheme cannot be used for the system, or a derivative is not known.
         """
         return None
 
@@ -455,7 +455,7 @@ class Method(ABC):
         Parameters
         ----------
         system : LiePoissonSystem or PoissonSystem
-            What moves.
+            The system.
         tolerance : float
             Wanted error of a step, relative to the largest momentum so far.
 

@@ -28,7 +28,7 @@ def serving(system: Any, method: Method) -> Method:
     Parameters
     ----------
     system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
-        What moves.
+        The system.
     method : Method
         The scheme that was asked for.
 

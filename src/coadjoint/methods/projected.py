@@ -106,7 +106,7 @@ class Projected(Method):
         Raises
         ------
         ValueError
-            The base cannot serve the system, or the energy is no polynomial, or depends on time.
+            The base cannot be used for the system, or the energy is no polynomial, or depends on time.
         """
         self.base.properties(system)
         if any(term.degree is None for term in system.hamiltonian.terms()):

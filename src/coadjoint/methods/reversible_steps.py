@@ -152,7 +152,7 @@ class ReversibleSteps(Method):
         Raises
         ------
         ValueError
-            The base cannot serve the system, the Hamiltonian depends on time, or the speed is not known on it.
+            The base cannot be used for the system, the Hamiltonian depends on time, or the speed is not known on it.
         """
         check_vectors(system)
         kept = self.base.properties(system)

@@ -31,7 +31,7 @@ def series_operations(system: System, order: int, invariants: Iterable[Hamiltoni
     Parameters
     ----------
     system : LiePoissonSystem
-        What moves.
+        The system.
     order : int
         Of the series.
     invariants : iterable of Hamiltonians

@@ -59,7 +59,7 @@ def speed_of(system: System, speed: Any) -> Speed:
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        What moves.
+        The system.
     speed : Quadratic, Polynomial or None
         None is the root mean square size of the matrix D, x' = D x with grad H held.
 

@@ -174,7 +174,7 @@ def spins_of(system: System) -> NDArray[np.int64]:
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        What moves.
+        The system.
 
     Returns
     -------

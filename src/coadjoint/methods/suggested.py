@@ -27,7 +27,7 @@ def suggested_scheme(system: System) -> Method:
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        What moves.
+        The system.
 
     Returns
     -------

@@ -130,7 +130,7 @@ def iteration_work(system: System, stages: float, group: Any) -> float:
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        What moves.
+        The system.
     stages : float
         Evaluations of the field in an iteration.
     group : ndarray of shape (n, d, d), "coadjoint", or None

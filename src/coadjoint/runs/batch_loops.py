@@ -53,7 +53,7 @@ class BatchLoops(Loops):
     Parameters
     ----------
     batch : Batch
-        What moves.
+        The system.
     method : Method
         The scheme.
     h : float

@@ -61,7 +61,7 @@ class WatchedEvents:
     Parameters
     ----------
     system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
-        What moves.
+        The system.
     events : sequence of Event
         What is looked for.
     x0, t0 : ndarray of shape (n,), and float

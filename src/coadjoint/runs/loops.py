@@ -186,7 +186,7 @@ class SystemLoops(Loops):
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        What moves.
+        The system.
     method : Method
         The scheme.
     h : float

@@ -64,7 +64,7 @@ class PartsOfSteps:
     Parameters
     ----------
     system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
-        What moves.
+        The system.
     method : Method
         The scheme, for messages.
     loops : Loops

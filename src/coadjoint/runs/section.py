@@ -113,7 +113,7 @@ def section(
     Parameters
     ----------
     system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
-        What moves.
+        The system.
     x0s : array_like, shape (members, n) or (n,)
         Initial momenta. A start on the surface is no crossing.
     event : Event

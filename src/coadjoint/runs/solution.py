@@ -234,7 +234,7 @@ class Solution:
 
     @cached_property
     def x(self) -> NDArray[np.float64]:
-        """Momenta."""
+        """The states (momenta) at the saved times."""
         # Behind the coordinates there may be accounts of forces.
         return self._states(self._picked(self._series("x"))[..., : self._start.momenta.shape[1]])
 
@@ -269,12 +269,12 @@ class Solution:
 
     @cached_property
     def energy(self) -> NDArray[np.float64]:
-        """The Hamiltonian."""
+        """The energy at the saved times."""
         return self._picked(self._series("values")[..., 0])
 
     @cached_property
     def casimirs(self) -> Mapping[str, NDArray[np.float64]]:
-        """Name -> values."""
+        """The Casimirs at the saved times: name -> values."""
         values = self._series("values")
         return {name: self._picked(values[..., i + 1]) for i, name in enumerate(self._names[1:])}
 
@@ -365,15 +365,15 @@ class Solution:
     def balance(self) -> dict[str, Drift]:
         """Return the change of each invariant minus the work of the forces: the error of the scheme.
 
-        What a force does is the difference of the invariant before and after each of its flows, added up with
-        compensation along the run; `work` has it at the saved points. What is left is what the scheme adds where the
-        Hamiltonian part should keep the invariant, and for a Hamiltonian that depends on time what the time does.
+        The work of a force is the difference of the invariant before and after each flow of the force, added up over
+        the run with compensated sums; `work` has it at the saved points. If the Hamiltonian depends on time, the
+        balance also contains the energy that this brings in.
 
         Returns
         -------
         dict
-            As `drift`, for ``invariant - work of all forces``. Without forces the same as `drift`. Of matrices
-            these are the energy and the Casimirs of degree two; of others forces keep no account.
+            As `drift`, for ``invariant - work of all forces``. Without forces it is `drift`. For matrices it has the
+            energy and the Casimirs of degree two, since work is recorded for these only.
 
         Examples
         --------
@@ -397,7 +397,7 @@ class Solution:
         Returns
         -------
         dict
-            As `drift`, which without forces it is.
+            As `drift`; without forces it is `drift`.
         """
         return self._deviations(0)
 
@@ -405,20 +405,21 @@ class Solution:
     def error_estimate(self) -> Any:
         """The estimated error of the last state, relative to the largest momentum during the run.
 
-        Found when it is first asked for, by a run of one and a half times as many steps, and where that leaves no more
-        than rounding by another of one and three quarters: 1.5 or 3.25 times the cost of the run. It is honest within a
-        factor of 10; below what rounding leaves it says no more than that. A finer run that fails gives way to another,
-        four at most; infinite where all fail.
+        It is computed when it is first used, by a second run of one and a half times as many steps. If both agree to
+        rounding, a third run of one and three quarters times as many steps is compared. This takes 1.5 or 3.25 times as
+        long as the run. The estimate is right within a factor of 10. If the error is below the expected rounding, the
+        estimate is that rounding. If a finer run fails, another is tried, four at most; if all fail, the estimate is
+        infinite.
 
         Returns
         -------
         float, or ndarray of shape (members,)
-            In the measure of `accuracy`.
+            Relative in the same way as `accuracy`.
 
         Raises
         ------
         TypeError
-            No `accuracy` was asked for.
+            The run was made without `accuracy`.
 
         Examples
         --------
@@ -473,8 +474,8 @@ class Solution:
     def modified_energy(self, order: int = 4) -> NDArray[np.float64]:
         """Return the modified Hamiltonian of the scheme and the step of the run, at the saved points.
 
-        The run is the exact motion of a nearby system, and this is its energy: it stays where `energy` wanders, up to
-        O(step^order).
+        The steps are the exact motion of a slightly different system, and this is the energy of that system. It is
+        constant up to O(step^order), while `energy` oscillates.
 
         Parameters
         ----------
@@ -511,10 +512,10 @@ class Solution:
     def at(self, t: Any) -> StateAt:
         """Return the states at any times within the run, as accurate as those at its steps.
 
-        From the saved point before a time whole steps are taken again, and then a part of a step of the same scheme: of
-        its order, and with what it keeps, where a polynomial through saved points has neither. Many times are better
-        asked for beforehand, by ``integrate(..., t_eval=times)``. Members of an ensemble that events have ended are NaN
-        after their ends.
+        From the saved point before a time, whole steps are computed again, and then a part of a step of the same
+        scheme. So the state has the order of the scheme and keeps what the scheme keeps, which an interpolating
+        polynomial would not. For many times it is faster to give them beforehand, by ``integrate(..., t_eval=times)``.
+        Members of an ensemble that were ended by events are NaN after their ends.
 
         Parameters
         ----------
@@ -524,16 +525,16 @@ class Solution:
         Returns
         -------
         StateAt
-            A named tuple of ``t, x, energy, casimirs, attitude``, shaped as here at the saved points; without the first
-            axis where t is one time.
+            A named tuple of ``t, x, energy, casimirs, attitude``, with the same shapes as at the saved points; without
+            the first axis if t is a single time.
 
         Raises
         ------
         ValueError
-            A time outside the run or after the ends of all members, too many steps from the saved points, a member that
-            has failed, or a force that is a noise, whose steps have no parts.
+            A time outside the run or after the ends of all members; too many steps from the saved points; a member that
+            has failed; a force that is a noise, which is known for whole steps only.
         IntegrationError
-            A step fails, as it did in a run that ended early.
+            A step fails, as in a run that failed.
 
         Examples
         --------
@@ -564,9 +565,9 @@ class Solution:
     def plot(self, panels: Any = None, components: Any = None, axes: Any = None, members: Any = None) -> Figure:
         """Return a figure: drift, components, and the pictures that the system declares.
 
-        Lines are drawn only where the motion is known between their points: where the saved points lie too far apart,
-        `at` gives the states between them, at most 10 000 and for some 1.5 s. Where there are none to be had there are
-        dots; an envelope where there are more oscillations than a printed line can show.
+        Lines are drawn only where the motion between the points is known. If the saved points are too far apart, `at`
+        computes states between them, at most 10 000 and for about 1.5 s. If that is not enough, dots are drawn. If
+        there are more oscillations than a printed line can show, an envelope is drawn.
 
         Parameters
         ----------
@@ -583,7 +584,7 @@ class Solution:
         Returns
         -------
         matplotlib.figure.Figure
-            Not shown, not saved.
+            The figure, neither shown nor saved.
 
         Raises
         ------
@@ -617,10 +618,10 @@ class Solution:
         path : str or Path
             ``.mp4``, which needs the program ffmpeg, or ``.gif``.
         picture : str or Picture, optional
-            Another picture than the first of one time that the system declares, such as ``Picture("vorticity",
-            part="large")``; `coadjoint.pictures.movie.frames_of` says more.
+            The picture to show, such as ``Picture("vorticity", part="large")``. The default is the first picture of one
+            time that the system declares. `coadjoint.pictures.movie.frames_of` says more.
         frames : int
-            How many at most, from 2 to 5000: of the saved times, evenly spread. They are drawn one by one.
+            Largest number of frames, from 2 to 5000. They show saved times, evenly spread, and are drawn one by one.
         fps : float
             Frames a second; for a GIF no more than 50.
         size : (int, int)

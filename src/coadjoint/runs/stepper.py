@@ -256,7 +256,7 @@ def stepper(
     Raises
     ------
     ValueError, TypeError
-        If the scheme cannot serve the system, or h is zero.
+        If the scheme cannot be used for the system, or h is zero.
 
     Examples
     --------

@@ -51,7 +51,7 @@ def stretching(
     Parameters
     ----------
     system : LiePoissonSystem, PoissonSystem or Batch
-        What moves.
+        The system.
     method : Method
         The scheme.
     times : Times
@@ -70,7 +70,7 @@ def stretching(
     Raises
     ------
     ValueError, TypeError
-        The scheme cannot serve the system, or a derivative is not known.
+        The scheme cannot be used for the system, or a derivative is not known.
     """
     systems = list(system) if isinstance(system, Batch) else [system]
     prepared = []

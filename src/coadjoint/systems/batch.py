@@ -126,9 +126,9 @@ def batch(systems: Iterable[Member | ForcedSystem]) -> Batch:
     Parameters
     ----------
     systems : iterable of LiePoissonSystem, of PoissonSystem, or of ForcedSystem
-        One for each member. Of one kind, dimension and sign; with the same brackets not zero, and Casimirs of the same
-        names. Structure constants, Hamiltonians (functions too), Casimirs and representations may differ, and so may
-        the parameters of forces of the same kinds.
+        One for each member. They must have the same kind, dimension and sign, the same nonzero brackets, and Casimirs
+        of the same names. Structure constants, Hamiltonians (functions too), Casimirs and representations may differ,
+        and so may the parameters of forces of the same kinds.
 
     Returns
     -------

@@ -57,8 +57,8 @@ class HamiltonianLike(Protocol):
 class Hamiltonian(Summable):
     """A Hamiltonian given by Python functions.
 
-    For what is neither quadratic, polynomial nor separable. Schemes that need no splitting serve it; for explicit
-    splitting give the structure, by `Separable` or `SplitHamiltonian`.
+    Use it if H is neither quadratic, polynomial nor separable. Schemes that need no splitting work with it. For an
+    explicit splitting, give the structure of H by `Separable` or `SplitHamiltonian`.
 
     Parameters
     ----------

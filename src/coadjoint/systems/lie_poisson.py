@@ -29,22 +29,22 @@ BYTES_PER_CONSTANT = 120  # both orders of every bracket, and what J(x) u needs
 class LiePoissonSystem:
     """The generalized Euler equations ``x' = sign * J(x) grad H(x)`` on the dual of a Lie algebra.
 
-    The system to make wherever the bracket is linear in x: all schemes serve it, and the explicit splitting keeps
-    all its Casimirs. For another bracket see `PoissonSystem`.
+    Use it if the bracket is linear in x. All schemes work with it, and the explicit splitting keeps all its Casimirs.
+    For another bracket see `PoissonSystem`.
 
     Parameters
     ----------
     algebra : LieAlgebra
-        Where x lives; ``J_ij(x) = sum_k c_ij^k x_k``.
+        The algebra, on whose dual x lies; ``J_ij(x) = sum_k c_ij^k x_k``.
     hamiltonian : Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian
         The energy.
     sign : {+1, -1}
         +1: the convention of Reich (1993), right-invariant systems. -1: left-invariant (body) systems.
     casimirs : mapping, optional
-        Name to `Polynomial`, `Quadratic`, `Invariant` or function of x. By default those known of the algebra, or
-        found quickly. All of them are followed in every run; so `copies` of an algebra know none above 2^22 exponents
-        (682 copies of so(3)): give those that you want to follow by name, as sparse `Quadratic` where they have few of
-        many coordinates.
+        Name to `Polynomial`, `Quadratic`, `Invariant` or function of x. The default is those known of the algebra, or
+        found quickly. All of them are recorded in every run. So `copies` of an algebra have none by default above 2^22
+        exponents (682 copies of so(3)); give those that you want to record, as sparse `Quadratic` if they contain few
+        of many coordinates.
     representation : (n, d, d), optional
         Matrices of the basis for the group element, ``g' = -sign g rho(grad H)``. By default that of the algebra.
     name : str, optional
@@ -54,8 +54,8 @@ class LiePoissonSystem:
     exact : callable, optional
         Closed form ``exact(x0, t, attitude)``, if one is known.
     integrals : mapping, optional
-        What else this Hamiltonian keeps: name to `Polynomial`, `Quadratic`, `Invariant` or function of x. Runs follow
-        them with ``observe=system.integrals``.
+        Further constants of the motion for this Hamiltonian: name to `Polynomial`, `Quadratic`, `Invariant` or function
+        of x. ``observe=system.integrals`` records them in a run.
 
     Attributes
     ----------

@@ -33,8 +33,8 @@ class Entries(NamedTuple):
 class Quadratic(Summable):
     """The quadratic Hamiltonian ``x . M x / 2 + linear . x + constant``.
 
-    The first choice wherever it fits: every scheme of the library serves it, and `Taylor`, `GaussLegendre`
-    and ``freeze="structure"`` keep its energy to round-off. M need not be positive.
+    Use it whenever H is quadratic. Every scheme of the library works with it, and `Taylor`, `GaussLegendre` and
+    ``freeze="structure"`` keep its energy to round-off. M need not be positive.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Quadratic(Summable):
     linear : (n,), optional
         Coefficients of the linear part.
     constant : float, optional
-        Added to the value; moves nothing.
+        Added to the value; it has no effect on the motion.
 
     Attributes
     ----------

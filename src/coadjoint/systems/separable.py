@@ -24,7 +24,7 @@ MOST_COORDINATES = 2**32 - 1
 class Separable(Summable):
     """A sum of functions of one coordinate each, ``sum of H_i(x_i)``.
 
-    Explicit splitting serves it on every algebra, since each H_i alone has a linear flow.
+    Explicit splittings work with it on every algebra, since the flow of each H_i is linear.
 
     Parameters
     ----------

@@ -22,8 +22,8 @@ from coadjoint.wording import short
 class SplitHamiltonian(Summable):
     """A sum of pieces ``H_a(x[coordinates of a])``, each of coordinates that commute in the algebra.
 
-    Explicit splitting serves it: the gradient of a piece is constant along the flow of that piece, which is
-    therefore exact. Whether the coordinates of a piece commute is checked where the system is made.
+    Explicit splittings work with it: the gradient of a piece is constant along the flow of that piece, so this flow is
+    known exactly. Whether the coordinates of a piece commute is checked when the system is made.
 
     Parameters
     ----------
