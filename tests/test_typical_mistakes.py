@@ -34,7 +34,7 @@ MISTAKES = {
     "tspan": (lambda: run(X0, tspan=SPAN, step=0.1), "integrate has no tspan; give t_span=, start and end"),
     "rtol": (
         lambda: full(rtol=1e-6),
-        "integrate has no rtol: steps whose lengths follow an estimate of the error lose",
+        "integrate has no rtol: a step that is chosen by an estimate of the error would lose",
     ),
     "tol": (lambda: full(tol=1e-6), "integrate has no tol; give accuracy=, the wanted error of the momentum"),
     "dense_output": (lambda: full(dense_output=True), "integrate has no dense_output; it needs none: sol.at(t) has"),

@@ -140,7 +140,7 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
     over = "every step" if solution.watched else "the saved points"
     columns: dict[str, Mapping[str, float]] = {"largest deviation from the start": solution.change()}
     if solution.work:
-        columns = {"change by the forces, and what is left of it beside their work (balance)": solution.change()}
+        columns = {"change, and change minus the work of the forces (balance)": solution.change()}
         balance = solution.balance()
         columns["balance"] = {name: balance[name] if name in balance else math.nan for name in solution.change()}
     click.echo(f"{next(iter(columns))}, over {over}:")

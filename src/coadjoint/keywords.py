@@ -11,7 +11,7 @@ from coadjoint.errors import nearest
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-STEP = "step=, the size of a step, which stays as it is given"
+STEP = "step=, the size of a step, which is used as given"
 ACCURACY = "accuracy=, the wanted error of the momentum at the end, by which a constant step is chosen"
 KEYWORDS: Mapping[str, str] = {
     **dict.fromkeys(("dt", "h", "delta_t", "stepsize", "step_size", "first_step", "dt0"), STEP),
@@ -28,7 +28,7 @@ KEYWORDS: Mapping[str, str] = {
     **dict.fromkeys(("solver", "scheme", "integrator", "alg", "stepper"), "method=, such as Splitting(order=4)"),
     **dict.fromkeys(("verbose", "disp", "show_progress", "progress_bar"), "progress=True"),
     **dict.fromkeys(("callback", "callbacks", "event"), "events=, or observe= for quantities along the run"),
-    **dict.fromkeys(("args", "params", "parameters", "p"), "the parameters to the system, which is made before"),
+    **dict.fromkeys(("args", "params", "parameters", "p"), "the parameters to the system, when you make it"),
     **dict.fromkeys(("fun", "f", "rhs", "func", "vector_field"), "system=, such as co.systems.rigid_body()"),
     **dict.fromkeys(("jac", "jacobian"), "it needs none: derivatives belong to the Hamiltonian"),
     **dict.fromkeys(("output", "filename", "file", "path"), "archive=, the folder that the run is written to"),
@@ -47,7 +47,10 @@ ATTRIBUTES: Mapping[str, str] = {
     **dict.fromkeys(("nfev", "njev", "nsteps", "statistics"), "stats"),
     **dict.fromkeys(("R", "g", "rotation", "orientation"), "attitude, where attitude=True was asked for"),
     **dict.fromkeys(("invariants",), "energy and casimirs"),
-    **dict.fromkeys(("save", "to_netcdf", "to_csv", "to_pandas", "to_dataframe"), "to_xarray(), which can be written"),
+    **dict.fromkeys(
+        ("save", "to_netcdf", "to_csv", "to_pandas", "to_dataframe"),
+        "to_xarray(), whose result can be written to a file",
+    ),
     **dict.fromkeys(("error",), "error_estimate, of a run with accuracy="),
 }
 """Attribute of a solution elsewhere -> the one here."""

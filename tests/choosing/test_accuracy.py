@@ -154,7 +154,7 @@ def test_a_blow_up():
     )
     assert co.choose(rising, (0.5, 0.9), (0, 1), 1e-6).error < 1e-6
     with pytest.raises(
-        ValueError, match=r"rising from x0 cannot be followed over t_span: its pilot run fails near t = 1"
+        ValueError, match=r"rising from x0 cannot be computed over t_span: its trial run fails near t = 1"
     ):
         co.choose(rising, (0.5, 0.9), (0, 10), 1e-6)
 

@@ -99,7 +99,7 @@ def test_the_command_shows_change_and_balance(tmp_path, capsys):
     place.write_text(FILE)
     assert main(["run", str(place)]) == 0
     said = capsys.readouterr().out.splitlines()
-    assert "change by the forces" in said[1] and "balance" in said[1]
+    assert "change minus the work of the forces" in said[1] and "balance" in said[1]
     energy = next(line.split() for line in said if line.split()[0] == "energy")
     assert float(energy[1]) > 0.01 > 1e-3 > float(energy[2])
     assert main(["certify", str(place)]) == 2

@@ -235,7 +235,7 @@ REFUSED = {
                 [((0, 5), co.Quadratic(ring(0.25))), ((1, 4), co.Quadratic(1.0)), ((2, 3), co.Quadratic(0.5))]
             ),
         ),
-        "by an angle that depends on more than itself",
+        "whose angle depends on other quantities too",
     ),
     "a coupling function": (
         co.LiePoissonSystem(
@@ -247,11 +247,11 @@ REFUSED = {
                 ]
             ),
         ),
-        "by an angle that depends on more than itself",
+        "whose angle depends on other quantities too",
     ),
     "a coupling polynomial": (
         co.LiePoissonSystem(SO4, co.Polynomial({(1, 0, 0, 0, 0, 2): 0.5, (0, 2, 0, 0, 0, 0): 0.5})),
-        "by an angle that depends on more than itself",
+        "whose angle depends on other quantities too",
     ),
 }
 

@@ -116,14 +116,14 @@ def _lines(algebra: LieAlgebra) -> Iterator[str]:
         yield from _entry("" if number else "casimirs", line)
     size = None if algebra.representation is None else algebra.representation.shape[1]
     yield from _entry(
-        "matrices", "none are known; the coadjoint representation serves" if size is None else f"{size} x {size}"
+        "matrices", "none is known; use the coadjoint representation" if size is None else f"{size} x {size}"
     )
 
 
 def _casimirs(algebra: LieAlgebra) -> list[str]:
     known: Mapping[str, Any] = algebra.casimirs_known
     if not known and algebra.dim > LARGEST:
-        return [f"not computed here, for there are {algebra.dim} coordinates; casimirs() of the algebra does"]
+        return [f"not computed here, since there are {algebra.dim} coordinates; call casimirs() of the algebra"]
     found = known or algebra.casimirs()
     if not found:
         return [in_one_line(repr(found), LONGEST_FORMULA).removeprefix("{}").strip(" ()") or "none"]

@@ -179,7 +179,7 @@ class Certificate:
 
     def _said(self) -> str:
         if not self.declares:
-            return "nothing was declared, so that nothing can fail: read what was measured"
+            return "nothing was declared, so nothing can fail: see the measured values"
         if self.passed:
             return "passed: every declared property holds"
         return "not passed: " + ", ".join(f"{row.what} ({row.verdict})" for row in self.failures)

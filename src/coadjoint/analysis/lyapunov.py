@@ -182,7 +182,7 @@ def lyapunov(
     scheme = Splitting() if method is None else read_method(method)
     check_system(system)
     if isinstance(system, MatrixSystem):
-        check_vectors(system, "Lyapunov exponents are found for vectors: directions beside the algebra do not move")
+        check_vectors(system, "Lyapunov exponents are available for states that are vectors")
     count = system.dim if exponents is None else read_whole(exponents, "exponents (None is all)", 1, system.dim)
     every = min(read_whole(renormalize_every, "renormalize_every", floats=True), MOST_STEPS)
     workers = None if threads is None else read_whole(threads, "threads (None is all cores)", floats=True)

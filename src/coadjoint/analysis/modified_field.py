@@ -76,7 +76,7 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     (None, None, 2)
     """
     need("a modified field", "mpmath")
-    check_vectors(system, "a modified field is known for vectors")
+    check_vectors(system, "a modified field is available for states that are vectors")
     order = read_whole(order, "order of a modified field", 1, MOST)
     read_choice(way, "way to a modified field", WAYS)
     if system.hamiltonian.timed:

@@ -62,7 +62,7 @@ def phase_error(
     >>> phase_error(body, (1.0, 2.0, 0.5), t, early).round(12)
     array([0.01, 0.01])
     """
-    check_vectors(system, "phase errors are measured of vectors")
+    check_vectors(system, "phase errors are available for states that are vectors")
     times, states = read_finite(t, "t"), read_finite(x, "x")
     if times.ndim != 1 or states.shape != (len(times), system.dim):
         raise ValueError(

@@ -117,7 +117,7 @@ def predicted_drift(
     >>> round(fast.slope, 11)
     0.001
     """
-    check_vectors(system, "a drift is predicted for vectors")
+    check_vectors(system, "a phase drift can be predicted for states that are vectors")
     if sum(given is not None for given in (modified, gradient, field)) != 1:
         raise TypeError("give exactly one of modified, gradient and field: it says along what the scheme moves")
     if modified is not None:

@@ -165,7 +165,7 @@ def choose(
     >>> co.choose(body, (1.0, 0.2, 0.5), (0, 100), 1e-9, methods=poisson).method.properties(body).poisson
     True
     """
-    check_vectors(system, "give step= and method=: what a step of matrices costs is not known here")
+    check_vectors(system, "give step= and method=, since the cost of a step of matrices is not known")
     wanted, processed = _checked(accuracy), read_flag(processed, "processed")
     # Near a blow-up numbers overflow. What comes of it is checked below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

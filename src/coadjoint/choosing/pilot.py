@@ -166,7 +166,7 @@ class Pilot:
                 if np.all(np.linalg.norm(one.saved["x"][-1] - two.saved["x"][-1], axis=1) <= SETTLED * size):
                     return h
             h /= 2
-        raise ValueError(f"no step is small enough for {self.system.name} at x0: its pilot run fails at the first step")
+        raise ValueError(f"no step is small enough for {self.system.name} at x0: its trial run fails at the first step")
 
     def _settled_reference(self) -> tuple[NDArray[np.float64], int, NDArray[np.float64]]:
         """Refine the reference until it stops changing; return it with its steps and its last change."""
@@ -192,11 +192,11 @@ class Pilot:
 
     def _lost(self, failed: Run | None) -> str:
         if failed is None:
-            return f"the motion of {self.system.name} from x0 is too rough: its pilot run does not settle at any step"
+            return f"the motion of {self.system.name} from x0 is too irregular: no step of its trial run converges"
         step = int(np.max(failed.state["step"][failed.state["status"] != 0]))
         when = self.t0 + step * failed.times.h
         return (
-            f"the motion of {self.system.name} from x0 cannot be followed over t_span: its pilot run fails near "
+            f"the motion of {self.system.name} from x0 cannot be computed over t_span: its trial run fails near "
             f"t = {when:.6g}, where it blows up or stops being defined; end t_span before that"
         )
 

@@ -229,7 +229,7 @@ def _algebras(keys: Mapping[str, Schema]) -> Iterator[Schema]:
     letters = "|".join(sorted({pattern.partition("(")[0] for pattern in families()}))
     written = rf"^({letters})\([0-9]{{1,4000}}(,[0-9]{{1,4000}})?\)$"
     yield _algebra({"type": "string", "pattern": written}, 'A member of a family, such as "so(4)" or "so(3,1)".', ())
-    said = "Any of these with spaces in its name, which count for nothing."
+    said = "Any of these names with spaces, which are ignored."
     yield _named({"type": "string", "pattern": r"\s"}, said, {"parameters": keys["parameters"]})
 
 

@@ -40,9 +40,9 @@ class Finer(NamedTuple):
 
 ERROR_CONTROL = frozenset(("tolerance", "rtol", "atol"))
 NO_ERROR_CONTROL = (
-    "steps whose lengths follow an estimate of the error lose what a scheme keeps over long times; give integrate "
-    "accuracy=, which finds a constant step, or take Taylor(tolerance=...), or ReversibleSteps(Splitting(...)), whose "
-    "steps follow the motion and can be taken back"
+    "a step that is chosen by an estimate of the error would lose what the scheme keeps over long times; give "
+    "integrate accuracy=, which finds a constant step, or take Taylor(tolerance=...), or "
+    "ReversibleSteps(Splitting(...)), whose steps follow the motion reversibly"
 )
 OWN_LOOKS = 240  # points that tell the size of a motion on the way, of a scheme with steps of its own
 FEW_STEPS = 20  # of so few the error need not follow the order; a finer run has more

@@ -54,7 +54,7 @@ class Kahan(CompiledStepMethod):
     order = 2
     explicit = False
     symmetric = True
-    failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "1 - h/2 f'(x) is singular, so that there is no next state"}
+    failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "1 - h/2 f'(x) is singular: there is no next state"}
 
     def properties(self, system: System) -> Properties:
         """Return what is kept: nothing.

@@ -53,7 +53,7 @@ def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
     key(lead)
     rest.plot(drift.t, drift.lead - line, color=colour(0), linewidth=0.7)
     rest.set(xlabel="time $t$", ylabel="lead - line")
-    rest.set_title(f"what is not the line: rms {drift.deviation:.2g}, growing like $t^{{{drift.exponent:.2f}}}$")
+    rest.set_title(f"rest without the line: rms {drift.deviation:.2g}, growing like $t^{{{drift.exponent:.2f}}}$")
     for axes in (lead, rest):
         plain_axes(axes)
         axes.ticklabel_format(axis="y", style="sci", scilimits=(-3, 4), useMathText=True)

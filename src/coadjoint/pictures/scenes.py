@@ -79,8 +79,9 @@ SCENES = {
         ),
         summary="Decaying turbulence of an ideal fluid on the sphere, from random vorticity of the degrees 3 to 8, "
         "seed 1: one to three minutes.",
-        says="Vortices of like sign merge, and two of each sign are left, which move on for ever. Above the vorticity, "
-        "which is drawn out to threads and becomes fine grain; below, what of it is constant along streamlines.",
+        says="Vortices of like sign merge, and two of each sign are left, which keep moving. Above, the vorticity, "
+        "which is stretched into filaments and fine structure. Below, its large-scale part, which is constant along "
+        "streamlines.",
     )
 }
 """By name."""

@@ -58,7 +58,7 @@ def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, 
     if len(wrong):
         entries = slice(*parts.forms.start[[wrong[0], wrong[0] + 1]])
         name = " + ".join(system.algebra.basis[i] for i in parts.forms.coordinate[entries])
-        reason = "is a rotation by an angle that depends on more than itself"
+        reason = "is a rotation whose angle depends on other quantities too"
         if not known[wrong[0]]:
             reason = "is neither nilpotent nor a rotation of a single frequency"
         raise ValueError(

@@ -72,5 +72,5 @@ def what_failed(status: str, method: Method, loops: Loops, residual: float) -> s
         or_of = ", or of a force," if loops.accounts else ""
         return f"the iteration of {method}{or_of} did not converge (last correction {residual:.3g})"
     if status == "PARALLEL":
-        return "a tangent vector became what the others are, to half of its digits"
+        return "a tangent vector lost half of its digits against the others"
     return "a number overflowed"

@@ -16,7 +16,7 @@ MOST_NAMED = 30
 ATTITUDES = {
     "representation": "attitude=True",
     "coadjoint": 'attitude="coadjoint"; no representation is known',
-    "matrices": "none: schemes for matrices turn W itself",
+    "matrices": "none: schemes for matrices do not compute a group element",
     "none": "none, for there is no algebra",
 }
 

@@ -22,7 +22,7 @@ from coadjoint.systems.telling import Picture, Telling
         t_span=(0.0, 60.0),
         step=0.05,
         says="An integrable body in a fluid: its path winds regularly about the direction of its impulse. Middle, "
-        "the path, with the first axis of the body; right, the impulse as the body sees it.",
+        "the path, with the first axis of the body; right, the impulse, seen from the body.",
         pictures=(
             Picture("path in space", axis=0),
             Picture("directions", vectors={"impulse $p$": (3, 4, 5)}, title="the impulse, seen from the body"),

@@ -29,8 +29,9 @@ def _swinging() -> npt.NDArray[np.float64]:
         x0=_swinging,
         t_span=(0.0, 20.0),
         step=0.02,
-        says="Two pendulums, one at the end of the other, pulled aside and pushed across: the directions of both "
-        "rods, on one sphere. The motion is chaotic; the vertical angular momentum stays.",
+        says="Two pendulums, one at the end of the other, pulled aside and pushed sideways. The picture shows the "
+        "directions of both rods on one sphere. The motion is chaotic, and the vertical angular momentum is "
+        "constant.",
         pictures=(
             Picture(
                 "directions",

@@ -18,7 +18,7 @@ from coadjoint.systems.telling import Picture, Telling
         x0=(0.0, 4.0, 3.0, 0.6, -0.48, 0.64),
         t_span=(0.0, 60.0),
         step=0.02,
-        says="Without angular momentum about the vertical the top is integrable: the vertical, as the body sees it "
+        says="Without angular momentum about the vertical the top is integrable: the vertical, seen from the body "
         "(right), moves within a band of its sphere.",
         pictures=(
             Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),

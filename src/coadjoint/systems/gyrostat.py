@@ -29,8 +29,8 @@ Floats = npt.NDArray[np.float64]
         x0=partial(over_sphere, 16),
         t_span=(0.0, 60.0),
         step=0.05,
-        says="Sixteen motions with one size of the momentum: without rotors their curves would be symmetric about "
-        "the planes of the principal axes; the rotors shift the equilibria and leave fewer of them.",
+        says="Sixteen motions with the same length of the momentum. Without rotors their curves would be symmetric "
+        "about the planes of the principal axes. The rotors shift the equilibria, and there are fewer of them.",
         pictures=(
             Picture(
                 "directions",

@@ -26,8 +26,8 @@ Floats = npt.NDArray[np.float64]
         x0=(0.3, 0.2, 3.0, 0.6, 0.0, 0.8),
         t_span=(0.0, 40.0),
         step=0.02,
-        says="A top without symmetry, its center of mass off every axis: the path of its third axis has no pattern "
-        "that returns. Middle, the axis in space; right, the vertical as the body sees it.",
+        says="A top without symmetry, with its center of mass off every axis: the path of its third axis has no "
+        "repeating pattern. Middle, the axis in space; right, the vertical, seen from the body.",
         pictures=(
             Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),
             Picture("directions", vectors={r"vertical $\gamma$": (3, 4, 5)}, title="the vertical, seen from the body"),

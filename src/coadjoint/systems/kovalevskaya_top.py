@@ -18,8 +18,7 @@ from coadjoint.systems.telling import Picture, Telling
         t_span=(0.0, 60.0),
         step=0.02,
         says="Integrable, and yet intricate: the motion is quasi-periodic on a torus of two dimensions, which the "
-        "paths of the third axis in space (middle) and of the vertical as the body sees it (right) begin to "
-        "fill.",
+        "paths of the third axis in space (middle) and of the vertical, seen from the body (right), begin to fill.",
         pictures=(
             Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),
             Picture("directions", vectors={r"vertical $\gamma$": (3, 4, 5)}, title="the vertical, seen from the body"),

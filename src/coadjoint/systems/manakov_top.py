@@ -19,7 +19,7 @@ from coadjoint.systems.telling import Picture, Telling
         x0=(1.0, 0.3, 0.2, 0.1, 0.6, 0.5),
         t_span=(0.0, 60.0),
         step=0.05,
-        says="An integrable energy on so(4), which is twice so(3): the momentum is two vectors of constant "
+        says="An integrable energy on so(4), which is two copies of so(3): the momentum is two vectors of constant "
         "lengths, each on a sphere of its own (both drawn on one), and the paths fill bands with sharp edges.",
         pictures=(
             Picture(

@@ -39,7 +39,7 @@ def _in_all_planes() -> npt.NDArray[np.float64]:
         t_span=(0.0, 60.0),
         step=0.05,
         says="A body of five dimensions turns in all planes at once, with several frequencies. Its momentum is a "
-        "matrix that turns and does not change: the eigenvalues stay.",
+        "matrix that turns, so its eigenvalues are constant.",
         pictures=(Picture("eigenvalues"),),
         components=Picture("components", chosen=_above_the_diagonal),
         coordinates=_names,

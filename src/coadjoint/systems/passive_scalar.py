@@ -24,7 +24,7 @@ def _latitude_as_dye() -> npt.NDArray[np.complex128]:
         t_span=(0.0, 4.0),
         step=0.02,
         says="A dye, at the start the sine of the latitude, is wound up by the vortices of a random flow on the "
-        "sphere. Above the vorticity, below the dye, at the end. The spectrum of the dye stays.",
+        "sphere. Above, the vorticity, and below, the dye, at the end. The spectrum of the dye is constant.",
         pictures=(
             Picture("vorticity", at=1.0),
             Picture("vorticity", part="carried", at=1.0),

@@ -32,7 +32,7 @@ def _two_vortices() -> npt.NDArray[np.complex128]:
         t_span=(0.0, 2.0),
         step=0.002,
         says="The vortex of Orszag and Tang in a conducting fluid: vorticity and magnetic potential fold into each "
-        "other, and sheets of vorticity grow where the field is bent. The spectrum of the potential stays.",
+        "other, and sheets of vorticity grow where the field is bent. The spectrum of the potential is constant.",
         pictures=(
             Picture("vorticity", at=1.0),
             Picture("vorticity", part="carried", at=1.0),

@@ -50,8 +50,8 @@ def _pitch(x: Any) -> Any:
         t_span=(0.0, 300.0),
         step=0.1,
         says="A satellite on a circle: the gradient of gravity turns the axis of the smallest moment toward the "
-        "center, beyond which it swings to and fro. Right, the directions of the radius and of the orbital "
-        "momentum as the body sees them.",
+        "center, and the axis swings to and fro about this direction. Right, the directions of the radius and of the "
+        "orbital momentum, seen from the body.",
         pictures=(
             Picture(
                 "directions",

@@ -24,8 +24,8 @@ from coadjoint.wording import short
         x0=partial(over_sphere, 16, 3.0),
         t_span=(0.0, 12.0),
         step=0.01,
-        says="Sixteen motions with one size of the momentum, as for a rigid body; the energy grows like an "
-        "exponential of the components, so that the curves around the axes are squares with round corners.",
+        says="Sixteen motions with the same length of the momentum, as for a rigid body. The energy grows "
+        "exponentially with the components, so the curves around the axes are squares with round corners.",
         pictures=(
             Picture(
                 "directions",

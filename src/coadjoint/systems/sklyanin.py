@@ -27,7 +27,7 @@ Floats = npt.NDArray[np.float64]
         x0=(1.0, 0.1, 0.9, 0.2),
         t_span=(0.0, 30.0),
         step=0.05,
-        says="A free body whose clock goes at the pace x0: the vector (x1, x2, x3) keeps its length and moves on a "
+        says="A free body whose speed is multiplied by x0: the vector (x1, x2, x3) keeps its length and moves on a "
         "closed curve of its sphere.",
         pictures=(
             Picture(

@@ -34,7 +34,7 @@ BYTES_PER_ENTRY = 500  # of a matrix of fractions, with its inverse
         x0=(1.0, 0.3, 0.2, 0.1, 0.6, 0.5),
         t_span=(0.0, 200.0),
         step=0.1,
-        says="A body of four dimensions: so(4) is twice so(3), so that its momentum is two vectors of constant "
+        says="A body of four dimensions: so(4) is two copies of so(3), so its momentum is two vectors of constant "
         "lengths, each on a sphere of its own (both drawn on one). Together they fill a torus: the motion is "
         "integrable.",
         pictures=(

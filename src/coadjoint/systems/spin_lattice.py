@@ -64,9 +64,9 @@ def _named(dim: int) -> tuple[str, ...]:
         x0=_vortices,
         t_span=(0.0, 36.0),
         step=0.05,
-        says="Two vortices of one sense in a square of 18 x 18 spins that prefer to lie in the plane: in the "
-        "middle of each, spins point up. They go around each other, and radiate a little. Arrows are the "
-        "components in the plane, colours what points up or down.",
+        says="Two vortices of the same sense in a square of 18 x 18 spins that prefer to lie in the plane. In the "
+        "middle of each, spins point up. The vortices go around each other, and radiate a little. Arrows show the "
+        "components in the plane, colours the component perpendicular to it.",
         pictures=(Picture("spins", at=0.0), Picture("spins", at=1.0)),
         components=Picture("components", functions=_MEANS, quantity="mean spin"),
         parameters={"lattice": "square", "shape": (SIDE, SIDE), "tensor": (1.0, 1.0, 0.85)},

@@ -195,8 +195,8 @@ def _two_jets() -> Matrix:
         x0=_two_jets,
         t_span=(0.0, 10.0),
         step=0.00625,
-        says="Two jets, one against the other, meander and roll up into rows of vortices. In the middle the vorticity "
-        "at the start and at the end. The spectrum of the matrix stays.",
+        says="Two jets, one against the other, meander and roll up into rows of vortices. In the middle, the "
+        "vorticity at the start and at the end. The spectrum of the matrix is constant.",
         pictures=(
             Picture("vorticity", at=0.0),
             Picture("vorticity", at=1.0),

@@ -95,7 +95,7 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
 def _row(subject: Subject, key: str, what: str, kind: str, claimed: bool, look: Callable[[], Seen | None]) -> Row:
     try:
         seen = look()
-        reason = "" if seen is not None else "the element could not be followed"
+        reason = "" if seen is not None else "the group element could not be computed"
     except IntegrationError as error:
         seen, reason = None, str(error)
     if seen is None:

@@ -122,7 +122,7 @@ def run_row(subject: Subject, run: LongRun) -> Row:
     if not run.failed:
         return Row(key, what, ends, steps, verdict(declares, True), claimed=declares, reason=reason)
     if motion(subject.system, subject.states, run.until + subject.h) is None:
-        why = "an independent code cannot follow the motion so far either"
+        why = "an independent code cannot compute the motion so far either"
         return Row(key, what, ends, run.failed, UNDECIDED, reason=why)
     return Row(key, what, ends, run.failed, verdict(declares, False), claimed=declares)
 

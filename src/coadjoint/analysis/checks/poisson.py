@@ -96,7 +96,7 @@ def _along(subject: Subject, telling: float, row: Row) -> Row:
     number b.P J(x) a and the number -a.Q J(y) b show the difference of both for two covectors a and b.
     """
     if not subject.claims.symmetric:
-        why = f"a step takes about {subject.seconds:.1g} s; of one that its step back does not undo all of P is needed"
+        why = f"a step takes about {subject.seconds:.1g} s; without a step back that undoes it, the whole P is needed"
         return Row(**{**vars(row), "reason": why})
     method, system, n = subject.method, subject.system, subject.system.dim
     a, b = directions(n, 1), directions(n, 2)

@@ -136,7 +136,7 @@ def same_bits() -> Iterator[Finding]:
                 alone.append(f"{_called(method)} on {key}")
             if not _same(last.x[-1], one.x[-1]):
                 looked.append(f"{_called(method)} on {key}")
-    yield Finding(f"bits alone, in company, on threads: {tried}", float(len(alone)), 0.0, "; ".join(alone)[:200])
+    yield Finding(f"bits alone, in ensembles, on threads: {tried}", float(len(alone)), 0.0, "; ".join(alone)[:200])
     yield Finding(f"bits saved and watched or not: {tried}", float(len(looked)), 0.0, "; ".join(looked)[:200])
 
 
