@@ -45,7 +45,7 @@ def test_long_work_says_once_where_it_is_and_how_long_it_goes_on(clock):
                 at("the long run", now / 24.0)
 
     assert said(work) == [
-        "certify has taken 6 s so far, and about 18 s are left: it is at the long run; Ctrl-C ends it"
+        "certify has taken 6 s so far, and about 18 s are left; now it computes the long run; Ctrl-C ends it"
     ]
 
 
@@ -58,7 +58,7 @@ def test_the_outer_of_two_speaks_for_both(clock):
                     clock[0] += 4.0
                     at("a pilot run")
 
-    assert said(work) == ["certify has taken 8 s so far: it is at a pilot run; Ctrl-C ends it"]
+    assert said(work) == ["certify has taken 8 s so far; now it computes a pilot run; Ctrl-C ends it"]
 
 
 def test_outside_of_any_work_nothing_is_said(clock):

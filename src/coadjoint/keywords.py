@@ -75,7 +75,7 @@ def told(function: Function) -> Function:
     ... def run(x0, step=None): ...
     >>> run((1, 2), dt=0.1)
     Traceback (most recent call last):
-    TypeError: run has no dt; give step=, the size of a step, which stays as it is given
+    TypeError: run has no dt; give step=, the size of a step, which is used as given
     >>> run((1, 2), stepp=0.1)
     Traceback (most recent call last):
     TypeError: run has no stepp; did you mean step=?

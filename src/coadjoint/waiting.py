@@ -104,7 +104,7 @@ def at(doing: str, part: float | None = None) -> None:
         return
     current.said = True
     left = f", and about {spent * (1.0 / part - 1.0):.2g} s are left" if part else ""
-    _warn(f"{current.what} has taken {spent:.2g} s so far{left}: it is at {doing}; Ctrl-C ends it")
+    _warn(f"{current.what} has taken {spent:.2g} s so far{left}; now it computes {doing}; Ctrl-C ends it")
 
 
 def _warn(text: str) -> None:
