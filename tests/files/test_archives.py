@@ -12,6 +12,7 @@ import coadjoint as co
 from coadjoint.files.archive_store import ArchiveError
 from coadjoint.files.archived_solution import ArchivedSolution
 from coadjoint.files.archives import archive_run
+from coadjoint.files.fingerprints import fingerprint_of, same_fingerprint
 from coadjoint.files.output import write_dataset
 from coadjoint.runs.prepared_run import PreparedRun
 from verification.test_archived_runs import assert_same
@@ -127,6 +128,13 @@ def test_a_system_with_functions_is_asked_for_again_and_another_one_refused(tmp_
     assert found.finished
     assert_same(found, whole)
     assert co.open_archive(path, wells()).system.hamiltonian is not None
+
+
+def test_functions_that_differ_in_a_number_of_their_code_are_told_apart():
+    twice, thrice = (lambda x: 2.0 * x), (lambda x: 3.0 * x)
+    assert twice.__code__.co_code == thrice.__code__.co_code
+    assert not same_fingerprint(fingerprint_of(twice), fingerprint_of(thrice))
+    assert same_fingerprint(fingerprint_of(twice), fingerprint_of(lambda x: 2.0 * x))
 
 
 def test_what_is_stored_of_what_is_observed_need_not_be_given(tmp_path):

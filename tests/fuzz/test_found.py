@@ -34,6 +34,10 @@ BRACKETS = ["[e1, e2] = e3"]
             lambda: co.predicted_drift(BODY, X, field=lambda x: 1.0),
             "what field returns has the shape (); it must be (3,)",
         ),
+        "a dimension that is an array": (
+            lambda: co.Quadratic([1.0, 2.0]).check_dimension(np.array([])),
+            "the dimension must be a whole number",
+        ),
         "a basis that is a number": (
             lambda: co.LieAlgebra.from_brackets(BRACKETS, basis=0.5),
             "basis is 0.5; give names, one for each element",

@@ -8,9 +8,15 @@ import coadjoint as co
 from coadjoint.pictures.between import MOST_BETWEEN, SMOOTH, TURN, times_between
 from coadjoint.pictures.drawn import Drawn
 from coadjoint.pictures.sites import places_of_sites
+from coadjoint.runs.solution import Solution
+from coadjoint.systems.telling import Picture
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X0 = (0.1, 1.0, 0.1)
+
+
+def not_to_be_had(self, t):
+    raise ValueError("there are no states between the saved points")
 
 
 def styles(axes):
@@ -151,3 +157,26 @@ def test_no_legend_reaches_out_of_the_figure():
         if axes.get_legend() is not None:
             box = axes.get_legend().get_window_extent()
             assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= figure.bbox.width and box.y1 <= figure.bbox.height
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("every", "style"), [(5, "-"), (7, "None")])
+def test_the_path_of_an_axis_is_lines_only_where_it_turns_by_little(every, style, sign, monkeypatch):
+    """A body in steady rotation: its momentum stands still in the body, its axis turns by 1/4 or 1/3."""
+    monkeypatch.setattr(Solution, "at", not_to_be_had)
+    run = co.integrate(BODY, (1.0, 0.0, 0.0), (0.0, 60.0 * sign), 0.05, save_every=every, attitude=True)
+    assert Drawn(run).joined
+    axes = Figure().add_subplot()
+    run.plot(Picture("body axis", axis=1), axes=axes)
+    circles = 181  # points of the meridians and the equator
+    assert {line.get_linestyle() for line in axes.lines if 1 < len(line.get_xdata()) != circles} == {style}
+
+
+def test_points_of_a_curve_that_closes_make_no_ribbon(monkeypatch):
+    """Chords of 15 points a turn would make a ribbon of a hundredth of the size; dots are the curve."""
+    monkeypatch.setattr(Solution, "at", not_to_be_had)
+    spin = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 1]))
+    for every, joined in ((42, False), (18, True)):  # 15 and 35 points each turn
+        run = co.integrate(spin, (1.0, 0.0, 0.5), (0.0, 300.0), 0.01, save_every=every)
+        drawn = Drawn(run)
+        assert drawn.joined is joined and drawn.close

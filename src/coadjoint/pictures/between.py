@@ -48,7 +48,7 @@ def times_between(drawn: Drawn, looked: Drawn) -> Floats | None:
         None where the saved points are enough, or where states between them would be too many or take too long.
     """
     run = drawn.solution
-    length = min(_length_of_path(looked), _length_of_turns(looked))
+    length = min(_length_of_path(looked), TURN / fastest_turn(looked))
     stretches = np.abs(np.diff(drawn.t))
     total = float(np.sum(np.maximum(1.0, stretches / length)))
     if total > MOST_BETWEEN or total * run.x[0].size > MOST_NUMBERS:
@@ -110,12 +110,22 @@ def _turning(drawn: Drawn, m: int, x: Floats, t: float, size: float) -> float:
     return float(np.linalg.norm(drawn.slope(x + dt * field, t + dt, m) - field)) / dt
 
 
-def _length_of_turns(drawn: Drawn) -> float:
-    """Return how long a stretch of time may be so that an attitude turns by little in it."""
+def fastest_turn(drawn: Drawn) -> float:
+    """Return how fast the attitude turns, in radians for each unit of time, at its fastest; above zero.
+
+    Parameters
+    ----------
+    drawn : Drawn
+        A run. Without an attitude nothing turns.
+
+    Returns
+    -------
+    float
+    """
     rho: Any = getattr(drawn.family, "representation", None)
+    fastest = float(np.finfo(np.float64).tiny)
     if drawn.solution.carried != "representation" or rho is None:
-        return float(np.inf)
-    fastest = 0.0
+        return fastest
     each = max(2, SAMPLED // len(drawn.x))
     for m, path in enumerate(drawn.x):
         hamiltonian = drawn.system_of(m).hamiltonian
@@ -123,4 +133,4 @@ def _length_of_turns(drawn: Drawn) -> float:
             rate = np.tensordot(hamiltonian.gradient(path[k], float(drawn.t[k])), rho, axes=1)
             # A rotation about one axis has two entries of its rate.
             fastest = max(fastest, float(np.linalg.norm(rate[:3, :3] if rate.shape[-1] == 4 else rate)) / 2.0**0.5)
-    return TURN / fastest if fastest > 0.0 else float(np.inf)
+    return fastest

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from coadjoint.errors import IntegrationError
 from coadjoint.given import read_choice, read_list, read_number, read_whole
-from coadjoint.pictures.between import few_times, times_between
+from coadjoint.pictures.between import fastest_turn, few_times, times_between
 from coadjoint.pictures.register import CannotShow
 from coadjoint.pictures.style import coordinate
 from coadjoint.runs.solution import Solution
@@ -33,7 +33,11 @@ SAMPLED = 64  # stretches between points that are looked at
 NUMBERS_SAMPLED = 2**19  # of large states fewer, but FEWEST_SAMPLED
 FEWEST_SAMPLED = 4
 ROUNDS = 4  # of looking at a motion more finely, as often as that shows that it turns faster
-FLAT = 0.015  # how far a motion may leave the chord, as a part of its range: a circle of 11 points does by as much
+# How far a motion may leave the chord, as a part of its range. Over time a line through 11 points of a circle shows it.
+# A curve that closes is drawn over and over, and chords of it make a ribbon: there a circle needs 24 points.
+FLAT = 0.015
+NARROW = 0.003
+LARGEST_TURN = 0.26  # radians from one point of the path of an axis to the next: the same 24 points
 
 
 class Drawn:
@@ -122,7 +126,7 @@ class Drawn:
         """Return the same run at other times, the saved ones among them."""
         found = self.solution.at(times)
         filled = copy.copy(self)
-        for name in ("attitude", "rotation", "kept", "joined", "close", "between"):
+        for name in ("attitude", "rotation", "kept", "joined", "turned_little", "close", "between"):
             filled.__dict__.pop(name, None)
         states = np.ascontiguousarray(found.x)
         states = states.view(np.float64) if np.iscomplexobj(states) else states
@@ -235,15 +239,21 @@ class Drawn:
     @cached_property
     def joined(self) -> bool:
         """Whether lines between the points of a curve show the motion. Where they do not, points are drawn as dots."""
-        return self._flat(self.kept)
+        return self._flat(self.kept, NARROW)
+
+    @cached_property
+    def turned_little(self) -> bool:
+        """Whether lines between the points of the path of an axis show how the attitude turns."""
+        steps = np.abs(np.diff(self.t[self.kept]))
+        return self.joined and (not steps.size or float(np.quantile(steps, 0.9)) * fastest_turn(self) <= LARGEST_TURN)
 
     @cached_property
     def close(self) -> bool:
         """The same for all saved points."""
-        return self._flat(np.arange(len(self.t)))
+        return self._flat(np.arange(len(self.t)), FLAT)
 
     @QUIET
-    def _flat(self, kept: npt.NDArray[np.int64]) -> bool:
+    def _flat(self, kept: npt.NDArray[np.int64], part: float) -> bool:
         """Say whether nine of ten stretches between points are nearly straight, for the first member that is finite.
 
         The motion leaves the chord by about ``|f(x1) - f(x0)| dt / 8``, with its known field f.
@@ -257,7 +267,7 @@ class Drawn:
             return True
         places = spread(len(kept) - 1, min(SAMPLED, max(FEWEST_SAMPLED, NUMBERS_SAMPLED // self.n)))
         leaves = [self._bend(x, self.t[kept], int(p)) for p in places]
-        return bool(np.quantile(leaves, 0.9) <= FLAT * size)
+        return bool(np.quantile(leaves, 0.9) <= part * size)
 
     def _bend(self, x: Floats, t: Floats, p: int) -> float:
         dt = float(t[p + 1] - t[p])

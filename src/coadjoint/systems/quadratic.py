@@ -290,7 +290,7 @@ class Quadratic(Summable):
 
     def check_dimension(self, n: int, owner: str = "the system") -> None:
         """Refuse M where its owner, as messages name it, has another dimension n; a number as M fits all."""
-        if self.dim not in (None, n):
+        if self.dim not in (None, read_whole(n, "the dimension")):
             raise ValueError(f"{self._size()}; {owner} has dimension {n}; give {n}")
 
     def _size(self) -> str:

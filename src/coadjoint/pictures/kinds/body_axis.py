@@ -43,7 +43,7 @@ def body_axis(
         several = len(path) > 1
         for m, own in enumerate(path):
             paint_with = colour(m if several else 0)
-            globe.path(own[drawn.kept], paint_with, drawn.joined, linewidth=0.9 if several else 1.1)
+            globe.path(own[drawn.kept], paint_with, drawn.turned_little, linewidth=0.9 if several else 1.1)
             globe.mark(own[0], colour(1), label="start" if m == 0 else None)
             globe.mark(own[-1], INK, label="end" if m == 0 else None, marker="s", size=4.0)
         axes.set_title(f"{name} in space", fontsize=9.5, color=INK)

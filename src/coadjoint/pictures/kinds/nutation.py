@@ -44,7 +44,7 @@ def nutation(drawn: Drawn, axis: Any = 2, up: Any = None, turns: float = 0.5) ->
             beyond = np.flatnonzero(np.abs(azimuth) > 360.0 * turns)
             last = int(beyond[0]) if beyond.size else len(azimuth)
             ended |= bool(beyond.size)
-            style: dict[str, Any] = {"linewidth": 1.1} if drawn.joined else dots(len(points))
+            style: dict[str, Any] = {"linewidth": 1.1} if drawn.turned_little else dots(len(points))
             axes.plot(azimuth[:last], inclination[:last], color=colour(m), **style)
             start = {"label": "start"} if m == 0 else {}
             axes.plot(azimuth[:1], inclination[:1], "o", markersize=5, color=colour(1), **start)

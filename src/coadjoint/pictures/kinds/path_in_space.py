@@ -42,7 +42,7 @@ def path_in_space(drawn: Drawn, axis: int = 0) -> Paint:
         low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
         reach = 0.09 * float(np.max(high - low)) or 1.0
         for m, (path, direction) in enumerate(zip(positions, pointing, strict=True)):
-            style: dict[str, Any] = {"linewidth": 1.2} if drawn.joined else dots(len(path))
+            style: dict[str, Any] = {"linewidth": 1.2} if drawn.turned_little else dots(len(path))
             axes.plot(*path.T, color=colour(m), **style)
             at = spread(len(path), SHOWN)
             ends = np.stack([path[at], path[at] + reach * direction[at], np.full((len(at), 3), np.nan)], axis=1)
