@@ -51,8 +51,6 @@ def suggested_scheme(system: System) -> Method:
     for method in first:
         try:
             method.properties(system)
-            # Whether H has exact flows is found where they are counted.
-            method.work(system, None)
         except (TypeError, ValueError):
             continue
         return method
