@@ -449,7 +449,7 @@ def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
     status : int
         The exit status, see `coadjoint.cli`.
     said : str
-        What goes to the standard error: one line where something is wrong; otherwise a line for each warning.
+        What goes to the standard error: a line for each mistake that was found; otherwise a line for each warning.
 
     Examples
     --------
@@ -496,7 +496,7 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
     except click.ClickException as error:
         return error.exit_code, in_one_line(_said(error))
     except (ArchiveError, ConfigurationError, OutputError) as error:
-        return 2, in_one_line(str(error))
+        return 2, "\n".join(map(in_one_line, getattr(error, "mistakes", ()) or (str(error),)))
     except ImportError as error:
         # A package is missing, or does not fit the others. The sentence of the error says which.
         return 2, in_one_line(f"coadjoint: {error}")

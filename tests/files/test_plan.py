@@ -123,11 +123,12 @@ def test_what_is_printed(folder, capsys):
         ),
     ],
 )
-def test_bad_input_is_one_line(folder, capsys, text, said):
+def test_bad_input_is_one_line_each(folder, capsys, text, said):
     (folder / "run.toml").write_text(text, encoding="utf-8")
     assert cli.main(["check", "run.toml"]) == 2
     given = capsys.readouterr()
-    assert given.out == "" and given.err.startswith(said) and given.err.count("\n") == 1
+    assert given.out == "" and given.err.startswith(said)
+    assert all(line.startswith("run.toml: ") for line in given.err.splitlines()) and given.err.endswith("\n")
 
 
 def test_a_trial_that_fails_is_told(folder, capsys):

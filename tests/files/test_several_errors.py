@@ -1,7 +1,8 @@
-"""A file with several mistakes is refused once, with all of them, in one line."""
+"""A file with several mistakes is refused once, with all of them: one message, or a line for each by the command."""
 
 import pytest
 
+from coadjoint import cli
 from coadjoint.errors import in_one_line
 from coadjoint.files.configuration import ConfigurationError, load
 from coadjoint.files.several_errors import LETTERS, told_together
@@ -72,3 +73,121 @@ def test_many_and_long_ones_stay_in_one_line():
     assert len(said) <= LETTERS + 30 and said.endswith("; and 3 more") and all(f"key{k}" in said for k in range(4))
     assert in_one_line(said) == said
     assert told_together(["a", "a"]) == "a"
+
+
+MANY = """
+[system]
+name = "heavy_top"
+[system.parameters]
+inertai = [1.0, 2.0, 3.0]
+[initial]
+x = [0.3, 0.2, 3.0, 0.6, 0.0]
+[method]
+name = "Splitting"
+odrer = 4
+[run]
+t_span = [0, 10]
+stepp = 0.3
+save_evry = 10
+[observe]
+area = "x1*x9"
+[events.flip]
+g = "m9 + 1"
+[output]
+figur = "a.png"
+"""
+
+
+def lines_of(text, tmp_path, monkeypatch, capsys, *command):
+    """Return the lines that the command says when it refuses a file, without the name of the file."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run.toml").write_text(text)
+    assert cli.main([*command, "run.toml"]) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and all(line.startswith("run.toml: ") for line in said.err.splitlines())
+    return [line.removeprefix("run.toml: ") for line in said.err.splitlines()]
+
+
+@pytest.mark.parametrize("command", ["run", "check", "certify"])
+def test_mistakes_of_all_stages_are_told_at_once_each_in_a_line(tmp_path, monkeypatch, capsys, command):
+    said = lines_of(MANY, tmp_path, monkeypatch, capsys, command)
+    wanted = [
+        "system.parameters.inertai: unknown key; did you mean 'inertia'?",
+        "method.odrer: unknown key; did you mean 'order'?",
+        "run.stepp: unknown key; did you mean 'step'?",
+        "run.save_evry: unknown key; did you mean 'save_every'?",
+        "output.figur: unknown key; did you mean 'figure'?",
+        "run: step 0.3 does not divide",
+        "initial.x: x0 has the shape (5,)",
+        "observe.area: ",
+        "events.flip: ",
+    ]
+    assert len(said) == len(wanted)
+    assert all(sum(line.startswith(one) for line in said) == 1 for one in wanted)
+
+
+@pytest.mark.parametrize(
+    "line", [line for line in MANY.splitlines() if "=" in line and line[:4] not in ("name", "t_sp")]
+)
+def test_each_of_them_alone_is_one_line(tmp_path, monkeypatch, capsys, line):
+    right = {
+        "inertai": "inertia = [1.0, 2.0, 3.0]",
+        "x = [": "x = [0.3, 0.2, 3.0, 0.6, 0.0, 0.8]",
+        "odrer": "order = 4",
+        "stepp": "step = 0.25",
+        "save_evry": "save_every = 10",
+        "area": 'area = "x1*x2"',
+        "g = ": 'g = "m1"',
+        "figur": 'figure = "a.png"',
+    }
+    text = MANY
+    for key, mended in right.items():
+        wrong = next(one for one in MANY.splitlines() if one.startswith(key))
+        text = text if wrong == line else text.replace(wrong, mended)
+    # A misspelled step is read as the step, and does not divide the span: two mistakes.
+    assert len(lines_of(text, tmp_path, monkeypatch, capsys, "check")) == (2 if line.startswith("stepp") else 1)
+
+
+@pytest.mark.parametrize(
+    ("table", "wrong", "told"),
+    [
+        ("initial", 'x = "one"', ["initial.x: must be", "method: unknown", "run: step"]),
+        ("run", 't_span = "late"\nstep = 0.3', ["initial.x: x0", "method: unknown", "run.t_span: must be"]),
+        ("system", "name = 3", ["method: unknown", "run: step", "system.name: must be"]),
+        ("output", "file = 3", ["initial.x: x0", "method: unknown", "output.file: must be", "run: step"]),
+    ],
+)
+def test_a_table_that_cannot_be_read_hides_no_other(tmp_path, monkeypatch, capsys, table, wrong, told):
+    tables = {
+        "system": 'name = "rigid_body"',
+        "initial": "x = [1.0, 0.1]",
+        "method": 'name = "Spliting"',
+        "run": "t_span = [0, 10]\nstep = 0.3",
+        table: wrong,
+    }
+    said = lines_of(
+        "\n".join(f"[{key}]\n{lines}" for key, lines in tables.items()), tmp_path, monkeypatch, capsys, "run"
+    )
+    assert len(said) == len(told) and all(line.startswith(one) for line, one in zip(sorted(said), told, strict=True))
+
+
+def test_a_misspelled_key_beside_the_right_one(tmp_path, monkeypatch, capsys):
+    text = FILE.format(**RIGHT).replace("step = 0.125", "step = 0.3\nstepp = 0.125")
+    said = lines_of(text, tmp_path, monkeypatch, capsys, "check")
+    assert len(said) == 2 and said[0].startswith("run.stepp: ") and said[1].startswith("run: step 0.3 does not divide")
+
+
+def test_all_places_of_a_sweep_and_the_rest_of_the_file(tmp_path, monkeypatch, capsys):
+    text = FILE.format(**RIGHT).replace("Splitting", "Spliting")
+    text += '[sweep.over]\n"initial.x[7]" = [1.0, 2.0]\n"initial.x[2]" = [1.0, "a"]\n"run.step" = [0.1]\n'
+    said = lines_of(text, tmp_path, monkeypatch, capsys, "check")
+    assert said[-1].startswith("method: unknown method 'Spliting'") and len(said) > 1
+    text = text.replace('[1.0, "a"]', "[1.0, 2.0]").replace('"initial.x[7]"', '"system.nam"')
+    said = lines_of(text, tmp_path, monkeypatch, capsys, "check")
+    assert [line.split(": ")[0] for line in said] == ["sweep.over.system.nam", "sweep.over.run.step", "method"]
+
+
+def test_more_mistakes_than_are_told(tmp_path, monkeypatch, capsys):
+    text = FILE.format(**RIGHT) + "".join(f"key{k} = {k}\n" for k in range(30))
+    said = lines_of(text, tmp_path, monkeypatch, capsys, "check")
+    assert len(said) == 21 and said[-1] == "10 more" and len(set(said)) == 21

@@ -195,7 +195,7 @@ def test_coordinates_of_equal_names_are_told_apart():
         ('"initial.x[0]" = { linear = [0, 1] }', "sweep.over.initial.x[0]: count belongs to a grid"),
         ('"initial.x[0]" = { linear = [0, 1], count = 1 }', "sweep.over.initial.x[0]: count is 1, and a grid has the"),
         ('"initial.x[0]" = { linear = [0, 1], uniform = [0, 1] }', "sweep.over.initial.x[0]: has linear and uniform; "),
-        ('"initial.x[0]" = { uniform = [0, 1] }', "sweep: over 'initial.x[0]' is random; give samples, how many, and"),
+        ('"initial.x[0]" = { uniform = [0, 1] }', "sweep: over 'initial.x[0]' is random; give samples (how many) and"),
         ('"initial.x[0]" = { logarithmic = [0, 1], count = 3 }', "sweep.over.initial.x[0]: logarithmic is [0, 1]; "),
         ('"initial.x[0]" = { linear = [0, nan], count = 3 }', "sweep.over.initial.x[0]: linear is nan; it must be"),
         ('"initial.x[0]" = { linear = [0, 1], count = 1000000000000 }', "sweep.over.initial.x[0]: a grid of 10000000"),

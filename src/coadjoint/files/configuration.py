@@ -15,6 +15,7 @@ from coadjoint.files.configuration_parts import ConfigurationError, method_of_fi
 from coadjoint.files.configuration_text import tables_of, text_of
 from coadjoint.files.initial_states import initial_state
 from coadjoint.files.polynomials import read_polynomial
+from coadjoint.files.readable_tables import Readable, readable
 from coadjoint.files.several_errors import SeveralErrors, told_together
 from coadjoint.files.states_by_name import check_named, state_by_name
 from coadjoint.files.sweeps import Sweep, read_sweep
@@ -232,8 +233,11 @@ class Configuration:
 def system_of_text(text: str) -> Any:
     """Return the system of a configuration by the text of its file, kept with a result."""
     name = "the configuration of this run"
-    file, sweep = _read(name, tables_of(name, text))
-    return _system(name, file, sweep)
+    wrong = SeveralErrors(name)
+    found, sweep = _read(name, tables_of(name, text), wrong)
+    wrong.tell()
+    assert found.file is not None
+    return _system(name, found.file, sweep)
 
 
 def load(path: str | Path) -> Configuration:
@@ -262,18 +266,24 @@ def load(path: str | Path) -> Configuration:
     """
     need("reading a configuration file", "pydantic")
     name, text = str(read_path(path, "path")), text_of(path)
-    return _configuration(name, text, *_read(name, tables_of(name, text)))
+    wrong = SeveralErrors(name)
+    return _configuration(name, text, *_read(name, tables_of(name, text), wrong), wrong)
 
 
-def _read(name: str, raw: dict[str, Any]) -> tuple[File, Sweep | None]:
-    """Return the checked tables of a file, of a sweep those of its first member."""
-    from coadjoint.files.configuration_models import File, OfSweep
+def _read(name: str, raw: Mapping[str, Any], wrong: SeveralErrors) -> tuple[Readable, Sweep | None]:
+    """Return what can be read of the tables of a file, of a sweep those of its first member."""
+    from coadjoint.files.configuration_models import OfSweep
 
-    sweep = None
+    sweep: Sweep | None = None
     if "sweep" in raw:
-        sweep = read_sweep(name, raw, _checked(name, OfSweep, raw).sweep)
-        raw = sweep.raw_of(0)
-    return _checked(name, File, raw), sweep
+        given, raw = raw, {key: table for key, table in raw.items() if key != "sweep"}
+        with wrong.caught():
+            made = read_sweep(name, given, _checked(name, OfSweep, given).sweep)
+            sweep, raw = made, made.raw_of(0)
+    found = readable(raw)
+    for said in (*found.said, *([] if found.has("system") else _unknown_system(raw))):
+        wrong.add(said)
+    return found, sweep
 
 
 def _system(name: str, file: File, sweep: Sweep | None) -> Any:
@@ -291,7 +301,7 @@ def _checked(name: str, model: type[Model], raw: Mapping[str, Any]) -> Model:
     try:
         return model.model_validate(raw)
     except ValidationError as error:
-        raise ConfigurationError(f"{name}: {told_together([*all_errors(error), *_unknown_system(raw)])}") from None
+        raise ConfigurationError(f"{name}: {told_together(all_errors(error))}") from None
 
 
 def _unknown_system(raw: Mapping[str, Any]) -> list[str]:
@@ -343,30 +353,35 @@ def check_archived(name: str, t_eval: Any, events: Any) -> None:
             raise ConfigurationError(f"{name}: {key}: {said}")
 
 
-def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Configuration:
+def _configuration(name: str, text: str, found: Readable, sweep: Sweep | None, wrong: SeveralErrors) -> Configuration:
     from coadjoint.files.configuration_models import File as Tables
 
-    wrong = SeveralErrors(name)
+    file = found.file
+    if file is None:
+        wrong.tell()
+    assert file is not None
     system: Any = None
     method: Any = None
     x0: Any = None
     step, choice, checked = file.run.step, None, partial(_checked, name, Tables)
-    with wrong.caught():
-        check_named(name, file)
-        system = _system(name, file, sweep)
+    if found.has_system:
+        with wrong.caught():
+            if found.has("initial"):
+                check_named(name, file)
+            system = _system(name, file, sweep)
     if file.output.archive is not None:
         with wrong.caught():
             check_archived(name, file.run.t_eval, file.events)
     # What the system is asked for is looked at where there is one; the scheme and the times tell nothing of each other.
-    if system is not None:
-        with wrong.caught():
-            found = _method(name, file, system)
+    with wrong.caught():
+        method = _method(name, file, system)
+        if system is not None:
             with section(name, "method"):
-                check_serves(system[0] if isinstance(system, Batch) else system, found)
-            method = found
-        if step is not None:
-            with wrong.caught():
-                _check_times(name, file, system, step)
+                check_serves(system[0] if isinstance(system, Batch) else system, method)
+    if step is not None and found.has("run"):
+        with wrong.caught():
+            _check_times(name, file, system, step)
+    if system is not None and found.has("initial"):
         with wrong.caught():
             x0 = (
                 state_by_name(name, file.initial, system)
@@ -376,6 +391,15 @@ def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Con
             with section(name, "initial.x"):
                 x0 = initial_state(system, file.initial.x, Path(name).parent) if x0 is None else x0
                 momenta_of(system, x0)
+    observe, events = {}, []
+    for key, written in file.observe.items() if system is not None else ():
+        with wrong.caught(), section(name, f"observe.{key}"):
+            if isinstance(system, MatrixSystem):
+                raise ValueError(f"a polynomial is one of coordinates; the states of {system.name} are matrices")
+            observe[key] = read_polynomial(written, system.dim)
+    for key, table in file.events.items() if system is not None else ():
+        with wrong.caught(), section(name, f"events.{key}"):
+            events.append(event_of_file(key, table.model_dump(), system))
     wrong.tell()
     with section(name, "initial.x"):
         start_of(system, serving(system, method), x0, False)
@@ -390,16 +414,6 @@ def _configuration(name: str, text: str, file: File, sweep: Sweep | None) -> Con
     assert step is not None
     if file.run.workers is not None:
         _check_workers(name, file, system, x0)
-    observe = {}
-    for key, written in file.observe.items():
-        with section(name, f"observe.{key}"):
-            if isinstance(system, MatrixSystem):
-                raise ValueError(f"a polynomial is one of coordinates; the states of {system.name} are matrices")
-            observe[key] = read_polynomial(written, system.dim)
-    events = []
-    for key, table in file.events.items():
-        with section(name, f"events.{key}"):
-            events.append(event_of_file(key, table.model_dump(), system))
     return Configuration(
         path=name,
         system=system,

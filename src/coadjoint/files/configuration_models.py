@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -205,6 +205,17 @@ def unknown_key(key: str, known: Iterable[str]) -> str:
     return f"unknown key; known here: {', '.join(names)}" if names else "unknown key; there are none here"
 
 
+def known_keys(place: Sequence[str | int]) -> list[str]:
+    """Return the keys that a table of a file may have.
+
+    Examples
+    --------
+    >>> known_keys(["events", "flip"])
+    ['g', 'direction', 'count', 'terminal']
+    """
+    return list(_table_at(place).model_fields)
+
+
 def all_errors(error: ValidationError) -> list[str]:
     """Return what is wrong with the tables of a file: the dotted path of each key, and the reason.
 
@@ -245,7 +256,7 @@ def all_errors(error: ValidationError) -> list[str]:
 
 def _reason(kind: str, message: str, given: Any, context: Mapping[str, Any], place: list[int | str]) -> str:
     if kind == "extra_forbidden":
-        return unknown_key(str(place[-1]), _table_at(place[:-1]).model_fields)
+        return unknown_key(str(place[-1]), known_keys(place[:-1]))
     if kind == "missing":
         return "is missing; give it"
     if kind == "value_error":
@@ -271,7 +282,7 @@ def _reason(kind: str, message: str, given: Any, context: Mapping[str, Any], pla
     )
 
 
-def _table_at(place: list[int | str]) -> type[BaseModel]:
+def _table_at(place: Sequence[int | str]) -> type[BaseModel]:
     table: type[BaseModel] = File
     keys = iter(place)
     for key in keys:

@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 class ConfigurationError(OneLineError):
     """A configuration file is wrong: one sentence with the file, the key, and what would be right."""
 
+    mistakes: tuple[str, ...] = ()
+    """If there are several: a line for each."""
+
 
 @contextmanager
 def section(name: str, key: str) -> Iterator[None]:
@@ -111,12 +114,16 @@ def _hamiltonian_part(name: str, file: File) -> System:
     if (file.system is None) == (file.algebra is None):
         raise ConfigurationError(f"{name}: give either [system], a ready-made one, or [algebra] with [hamiltonian]")
     if file.system is not None:
+        from coadjoint.files.several_errors import SeveralErrors
+
+        wrong = SeveralErrors(name)
         for key in ("name", "sign", "hamiltonian", "casimirs"):
             if getattr(file, key) is not None:
-                raise ConfigurationError(
-                    f"{name}: {key}: belongs to [algebra]; the system {file.system.name!r} has its own"
-                )
-        return _ready_made(name, file.system.name, file.system.parameters)
+                wrong.add(f"{key}: belongs to [algebra]; the system {file.system.name!r} has its own")
+        with wrong.caught():
+            made = _ready_made(name, file.system.name, file.system.parameters)
+        wrong.tell()
+        return made
     if file.hamiltonian is None:
         raise ConfigurationError(f"{name}: hamiltonian: is missing; give it beside [algebra]")
     assert file.algebra is not None

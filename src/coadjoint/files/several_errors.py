@@ -1,4 +1,4 @@
-"""What is all wrong with a file? Its mistakes are told together, in one line, as far as they can be found."""
+"""What is all wrong with a file? Its mistakes are told together, as far as they can be found."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from coadjoint.errors import in_one_line
 from coadjoint.files.configuration_parts import ConfigurationError
 
 MOST_TOLD = 4
+MOST_LINES = 20
 LETTERS = 360  # of one line, beside the name of the file and what stands between
 
 
@@ -45,19 +46,27 @@ class SeveralErrors:
         except ConfigurationError as error:
             self._found.append(error)
 
+    def add(self, said: str) -> None:
+        """Keep what was found to be wrong: a key and the reason."""
+        self._found.append(ConfigurationError(f"{self._name}: {said}"))
+
     @property
     def none(self) -> bool:
         """Whether nothing was refused so far."""
         return not self._found
 
     def tell(self) -> None:
-        """Raise what was refused: one error as it is, several in one line."""
+        """Raise what was refused: one error as it is, several in one line; `mistakes` has each in a line of its own."""
         if not self._found:
             return
-        if len(self._found) == 1:
+        said = list(dict.fromkeys(one for error in self._found for one in error.mistakes or (str(error),)))
+        if len(said) == 1:
             raise self._found[0]
-        said = [str(error).removeprefix(f"{self._name}: ") for error in self._found]
-        raise ConfigurationError(f"{self._name}: {told_together(said)}") from self._found[0].__cause__
+        together = told_together([one.removeprefix(f"{self._name}: ") for one in said])
+        error = ConfigurationError(f"{self._name}: {together}")
+        rest = len(said) - MOST_LINES
+        error.mistakes = (*said[:MOST_LINES], *([f"{self._name}: {rest} more"] if rest > 0 else []))
+        raise error from self._found[0].__cause__
 
 
 def told_together(said: Sequence[str]) -> str:

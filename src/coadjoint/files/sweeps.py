@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import in_one_line
 from coadjoint.files.configuration_parts import ConfigurationError, section
 from coadjoint.files.initial_states import array_of_file
+from coadjoint.files.several_errors import SeveralErrors
 from coadjoint.files.swept_settings import SAMPLES, settings_of, together_with
 from coadjoint.memory import check_room
 from coadjoint.wording import short
@@ -128,9 +129,11 @@ def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> Sweep:
         A place that cannot be swept, settings that are wrong, arrays of other lengths, or too many members.
     """
     axes: dict[str, dict[str, Any]] = {}
-    _check_places(name, sweep.over)
+    wrong = SeveralErrors(name)
+    _check_places(name, sweep.over, wrong)
+    wrong.tell()
     for place, table in sweep.over.items():
-        with section(name, f"sweep.over.{place}"):
+        with wrong.caught(), section(name, f"sweep.over.{place}"):
             written = _written(raw, place_of(place))
             random = together_with(place, table) == SAMPLES
             if isinstance(written, str):
@@ -142,6 +145,7 @@ def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> Sweep:
                 raise ValueError("orbit is of states; give it for 'initial.x'")
             settings = settings_of(place, table, sweep, written, Path(name).parent)
             axes.setdefault(together_with(place, table), {})[place] = settings
+    wrong.tell()
     found = tuple(Axis(settings, len(next(iter(settings.values())))) for settings in axes.values())
     members = math.prod(axis.length for axis in found)
     with section(name, "sweep.over"):
@@ -170,10 +174,10 @@ def place_of(written: str) -> Place:
     return tuple(found)
 
 
-def _check_places(name: str, over: Iterable[str]) -> None:
+def _check_places(name: str, over: Iterable[str], wrong: SeveralErrors) -> None:
     places: dict[str, Place] = {}
     for place in over:
-        with section(name, f"sweep.over.{in_one_line(place, 60)}"):
+        with wrong.caught(), section(name, f"sweep.over.{in_one_line(place, 60)}"):
             keys = place_of(place)
             if not any(place.startswith((f"{root}.", f"{root}[")) for root in ROOTS):
                 raise ValueError(f"only what lies in {', '.join(ROOTS)} can be swept")
