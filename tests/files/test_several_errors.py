@@ -154,6 +154,11 @@ def test_each_of_them_alone_is_one_line(tmp_path, monkeypatch, capsys, line):
         ("initial", 'x = "one"', ["initial.x: must be", "method: unknown", "run: step"]),
         ("run", 't_span = "late"\nstep = 0.3', ["initial.x: x0", "method: unknown", "run.t_span: must be"]),
         ("system", "name = 3", ["method: unknown", "run: step", "system.name: must be"]),
+        (
+            "system",
+            'name = "rigid_bodi"\nparameters = 3',
+            ["method: unknown", "run: step", "system.parameters: must be", "system: unknown system 'rigid_bodi'"],
+        ),
         ("output", "file = 3", ["initial.x: x0", "method: unknown", "output.file: must be", "run: step"]),
     ],
 )
