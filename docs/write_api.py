@@ -36,7 +36,7 @@ MEMBERS_OF = (
     ("A system with forces", ForcedSystem),
     ("A force", co.forces.Force),
     ("A scheme", co.methods.Method),
-    ("A splitting, beside that", co.Splitting),
+    ("A splitting, in addition", co.Splitting),
     ("A solution", co.Solution),
     ("A drift", Drift),
     ("A prepared run", co.PreparedRun),
@@ -95,10 +95,11 @@ USED = {
 """What users call that no short name leads to."""
 HEAD = """# Every public name
 
-One line each: the first sentence of its text, and the file where the text stands. In Python `help(co.integrate)` shows
-all of it: parameters with their shapes, what is returned, what is refused, examples.
+This page is for people who look for a function, a class or a command. It lists each with the first sentence of its
+docstring, and the file in which it is. In Python, `help(co.integrate)` shows the whole docstring: parameters with their
+shapes, what is returned, what is refused, examples. [terms.md](terms.md) explains the words.
 
-`python docs/write_api.py` writes this page, and a test compares the two.
+`python docs/write_api.py` writes this page, and a test checks that it is up to date.
 """
 
 
@@ -167,7 +168,7 @@ def _sections() -> Iterator[str]:
         for name, command in sorted(commands.commands.commands.items())
     ]
     yield "\n".join(["## The command\n", "| command | |", "|---|---|", *lines])
-    yield "\n`coadjoint COMMAND --help` has the options; [files.md](files.md) says what a file may hold."
+    yield "\n`coadjoint COMMAND --help` shows the options. [files.md](files.md) describes configuration files."
 
 
 def _members(kind: type) -> Iterator[tuple[str, Any]]:
