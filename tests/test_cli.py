@@ -257,6 +257,13 @@ def test_systems_and_methods_are_listed(capsys):
     methods = capsys.readouterr().out
     assert "GaussLegendre(stages=2)\n    The Gauss-Legendre method" in methods
     assert "Composition(base, coefficients)\n" in methods
+    assert cli.main(["methods", "GaussLegendre"]) == 0
+    one = capsys.readouterr().out
+    assert one.startswith("GaussLegendre(stages=2)\n    The Gauss-Legendre method") and "\n    stages : int" in one
+    assert "Examples" not in one and "Splitting(order=2" not in one and one.endswith("\n")
+    assert refused(capsys, "methods", "Spliting").startswith(
+        "coadjoint: unknown method 'Spliting'; did you mean 'Splitting'?"
+    )
 
 
 def test_reproduce_prints_the_table_and_where_the_figures_are(folder, capsys, monkeypatch):

@@ -131,6 +131,9 @@ def test_a_keyboard_interrupt_brings_what_there_is(monkeypatch, options):
         interrupted_after(1, patched)
         co.integrate(BODY, x0, (0, 10), 0.125, **options)
     found = stopped.value.partial
+    assert stopped.value.__notes__ == [
+        "The error has what was computed as its attribute partial; archive= keeps it on disk"
+    ]
     count = len(found.t)
     there = np.isfinite(found.x)
     # Of two crews the first one is done.
@@ -160,7 +163,8 @@ def test_a_keyboard_interrupt_leaves_an_archive_that_goes_on(tmp_path, monkeypat
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt) as stopped:
         interrupted_after(5, patched)
         co.integrate(BODY, X, (0, 100), 0.125, archive=tmp_path / "run.zarr")
-    partial = stopped.value.partial
+    partial, path = stopped.value.partial, tmp_path / "run.zarr"
+    assert stopped.value.__notes__ == [f"{path} has what was computed; co.resume({str(path)!r}) goes on with it"]
     assert 0 < partial.reached < 800 and np.array_equal(partial.x, whole.x[: partial.reached + 1])
     assert np.array_equal(co.resume(tmp_path / "run.zarr").x, whole.x)
 

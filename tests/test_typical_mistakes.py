@@ -42,10 +42,32 @@ MISTAKES = {
     "solver": (lambda: full(solver="rk4"), "integrate has no solver; give method=, such as Splitting(order=4)"),
     "verbose": (lambda: full(verbose=1), "integrate has no verbose; give progress=True"),
     "saveat": (lambda: full(saveat=[0.5]), "integrate has no saveat; give t_eval=, the times at which states are kept"),
+    "workers": (lambda: full(workers=2), "integrate has no workers; give threads=, or processes to co.ensemble(..., "),
     "misspelt": (lambda: full(save_evry=2), "integrate has no save_evry; did you mean save_every=?"),
     "choose with tol": (lambda: co.choose(BODY, X0, SPAN, tol=1e-8), "choose has no tol; give accuracy="),
     "prepare with dt": (lambda: co.prepare(BODY, co.Splitting(), dt=0.1), "prepare has no dt; give step="),
     "inertia as I": (lambda: co.systems.rigid_body(I=(1, 2, 3)), "rigid_body has no I; give inertia=, the principal"),
+    "moments one by one": (
+        lambda: co.systems.rigid_body(1, 2, 3),
+        "rigid_body was given 3 arguments, and takes inertia; give several values as one, inertia=(1, 2, 3)",
+    ),
+    "a row for each spin": (
+        lambda: co.integrate(co.systems.spin_lattice("ring", 4), np.ones((4, 3)), SPAN, 0.1),
+        "x0 has the shape (4, 3); it must be (12,) or (members, 12); np.ravel(x0) makes one state of its numbers",
+    ),
+    "a Hamiltonian as text": (
+        lambda: SYSTEM(SO3, "x1^2/2"),
+        "the Hamiltonian is the text 'x1^2/2'; give co.Polynomial(text, 3) if its coordinates are x1, x2, ..., or",
+    ),
+    "an event as text": (lambda: full(events="x2"), "events is 'x2'; give an Event, such as co.Event('x2'), or a list"),
+    "a polynomial as an event": (
+        lambda: full(events=co.Event("x2^2 - 0.1")),
+        "the event x2^2 - 0.1 is 'x2^2 - 0.1', which is no coordinate; give a polynomial, "
+        "co.Polynomial('x2^2 - 0.1', basis=('x1', 'x2', 'x3'))",
+    ),
+    "su3": (lambda: co.algebras.get("su3"), "unknown algebra 'su3'; did you mean 'su(3)'?"),
+    "so_4": (lambda: co.algebras.get("so_4"), "unknown algebra 'so_4'; did you mean 'so(4)'?"),
+    "a file as an archive": (lambda: co.resume(__file__), f"{__file__}: is a file; an archive is a folder"),
     "order of Gauss": (lambda: co.GaussLegendre(order=4), "GaussLegendre has no order; it takes stages"),
     # algebras and attitudes
     "names as indices": (
@@ -161,9 +183,9 @@ MISTAKES = {
         lambda: co.Polynomial("x1^2"),
         "'x1^2' does not say how many coordinates there are; give dim= or basis=",
     ),
-    "a formula as Python writes it": (
-        lambda: co.Polynomial("x1**2", dim=3),
-        "'x1**2' cannot be read from '**2' on; write sums of products such as 0.5*x1^2 - x2*x3 + 1/3",
+    "a formula without signs of products": (
+        lambda: co.Polynomial("0.5 x1^2", dim=3),
+        "'0.5 x1^2' cannot be read from 'x1^2' on; write sums of products such as 0.5*x1^2 - x2*x3 + 1/3",
     ),
     "a wrong gradient": (
         lambda: SYSTEM(SO3, co.Hamiltonian(lambda x: x[0] ** 2, lambda x: np.array([x[0], 0, 0]))),
@@ -220,6 +242,11 @@ def test_the_message(name):
     assert "\n" not in message and " at 0x" not in message
     assert len(message) < 700
     assert not re.search(r"unexpected keyword|positional argument|NoneType", message)
+
+
+def test_more_numbers_than_a_state_has_are_not_told_to_be_one():
+    with pytest.raises(ValueError, match=r"must be \(3,\) or \(members, 3\)$"):
+        run(np.ones((3, 1, 3)), SPAN, 0.1)
 
 
 def test_names_and_lines_make_algebras():

@@ -323,10 +323,19 @@ def _parameter(text: str) -> tuple[str, Fraction]:
 
 
 @commands.command("methods")
-def list_methods() -> None:
-    """List the schemes with their parameters."""
+@click.argument("name", required=False)
+def list_methods(name: str | None) -> None:
+    """List the schemes with their parameters, or describe one, NAME."""
     from coadjoint.methods import registry
 
+    if name is not None:
+        try:
+            text = registry.documentation_of(name)
+        except ValueError as error:
+            raise click.UsageError(str(error)) from None
+        _describe(name, registry.parameters_of(name), text)
+        click.echo("".join(f"    {line}".rstrip() + "\n" for line in text.splitlines()[1:]), nl=False)
+        return
     for name in registry.names():
         _describe(name, registry.parameters_of(name), registry.summary_of(name))
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 from coadjoint.errors import nearest
+from coadjoint.wording import short
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -24,7 +25,8 @@ KEYWORDS: Mapping[str, str] = {
     **dict.fromkeys(("saveat", "save_at", "ts"), "t_eval=, the times at which states are kept, or save_every="),
     **dict.fromkeys(("save", "save_freq", "thin", "every", "stride"), "save_every=, to keep every so many steps"),
     "dense_output": "it needs none: sol.at(t) has the states at any time",
-    **dict.fromkeys(("n_jobs", "workers", "num_threads", "nthreads", "n_threads", "cores"), "threads="),
+    **dict.fromkeys(("n_jobs", "num_threads", "nthreads", "n_threads", "cores"), "threads="),
+    **dict.fromkeys(("workers", "processes"), "threads=, or processes to co.ensemble(..., workers=)"),
     **dict.fromkeys(("solver", "scheme", "integrator", "alg", "stepper"), "method=, such as Splitting(order=4)"),
     **dict.fromkeys(("verbose", "disp", "show_progress", "progress_bar"), "progress=True"),
     **dict.fromkeys(("callback", "callbacks", "event"), "events=, or observe= for quantities along the run"),
@@ -80,13 +82,18 @@ def told(function: Function) -> Function:
     Traceback (most recent call last):
     TypeError: run has no stepp; did you mean step=?
     """
-    known = tuple(inspect.signature(function).parameters)
+    parameters = inspect.signature(function).parameters
+    known = tuple(parameters)
+    by_place = [name for name, one in parameters.items() if one.kind is not inspect.Parameter.KEYWORD_ONLY]
+    any_number = any(one.kind is inspect.Parameter.VAR_POSITIONAL for one in parameters.values())
 
     @functools.wraps(function)
     def told_function(*args: Any, **given: Any) -> Any:
         for name in given:
             if name not in known:
                 raise unknown_keyword(function.__name__, name, known)
+        if len(args) > len(by_place) and not any_number:
+            raise too_many(function.__name__, args, by_place, known)
         return function(*args, **given)
 
     return cast(Function, told_function)
@@ -113,6 +120,34 @@ def unknown_keyword(function: str, name: str, known: Sequence[str]) -> TypeError
     GaussLegendre has no stage; did you mean stages=?
     """
     return TypeError(_answer(function, name, known))
+
+
+def too_many(function: str, given: Sequence[Any], by_place: Sequence[str], known: Sequence[str]) -> TypeError:
+    """Return the error for more arguments than a function takes by their place.
+
+    Parameters
+    ----------
+    function : str
+        What was called.
+    given : sequence
+        The arguments.
+    by_place, known : sequence of str
+        The names of what it takes by place, and of all that it takes.
+
+    Returns
+    -------
+    TypeError
+        To be raised by the caller.
+
+    Examples
+    --------
+    >>> print(too_many("rigid_body", (1, 2, 3), ["inertia"], ["inertia"]))
+    rigid_body was given 3 arguments, and takes inertia; give several values as one, inertia=(1, 2, 3)
+    """
+    said = f"{function} was given {len(given)} arguments, and takes {', '.join(known) or 'none'}"
+    if len(by_place) == 1 == len(known):
+        return TypeError(f"{said}; give several values as one, {known[0]}={short(tuple(given))}")
+    return TypeError(f"{said}" + (f", those after {by_place[-1]} by name" if 0 < len(by_place) < len(known) else ""))
 
 
 def _answer(function: str, name: str, known: Sequence[str]) -> str:

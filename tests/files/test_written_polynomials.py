@@ -1,6 +1,7 @@
 """The readers of polynomials and brackets: long input in time that grows with it, and bounds for what it stands for."""
 
 import random
+import re
 import time
 from fractions import Fraction
 
@@ -109,3 +110,41 @@ def test_no_other_brackets(right, said):
     with pytest.raises(ValueError) as refused:
         read_brackets([f"[e1, e2] = {right}"], ["e1", "e2", "e3"])
     assert said in str(refused.value) and len(str(refused.value)) < 300
+
+
+@pytest.mark.parametrize(
+    ("text", "same"),
+    [
+        ("x1^2/2", "1/2*x1^2"),
+        ("x1**2/2 - x2**3", "1/2*x1^2 - x2^3"),
+        ("x1/2*x2", "1/2*x1*x2"),
+        ("x1/2/3", "1/6*x1"),
+        ("12/2/3*x1", "2*x1"),
+        ("x1*2/3/4*x2/5", "1/30*x1*x2"),
+        ("x1/(1/2)", "2*x1"),
+        ("-x1/4 + x2", "-1/4*x1 + x2"),
+    ],
+)
+def test_powers_and_quotients_as_python_and_physicists_write_them(text, same):
+    assert read_polynomial(text, 2) == read_polynomial(same, 2)
+
+
+def test_a_quotient_by_a_decimal_number_is_rounded_once():
+    assert read_polynomial("0.3*x1/3", 1).monomials[1,] == 0.3 / 3
+    assert read_polynomial("x1/3", 1).monomials[1,] == Fraction(1, 3)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("x1/0", "divides by zero"),
+        ("x1/x2", "divides by a coordinate"),
+        ("x1/", "cannot be read from 'its end' on"),
+        ("x1/2^2", "cannot be read from '^2' on"),
+        ("x1**-1", "cannot be read from '-1' on"),
+        ("x1^2^2", "cannot be read from '^2' on"),
+    ],
+)
+def test_quotients_that_are_none(text, said):
+    with pytest.raises(ValueError, match=re.escape(said)):
+        read_polynomial(text, 2)

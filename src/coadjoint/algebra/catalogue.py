@@ -141,7 +141,9 @@ def get(name: str, **parameters: Any) -> LieAlgebra:
         return build(*(parameters[key] for key in wanted))
     match = re.fullmatch(r"([a-z]+)\(([0-9]{1,4000})(?:,([0-9]{1,4000}))?\)", plain)
     if match is None or match[1] not in {pattern.split("(")[0] for pattern in _FAMILIES}:
-        raise unknown_name("algebra", name, names())
+        bare = re.fullmatch(r"([a-z]+)[_-]?([0-9]{1,3})", plain)
+        meant = () if bare is None or f"{bare[1]}(n)" not in _FAMILIES else (f"{bare[1]}({bare[2]})",)
+        raise unknown_name("algebra", name, meant or names())
     if match[3] is not None and match[1] != "so":
         raise unknown_name("algebra", name, names())
     _check_parameters(name, (), parameters)

@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from coadjoint.algebra.formula_reader import Formula, Number, Power, Reader
+from coadjoint.algebra.formula_reader import Formula, Number, Power, Product, Reader
 from coadjoint.algebra.polynomial import Polynomial
-from coadjoint.algebra.written_numbers import Constant, quotient, read_constant
+from coadjoint.algebra.written_numbers import Constant, checked, quotient, read_constant
 from coadjoint.wording import short
 
 _COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
@@ -29,8 +29,8 @@ def read_polynomial(text: str, dim: int, names: Sequence[str] | None = None) -> 
     Parameters
     ----------
     text : str
-        Such as ``"0.5*x1^2 - x2*x3 + 1/3"``: a sum of products of numbers (whole, decimal, or quotients, which stay
-        exact) and powers of x1, x2, ...
+        Such as ``"0.5*x1^2 - x2*x3 + x1/3"``: a sum of products of numbers (whole, decimal, or quotients, which stay
+        exact) and powers of x1, x2, ..., written ``x1^2`` or ``x1**2``, divided by numbers.
     dim : int
         Number of coordinates.
     names : sequence of str, optional
@@ -110,8 +110,7 @@ def satisfied(text: str, parameters: Mapping[str, Number]) -> bool:
 class _MultipliedOut(Reader):
     """The text of a polynomial that is multiplied out: brackets and quotients are of numbers alone."""
 
-    power_sign = "^"
-    operations = ("*",)
+    powers = ("^", "**")
     most_letters = math.inf
     names: Sequence[str] | None = None
     how = "write sums of products such as 0.5*x1^2 - x2*x3 + 1/3"
@@ -124,11 +123,27 @@ class _MultipliedOut(Reader):
             raise self.refused(f"has {short(name)}; the coordinates are {', '.join(self.names)}")
         return self.names.index(name) if name else None
 
+    def _product(self) -> Product:
+        product = Product(self)
+        product.multiply(self.factor())
+        while (operation := self.take("*", "/")) is not None:
+            if operation == "*":
+                product.multiply(self.factor())
+                continue
+            # A factor may be a quotient, and x/2/3 is not x/(2/3).
+            below = self._any_number() if self.token["number"] else self.factor()
+            if isinstance(below, Power):
+                raise self.refused(f"divides by a coordinate; {self.how}")
+            if below == 0:
+                raise self.divides_by_zero()
+            product.number = checked(quotient(product.number, below))
+        return product
+
     def factor(self) -> Any:
         index = self.coordinate(self.token["name"] or "")
         if index is not None:
             self.next()
-            return Power(index, self.whole_number() if self.take(self.power_sign) is not None else 1)
+            return Power(index, self.whole_number() if self.take(*self.powers) is not None else 1)
         inside = self.take("(") is not None
         value = self._any_number()
         if self.take("/") is not None:

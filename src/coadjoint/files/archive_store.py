@@ -311,6 +311,8 @@ def read_root(path: Path) -> tuple[dict[str, StoredArray], dict[str, Any]]:
         metadata = root["consolidated_metadata"]["metadata"]
     except FileNotFoundError:
         raise ArchiveError(f"{path}: there is no archive of a run") from None
+    except NotADirectoryError:
+        raise ArchiveError(f"{path}: is a file; an archive is a folder, which a run with archive= writes") from None
     except OSError as reason:
         raise ArchiveError(f"{path}: cannot be read ({reason.strerror})") from None
     except (ValueError, LookupError, TypeError, RecursionError):

@@ -271,6 +271,7 @@ def _run_on(
         failure = ArchivedRun(store, ready, times, start, stored).advance(until, progress)
     except KeyboardInterrupt as stopped:
         stopped.partial = open_archive(store.path, ready.system)  # type: ignore[attr-defined]
+        stopped.add_note(f"{store.path} has what was computed; co.resume({str(store.path)!r}) goes on with it")
         raise
     finally:
         store.close()

@@ -308,6 +308,32 @@ def parameters_of(name: str) -> dict[str, Any]:
     return {key: p.default for key, p in inspect.signature(_schemes()[name]).parameters.items()}
 
 
+def documentation_of(name: str) -> str:
+    """Return what is said of a scheme: what it is, its parameters, and when it is refused; without examples.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    ValueError
+        There is no such scheme.
+
+    Examples
+    --------
+    >>> print(documentation_of("GaussLegendre").partition(":")[0])
+    The Gauss-Legendre method with s stages
+    """
+    schemes = _schemes()
+    return (inspect.getdoc(schemes[read_choice(name, "method", schemes)]) or "").partition("\nExamples\n")[0].rstrip()
+
+
 def summary_of(name: str) -> str:
     """Return the first line of the documentation of a scheme.
 

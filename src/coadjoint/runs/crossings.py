@@ -261,6 +261,11 @@ def _function_of(event: Event, name: str, moved: Any, known: Sequence[str], x0: 
             f"the event {name} is about coordinates, and the states of {moved.name} are matrices; give a function of "
             "a matrix"
         )
+    if isinstance(g, str) and g not in known and set("+-*/^") & set(g):
+        raise ValueError(
+            f"the event {name} is {short(g)}, which is no coordinate; give a polynomial, "
+            f"co.Polynomial({short(g)}, basis={short(tuple(known), 200)})"
+        )
     if isinstance(g, str | int | np.integer):
         i = known.index(read_choice(g, "coordinate", known)) if isinstance(g, str) else read_whole(g, "g", 0, n - 1)
         return Quadratic(0.0, linear=np.eye(1, n, i)[0])

@@ -124,7 +124,8 @@ def read_events(given: Any) -> tuple[Event, ...]:
         return ()
     listed = (given,) if isinstance(given, Event) else given
     if not isinstance(listed, Sequence) or isinstance(listed, str) or not all(isinstance(e, Event) for e in listed):
-        raise TypeError(f"events is {short(given)}; give an Event, such as co.Event('x1'), or a list of them")
+        such = f"co.Event({short(given)})" if isinstance(given, str) else "co.Event('x1')"
+        raise TypeError(f"events is {short(given)}; give an Event, such as {such}, or a list of them")
     if len(listed) > MOST_EVENTS:
         raise ValueError(f"{len(listed)} events were given; a run looks for at most {MOST_EVENTS}")
     return tuple(listed)

@@ -313,6 +313,7 @@ class PreparedRun:
                 run.advance(progress)
         except KeyboardInterrupt as stopped:
             stopped.partial = run.interrupted(observed)  # type: ignore[attr-defined]
+            stopped.add_note("The error has what was computed as its attribute partial; archive= keeps it on disk")
             raise
         if moments is not None:
             look(run, moments)

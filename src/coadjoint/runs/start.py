@@ -114,7 +114,8 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
             )
         momenta, single = np.array(np.broadcast_to(momenta, (len(system), n)), order="C"), False
     if momenta.ndim not in (1, 2) or momenta.shape[-1] != n:
-        raise ValueError(f"x0 has the shape {momenta.shape}; it must be ({n},) or (members, {n})")
+        one = "; np.ravel(x0) makes one state of its numbers" if momenta.size == n else ""
+        raise ValueError(f"x0 has the shape {momenta.shape}; it must be ({n},) or (members, {n}){one}")
     if not are_finite(momenta):
         raise ValueError("x0 contains NaN or infinity; every component must be finite")
     if momenta.ndim == 1:

@@ -284,6 +284,11 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system") -> HamiltonianLike
         what = f"the class {H.__name__}" if isinstance(H, type) else f"a {type(H).__name__}"
         almost = not isinstance(H, type) and 0 < len(lacking) < len(MEMBERS) - 1
         own = f" (as a kind of your own it lacks {', '.join(lacking)})" if almost else ""
+        if isinstance(H, str):
+            raise TypeError(
+                f"the Hamiltonian is the text {short(H)}; give co.Polynomial(text, {n}) if its coordinates are x1, x2, "
+                "..., or co.Polynomial(text, basis=algebra.basis) if they are names of the basis"
+            )
         raise TypeError(
             f"the Hamiltonian is {what}; give a Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian{own}"
         )
