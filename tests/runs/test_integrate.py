@@ -68,13 +68,14 @@ def test_looking_changes_nothing(name, scheme):
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_company_changes_nothing(name, scheme):
-    """A member alone, in a crowd of seven, with one thread and with two."""
+    """A member alone, in a crowd of seven, with one thread and with two; and all of them move as the plain step does."""
     s, method = SYSTEMS[name], SCHEMES[scheme]
     crowd = np.random.default_rng(3).uniform(-1, 1, (7, s.dim))
     one, two = (co.integrate(s, crowd, (0, 1), 0.125, method, threads=n, attitude="coadjoint") for n in (1, 2))
     assert np.array_equal(one.x, two.x) and np.array_equal(one.attitude, two.attitude)
     assert np.array_equal(one.energy, two.energy)
     for member in (0, 3, 6):
+        np.testing.assert_allclose(one.x[1, member], method.step(s, crowd[member], 0.0, 0.125), rtol=1e-9, atol=1e-9)
         alone = co.integrate(s, crowd[member], (0, 1), 0.125, method, attitude="coadjoint")
         assert np.array_equal(alone.x, one.x[:, member]) and np.array_equal(alone.attitude, one.attitude[:, member])
         for key, drift in alone.drift().items():

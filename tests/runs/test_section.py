@@ -32,6 +32,12 @@ def test_members_end_at_their_number_of_crossings(method, monkeypatch):
     assert np.all(np.diff(found.t, axis=1)[there[:, 1:]] > 0) and np.isnan(found.x[~there]).all()
 
 
+def test_members_with_fewer_crossings_have_them_first():
+    found = co.section(co.systems.kovalevskaya_top(), starts(40), co.Event(1, direction=1), (0, 30), 0.125)
+    assert len(set(found.counts.tolist())) > 2
+    assert np.array_equal(np.isfinite(found.t), np.arange(found.counts.max()) < found.counts[:, None])
+
+
 def test_integrals_are_kept_on_the_section():
     """The integral of Kovalevskaya is none of the scheme: its error is that of the step, as along the run."""
     top = co.systems.kovalevskaya_top()
