@@ -68,7 +68,7 @@ def test_looking_changes_nothing(name, scheme):
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_company_changes_nothing(name, scheme):
-    """A member alone, in a crowd of seven, with one thread and with two; and all of them move as the plain step does."""
+    """A member alone, in a crowd of seven, with one thread and with two; all of them move as the plain step does."""
     s, method = SYSTEMS[name], SCHEMES[scheme]
     crowd = np.random.default_rng(3).uniform(-1, 1, (7, s.dim))
     one, two = (co.integrate(s, crowd, (0, 1), 0.125, method, threads=n, attitude="coadjoint") for n in (1, 2))
