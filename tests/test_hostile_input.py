@@ -294,8 +294,8 @@ CALLS = {
 }  # fmt: skip
 
 # Made by the library, or called with nothing.
-NOT_CALLED = {"Certificate", "Choice", "Corrector", "Events", "Frequencies", "IntegrationError", "LyapunovExponents",
-              "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun", "Section", "Solution"}  # fmt: skip
+NOT_CALLED = {"Certificate", "Choice", "Corrector", "Events", "Frequencies", "IntegrationError", "LongWait",
+              "LyapunovExponents", "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun", "Section", "Solution"}  # fmt: skip
 SLOW = [("predicted_drift", "step"), ("certify", "step"), ("exact", "t"), ("level_surface", "box")]
 BY_OTHER_NAMES = {"LieAlgebra", "Polynomial"}
 
