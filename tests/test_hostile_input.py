@@ -295,7 +295,8 @@ CALLS = {
 
 # Made by the library, or called with nothing.
 NOT_CALLED = {"Certificate", "Choice", "Corrector", "Events", "Frequencies", "IntegrationError", "LongWait",
-              "LyapunovExponents", "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun", "Section", "Solution"}  # fmt: skip
+              "LyapunovExponents", "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun", "Section",
+              "Solution"}  # fmt: skip
 SLOW = [("predicted_drift", "step"), ("certify", "step"), ("exact", "t"), ("level_surface", "box")]
 BY_OTHER_NAMES = {"LieAlgebra", "Polynomial"}
 
