@@ -59,7 +59,7 @@ def certify(
         What is not declared is measured, and cannot fail.
     x0 : array_like, shape (n,) or (k, n)
         A state, or a sample of states. If there are fewer than four, others along the motion are added; if a step takes
-        more than a millisecond, two states are enough. Of more than eight, the first eight are used.
+        more than a quarter of a millisecond, two states are enough. Of more than eight, the first eight are used.
     step : float
         The step; negative for backward. Order, symmetry and defects are also looked at with other steps.
     steps : int, optional

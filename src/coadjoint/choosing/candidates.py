@@ -14,6 +14,7 @@ from coadjoint.methods.base import Method
 from coadjoint.methods.work import CROWD, Work, newton_work
 from coadjoint.runs.start import start_of
 from coadjoint.systems.kinds import System
+from coadjoint.waiting import at
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,7 @@ def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, 
     found: list[Candidate] = []
     refusal: Exception | None = None
     for method in schemes:
+        at(f"the work of {method}")
         try:
             found.append(_candidate(system, method, x0, attitude, free=not strict or len(schemes) > 1))
         except (ValueError, TypeError) as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -91,6 +92,8 @@ class Dual:
         """Return the product."""
         if isinstance(other, Dual):
             return Dual(self.value * other.value, self.value * other.derivative + other.value * self.derivative)
+        if isinstance(other, Fraction) and self.derivative.dtype == np.float64:
+            other = float(other)  # as Python does for each of its products with a float
         return Dual(self.value * other, other * self.derivative)
 
     def __truediv__(self, other: Any) -> Dual:

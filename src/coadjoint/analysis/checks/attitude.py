@@ -30,7 +30,7 @@ LARGEST_FOLLOWED = 16
 SAVED = 16
 MOST_WORK = 5e7
 """Steps times the cube of the dimension: on large algebras the element is followed over fewer steps."""
-SECONDS, FEWEST, MOST_STEPS = 2.0, 4, 2**53
+SECONDS, FEWEST, MOST_STEPS = 1.0, 4, 2**53
 """About how long the steps with an element may take, and how many are taken all the same."""
 LARGE_CONDITION = 1e3
 KEEPING = ("every representation", "coadjoint")

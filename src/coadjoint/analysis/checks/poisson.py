@@ -98,33 +98,19 @@ def _along(subject: Subject, telling: float, row: Row) -> Row:
     if not subject.claims.symmetric:
         why = f"a step takes about {subject.seconds:.1g} s; without a step back that undoes it, the whole P is needed"
         return Row(**{**vars(row), "reason": why})
-    method, system, n = subject.method, subject.system, subject.system.dim
-    a, b = directions(n, 1), directions(n, 2)
-    worst: tuple[float, float, float] | None = None
+    worst: tuple[float, float, bool, float] | None = None
     reason = ""
     for h in dict.fromkeys((subject.h, telling) if row.claimed else (telling,)):
-        x = subject.states[0]
         try:
-            after = subject.run(x, h, 1)
-            y = after.x[-1]
-            here, there = (_by_products(system, state, side) for state, side in ((x, a), (y, b)))
-            at(f"derivatives of a step along {DIRECTIONS} directions")
-            forward = method.tangent_on(system, x, 0.0, h, here)
-            back = method.tangent_on(system, y, h, -h, there)
-            exact = method.tangent_by(system, x, 0.0, h) != "differences"
+            seen = _seen_along(subject, subject.states[0], h)
         except (IntegrationError, TypeError, ValueError) as error:
             reason = reason or f"at the step {h:.3g}: {error}"
             continue
-        # The mean square over directions is that of the entries.
-        defect = n * float(np.sqrt(np.mean((b.T @ forward + (a.T @ back).T) ** 2)))
-        sizes = (_mean_size(forward, n), _mean_size(back, n))
-        operations = (max(after.stats.evaluations, UNCOUNTED) + 4) * n
-        bound = (64 * UNIT_ROUNDOFF * operations if exact else FLOOR_OF_DIFFERENCES) * sum(sizes)
-        if worst is None or defect * worst[1] > worst[0] * bound:
-            worst = (defect, bound, h)
+        if worst is None or seen[0] * worst[1] > worst[0] * seen[1]:
+            worst = (*seen, h)
     if worst is None:
         return Row(**{**vars(row), "reason": reason})
-    defect, bound, h = worst
+    defect, bound, exact, h = worst
     return Row(
         row.key,
         row.what,
@@ -139,8 +125,20 @@ def _along(subject: Subject, telling: float, row: Row) -> Row:
     )
 
 
-def _by_products(system: Any, x: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(system.structure_matrix(x) @ vectors)
+def _seen_along(subject: Subject, x: NDArray[np.float64], h: float) -> tuple[float, float, bool]:
+    """Return the norm of P J(x) - J(y) Q^T by its mean square over directions, its bound, and whether P is exact."""
+    method, system, n = subject.method, subject.system, subject.system.dim
+    a, b = directions(n, 1), directions(n, 2)
+    after = subject.run(x, h, 1)
+    y = after.x[-1]
+    at(f"derivatives of a step along {DIRECTIONS} directions")
+    forward = method.tangent_on(system, x, 0.0, h, system.structure_matrix(x) @ a)
+    back = method.tangent_on(system, y, h, -h, system.structure_matrix(y) @ b)
+    exact = method.tangent_by(system, x, 0.0, h) != "differences"
+    defect = n * float(np.sqrt(np.mean((b.T @ forward + (a.T @ back).T) ** 2)))
+    operations = (max(after.stats.evaluations, UNCOUNTED) + 4) * n
+    each = 64 * UNIT_ROUNDOFF * operations if exact else FLOOR_OF_DIFFERENCES
+    return defect, each * (_mean_size(forward, n) + _mean_size(back, n)), exact
 
 
 def _mean_size(columns: NDArray[np.float64], n: int) -> float:

@@ -31,7 +31,7 @@ LARGEST_DENSE = 256
 """Dimension up to which matrices of a step are looked at."""
 ROTATION = 1.1e-8
 """Seconds of one core that the unit of counted work takes."""
-DEAR = 1e-3
+DEAR = 2.5e-4
 """Seconds of a step from which on matrices are looked at along some directions, and fewer states are taken."""
 STATES_OF_DEAR_STEPS = 2
 DIRECTIONS = 4
