@@ -115,3 +115,45 @@ def test_the_command_tells_it_at_once():
         "ready",
         "coadjoint: warning: of another kind",
     ]
+
+
+def slow(clock, monkeypatch, module, name):
+    """Let every call of a function take nine seconds."""
+    plain = getattr(module, name)
+
+    def called(*given, **named):
+        clock[0] += 9.0
+        return plain(*given, **named)
+
+    monkeypatch.setattr(module, name, called)
+
+
+BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, 1.0, 0.2)
+
+
+@pytest.mark.parametrize(
+    "name", ["certify", "choose", "integrate", "prepare", "lyapunov", "Splitting.tuned", "tangent"]
+)
+def test_calls_that_may_take_long_say_so(name, clock, monkeypatch):
+    """Once, by their own name, whatever they call."""
+    from coadjoint.analysis.checks import subject
+    from coadjoint.choosing import pilot
+    from coadjoint.methods import power_series
+    from coadjoint.program import decompose
+    from coadjoint.runs import stretching
+
+    module = {"certify": subject, "choose": pilot, "lyapunov": stretching, "tangent": power_series}.get(name, decompose)
+    slow(clock, monkeypatch, module, "at")
+    system = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic([1.0, 2.0, 3.0, 4.0, 5.0, 7.0]))
+    x0 = [0.3, 1.0, 0.2, 0.1, -0.4, 0.5]
+    calls = {
+        "certify": lambda: co.certify(BODY, co.Splitting(), X0, 0.1, steps=8),
+        "choose": lambda: co.choose(BODY, X0, (0, 1), 1e-6),
+        "integrate": lambda: co.integrate(system, x0, (0, 1), 0.1, co.Splitting()),
+        "prepare": lambda: co.prepare(system, co.Splitting(), 0.1),
+        "lyapunov": lambda: co.lyapunov(BODY, X0, (0, 1), 0.1),
+        "Splitting.tuned": lambda: co.Splitting.tuned(system, x0),
+        "tangent": lambda: co.stepper(BODY, co.Taylor(4), 0.1).tangent(X0),
+    }
+    (found,) = said(calls[name])
+    assert found.startswith(f"{name} has taken ") and found.endswith("; Ctrl-C ends it")

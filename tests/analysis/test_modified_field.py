@@ -447,3 +447,12 @@ def test_it_prints_as_mathematics() -> None:
     long = co.modified_field(co.systems.rigid_body(inertia=(1, 2, 3)), co.GaussLegendre(1), 1)
     assert r"-0.166667 x_{2} x_{3}" in long._repr_latex_() and r"\frac{3002399751580331}" in long.to_latex()
     assert along(found.terms[0], co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})).monomials == {}
+
+
+def test_a_field_of_very_many_monomials_is_not_made_exactly():
+    """It would take gigabytes."""
+    g = co.algebras.su(10)
+    A = np.random.default_rng(1).normal(size=(g.dim, g.dim))
+    system = co.LiePoissonSystem(g, co.Quadratic(A + A.T))
+    with pytest.raises(TypeError, match=r"no exact modified field: the field of .* has some .e\+05 monomials"):
+        co.modified_field(system, co.GaussLegendre(1), 3, way="exact")

@@ -15,6 +15,7 @@ from coadjoint.methods.formal_numbers import vector
 from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.kinds import System
 from coadjoint.systems.user_functions import sample_points
+from coadjoint.waiting import at, waiting
 from coadjoint.wording import short
 
 SLIGHT = 53  # the steps of the numerical way move by about 2^-53 of the state
@@ -76,7 +77,7 @@ class FieldAtPoints(ModifiedField):
         state = self._states(x)[0][0]
         # f_k is known to h^(order - k), and loses h^(k + 1) to rounding.
         digits = 30 + int(0.302 * (SLIGHT + 4) * (self.order + 2))
-        with workdps(digits):
+        with workdps(digits), waiting("a modified field at a point"):
             exact = vector(map(mp.mpf, state.tolist()))
             slope = np.abs(np.asarray(self.system.vector_field(state), dtype=np.float64)).max()
             size = np.abs(state).max()
@@ -109,6 +110,7 @@ class FieldAtPoints(ModifiedField):
         return (state, *self._found[key])
 
     def _stepped(self, x: npt.NDArray[Any], h: Any) -> npt.NDArray[Any]:
+        at(f"a step of {self.method} in many digits")
         end = np.asarray(self._step(x, h))
         if end.dtype != object or end.shape != x.shape:
             raise TypeError(

@@ -22,6 +22,7 @@ from coadjoint.runs.times import Times, times_between, times_of
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System, check_system, check_vectors
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.waiting import waiting
 from coadjoint.wording import short
 
 POINTS = 200  # saved times, where no number is given
@@ -108,6 +109,7 @@ class LyapunovExponents:
         return np.asarray(np.abs(self.t - self.t[0]).reshape(-1, *(1,) * (self.stretches.ndim - 1)))
 
 
+@waiting("lyapunov")
 def lyapunov(
     system: System | Batch,
     x0: Any,

@@ -18,8 +18,11 @@ from coadjoint.memory import check_room
 from coadjoint.methods.formal_numbers import NODE, FormalNumber, formal_numbers, vector
 from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.kinds import System
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.terms import QuadraticTerm
 
 BYTES_PER_MONOMIAL = 200  # for each monomial of a field, with its powers and derivatives and the series of its step
+MOST_MONOMIALS = 10**5  # of a field: already its products with itself take minutes
 SLIGHT = 1e-10  # the motion in a step by which a series is tried at a point, in units of the state
 MOST_OFF = 1e6  # of the first power that the series leaves out, in the same units
 
@@ -44,6 +47,7 @@ class ExactSystem:
 
     def __init__(self, system: System) -> None:
         self.system = system
+        _check_monomials(system)
         self.ring = plain_ring(system.dim, (NODE,))
         self._number = formal_numbers(self.ring, 1)
         self.energy = self.value_of(system.energy)
@@ -96,6 +100,21 @@ class ExactSystem:
         if short <= order:
             raise TypeError(f"the series of the step is known up to h^{short - 1} only, not to h^{order}")
         return [[value.terms[k] for value in found] for k in range(order + 1)]
+
+
+def _check_monomials(system: System) -> None:
+    """Refuse a field of too many monomials before it is made: those of J(x) M x are counted, products by products."""
+    terms = system.hamiltonian.terms()
+    if not isinstance(system, LiePoissonSystem) or len(terms) != 1 or not isinstance(terms[0], QuadraticTerm):
+        return
+    entries = np.diff(terms[0].indptr)
+    i, j, _, _ = system.algebra.triples
+    count = int(np.sum(entries[i] + entries[j]))
+    if count > MOST_MONOMIALS:
+        raise ValueError(
+            f"the field of {system.name} has some {count:.0e} monomials, and series of at most {MOST_MONOMIALS:.0e} "
+            "are made"
+        )
 
 
 def check_at_a_point(

@@ -13,10 +13,12 @@ from coadjoint.analysis.short_motion import short_motion
 from coadjoint.given import read_finite, read_positive
 from coadjoint.methods.base import Method
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.waiting import waiting
 
 HALVINGS = 40
 
 
+@waiting("suggest_step")
 def suggest_step(
     system: LiePoissonSystem, method: Method | str | Mapping[str, Any], x0: npt.ArrayLike, energy: float
 ) -> float:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact import rational
 from coadjoint.algebra.exact_polynomials import Exact, ExactPolynomials
+from coadjoint.waiting import at
 
 NODE = "c"
 """The name of the symbol that stands for the node of a stage: a collocation method is the same at each of them."""
@@ -106,6 +107,7 @@ class FormalNumber:
         right = self._operand(other)
         if right is None:
             return NotImplemented
+        at("products of series in exact polynomials")
         a, b = self.terms, right.terms
         known = min(len(a) + right.valuation, len(b) + self.valuation, self.count)
         total = [self.ring.zero] * known

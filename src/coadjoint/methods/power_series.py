@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.waiting import at
+
 
 class PowerSeries:
     """The sum of coefficients[k] t^k, up to the last one that is given. Products and sums are cut at the same power.
@@ -128,6 +130,8 @@ def expand(field: Callable[[NDArray[Any]], NDArray[Any]], x: NDArray[Any], h: An
     """
     terms = [x]
     for k in range(order):
+        # The products up to one power are about as many as its square.
+        at(f"the power {k + 1} of {order} of a series", (k / order) ** 3)
         series = np.empty(len(x), dtype=object)
         series[:] = [PowerSeries([term[i] for term in terms]) for i in range(len(x))]
         slopes = np.empty(len(x), dtype=object)

@@ -20,6 +20,7 @@ from coadjoint.program.order_of_parts import CLEARLY, MOST_ORDERED, least_of_ord
 from coadjoint.program.parts import Parts
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.polynomial_form import polynomial_of
+from coadjoint.waiting import waiting
 
 Floats = NDArray[np.float64]
 
@@ -32,6 +33,7 @@ MOST_TRIED = 12
 MOST_MONOMIALS = 4000
 
 
+@waiting("Splitting.tuned")
 def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], starts: Floats) -> ChosenParts:
     """Return shift and order of the automatic parts with the smallest error along short motions from some states.
 

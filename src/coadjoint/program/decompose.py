@@ -24,6 +24,7 @@ from coadjoint.program.split import NotSplit, check_splits, split
 from coadjoint.program.wide_generators import TooWide
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.linear_term import linear_of, with_all_present
+from coadjoint.waiting import at
 
 SEED = 1993
 SAMPLES = 16
@@ -189,9 +190,10 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
     # For many shifts of a large system the parts are counted without being made.
     counts = [0] * len(shifts) if comparing else numbers_of_parts(system, casimirs, shifts)
     work, spent = _work(system, found[0].parts), 0
-    for shift, count in zip(shifts, counts, strict=True):
+    for number, (shift, count) in enumerate(zip(shifts, counts, strict=True)):
         if count >= fewest:
             continue
+        at(f"the parts after shift {number + 1} of {len(shifts)} by Casimirs", number / len(shifts))
         spent += work
         if spent > max(MOST_WORK, FEWEST_SHIFTS * work) and not comparing:
             break

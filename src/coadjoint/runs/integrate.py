@@ -15,9 +15,11 @@ from coadjoint.runs.solution import Solution, with_choice
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_system
+from coadjoint.waiting import waiting
 
 
 @told
+@waiting("integrate")
 def integrate(
     system: System | ForcedSystem | Batch,
     x0: Any,

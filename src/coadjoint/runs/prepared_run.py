@@ -39,6 +39,7 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_system
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.waiting import waiting
 from coadjoint.wording import short
 
 OF_THIS_PROCESS = ("_making", "_ends", "_observed", "_events", "_made")
@@ -366,6 +367,7 @@ class PreparedRun:
 
 
 @told
+@waiting("prepare")
 def prepare(
     system: System | ForcedSystem | Batch,
     method: Method | str | Mapping[str, Any] | None = None,

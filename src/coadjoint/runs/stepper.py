@@ -21,6 +21,7 @@ from coadjoint.runs.times import Times
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.kinds import System, check_one_system
 from coadjoint.systems.points import QUIET
+from coadjoint.waiting import waiting
 
 
 class Stepper:
@@ -193,7 +194,8 @@ class Stepper:
             If the Hamiltonian was given without second derivatives.
         """
         method, system = self._scheme(inputs)
-        return method.tangent(system, *self._place(x, t), self.h)[1]
+        with waiting("tangent"):
+            return method.tangent(system, *self._place(x, t), self.h)[1]
 
     @QUIET
     def tangent_by(self, x: Any, t: float = 0.0, **inputs: Any) -> str:

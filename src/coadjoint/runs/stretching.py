@@ -18,6 +18,7 @@ from coadjoint.runs.tangent_loops import each_its_own
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.kinds import System
+from coadjoint.waiting import at
 from coadjoint.wording import short
 
 NEARLY_DEPENDENT = 2.0**-26  # as in the compiled loop: below it half of the digits are round-off
@@ -92,6 +93,7 @@ def stretching(
             logarithms[point] = 0.0
             continue
         run.advance(until=number)
+        at(f"step {number} of {times.steps}", number / times.steps)
         going = run.state["status"] == 0
         logarithms[point, going] = stretches_in(run.state["memory"][going], len(frame.vectors))
     return Stretching(logarithms, "compiled", run)
@@ -128,6 +130,7 @@ def _follow(
     vectors = frame.vectors.T.copy()
     saved = {number: point for point, number in enumerate(times.saved.tolist())}
     for k in range(len(states)):
+        at(f"step {k} of {len(states)}", k / len(states))
         if k:
             before = float(times.t0 + (k - 1) * times.h)
             vectors = method.tangent(system, states[k - 1], before, times.h)[1] @ vectors

@@ -17,6 +17,8 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.waiting import at
 
 SLOPES = 4
+LARGEST_UNDECLARED = 48
+"""Dimension up to which the bracket is looked at where nothing is declared."""
 # The roundings of a step that is a function are not counted. They are taken as those of so many evaluations of the
 # field.
 UNCOUNTED = 64
@@ -44,6 +46,9 @@ def poisson_row(subject: Subject, telling: float) -> Row:
         return Row(key, what, declared, "-", INAPPLICABLE, claimed=claimed, reason="no structure matrix is known")
     if subject.dear:
         return _along(subject, telling, Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed))
+    if n > LARGEST_UNDECLARED and not claimed:
+        why = f"nothing is declared, and derivatives of dimension {n} may take long"
+        return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=why)
     if n > LARGEST_DENSE:
         why = f"it needs dense matrices of dimension {n}"
         return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=why)
