@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.kinds import System
+from coadjoint.waiting import at
 
 Floats = NDArray[np.float64]
 
@@ -109,6 +110,7 @@ def _followed(system: System, x: Floats, t: float, tolerance: float) -> Floats |
     try:
         solver = DOP853(field, 0.0, x.ravel(), t, rtol=tolerance, atol=0.1 * tolerance * size)
         for _ in range(MOST_STEPS):
+            at("the motion by an independent code")
             solver.step()
             if solver.status != "running":
                 break
