@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.analysis.checks import poisson, subject
+from coadjoint.analysis.checks import poisson, subject, symmetry
 from coadjoint.methods import Properties
 from coadjoint.waiting import LongWait
 
@@ -103,3 +103,17 @@ def test_the_norm_of_a_tangent_by_directions():
     exact = size * np.linalg.norm(np.linalg.inv(P))
     assert exact / 2.25 < given._estimate(x, 0.05) < 2.25 * exact
     assert given.condition(x, 0.05) == given._condition(x, 0.05)
+
+
+def test_matrices_that_would_be_too_large_are_not_needed_for_dear_steps(dear, monkeypatch):
+    """Neither J nor P is made as a matrix; a lattice of more coordinates is not read flow by flow."""
+    for module in (poisson, symmetry):
+        monkeypatch.setattr(module, "LARGEST_DENSE", 16)
+    g = co.algebras.so(7)
+    system = co.LiePoissonSystem(g, co.Quadratic(np.linspace(1.0, 2.0, g.dim)))
+    monkeypatch.setattr(type(system), "structure_matrix", None)
+    x0 = RNG.normal(size=g.dim) / np.sqrt(g.dim)
+    found = co.certify(system, co.Splitting(), x0, 0.05, steps=4)
+    assert [found[key].verdict for key in ("symmetry", "poisson")] == ["holds", "holds"]
+    monkeypatch.setattr(poisson, "LARGEST_ALONG", 20)
+    assert co.certify(system, co.Splitting(), x0, 0.05, steps=4)["poisson"].verdict == "not decidable here"

@@ -17,6 +17,8 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.waiting import at
 
 SLOPES = 4
+LARGEST_ALONG = 1100
+"""Dimension up to which it is looked at along directions, on a Lie algebra: each flow is read in Python."""
 LARGEST_UNDECLARED = 48
 """Dimension up to which the bracket is looked at where nothing is declared."""
 # The roundings of a step that is a function are not counted. They are taken as those of so many evaluations of the
@@ -44,7 +46,7 @@ def poisson_row(subject: Subject, telling: float) -> Row:
     key, what, n = "poisson", "Poisson bracket", subject.system.dim
     if not hasattr(subject.system, "structure_matrix"):
         return Row(key, what, declared, "-", INAPPLICABLE, claimed=claimed, reason="no structure matrix is known")
-    if subject.dear:
+    if subject.dear and n <= (LARGEST_DENSE if subject.system.algebra is None else LARGEST_ALONG):
         return _along(subject, telling, Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed))
     if n > LARGEST_UNDECLARED and not claimed:
         why = f"nothing is declared, and derivatives of dimension {n} may take long"
@@ -137,13 +139,20 @@ def _seen_along(subject: Subject, x: NDArray[np.float64], h: float) -> tuple[flo
     after = subject.run(x, h, 1)
     y = after.x[-1]
     at(f"derivatives of a step along {DIRECTIONS} directions")
-    forward = method.tangent_on(system, x, 0.0, h, system.structure_matrix(x) @ a)
-    back = method.tangent_on(system, y, h, -h, system.structure_matrix(y) @ b)
+    forward = method.tangent_on(system, x, 0.0, h, _turned(system, x, a))
+    back = method.tangent_on(system, y, h, -h, _turned(system, y, b))
     exact = method.tangent_by(system, x, 0.0, h) != "differences"
     defect = n * float(np.sqrt(np.mean((b.T @ forward + (a.T @ back).T) ** 2)))
     operations = (max(after.stats.evaluations, UNCOUNTED) + 4) * n
     each = 64 * UNIT_ROUNDOFF * operations if exact else FLOOR_OF_DIFFERENCES
     return defect, each * (_mean_size(forward, n) + _mean_size(back, n)), exact
+
+
+def _turned(system: Any, x: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return J(x) on vectors in columns."""
+    if system.algebra is None:
+        return np.asarray(system.structure_matrix(x) @ vectors)
+    return np.asarray(system.algebra.structure_operator(x) @ vectors)
 
 
 def _mean_size(columns: NDArray[np.float64], n: int) -> float:

@@ -97,7 +97,7 @@ def reversing(subject: Subject) -> Floats | None:
 def _row(subject: Subject, telling: float, key: str, what: str, claim: bool | None, there: There) -> Row:
     claimed = bool(claim)
     declared = "nothing" if claim is None else "kept" if claim else "not kept"
-    if subject.system.dim > LARGEST_DENSE:
+    if subject.system.dim > LARGEST_DENSE and not subject.dear:
         why = f"its bound needs a dense matrix of dimension {subject.system.dim}"
         return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=why)
     worst: tuple[float, float, float] | None = None
