@@ -106,3 +106,13 @@ def test_a_table_of_matrices():
     table = co.systems.torus_euler(N=5)._repr_html_()
     for text in ("<b>torus_euler</b>", "5 x 5, of 50 real numbers", "<td>su(5)</td>", "4, traces of powers"):
         assert text in table, table
+
+
+def test_states_at_times_are_one_short_line():
+    body = co.systems.rigid_body((1, 2, 3))
+    run = co.integrate(body, (0.1, 1.0, 0.1), (0, 10), 0.125, attitude=True)
+    one, many = repr(run.at(3.3)), repr(run.at(np.linspace(0, 10, 1000)))
+    assert one.startswith("<states at t = 3.3: x [") and "attitude of shape (3, 3)" in one and "\n" not in one
+    assert many.startswith("<states at 1000 times: x of shape (1000, 3), energy of shape (1000,)") and len(many) < 200
+    spins = co.integrate(co.systems.spin_lattice("ring", 9), np.tile([0.6, 0.0, 0.8], 9), (0, 1), 0.125)
+    assert repr(spins.at(0.5)).endswith("and 5 more}>")

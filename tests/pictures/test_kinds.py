@@ -1,5 +1,6 @@
 """Each kind of picture shows what it says, by its numbers."""
 
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -52,6 +53,27 @@ def test_neighbours_are_neighbours_in_the_picture(lattice):
     np.testing.assert_allclose(between[edges[:, 0], edges[:, 1]], 1.0, rtol=1e-14)
     # and no others are: bonds are the shortest distances
     assert np.count_nonzero(np.triu(between < 1.2)) == len(edges)
+
+
+@pytest.mark.parametrize("field", ["driven", "for each site"])
+def test_a_lattice_is_drawn_as_it_is_where_its_parameters_are_not_kept(field, monkeypatch):
+    """A picture of a square lattice must not show a ring."""
+    monkeypatch.setattr(sys.modules["coadjoint.systems.spin_lattice"], "MOST_KEPT", 10)
+    given = (lambda t: (0.0, np.sin(t), 0.5)) if field == "driven" else 0.1 * np.ones((12, 3))
+    lattice = co.systems.spin_lattice("square", (3, 4), field=given)
+    assert lattice.parameters is None and lattice.layout == {"lattice": "square", "shape": (3, 4)}
+    run = co.integrate(lattice, np.tile([0.6, 0.0, 0.8], 12), (0.0, 0.5), 0.1)
+    axes = shown(run, "spins")
+    assert np.array_equal(axes.collections[0].XY, places_of_sites("square", (3, 4), 12))
+    assert "circle" not in axes.get_title()
+
+
+def test_spins_without_a_lattice_say_that_it_is_not_known():
+    spins = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 4), co.Quadratic(np.arange(1.0, 13.0)))
+    run = co.integrate(spins, np.tile([0.6, 0.0, 0.8], 4), (0.0, 0.5), 0.1)
+    assert shown(run, "spins").get_title().endswith("on a circle, since the lattice is not known")
+    graph = co.systems.spin_lattice([(0, 1), (1, 3), (2, 3)], 4)
+    assert "circle" not in shown(co.integrate(graph, np.tile([0.6, 0.0, 0.8], 4), (0, 0.5), 0.1), "spins").get_title()
 
 
 def test_spins_of_space_and_of_any_graph():

@@ -121,10 +121,10 @@ def _draw_verdicts(axes: Any, rows: Any) -> None:
             row.verdict, BAD if row.claimed and "not dec" in row.verdict else OPEN
         )
         name = row.what if len(row.what) <= 30 else f"{row.what[:27]}..."
-        axes.text(0.0, height, name.replace("$", r"\$"), fontsize=8.5, color=INK, transform=axes.transAxes)
+        axes.text(-0.04, height, name.replace("$", r"\$"), fontsize=8, color=INK, transform=axes.transAxes)
         declared = row.declared if len(row.declared) <= 22 else f"{row.declared[:19]}..."
-        axes.text(0.38, height, declared, fontsize=8, color=OPEN, transform=axes.transAxes)
-        axes.text(0.68, height, row.verdict, fontsize=8.5, color=paint, weight="bold", transform=axes.transAxes)
+        axes.text(0.40, height, declared, fontsize=7.5, color=OPEN, transform=axes.transAxes)
+        axes.text(0.68, height, row.verdict, fontsize=8, color=paint, weight="bold", transform=axes.transAxes)
 
 
 def _say(axes: Any, text: str) -> None:

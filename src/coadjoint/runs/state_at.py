@@ -46,6 +46,24 @@ class StateAt(NamedTuple):
     casimirs: Mapping[str, Any]
     attitude: Any
 
+    def __repr__(self) -> str:
+        times = f"t = {self.t:g}" if np.ndim(self.t) == 0 else f"{len(self.t)} times"
+        parts = {"x": self.x, "energy": self.energy, "casimirs": dict(self.casimirs), "attitude": self.attitude}
+        held = ", ".join(f"{name} {_shown(value)}" for name, value in parts.items() if value is not None)
+        return f"<states at {times}: {held}>"
+
+
+def _shown(value: Any) -> str:
+    """Return what is short enough for a line, and of a large array its shape."""
+    if isinstance(value, dict):
+        return (
+            "{"
+            + ", ".join(f"{name}: {_shown(one)}" for name, one in list(value.items())[:4])
+            + (f", and {len(value) - 4} more}}" if len(value) > 4 else "}")
+        )
+    numbers = np.asarray(value)
+    return f"of shape {numbers.shape}" if numbers.size > 8 else np.array2string(numbers, precision=6, separator=", ")
+
 
 def state_at(solution: Solution, t: Any) -> StateAt:
     """Return the states of a solution at times within its run; `Solution.at` says how.

@@ -56,6 +56,8 @@ class LiePoissonSystem:
     integrals : mapping, optional
         Further constants of the motion for this Hamiltonian: name to `Polynomial`, `Quadratic`, `Invariant` or function
         of x. ``observe=system.integrals`` records them in a run.
+    layout : mapping, optional
+        For pictures of sites: ``"lattice"`` and ``"shape"``, as for `spin_lattice`. No motion depends on it.
 
     Attributes
     ----------
@@ -97,6 +99,7 @@ class LiePoissonSystem:
     _parameters: dict[str, Any] | None
     _exact: Callable[..., Any] | None
     _integrals: dict[str, Any]
+    _layout: dict[str, Any]
     _rows: npt.NDArray[np.int64]
     _factors: npt.NDArray[np.int64]
     _states: npt.NDArray[np.int64]
@@ -113,6 +116,7 @@ class LiePoissonSystem:
         parameters: Mapping[str, Any] | None = None,
         exact: Callable[..., Any] | None = None,
         integrals: Mapping[str, Any] | None = None,
+        layout: Mapping[str, Any] | None = None,
     ) -> None:
         if not isinstance(algebra, LieAlgebra):
             raise TypeError(f"algebra is a {type(algebra).__name__}; give a LieAlgebra, such as co.algebras.so(3)")
@@ -143,6 +147,7 @@ class LiePoissonSystem:
         keep(self, "name", checked_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
         keep(self, "_parameters", checked_parameters(parameters))
         keep(self, "_exact", checked_exact(exact))
+        keep(self, "_layout", dict(layout or {}))
 
     def _check_pieces(self) -> None:
         splits = (one for one in summands_of(self.hamiltonian) if isinstance(one, SplitHamiltonian))
@@ -180,6 +185,11 @@ class LiePoissonSystem:
     def parameters(self) -> dict[str, Any] | None:
         """Parameters that make this system again by ``co.systems.get(name, **parameters)``, or None (a copy)."""
         return None if self._parameters is None else dict(self._parameters)
+
+    @property
+    def layout(self) -> dict[str, Any]:
+        """Lattice and shape of sites, for pictures (a copy); empty where they are not known."""
+        return dict(self._layout)
 
     @property
     def closed_form(self) -> Callable[..., Any] | None:

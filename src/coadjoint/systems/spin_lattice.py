@@ -169,6 +169,7 @@ def spin_lattice(
         parameters=kept,
         exact=turns,
         integrals=total_spins(sites, T, D, K, B, H.uniform if driven else None),
+        layout={"lattice": lattice, "shape": shape} if isinstance(lattice, str) else {"lattice": "graph"},
     )
 
 

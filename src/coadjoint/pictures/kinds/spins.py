@@ -38,12 +38,15 @@ def spins(drawn: Drawn, at: float = 1.0, seen: str = "plane") -> Paint:
     n = drawn.n
     if n % 3:
         raise CannotShow(f"the state has {n} coordinates, which are no spins of three")
-    parameters = drawn.family.parameters or {}
-    places = places_of_sites(parameters.get("lattice"), parameters.get("shape"), n // 3)
+    layout = getattr(drawn.family, "layout", None) or drawn.family.parameters or {}
+    lattice = layout.get("lattice")
+    places = places_of_sites(lattice, layout.get("shape"), n // 3)
     if len(places) != n // 3:
         raise CannotShow(f"the lattice has {len(places)} sites, and there are {n // 3} spins")
-    row = sites_of_row(parameters.get("lattice"), n // 3)
+    row = sites_of_row(lattice, n // 3)
     folded = "" if row == n // 3 else f"\nrows of {row} sites, the first one above"
+    if n > 3 and lattice is None:
+        folded = "\non a circle, since the lattice is not known"
     flat, out = ((0, 1), 2) if read_choice(seen, "way to see spins", FLAT) == "plane" else ((0, 2), 1)
     k = drawn.at(at)
     size = float(np.linalg.norm(drawn.x[0, k].reshape(-1, 3), axis=1).max()) or 1.0
