@@ -72,7 +72,7 @@ def test_spins_without_a_lattice_say_that_it_is_not_known():
     spins = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 4), co.Quadratic(np.arange(1.0, 13.0)))
     run = co.integrate(spins, np.tile([0.6, 0.0, 0.8], 4), (0.0, 0.5), 0.1)
     assert shown(run, "spins").get_title().endswith("on a circle, since the lattice is not known")
-    graph = co.systems.spin_lattice([(0, 1), (1, 3), (2, 3)], 4)
+    graph = co.systems.spin_lattice([(0, 1), (1, 3), (2, 3)], 4, field=lambda t: (0.0, np.sin(t), 0.5))
     assert "circle" not in shown(co.integrate(graph, np.tile([0.6, 0.0, 0.8], 4), (0, 0.5), 0.1), "spins").get_title()
 
 
