@@ -52,7 +52,9 @@ class StepMethod(SteppedMethod):
     True
     """
 
-    failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "the step returned numbers that are not finite, or failed"}
+    failures: ClassVar[Mapping[str, str]] = {
+        "UNDEFINED": "the step failed, or did not return one finite number for each coordinate"
+    }
     compensates: ClassVar[bool] = False
     known_to = UNIT_ROUNDOFF
 
