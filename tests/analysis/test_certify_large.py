@@ -117,3 +117,11 @@ def test_matrices_that_would_be_too_large_are_not_needed_for_dear_steps(dear, mo
     assert [found[key].verdict for key in ("symmetry", "poisson")] == ["holds", "holds"]
     monkeypatch.setattr(poisson, "LARGEST_ALONG", 20)
     assert co.certify(system, co.Splitting(), x0, 0.05, steps=4)["poisson"].verdict == "not decidable here"
+
+
+def test_matrix_systems_are_seen_along_directions(dear):
+    """Their J is a matrix of the system, not of an algebra with structure constants."""
+    ball = co.systems.sphere_euler(4)
+    found = co.certify(ball, co.IsospectralGauss(2), ball.random(seed=1), 0.02, steps=16)
+    assert found["poisson"].measured.endswith("by tangents along 4 directions there and back")
+    assert found["poisson"].verdict == "holds" and found.passed

@@ -25,7 +25,7 @@ C = co.Polynomial({(2, 0, 0): Fraction(1, 4), (0, 1, 1): 1})
 PLAIN = (
     True, False, 1, 2, 3, 4, 6, 8, 16, -1, 0.75, 1e-6, "gradient", "rational", "suzuki4", "coordinates", "runge2",
     "mine", [[0, 1], [2]], [[2], [1], [0]], {"order": [1, 0], "shift": {"|x|^2": 0.25}}, [0.25, 0.5, 0.25], [0.5, 0.5],
-    {"name": "GaussLegendre", "stages": 3}, {"name": "Splitting", "order": 4},
+    {"name": "GaussLegendre", "stages": 3}, {"lattice": "square", "shape": [1, 1]}, {"name": "Splitting", "order": 4},
     [[1.5, [0, 0, 0]], [0.75, [2, 0, 0]]], [[0.5, [0, 0, 0]], [0.25, [4, 0, 0]], [1.0, [0, 2, 2]]],
 )  # fmt: skip
 """What a configuration file can say as well."""
@@ -116,4 +116,13 @@ def seen_of(system):
     rho = None if system.representation is None else system.representation.tolist()
     hamiltonian = seen_of_hamiltonian(system.hamiltonian)
     casimirs = seen_of_casimirs(system.casimirs), seen_of_casimirs(system.integrals)
-    return system.sign, system.name, system.parameters, rho, casimirs, seen_of_algebra(system.algebra), hamiltonian
+    return (
+        system.sign,
+        system.name,
+        system.parameters,
+        system.layout,
+        rho,
+        casimirs,
+        seen_of_algebra(system.algebra),
+        hamiltonian,
+    )

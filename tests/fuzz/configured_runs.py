@@ -21,7 +21,7 @@ from .folder import make, seen
 from .judging import wrong_error
 
 MOST_STEPS = 40  # a longer run is right, and not what is tried here
-LONGEST_LINE = 420
+LONGEST_LINE, MOST_LINES = 420, 21
 UNFORESEEN = tuple(
     f"coadjoint: {kind}: "
     for kind in (
@@ -96,8 +96,12 @@ class Runs:
             if " encountered in " in line:
                 yield f"a warning: {line[:200]!r}"
             return
-        if not line or "\n" in line or not line.isprintable() or len(line) > LONGEST_LINE:
-            yield f"not one line: {line[:500]!r}"
+        # A file with several mistakes is told all of them, each in a line.
+        told = line.split("\n")
+        if not all(told) or not all(each.isprintable() and len(each) <= LONGEST_LINE for each in told):
+            yield f"not one line for each mistake: {line[:500]!r}"
+        if len(told) > MOST_LINES:
+            yield f"{len(told)} lines: {line[:500]!r}"
         if line.startswith(UNFORESEEN):
             yield f"unforeseen: {line[:300]!r} {wrong_error(self._raised, '')}"
         error = self._raised

@@ -229,7 +229,7 @@ def test_what_is_not_a_polynomial_is_refused():
     with pytest.raises(ValueError, match="has a function in it; give a polynomial"):
         co.Taylor(4).properties(co.LiePoissonSystem(so3, function))
     J = co.PoissonSystem(lambda x: x[0] * np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]))
-    with pytest.raises(ValueError, match=r"structure matrix of .* is a function"):
+    with pytest.raises(ValueError, match=r"needs a polynomial structure matrix, and that of .* is a Python function"):
         co.Taylor(4).properties(J)
 
 

@@ -1,5 +1,6 @@
 """Lie-Poisson systems on several algebras: the vector field, its derivative, and what is refused."""
 
+import re
 from fractions import Fraction
 
 import mpmath
@@ -215,3 +216,17 @@ def test_systems_are_immutable():
     assert system.casimirs
     with pytest.raises(ValueError, match=r"shape \(3,\)"):
         system.vector_field([1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("layout", "said"),
+    [
+        ("square", "layout is 'square'; give a mapping such as"),
+        ({"lattice": "square", "size": 3}, "layout is {'lattice': 'square', 'size': 3}; give a mapping"),
+        ({"shape": 3}, "the lattice of layout is None; give a mapping"),
+        ({"lattice": "square", "shape": (3, 0)}, "the shape of layout must be a whole number from 1 up, not 0"),
+    ],
+)
+def test_a_layout_that_is_none_is_refused(layout, said):
+    with pytest.raises((TypeError, ValueError), match=re.escape(said)):
+        LiePoissonSystem(catalogue.so(3), Quadratic(1.0), layout=layout)

@@ -94,12 +94,15 @@ def _member_of(record: Entry, dim: int | None) -> Any:
         matrices = matrix_system_of(record)
         _check_dimension(record, matrices.dim, dim)
         return matrices
-    record.only("name", "sign", "algebra", "hamiltonian", "casimirs", "integrals", "representation", "not_stored")
+    record.only(
+        "name", "sign", "algebra", "hamiltonian", "casimirs", "integrals", "representation", "layout", "not_stored"
+    )
     algebra = _algebra_of(record["algebra"], dim)
     hamiltonian = _hamiltonian_of(record["hamiltonian"], algebra.dim)
     casimirs = invariants_of(record["casimirs"], algebra.dim)
     integrals = invariants_of(record["integrals"], algebra.dim) if "integrals" in record else None
     representation = _matrices_of(record["representation"], algebra.dim) if "representation" in record else None
+    layout = {key: entry.plain() for key, entry in record["layout"].table().items()} if "layout" in record else None
     sign = record["sign"].whole(-1, 1)
     with made_of(record):
         return LiePoissonSystem(
@@ -110,6 +113,7 @@ def _member_of(record: Entry, dim: int | None) -> Any:
             representation=representation,
             name=name,
             integrals=integrals,
+            layout=layout,
         )
 
 

@@ -89,6 +89,8 @@ def record_of(system: System | Batch) -> dict[str, Any]:
         record["representation"] = _matrices_record(system.representation)
     if system.integrals:
         record["integrals"] = invariants_record(system.integrals)
+    if system.layout:
+        record["layout"] = {key: _plain(value) for key, value in system.layout.items()}
     if missing:
         record["not_stored"] = missing
     return record

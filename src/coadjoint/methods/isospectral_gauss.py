@@ -111,11 +111,11 @@ class IsospectralGauss(SteppedMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of its products."""
-        from coadjoint.methods.work import Work
+        from coadjoint.methods.work import work_of_products
 
-        products = 2 if self.stages == 1 else 3 * self.stages
-        cost = substeps * products * 4.0 * matrices_of(system).algebra.N ** 3
-        return Work(lambda iterations, evaluations: max(1.0, iterations) * cost)
+        # Newton's method of one stage counts a step of it as one iteration.
+        products = 12 if self.stages == 1 else 3 * self.stages
+        return work_of_products(matrices_of(system), substeps * products, iterated=True)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step of a matrix (N, N) or of its numbers (dim,), read in NumPy.

@@ -349,7 +349,7 @@ def summary_of(name: str) -> str:
     Examples
     --------
     >>> summary_of("Splitting")
-    'Composition of the exact flows of commuting parts of the Hamiltonian: explicit, Poisson, all Casimirs kept.'
+    'Composition of exact flows of parts of the Hamiltonian: explicit, a Poisson map, keeps all Casimirs.'
     """
     return (inspect.getdoc(_schemes()[name]) or "").partition("\n")[0]
 

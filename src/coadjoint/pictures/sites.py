@@ -67,7 +67,7 @@ def places_of_sites(lattice: Any, shape: Any, count: int) -> Floats:
     """
     if lattice == "cubic":
         raise CannotShow("the lattice fills space, and spins are drawn in a plane")
-    if not isinstance(lattice, str) or lattice not in CELLS:
+    if not isinstance(lattice, str) or lattice not in CELLS or shape is None:
         turn = 2.0 * np.pi * np.arange(count) / count
         return np.stack([np.sin(turn), np.cos(turn)], axis=-1) * max(1.0, count / 6.0)
     row = sites_of_row(lattice, count)

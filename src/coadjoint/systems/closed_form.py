@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import read_finite
+from coadjoint.given import read_finite, read_list, read_whole
 from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
@@ -19,6 +19,23 @@ def checked_parameters(parameters: Mapping[str, Any] | None) -> dict[str, Any] |
     if not isinstance(parameters, Mapping | None):
         raise TypeError(f"parameters is {short(parameters)}; give a mapping from names to values, or None")
     return None if parameters is None else dict(parameters)
+
+
+def checked_layout(layout: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return a copy of the lattice and the shape of sites; refuse what is neither."""
+    if layout is None:
+        return {}
+    rule = 'give a mapping such as {"lattice": "square", "shape": (10, 10)}, or None'
+    if not isinstance(layout, Mapping) or not layout.keys() <= {"lattice", "shape"}:
+        raise TypeError(f"layout is {short(layout)}; {rule}")
+    found = dict(layout)
+    if not isinstance(found.get("lattice"), str):
+        raise TypeError(f"the lattice of layout is {short(found.get('lattice'))}; {rule}")
+    if found.get("shape") is not None:
+        shape = found["shape"]
+        cells = (shape,) if isinstance(shape, int) else read_list(shape, "the shape of layout", rule)
+        found["shape"] = [read_whole(count, "the shape of layout") for count in cells]
+    return found
 
 
 def checked_exact(exact: Callable[..., Any] | None) -> Callable[..., Any] | None:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.representation import check_representation
 from coadjoint.memory import check_room
-from coadjoint.systems.closed_form import checked_exact, checked_parameters, solution_of
+from coadjoint.systems.closed_form import checked_exact, checked_layout, checked_parameters, solution_of
 from coadjoint.systems.followed_casimirs import casimirs_of, checked_casimirs
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
@@ -147,7 +147,7 @@ class LiePoissonSystem:
         keep(self, "name", checked_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
         keep(self, "_parameters", checked_parameters(parameters))
         keep(self, "_exact", checked_exact(exact))
-        keep(self, "_layout", dict(layout or {}))
+        keep(self, "_layout", checked_layout(layout))
 
     def _check_pieces(self) -> None:
         splits = (one for one in summands_of(self.hamiltonian) if isinstance(one, SplitHamiltonian))

@@ -14,6 +14,7 @@ from coadjoint.analysis.checks.tangents import FLOOR_OF_DIFFERENCES, tangent
 from coadjoint.analysis.poisson_defect import defect_of_tangent
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.waiting import at
 
 SLOPES = 4
@@ -150,9 +151,9 @@ def _seen_along(subject: Subject, x: NDArray[np.float64], h: float) -> tuple[flo
 
 def _turned(system: Any, x: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return J(x) on vectors in columns."""
-    if system.algebra is None:
-        return np.asarray(system.structure_matrix(x) @ vectors)
-    return np.asarray(system.algebra.structure_operator(x) @ vectors)
+    if isinstance(system, LiePoissonSystem):
+        return np.asarray(system.algebra.structure_operator(x) @ vectors)
+    return np.asarray(system.structure_matrix(x) @ vectors)
 
 
 def _mean_size(columns: NDArray[np.float64], n: int) -> float:
