@@ -163,7 +163,7 @@ def test_wrong_ready_made(written, changes, said):
         ([("M = [1.0, 0.5, 0.25]", "M = true")], "hamiltonian.M: must be a number or a list of numbers or "),
         (
             [("M = [1.0, 0.5, 0.25]", 'polynomial = "x1^^2"')],
-            "hamiltonian.polynomial: 'x1^^2' cannot be read from '^^2' on; ",
+            "hamiltonian.polynomial: 'x1^^2' cannot be read from '^2' on; ",
         ),
         ([("M = [1.0, 0.5, 0.25]", 'polynomial = "x4"')], "hamiltonian.polynomial: 'x4' has the coordinate x4; "),
         ([("M = [1.0, 0.5, 0.25]", "polynomial = 3")], "hamiltonian.polynomial: must be text such as "),

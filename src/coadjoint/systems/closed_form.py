@@ -34,7 +34,7 @@ def checked_layout(layout: Mapping[str, Any] | None) -> dict[str, Any]:
     if found.get("shape") is not None:
         shape = found["shape"]
         cells = (shape,) if isinstance(shape, int) else read_list(shape, "the shape of layout", rule)
-        found["shape"] = [read_whole(count, "the shape of layout") for count in cells]
+        found["shape"] = tuple(read_whole(count, "the shape of layout") for count in cells)
     return found
 
 
