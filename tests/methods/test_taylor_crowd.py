@@ -12,6 +12,7 @@ ALGEBRAS = {
     name: co.algebras.get(name) for name in ("so(3)", "A3,1", "gl(2)", "A5,3", "e(3)", "so(2,2)", "su(3)", "so(5)")
 }
 ALGEBRAS["A3,7"] = co.algebras.A3_7(0.7)
+ALGEBRAS["3 spins"] = co.algebras.copies(co.algebras.so(3), 3)
 ALGEBRAS["4 spins"] = co.algebras.copies(co.algebras.so(3), 4)
 MEMBERS = 21  # two registers of eight and five alone, or five of four and one
 
@@ -97,6 +98,23 @@ def test_members_that_fail_leave_the_others_alone(name, degree, projected):
         alone = followed(system, wild[m], (0, 10), 0.25, co.Taylor(10, projected)).x
         assert run.failed[m] == (len(alone) < len(run.x))
         assert np.array_equal(run.x[: len(alone), m], alone)
+
+
+@pytest.mark.parametrize("name", ["so(3)", "A5,3", "3 spins", "so(5)"])
+@pytest.mark.parametrize("degree", [2, 3])
+def test_nothing_is_left_of_members_that_overflow(name, degree):
+    """Rows of 3 to 10 coordinates end within a register; what overflows in one member must not stay behind them."""
+    system = system_on(name, degree, 1)
+    x = 0.5 * states(system, 70)
+    sizes = 10.0 ** np.linspace(2.0, 160.0, 35)
+    x[::2] *= sizes[:, None]
+    run, again = (followed(system, x, (0, 1), 0.0625, co.Taylor(8), watch=False) for _ in range(2))
+    assert again.x.tobytes() == run.x.tobytes()
+    for m in range(70):
+        alone = followed(system, x[m], (0, 1), 0.0625, co.Taylor(8), watch=False).x
+        assert np.array_equal(run.x[: len(alone), m], alone), m
+        assert run.failed[m] == (len(alone) < len(run.x)) and not np.isfinite(run.x[len(alone) :, m]).any()
+    assert run.failed[::2].sum() > 20 and not run.failed[1::2].all()
 
 
 def test_the_work_of_each_member_is_counted():

@@ -29,7 +29,7 @@ class ProjectionCrowd {
     // The values that are to be kept, of a member that remembers none.
     void begin(int lane, const A* x) {
         if (size == 0 || lane_of(kept.at[0], lane) == lane_of(kept.at[0], lane)) return;
-        take_row(lane, x);
+        take_row(lane, x, row.at);
         one.begin(row.at, numbers.data());
         read(lane, numbers.data());
     }
@@ -47,8 +47,7 @@ class ProjectionCrowd {
         A restored(0.0);
         for (int lane = 0; lane < lanes; ++lane) {
             if (!at(going, lane)) continue;
-            take_row(lane, x);
-            for (int64_t i = 0; i < n; ++i) reinterpret_cast<double*>(owed.at)[i] = lane_of(dx[i], lane);
+            take_row(lane, x, row.at), take_row(lane, dx, owed.at);
             write(lane, numbers.data());
             set_lane(restored, lane, one.restore(row.at, owed.at, blocks_of<W>(n), numbers.data()));
             read(lane, numbers.data());
@@ -69,8 +68,11 @@ class ProjectionCrowd {
     Room<Row> row, owed;
     std::vector<double> numbers;
 
-    void take_row(int lane, const A* x) {
-        for (int64_t i = 0; i < n; ++i) reinterpret_cast<double*>(row.at)[i] = lane_of(x[i], lane);
+    // Beyond the last coordinate there are zeros, and nothing that the member before has left.
+    void take_row(int lane, const A* from, Row* to) const {
+        double* const numbers = reinterpret_cast<double*>(to);
+        for (int64_t i = 0; i < n; ++i) numbers[i] = lane_of(from[i], lane);
+        std::fill(numbers + n, numbers + blocks_of<W>(n) * W, 0.0);
     }
 
     // As `sum_of_lanes` of a row of W, of which n are there.
@@ -145,7 +147,7 @@ class ProjectionCrowd {
     }
 
     NOINLINE bool settled(int lane, const A* x) {
-        take_row(lane, x);
+        take_row(lane, x, row.at);
         write(lane, numbers.data());
         return one.settled(row.at, numbers.data());
     }
@@ -186,7 +188,7 @@ class ProjectionCrowd {
         if (__builtin_expect(any(near), 0))
             for (int lane = 0; lane < lanes; ++lane)
                 if (at(near, lane)) {
-                    take_row(lane, x);
+                    take_row(lane, x, row.at);
                     set_lane(least, lane, larger(lane_of(least, lane), EXACT * one.rows.terms_of(a, row.at)));
                     small = size_of <= least;
                 }
