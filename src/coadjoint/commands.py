@@ -216,7 +216,9 @@ def resume_archive(
 @click.argument("file", type=click.Path())
 @click.option("--json", "mapping", metavar="PATH", help="Where to write all measurements: .json.")
 @click.option("--plot", "figure", metavar="PATH", help="Where to draw the evidence: .png, .pdf or .svg.")
-@click.option("--steps", type=int, metavar="N", help="Steps of the long run, 2000 by default.")
+@click.option(
+    "--steps", type=int, metavar="N", help="Steps of the long run; by default 2000, or as many as take a few seconds."
+)
 def certify_file(file: str, mapping: str | None, figure: str | None, steps: int | None) -> None:
     """Measure what the scheme of the configuration FILE (TOML) keeps, and compare it with what it declares.
 

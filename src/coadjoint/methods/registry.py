@@ -351,7 +351,7 @@ def summary_of(name: str) -> str:
     >>> summary_of("Splitting")
     'Composition of exact flows of parts of the Hamiltonian: explicit, a Poisson map, keeps all Casimirs.'
     """
-    return (inspect.getdoc(_schemes()[name]) or "").partition("\n")[0]
+    return documentation_of(name).partition("\n")[0]
 
 
 def description_of(method: Method) -> dict[str, Any]:

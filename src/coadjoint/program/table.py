@@ -172,13 +172,13 @@ def _term_table(parts: Parts) -> TermTable:
 
 
 def _state_action(algebra: LieAlgebra, parts: Parts, number: Number) -> Action:
-    if number is float and len(parts.offset) <= LARGEST_PATTERN:
+    if number is not float:
+        return build_action(BasisMatrices.coadjoint(algebra), parts, number)
+    if len(parts.offset) <= LARGEST_PATTERN:
         return _remembered_action(algebra, Pattern(parts, *parts.forms, parts.angle))
-    if number is float:
-        if parts not in _ACTIONS:
-            _ACTIONS[parts] = build_action(BasisMatrices.coadjoint(algebra), parts, number)
-        return _ACTIONS[parts]
-    return build_action(BasisMatrices.coadjoint(algebra), parts, number)
+    if parts not in _ACTIONS:
+        _ACTIONS[parts] = build_action(BasisMatrices.coadjoint(algebra), parts, float)
+    return _ACTIONS[parts]
 
 
 # Of large systems the action takes seconds to be made. All schemes and steps share it, as long as the system lives that

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -105,7 +106,7 @@ def _along(subject: Subject, telling: float, row: Row) -> Row:
     """
     if not subject.claims.symmetric:
         why = f"a step takes about {subject.seconds:.1g} s; without a step back that undoes it, the whole P is needed"
-        return Row(**{**vars(row), "reason": why})
+        return replace(row, reason=why)
     worst: tuple[float, float, bool, float] | None = None
     reason = ""
     for h in dict.fromkeys((subject.h, telling) if row.claimed else (telling,)):
@@ -117,15 +118,12 @@ def _along(subject: Subject, telling: float, row: Row) -> Row:
         if worst is None or seen[0] * worst[1] > worst[0] * seen[1]:
             worst = (*seen, h)
     if worst is None:
-        return Row(**{**vars(row), "reason": reason})
+        return replace(row, reason=reason)
     defect, bound, exact, h = worst
-    return Row(
-        row.key,
-        row.what,
-        row.declared,
-        f"defect {defect:.2g} at the step {h:.3g}, by tangents along {DIRECTIONS} directions there and back",
-        verdict(row.claimed, defect <= bound),
-        claimed=row.claimed,
+    return replace(
+        row,
+        measured=f"defect {defect:.2g} at the step {h:.3g}, by tangents along {DIRECTIONS} directions there and back",
+        verdict=verdict(row.claimed, defect <= bound),
         value=defect,
         bound=bound,
         source="64 u (|P J| + |Q J|) times the operations" if exact else "floor of differences, 1e-9 (|P J| + |Q J|)",
