@@ -7,26 +7,98 @@ import pytest
 
 import coadjoint as co
 from coadjoint.choosing import accuracy, remembered
-from coadjoint.choosing.law import AHEAD, NEARLY, Law, law_of
+from coadjoint.choosing import pilot as pilots
+from coadjoint.choosing.growth import Growth
+from coadjoint.choosing.law import AHEAD, KIN, NEAR_KIN, Foresight, Law, law_of
+from coadjoint.choosing.pilot import Trial
 from random_runs.algebras import some_algebra
 
 BODY = co.systems.rigid_body((1, 2, 2.5))
 
 
-def fit_of(order, steps, error, method=None):
-    return SimpleNamespace(candidate=SimpleNamespace(method=method or co.Taylor(order)), steps=steps, error=error)
+class Told(SimpleNamespace):
+    """A candidate of which a step costs its iterations, times the evaluations of each."""
+
+    share = 1.0
+
+    def cost(self, trial):
+        return trial.evaluations
+
+
+def fit_of(order, steps, error, method=None, iterations=1.0, newton=False):
+    method = method or co.Taylor(order)
+    trial = Trial(int(steps), Growth(error, error, error), iterations, iterations * order / 2, newton)
+    return SimpleNamespace(candidate=Told(method=method), steps=steps, error=error, end=error, trial=trial)
+
+
+def exact_fits(goal):
+    """With c = 3 and T / r = 50 the error of N steps is 3 (50 / N)^p."""
+    return [fit_of(p, 50.0 * (3.0 / goal) ** (1.0 / p), goal) for p in (16, 8)]
 
 
 def test_a_law_that_is_exact():
-    """With c = 3 and T / r = 50 the error of N steps is 3 (50 / N)^p."""
     fits = [fit_of(p, 80.0 + p, 3.0 * (50.0 / (80.0 + p)) ** p) for p in (16, 8)]
     law = Law(*fits)
     for p, goal in ((6, 1e-3), (12, 1e-9), (24, 1e-12)):
         steps = law.steps(p, goal)
         assert 3.0 * (50.0 / steps) ** p == pytest.approx(goal, rel=1e-9)
-        series, other = (SimpleNamespace(method=m) for m in (co.Taylor(p), co.GaussLegendre(p // 2)))
-        assert law.guess(series, goal) == steps > law.guess(other, goal) > steps / AHEAD
-        assert NEARLY < AHEAD
+
+
+def test_what_is_foretold_by_the_law_alone():
+    foresight = Foresight(lambda candidate: 1e-6, None)
+    series, gauss = (Told(method=m) for m in (co.Taylor(12), co.GaussLegendre(6)))
+    assert foresight.guess(series) is None and foresight.least_cost(gauss) == 0.0
+    assert [foresight.learn(fit) for fit in exact_fits(1e-6)] == [False, True]
+    steps = 50.0 * (3.0 / 1e-6) ** (1.0 / 12)
+    assert foresight.guess(series) == pytest.approx(steps) and steps / AHEAD < foresight.guess(gauss) < steps
+    # Six stages, ten rounds, and a quarter of the steps.
+    assert foresight.least_cost(gauss) == pytest.approx(steps / AHEAD * 10 * 6)
+    assert not foresight.learn(fit_of(12, 1000, 1e-6))
+
+
+@pytest.mark.parametrize("backward", [False, True])
+def test_what_is_foretold_by_kin(backward):
+    """A Gauss method that took half as many steps as the law says, in 20 rounds: others do about the same."""
+    foresight = Foresight(lambda candidate: 1e-6, None)
+    law = [50.0 * (3.0 / 1e-6) ** (1.0 / p) for p in (16, 12, 8)]
+    kin = [
+        fit_of(16, 0.5 * law[0], 1e-6, co.GaussLegendre(8), iterations=20.0),
+        fit_of(8, 3.0 * law[2], 1e-6, co.GaussLegendre(4), iterations=30.0, newton=True),
+    ]
+    for fit in [*exact_fits(1e-6), *(kin[::-1] if backward else kin)]:
+        foresight.learn(fit)
+    gauss = Told(method=co.GaussLegendre(6))
+    # What Newton's method was needed for tells nothing of others.
+    assert foresight.guess(gauss) == pytest.approx(0.5 * law[1])
+    assert foresight.least_cost(gauss) == pytest.approx(0.5 * law[1] * 20 * 6 / KIN)
+    # Of series the nearest order is believed: one of order 20 took twice what the law says.
+    foresight.learn(fit_of(20, 100.0 * (3.0 / 1e-6) ** (1.0 / 20), 1e-6))
+    assert foresight.guess(Told(method=co.Taylor(24))) == pytest.approx(100.0 * (3.0 / 1e-6) ** (1.0 / 24))
+    assert foresight.guess(Told(method=co.Taylor(12))) == pytest.approx(law[1])
+    costs = [foresight.least_cost(Told(method=co.Taylor(p))) for p in (24, 12)]
+    assert costs[0] == pytest.approx(100.0 * (3.0 / 1e-6) ** (1.0 / 24) * 12 / NEAR_KIN)
+    assert costs[1] == pytest.approx(law[1] * 6 / NEAR_KIN)
+    waiting = [Told(method=m) for m in (co.GaussLegendre(6), co.Taylor(24), co.Taylor(12), co.Splitting())]
+    turn = [waiting[k] for k in (2, 1, 0, 3)]
+    assert foresight.cheapest_first(waiting) == turn
+
+
+def test_errors_as_large_as_the_motion_tell_nothing():
+    foresight = Foresight(lambda candidate: 1e-6, None)
+    for fit in exact_fits(1e-6):
+        fit.end = 1.0
+        assert not foresight.learn(fit)
+    assert foresight.guess(Told(method=co.Taylor(12))) is None
+
+
+def test_a_look_at_steps_of_its_own_tells_how_many_a_series_needs():
+    """Both have errors c (h / r)^p; constant steps are some more."""
+    goal = 1e-9
+    look = fit_of(20, 40.0 * goal ** (-1.0 / 20), goal, co.Taylor(20, tolerance=1e-10))
+    foresight = Foresight(lambda candidate: goal, look)
+    assert 1.0 < foresight.guess(Told(method=co.Taylor(16))) / (40.0 * goal ** (-1.0 / 16)) < 1.5
+    assert foresight.guess(Told(method=co.Taylor(8))) is None
+    assert foresight.guess(Told(method=co.GaussLegendre(8))) is None
 
 
 def test_two_series_far_enough_apart_make_it():
@@ -67,7 +139,7 @@ def test_what_goes_untried_is_no_cheaper(monkeypatch):
         for wanted in (1e-3, 1e-10):
             chosen = co.choose(system, x0, (0.0, span), wanted)
             with monkeypatch.context() as all_tried:
-                all_tried.setattr(accuracy, "law_of", lambda found: None)
+                all_tried.setattr(Foresight, "least_cost", lambda self, candidate: 0.0)
                 thorough = co.choose(system, x0, (0.0, span), wanted)
             assert chosen.cost <= 1.35 * thorough.cost
             assert chosen.error <= wanted
@@ -89,6 +161,25 @@ def test_series_that_are_given_up_spare_the_trials_of_others(monkeypatch):
         assert chosen.method.own_steps
         # Two series make the law; of 20 candidates each other one could be tried.
         assert 2 <= len(tried) <= 6
+
+
+@pytest.mark.parametrize("wanted", [1e-3, 1e-6, 1e-9])
+def test_a_choice_takes_few_trials(monkeypatch, wanted):
+    """Of 21 candidates most are left out: the pilot's own runs, those of some series, one or two of other kinds."""
+    seen = []
+
+    def counted(*given):
+        seen.append(given)
+        return short_run(*given)
+
+    short_run = pilots.short_run
+    monkeypatch.setattr(pilots, "short_run", counted)
+    counts = []
+    for system, x0, span in some_problems():
+        seen.clear()
+        co.choose(system, x0, (0.0, span), wanted)
+        counts.append(len(seen))
+    assert np.median(counts) <= 24
 
 
 def test_what_is_remembered_changes_nothing():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.choosing import pilot as pilots
 from coadjoint.choosing.pilot import Pilot
 from coadjoint.choosing.sampling import sample_of
 from coadjoint.methods.gauss_legendre import GaussLegendre
@@ -66,3 +67,84 @@ def test_the_sample_has_the_members_that_are_hardest(span):
     found = sample_of(BODY, crowd, 0.0, span)
     chosen = {int(np.flatnonzero(np.all(crowd == x, axis=1))[0]) for x in found}
     assert 0 in chosen and chosen >= hardest
+
+
+def runs_of(monkeypatch, *given, **more):
+    """Return a pilot, and the schemes and steps of its runs."""
+    seen = []
+
+    def counted(system, method, *rest):
+        seen.append((method, rest[3]))
+        return short_run(system, method, *rest)
+
+    short_run = pilots.short_run
+    with monkeypatch.context() as counting:
+        counting.setattr(pilots, "short_run", counted)
+        return Pilot(*given, **more), seen
+
+
+@pytest.mark.parametrize("span", [60.0, -60.0])
+def test_rounding_far_below_the_accuracy_is_looked_at_once(monkeypatch, span):
+    """And what is told of it then is no less than what a second look shows."""
+    looked, twice = runs_of(monkeypatch, BODY, X0[None], 0.0, span)
+    found, once = runs_of(monkeypatch, BODY, X0[None], 0.0, span, accuracy=1e-6)
+    assert len(twice) == len(once) + 1
+    assert np.array_equal(found.reference, looked.reference) and found.sensitivity == looked.sensitivity
+    assert looked.noise <= found.noise <= 2.0**-10 * 1e-6
+
+
+def test_over_a_long_span_rounding_grows_to_matter(monkeypatch):
+    """Of ten million windows the rounding of one is not far below the accuracy."""
+    _, long = runs_of(monkeypatch, BODY, X0[None], 0.0, 1e9, accuracy=1e-6)
+    _, short = runs_of(monkeypatch, BODY, X0[None], 0.0, 1e3, accuracy=1e-6)
+    assert len(long) > len(short)
+
+
+def test_the_reference_is_refined_no_more_than_it_needs(monkeypatch):
+    """A change that order 16 makes invisible in the finer run is not looked at again."""
+    pilot, seen = runs_of(monkeypatch, BODY, X0[None], 0.0, 60.0)
+    steps = [count for method, count in seen if count > 2]
+    coarse, fine = pilot.reference_steps // 2, pilot.reference_steps
+    assert steps == [coarse, fine, coarse, fine + pilot.points]
+    times = 60.0 * np.arange(pilot.points + 1) / pilot.points
+    assert np.max(np.abs(pilot.reference[:, 0] - BODY.exact(X0, times))) < 1e-13
+
+
+def test_changes_of_the_start_grow_as_in_the_reference():
+    """By runs of the steps before the last, compared with each other: the steps' own error is no part of the growth."""
+    pilot = Pilot(BODY, X0[None], 0.0, 200.0)
+    rng = np.random.default_rng(pilots.SEED)
+    direction = rng.standard_normal((1, 3))
+    small = 1e-6 * direction / np.linalg.norm(direction) * np.linalg.norm(X0)
+    times = pilot.window * np.arange(pilot.points + 1) / pilot.points
+    apart = np.linalg.norm(BODY.exact(X0 + small[0], times) - BODY.exact(X0, times), axis=1) / 1e-6 / np.linalg.norm(X0)
+    assert pilot.sensitivity.whole == pytest.approx(np.max(apart[pilot.points // 2 + 1 :]), rel=1e-3)
+    assert pilot.sensitivity.half == pytest.approx(
+        np.max(apart[pilot.points // 4 + 1 : pilot.points // 2 + 1]), rel=1e-3
+    )
+
+
+def test_numbers_of_steps_that_share_points():
+    pilot = Pilot(BODY, X0[None], 0.0, 200.0)
+    for steps in np.geomspace(0.3, 5000.0, 60):
+        up, down = pilot.fitting(steps), pilot.fitting(steps, finer=False)
+        assert down <= max(1.0, steps) <= max(1.0, up) <= 1.3 * max(1.0, steps) + 1
+        assert down >= 0.7 * steps - 1 and down >= 1
+        for number in (up, down):
+            assert math.gcd(number, pilot.points) >= min(number, 12)
+
+
+@pytest.mark.parametrize("span", [50.0, -50.0, 0.3])
+def test_the_natural_step_is_the_largest_half_of_the_span_that_is_right(span):
+    """Two of half its size agree with it so far, and twice the step is wrong, or turns too far at once."""
+    pilot = Pilot(BODY, X0[None], 0.0, span)
+
+    def apart(h):
+        one, two = (co.integrate(BODY, X0, (0.0, h), abs(h) / n, pilots.REFERENCE, watch=False).x for n in (1, 2))
+        return np.linalg.norm(one[-1] - two[-1]) / np.max(np.linalg.norm(two, axis=1))
+
+    h = math.copysign(pilot.natural_step, span)
+    assert math.log2(span / h) == round(math.log2(span / h)) >= 0
+    assert apart(h) <= pilots.SETTLED
+    rate = np.linalg.norm(BODY.vector_field(X0)) / np.linalg.norm(X0)
+    assert h == span or 2 * abs(h) * rate > pilots.AT_ONCE or apart(2 * h) > pilots.SETTLED

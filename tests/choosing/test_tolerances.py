@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.choosing import tolerances
 from coadjoint.choosing.accuracy import SCHEMES
 
 OWN = [method for method in SCHEMES if method.own_steps]
@@ -71,3 +72,21 @@ def test_the_order_grows_with_the_accuracy():
     assert co.Taylor(tolerance=0.1).reaching(system, 1e-30).tolerance == 1e-18
     with pytest.raises(TypeError, match="has no tolerance that could be chosen"):
         co.Splitting().reaching(system, 1e-6)
+
+
+def test_steps_of_its_own_that_are_dear_are_looked_at_once(monkeypatch):
+    """Where constant steps cost half as much, one trial says so; alone they are fitted as before."""
+    looks = []
+
+    def counted(pilot, candidate):
+        looks.append(candidate.method)
+        return own_steps_of(pilot, candidate)
+
+    own_steps_of = tolerances.own_steps_of
+    monkeypatch.setattr(tolerances, "own_steps_of", counted)
+    system, x0, time = systems()["body"]
+    choice = co.choose(system, x0, (0.0, time), 1e-6)
+    assert not choice.method.own_steps and len(looks) == 1
+    looks.clear()
+    alone = co.choose(system, x0, (0.0, time), 1e-6, methods=OWN)
+    assert alone.method.own_steps and alone.cost > 1.2 * choice.cost and len(looks) > 1

@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from coadjoint.choosing.candidates import Candidate, admitted
 from coadjoint.choosing.fitting import Fit, confirmed, fit
-from coadjoint.choosing.law import AHEAD, Law, law_of
+from coadjoint.choosing.law import Foresight
 from coadjoint.choosing.pilot import Pilot
 from coadjoint.choosing.roundoff import least_roundoff
 from coadjoint.choosing.sampling import sample_of
-from coadjoint.choosing.tolerances import fit_of_tolerance
+from coadjoint.choosing.tolerances import first_look, fit_of_tolerance
 from coadjoint.given import read_flag, read_list, read_number
 from coadjoint.keywords import told
 from coadjoint.methods.base import Method
@@ -35,12 +36,13 @@ MODERATE_ORDER = 8
 # An error that is so many times what was aimed at is accepted.
 NEARLY = 2.0
 ROUNDING_SHARE = 0.5
+# Steps of a scheme's own cost so many times what a first look shows, or less.
+LOOK = 1.5
 # The least error that is aimed at; a smaller one could not be divided by.
 LEAST = 2.0**-1000
 
 
-# Steps of its own come first, where order and tolerance are found; then high orders. The first two series with a
-# constant step say of all others how dear they are at the least.
+# The first two series with a constant step say of the others how dear they are; of other kinds the first scheme does.
 SCHEMES: tuple[Method, ...] = (
     Taylor(tolerance=1e-9),
     *(Taylor(p) for p in (16, 8, 20, 12, 24, 14, 10, 6)),
@@ -180,7 +182,7 @@ def _chosen(
     candidates = admitted(system, _schemes(methods, processed, system.dim), x0, attitude, strict=methods is not None)
     if t0 == t1:
         return Choice(candidates[0].method, 1.0, wanted, 0.0, 0.0, 0.0)
-    pilot = Pilot(system, sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0)
+    pilot = Pilot(system, sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0, wanted)
     if least_roundoff(pilot) >= ROUNDING_SHARE:
         raise _lost(candidates, abs(t1 - t0))
     fits = _fits(pilot, candidates, wanted)
@@ -227,34 +229,37 @@ def _goal(candidate: Candidate, wanted: float) -> float:
 
 
 def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[Fit]:
-    found, given_up = list[Fit](), list[Fit]()
+    """Return what the schemes need that may be the best; steps of their own are looked at first and fitted last."""
     least = least_roundoff(pilot)
-    law: Law | None = None
-    rough: Law | None = None
-    waiting = list(candidates)
+    waiting = [each for each in candidates if not each.method.own_steps]
+    looks = [(each, first_look(pilot, each, _goal(each, wanted))) for each in candidates if each.method.own_steps]
+    seen = min((look for _, look in looks if look is not None), key=lambda look: look.cost, default=None)
+    foresight = Foresight(partial(_goal, wanted=wanted), seen)
+    # What a first look shows is not exact.
+    own = math.inf if seen is None else LOOK * seen.cost
+    found = list[Fit]()
     while waiting:
         candidate = waiting.pop(0)
         # What rounding spoils is no reason to leave others untried, but to try them shortly.
-        sound = min((each.cost for each in found if _rounded_well(each, wanted) is not None), default=math.inf)
-        limit = min((each.cost for each in found), default=math.inf)
-        goal = _goal(candidate, wanted)
-        if law is not None and law.least_cost(candidate, goal) > sound:
+        sound = min([own, *(each.cost for each in found if _rounded_well(each, wanted) is not None)])
+        if foresight.least_cost(candidate) > sound:
             continue
-        if rough is not None and rough.least_cost(candidate, goal, AHEAD) > sound:
+        limit = min([own, *(each.cost for each in found)])
+        result = fit(pilot, candidate, _goal(candidate, wanted), limit, foresight.guess(candidate))
+        if result is None:
             continue
-        if candidate.method.own_steps:
-            result = fit_of_tolerance(pilot, candidate, goal, limit)
-        else:
-            result = fit(pilot, candidate, goal, limit, None if law is None else law.guess(candidate, goal))
-        if result is not None and result.given_up:
-            given_up.append(result)
-            rough = law_of([*found, *given_up])
-        elif result is not None:
+        if foresight.learn(result):
+            waiting = foresight.cheapest_first(waiting)
+        if not result.given_up:
             found.append(result)
             if ROUNDING_SHARE * wanted < result.roundoff <= least:
                 # All others have as much rounding.
                 break
-        law = law or law_of(found)
+    for candidate, look in looks:
+        limit = min((each.cost for each in found), default=math.inf)
+        result = fit_of_tolerance(pilot, candidate, _goal(candidate, wanted), limit, look)
+        if result is not None:
+            found.append(result)
     return found
 
 

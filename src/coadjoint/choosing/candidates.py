@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 from coadjoint.choosing.pilot import Pilot, Trial
@@ -12,7 +12,7 @@ from coadjoint.choosing.remembered import remembered
 from coadjoint.kernels.description import limit
 from coadjoint.methods.base import Method
 from coadjoint.methods.work import CROWD, Work, newton_work
-from coadjoint.runs.start import start_of
+from coadjoint.runs.start import momenta_of, representations_of, start_of
 from coadjoint.systems.kinds import System
 from coadjoint.waiting import at
 
@@ -58,8 +58,9 @@ class Candidate:
 
     def growth(self, pilot: Pilot, trial: Trial) -> float:
         """Return how many times the error of a trial is larger at the end of the span."""
-        return trial.growth.factor(pilot.windows, 1.0 if self._grows_like_time() else 2.0)
+        return trial.growth.factor(pilot.windows, 1.0 if self._grows_like_time else 2.0)
 
+    @cached_property
     def _grows_like_time(self) -> bool:
         """Whether a scheme keeps what would shift phases ever faster: by its symmetry, as a Poisson map, or since all
         that is left of the motion is a curve on which invariants are restored.
@@ -102,12 +103,18 @@ def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, 
     ValueError, TypeError
         What a scheme said, if it is refused, or if none is left.
     """
+    members = len(momenta_of(system, x0)[0])
+    crowd = members >= CROWD and system.dim <= limit("WIDEST")
     found: list[Candidate] = []
     refusal: Exception | None = None
     for method in schemes:
-        at(f"the work of {method}")
+        at(f"the work of {type(method).__name__}")
         try:
-            found.append(_candidate(system, method, x0, attitude, free=not strict or len(schemes) > 1))
+            group = representations_of(system, method, attitude)[0]
+            if group is not None:
+                start_of(system, method, x0, attitude)  # which looks at the element that is given
+            free = not strict or len(schemes) > 1
+            found.append(Candidate(system, method, _work_of(system, method, group), free, crowd, group))
         except (ValueError, TypeError) as error:
             if strict:
                 raise
@@ -115,13 +122,6 @@ def admitted(system: System, schemes: Sequence[Method], x0: Any, attitude: Any, 
     if not found and refusal is not None:
         raise refusal
     return found
-
-
-def _candidate(system: System, method: Method, x0: Any, attitude: Any, free: bool) -> Candidate:
-    start = start_of(system, method, x0, attitude)
-    crowd = len(start.momenta) >= CROWD and system.dim <= limit("WIDEST")
-    work = _work_of(system, method, start.representation)
-    return Candidate(system, method, work, free, crowd, start.representation)
 
 
 def _work_of(system: System, method: Method, representation: Any) -> Work:

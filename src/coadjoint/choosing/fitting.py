@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from coadjoint.choosing.candidates import Candidate
 from coadjoint.choosing.pilot import REFERENCE, Pilot, Trial
@@ -17,15 +18,21 @@ DEAREST_CONFIRMATION = 16 * DEAREST_TRIAL
 MOST_CORRECTIONS = 6
 # Truncation is told from rounding, and from the error of the reference, when it is so many times larger.
 CLEARLY = 16.0
+# Rounding is hardly ever so many times what is expected of it.
+MOSTLY = 4.0
 # Beyond this relative error the order says nothing.
 LARGE = 0.05
+# So many times the steps with which an unstable scheme fails, it mostly succeeds.
+UNSTABLE = 1.5
+# Errors at the end that are no smaller than the motion are not followed to smaller steps.
+WHOLE = 1.0
 # Steps within this factor of what is wanted are near enough to extrapolate.
 NEAR = 1.3
 # A choice that costs (1 + this / order) times as much as another is given up: the higher the order, the better is known
 # from a trial how many steps are needed.
 MUCH_DEARER = 6.0
-# A first trial takes no more than so many times the steps of the first guess.
-MUCH_FINER = 4.0
+# A first trial takes no more than so many times the usual steps, and no fewer than one of so many.
+MUCH_FINER, MUCH_COARSER = 4.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -40,12 +47,17 @@ class Fit:
     given_up: bool = False
     """Whether a trial showed that it will be much dearer than another; its steps are a guess then."""
 
-    @property
+    @cached_property
     def cost(self) -> float:
         """Work of the run of one member, in rotations."""
         return self.steps * self.candidate.cost(self.trial) * self.candidate.share
 
-    @property
+    @cached_property
+    def end(self) -> float:
+        """The truncation error expected at the end with the steps of the trial; from `WHOLE` on it tells nothing."""
+        return self.trial.error * self.candidate.growth(self.pilot, self.trial)
+
+    @cached_property
     def roundoff(self) -> float:
         """What rounding leaves at the end of the span."""
         return _rounding(self.pilot, self.candidate, self.steps, self.pilot.windows)
@@ -77,9 +89,13 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: fl
         None where no number of steps was found.
     """
     order = candidate.method.order
-    # Without a better guess, the step of the reference in proportion to the order. Far below it nothing can be seen.
+    dear = (1.0 + MUCH_DEARER / order) * limit
+    # Without a better guess, the steps of the reference in proportion to the order. Far below them nothing can be seen.
     usual = pilot.window / pilot.natural_step * REFERENCE.order / order
-    steps = pilot.fitting(usual if guess is None else min(guess / pilot.windows, MUCH_FINER * usual))
+    first = usual if guess is None else guess / pilot.windows
+    steps = pilot.fitting(min(max(first, usual / MUCH_COARSER), MUCH_FINER * usual))
+    # Where fewer steps fail than the order lets expect, steps are at the border of what is stable.
+    away = min(UNSTABLE, (LARGE / goal) ** (1.0 / order))
     seen: set[int] = set()
     too_few, best = 0, None
     for _ in range(MOST_TRIALS):
@@ -89,6 +105,9 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: fl
         trial = pilot.trial(candidate.method, steps)
         if trial is None or not trial.error < LARGE:
             too_few = max(too_few, steps)
+            if trial is not None and _at_once(pilot, candidate, trial) > dear:
+                # More of them are dearer still.
+                return None if best is None else replace(best, given_up=True)
             if steps > (2**20 if trial is None else DEAREST_TRIAL / candidate.cost(trial)):
                 break
             # Between a number of steps that failed and one that did not, where there are both.
@@ -96,18 +115,24 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: fl
             continue
         noise = CLEARLY * max(pilot.noise, _rounding(pilot, candidate, steps, 1.0))
         best = _extrapolated(pilot, candidate, goal, trial, noise)
-        if best.cost > (1.0 + MUCH_DEARER / order) * limit and trial.error > noise:
+        known = best.end < WHOLE or _at_once(pilot, candidate, trial) > dear
+        if best.cost > dear and trial.error > noise and known:
             return replace(best, given_up=True)
         aim = max(goal / candidate.growth(pilot, trial), noise)
         change: float = (max(trial.error, noise / 256) / aim) ** (1.0 / order)
         most = DEAREST_TRIAL / candidate.cost(trial)
-        wanted = pilot.fitting(max(too_few + 1.0, min(steps * min(max(change, 0.2), 5.0), most)))
+        wanted = pilot.fitting(max(away * too_few, min(steps * min(max(change, 0.2), 5.0), most)))
         if 1 / NEAR <= wanted / steps <= NEAR and trial.error <= 4 * aim:
             break
         steps = wanted
-    if best is None or best.steps > too_few * pilot.windows:
+    if best is None or best.steps >= away * too_few * pilot.windows:
         return best
-    return replace(best, steps=math.ceil((too_few + 1) * pilot.windows))
+    return replace(best, steps=math.ceil(away * too_few * pilot.windows))
+
+
+def _at_once(pilot: Pilot, candidate: Candidate, trial: Trial) -> float:
+    """Return what the run costs with the steps of a trial."""
+    return trial.steps * pilot.windows * candidate.cost(trial) * candidate.share
 
 
 def _extrapolated(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, noise: float) -> Fit:
@@ -143,15 +168,15 @@ def confirmed(found: Fit, goal: float, bound: float) -> Fit:
         return found  # its last trial was that of the choice
     for _ in range(MOST_CORRECTIONS):
         wanted = found.steps / pilot.windows
-        per_window = found.steps if pilot.whole else pilot.fitting(wanted)
+        # No finer than what is run, which could fail where this does not.
+        per_window = found.steps if pilot.whole else pilot.fitting(wanted, finer=False)
         if per_window * found.candidate.cost(found.trial) > DEAREST_CONFIRMATION:
             return found
         trial = pilot.trial(found.candidate.method, per_window)
         if trial is None:
             found = replace(found, steps=math.ceil(1.2 * found.steps))
             continue
-        noise = CLEARLY * max(pilot.noise, _rounding(pilot, found.candidate, per_window, 1.0))
-        if trial.error <= noise:
+        if trial.error <= MOSTLY * max(pilot.noise, _rounding(pilot, found.candidate, per_window, 1.0)):
             return found
         end = trial.error * (per_window / wanted) ** order * found.candidate.growth(pilot, trial)
         found = replace(found, error=end, trial=trial)

@@ -30,11 +30,20 @@ PATIENCE = 3
 FEW = 12
 # A step of the reference is right when two of half its size agree with it so far.
 SETTLED = 2.0**-40
+# A change by halving the step, relative to the size, after which no other is worth while: of the error of a method of
+# order 16 the smaller steps leave 2^-16, and 16 times that is no more than 64 roundings.
+LAST_CHANGE = 2.0**-35
+# Of two changes by rounding one is hardly ever so many times the other.
+CHANCE = 4.0
+# Rounding of so small a part of the accuracy, at the end, does not matter, nor whether it is less.
+NOTHING = 2.0**-10
 # Radians, at the rate of the start, that one step of it hardly ever takes.
 AT_ONCE = 2.0
 # Steps of the reference in a window, in dimension 16 or less; in proportion fewer above, but at least POINTS / 5.
 WINDOW_STEPS = 240
-FEW_WINDOWS = 5.0
+# Its steps may be so much longer: 256 of them are as good as 240.
+LONGER = 1.07
+FEW_WINDOWS = 2.5
 # A change of the start, relative to the size of the motion, whose growth is followed.
 NUDGE = 2.0**-30
 LOST = 0.1
@@ -69,6 +78,8 @@ class Pilot:
         Where the sampled members start.
     t0, span : float
         When they start, and for how long; negative for backward.
+    accuracy : float, optional
+        The error that is wanted. Rounding that is far smaller is not looked at twice.
 
     Raises
     ------
@@ -76,7 +87,9 @@ class Pilot:
         The reference cannot be computed: the motion blows up, or nothing converges.
     """
 
-    def __init__(self, system: System, momenta: NDArray[np.float64], t0: float, span: float) -> None:
+    def __init__(
+        self, system: System, momenta: NDArray[np.float64], t0: float, span: float, accuracy: float = 0.0
+    ) -> None:
         self.system, self.momenta, self.t0, self.span = system, momenta, t0, span
         self.natural_step = self._natural_step()
         least = POINTS // 5
@@ -85,16 +98,12 @@ class Pilot:
         self.window = abs(span) if abs(span) <= FEW_WINDOWS * steps * self.natural_step else steps * self.natural_step
         self.windows = abs(span) / self.window
         self.points = POINTS if steps >= POINTS else least
-        self.reference, self.reference_steps, change = self._settled_reference()
+        coarse, self.reference, self.reference_steps = self._settled_reference()
         # At rest everything is zero, so that any size will do.
-        found = np.max(np.linalg.norm(self.reference, axis=2), axis=0)
+        found = _largest(self.reference)
         self.size = np.where(found > 0.0, found, 1.0)
-        # One change may be small by chance. Another number of steps shows rounding a second time.
-        again = self.run(REFERENCE, self.reference_steps + self.points)
-        if not np.any(again.state["status"]):
-            change = np.maximum(change, np.max(np.linalg.norm(again.saved["x"] - self.reference, axis=2), axis=0))
-        self.noise = float(np.max(change / self.size))
-        self.sensitivity = self._sensitivity()
+        self.sensitivity = self._sensitivity(coarse)
+        self.noise = self._noise(coarse, accuracy)
         self.speed = self._speed()
 
     @property
@@ -102,11 +111,11 @@ class Pilot:
         """Whether the window is the whole span."""
         return self.windows == 1.0
 
-    def fitting(self, steps: float) -> int:
-        """Return the least number of steps from `steps` up that shares enough points with the reference."""
-        number = max(1, math.ceil(steps))
+    def fitting(self, steps: float, finer: bool = True) -> int:
+        """Return the nearest number of steps that shares enough points with the reference, up from `steps` or down."""
+        number = max(1, math.ceil(steps) if finer else math.floor(steps))
         while math.gcd(number, self.points) < min(number, FEW if number < 8 * FEW else 2 * FEW, self.points):
-            number += 1
+            number += 1 if finer else -1
         return number
 
     def run(self, method: Method, steps: int, momenta: NDArray[np.float64] | None = None) -> Run:
@@ -138,10 +147,11 @@ class Pilot:
         newton = method.took_newton(run.state["memory"])
         return Trial(steps, self.growth_of(run.saved["x"]), iterations / count, evaluations / count, newton)
 
-    def growth_of(self, found: NDArray[np.float64]) -> Growth:
-        """Compare states, saved at evenly spaced points of the window, with the reference."""
+    def growth_of(self, found: NDArray[np.float64], motion: NDArray[np.float64] | None = None) -> Growth:
+        """Compare states, saved at evenly spaced points of the window, with the reference, or with another motion."""
         count = len(found) - 1
-        apart = np.linalg.norm(found - self.reference[:: self.points // count], axis=2) / self.size
+        exact = self.reference if motion is None else motion
+        apart = np.linalg.norm(found - exact[:: self.points // count], axis=2) / self.size
         worst = np.max(apart, axis=1)
         parts = (worst[count * k // 8 + 1 : count * k // 4 + 1] for k in (1, 2, 4))
         return Growth(*(float(np.max(part, initial=0.0)) for part in parts))
@@ -158,19 +168,28 @@ class Pilot:
         h = abs(self.span)
         while h * rate > AT_ONCE:
             h /= 2
+        one: NDArray[np.float64] | None = None
         for _ in range(64):
             signed = math.copysign(h, self.span)
-            one, two = (short_run(self.system, REFERENCE, self.momenta, self.t0, signed, n) for n in (1, 2))
-            if not (np.any(one.state["status"]) or np.any(two.state["status"])):
-                size = np.max(np.linalg.norm(two.saved["x"], axis=2), axis=0)
-                if np.all(np.linalg.norm(one.saved["x"][-1] - two.saved["x"][-1], axis=1) <= SETTLED * size):
+            two = self._first_steps(signed, 2)
+            one = one if one is not None or two is None else self._first_steps(signed, 1)
+            if one is not None and two is not None:
+                apart = np.linalg.norm(one[-1] - two[-1], axis=1)
+                if np.all(apart <= SETTLED * _largest(two)):
                     return h
+            # Half the step comes half as far as two of them.
+            one = None if two is None else two[:2]
             h /= 2
         raise ValueError(f"no step is small enough for {self.system.name} at x0: its trial run fails at the first step")
 
-    def _settled_reference(self) -> tuple[NDArray[np.float64], int, NDArray[np.float64]]:
-        """Refine the reference until it stops changing; return it with its steps and its last change."""
-        fewest = self.points * math.ceil(self.window / self.natural_step / self.points)
+    def _first_steps(self, time: float, steps: int) -> NDArray[np.float64] | None:
+        """Return the states at the start and after each of few steps; None where a member fails."""
+        run = short_run(self.system, REFERENCE, self.momenta, self.t0, time, steps)
+        return None if np.any(run.state["status"]) else run.saved["x"]
+
+    def _settled_reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+        """Refine the reference until it stops changing; return the last but one, the last, and its steps."""
+        fewest = self.points * math.ceil(self.window / self.natural_step / self.points / LONGER)
         last, change, stalled = None, None, 0
         failed: Run | None = None
         for steps in (fewest * 2**k for k in range(REFINEMENTS)):
@@ -178,16 +197,16 @@ class Pilot:
             if np.any(run.state["status"]):
                 failed, last = run, None
                 continue
+            found = run.saved["x"]
             if last is not None:
-                size = np.max(np.linalg.norm(run.saved["x"], axis=2), axis=0)
-                moved = np.max(np.linalg.norm(run.saved["x"] - last, axis=2), axis=0)
+                size, moved = _largest(found), _largest(found - last)
                 stalled = stalled + 1 if change is not None and not np.any(moved < change / 16) else 0
                 # Large changes that do not fall yet may do so with smaller steps; or the motion is chaotic.
                 done = stalled >= (1 if np.all(moved <= NOT_YET * size) else PATIENCE)
-                if done or np.all(moved <= 64 * UNIT_ROUNDOFF * size):
-                    return run.saved["x"], steps, np.maximum(moved, UNIT_ROUNDOFF * size)
+                if done or np.all(moved <= LAST_CHANGE * size):
+                    return last, found, steps
                 change = moved
-            last = run.saved["x"]
+            last = found
         raise ValueError(self._lost(failed))
 
     def _lost(self, failed: Run | None) -> str:
@@ -200,12 +219,23 @@ class Pilot:
             f"t = {when:.6g}, where it blows up or stops being defined; end t_span before that"
         )
 
-    def _sensitivity(self) -> Growth:
-        """Return how a small change of the start grows, relative to it."""
+    def _noise(self, coarse: NDArray[np.float64], accuracy: float) -> float:
+        """Return how far rounding alone moves the reference, relative to the motion, at the worst point."""
+        change = CHANCE * _largest(self.reference - coarse)
+        # One change may be small by chance, or the error of the coarse steps. Another number of steps shows rounding.
+        if np.any(self.sensitivity.factor(self.windows) * change > NOTHING * accuracy * self.size):
+            again = self.run(REFERENCE, self.reference_steps + self.points)
+            if not np.any(again.state["status"]):
+                apart = _largest(again.saved["x"] - self.reference)
+                change = np.maximum(apart, np.minimum(change / CHANCE, CHANCE * apart))
+        return max(UNIT_ROUNDOFF, float(np.max(change / self.size)))
+
+    def _sensitivity(self, coarse: NDArray[np.float64]) -> Growth:
+        """Return how a small change of the start grows, relative to it, by runs with the steps of the coarse one."""
         direction = np.random.default_rng(SEED).standard_normal(self.momenta.shape)
         direction *= NUDGE * (self.size / np.linalg.norm(direction, axis=1))[:, np.newaxis]
-        run = self.run(REFERENCE, self.reference_steps, self.momenta + direction)
-        grown = None if np.any(run.state["status"]) else self.growth_of(run.saved["x"])
+        run = self.run(REFERENCE, self.reference_steps // 2, self.momenta + direction)
+        grown = None if np.any(run.state["status"]) else self.growth_of(run.saved["x"], coarse)
         if grown is None or grown.whole > LOST:
             # Beyond the size of the motion nothing grows, and what has reached it says nothing of what follows.
             return Growth(math.sqrt(NUDGE), 1.0, 1.0 / NUDGE)
@@ -222,6 +252,12 @@ class Pilot:
         return float(max(speeds))
 
 
+def _largest(states: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the largest norm that each member has on the way."""
+    largest: NDArray[np.float64] = np.max(np.linalg.norm(states, axis=2), axis=0)
+    return largest
+
+
 def short_run(
     system: System,
     method: Method,
@@ -234,7 +270,7 @@ def short_run(
     """Return a run without attitude that watches nothing, whatever became of it: its `status` says."""
     start = with_group(system, momenta, False, None, False)
     times = Times(t0, time / steps, steps, save_every)
-    at(f"a pilot run of {steps} steps by {method}")
+    at(f"a pilot run of {steps} steps by {type(method).__name__}")
     run = Run(system, method, loops_of(system, method, times.h), times, start, False)
     run.advance()
     return run

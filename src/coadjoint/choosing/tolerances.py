@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from coadjoint.choosing.candidates import Candidate
-from coadjoint.choosing.fitting import CLEARLY, LARGE, MUCH_DEARER, Fit
+from coadjoint.choosing.fitting import CLEARLY, LARGE, Fit
 from coadjoint.choosing.pilot import Pilot, Trial
 from coadjoint.choosing.roundoff import roundoff
 
@@ -16,11 +17,24 @@ MOST_TRIALS = 6
 NEAR = 4.0
 # From one trial to the next a tolerance changes no more than by this factor.
 FAR = 1e6
+# What costs so many times as much as another is given up.
+DEARER = 1.2
 # Errors of steps add up: the first guess.
 USUAL_SHARE = 0.1
 
 
-def fit_of_tolerance(pilot: Pilot, candidate: Candidate, goal: float, limit: float) -> Fit | None:
+def first_look(pilot: Pilot, candidate: Candidate, goal: float) -> Fit | None:
+    """Return about what a scheme needs that takes steps of its own, by one trial; None where that fails.
+
+    Its error is that of the trial. Its steps are those that the goal asks for, in proportion to the order.
+    """
+    looked = _look(pilot, candidate, _first_tolerance(pilot, goal))
+    return None if looked is None else _at(looked, goal)
+
+
+def fit_of_tolerance(
+    pilot: Pilot, candidate: Candidate, goal: float, limit: float, first: Fit | None = None
+) -> Fit | None:
     """Return the tolerance with which a scheme is expected to reach an error at the end of the span.
 
     The error is about in proportion to the tolerance, so that few trials find it. Where it is no more than rounding,
@@ -35,7 +49,9 @@ def fit_of_tolerance(pilot: Pilot, candidate: Candidate, goal: float, limit: flo
     goal : float
         The truncation error wanted at the end.
     limit : float
-        The cost of the best so far; a scheme that will be much dearer is given up.
+        The cost of the best so far; a scheme that will be dearer is given up.
+    first : Fit, optional
+        What a first look has shown.
 
     Returns
     -------
@@ -43,22 +59,15 @@ def fit_of_tolerance(pilot: Pilot, candidate: Candidate, goal: float, limit: flo
         Its candidate has the tolerance, its steps are as many as those that it takes by itself. None where no tolerance
         was found.
     """
-    tolerance, best = goal * USUAL_SHARE, None
-    for _ in range(MOST_TRIALS):
-        tried = candidate.reaching(tolerance)
-        trial = own_steps_of(pilot, tried)
-        if trial is None or not trial.error < LARGE:
-            tolerance /= FAR if trial is None else 1.0 / USUAL_SHARE
+    tolerance, best = _first_tolerance(pilot, goal), None
+    for count in range(MOST_TRIALS):
+        found = first if first is not None and count == 0 else _look(pilot, candidate, tolerance)
+        if found is None or not found.trial.error < LARGE:
+            tolerance /= FAR if found is None else 1.0 / USUAL_SHARE
             continue
-        noise = CLEARLY * max(pilot.noise, roundoff(pilot, trial.steps, 0, True, 1.0))
-        error = trial.error if trial.error > noise else min(trial.error, trial.steps * tolerance)
-        end = error * tried.growth(pilot, trial)
-        if not end < math.inf:
-            return None
-        steps = max(1, math.ceil(trial.steps * pilot.windows))
-        found = Fit(pilot, tried, steps, end, trial)
-        if found.cost > (1.0 + MUCH_DEARER / tried.method.order) * limit and end <= goal:
-            return None
+        end = found.error
+        if not end < math.inf or _at(found, goal).cost > DEARER * limit:
+            return best
         if end <= goal and (best is None or found.cost < best.cost):
             best = found
         if goal / NEAR <= end <= goal:
@@ -66,10 +75,34 @@ def fit_of_tolerance(pilot: Pilot, candidate: Candidate, goal: float, limit: flo
         # Between both ends of what is near enough.
         ratio = goal / (math.sqrt(NEAR) * end) if end > 0.0 else FAR
         tolerance *= min(max(ratio, 1.0 / FAR), FAR)
-        again = candidate.reaching(tolerance)
-        if again.method == tried.method:
+        if candidate.reaching(tolerance).method == found.candidate.method:
             break
     return best
+
+
+def _first_tolerance(pilot: Pilot, goal: float) -> float:
+    """Return a guess: some errors of steps grow as changes of the start do, and others stay."""
+    return goal * USUAL_SHARE / math.sqrt(max(1.0, pilot.sensitivity.whole))
+
+
+def _look(pilot: Pilot, candidate: Candidate, tolerance: float) -> Fit | None:
+    """Return what a trial with one tolerance shows; None where it fails."""
+    tried = candidate.reaching(tolerance)
+    trial = own_steps_of(pilot, tried)
+    if trial is None:
+        return None
+    noise = CLEARLY * max(pilot.noise, roundoff(pilot, trial.steps, 0, True, 1.0))
+    error = trial.error if trial.error > noise else min(trial.error, trial.steps * tolerance)
+    end = error * tried.growth(pilot, trial)
+    return Fit(pilot, tried, max(1, math.ceil(trial.steps * pilot.windows)), end, trial)
+
+
+def _at(found: Fit, goal: float) -> Fit:
+    """Return about what another error at the end takes, by the order."""
+    if not 0.0 < found.error < math.inf:
+        return found
+    change = (found.error / goal) ** (1.0 / found.candidate.method.order)
+    return replace(found, steps=max(1, math.ceil(found.steps * change)))
 
 
 def own_steps_of(pilot: Pilot, candidate: Candidate) -> Trial | None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,9 @@ TERMS_OF_GROUP, MORE_TERMS = 16, 40
 # Members go side by side up to this dimension, see `SMALL` in ``stepping.cpp``.
 WIDEST_TOGETHER = 64
 LEAST_TOLERANCE, LARGEST_TOLERANCE = 1e-18, 0.1
+
+# What series of order 1 take, projected or not: a choice asks for that of many orders.
+_OPERATIONS: WeakKeyDictionary[System, dict[bool, Operations]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -240,7 +244,11 @@ class Taylor(CompiledStepMethod):
 
     def operations(self, system: System) -> Operations:
         """Return the work of a step: products of series, sparse sums for each coefficient, and the projection."""
-        return series_operations(system, self.order, restored_invariants(system) if self.projected else ())
+        known = _OPERATIONS.setdefault(system, {})
+        if self.projected not in known:
+            known[self.projected] = series_operations(system, 1, restored_invariants(system) if self.projected else ())
+        one = known[self.projected]
+        return one._replace(vectors=one.vectors * self.order**2, waiting=one.waiting * self.order)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, read in NumPy for any number type; the values that are kept are those at x.

@@ -1,0 +1,104 @@
+"""How many steps a scheme needs: the last look at a choice, on errors that are given."""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+import coadjoint as co
+from coadjoint.choosing.fitting import Fit, confirmed, fit
+from coadjoint.choosing.growth import Growth
+from coadjoint.choosing.pilot import Trial
+
+NOISE = 1e-13
+
+
+class Given(SimpleNamespace):
+    """A pilot over a window, of a scheme whose errors are `error(steps)`; 60 points."""
+
+    noise, natural_step, span = NOISE, 0.01, 1.0
+    sensitivity = Growth(1.0, 1.0, 1.0)
+    speed = window = 1.0
+
+    @property
+    def whole(self):
+        return self.windows == 1.0
+
+    def fitting(self, steps, finer=True):
+        return max(1, int(steps) if not finer else -int(-steps // 1))
+
+    def trial(self, method, steps):
+        self.tried.append(steps)
+        error = self.error(steps)
+        return None if error is None else Trial(steps, Growth(error, error, error), 1.0, 8.0)
+
+
+def found_of(error, steps, windows=1.0):
+    pilot = Given(error=error, windows=windows, tried=[])
+    candidate = SimpleNamespace(
+        method=co.Taylor(16),
+        cost=lambda trial: 1.0,
+        share=1.0,
+        flows=0,
+        summed_exactly=True,
+        growth=lambda p, t: windows,
+    )
+    return Fit(pilot, candidate, steps, 0.0, Trial(steps, Growth(0.0, 0.0, 0.0), 1.0, 8.0))
+
+
+def test_an_error_within_some_roundings_is_accepted():
+    found = confirmed(found_of(lambda steps: 3.0 * NOISE, 100), NOISE, 2.0 * NOISE)
+    assert found.steps == 100 and found.pilot.tried == [100]
+
+
+def test_an_error_that_is_more_than_rounding_is_corrected():
+    """Of 8 roundings the reference still tells the truth."""
+    found = confirmed(found_of(lambda steps: 8.0 * NOISE * (100 / steps) ** 16, 100), NOISE, 2.0 * NOISE)
+    assert (found.steps > 100 and found.error <= 2.0 * NOISE) or found.trial.error <= 4.0 * NOISE
+    assert 8.0 * (100 / found.steps) ** 16 <= 4.0
+
+
+def test_what_is_looked_at_is_no_finer_than_what_is_run():
+    """A run of ten windows with 85.7 steps in each: it fails with 85, and so 86 would show nothing."""
+    found = confirmed(found_of(lambda steps: None if steps <= 85 else 1e-9, 857, windows=10.0), 1e-6, 2e-6)
+    assert found.pilot.tried[0] == 85 and found.steps > 1000
+    assert found.steps / 10.0 >= max(found.pilot.tried)
+
+
+@pytest.mark.parametrize("windows", [1.0, 3.0])
+def test_the_error_that_is_expected_is_that_of_the_steps_that_are_run(windows):
+    found = confirmed(found_of(lambda steps: 1e-7 * (100 / steps) ** 16, 302, windows=windows), 1e-6, 2e-6)
+    per_window = 302 / windows
+    assert found.steps == 302 and found.error == pytest.approx(1e-7 * (100 / per_window) ** 16 * windows)
+
+
+def fitted(error, order, goal, limit=math.inf):
+    found = found_of(error, 1)
+    candidate = SimpleNamespace(**{**vars(found.candidate), "method": co.Taylor(order)})
+    return fit(found.pilot, candidate, goal, limit, 40.0)
+
+
+def test_steps_keep_away_from_those_that_fail():
+    """Up to 60 steps fail, and from there on nothing is left of the motion: the border of what is stable."""
+    found = fitted(lambda steps: None if steps <= 60 else 1e-40, 6, 1e-10)
+    tried = found.pilot.tried
+    failed = max(steps for steps in tried if steps <= 60)
+    assert 1.5 * failed <= found.steps <= 2.0 * 60
+    assert len(tried) <= 10
+
+
+def test_where_errors_follow_the_order_it_says_how_many_steps():
+    """An order of 24 needs few more than the steps with which it begins to be right."""
+    found = fitted(lambda steps: (60 / steps) ** 24, 24, 1e-6)
+    needed = 60 * 1e-6 ** (-1.0 / 24)
+    assert needed <= found.steps <= 1.02 * needed + 1
+    assert found.error <= 1e-6
+
+
+def test_a_scheme_that_is_dear_with_too_few_steps_is_given_up():
+    """Its cost is that of its steps; more of them cost more."""
+    tried = []
+    assert fitted(lambda steps: tried.append(steps) or 0.9, 16, 1e-6, limit=20.0) is None
+    assert tried == [40]
+    found = fitted(lambda steps: (60 / steps) ** 16, 16, 1e-6, limit=100.0)
+    assert found.given_up
