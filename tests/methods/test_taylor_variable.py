@@ -134,6 +134,28 @@ def test_no_look_changes_the_motion(name, projected):
         assert np.array_equal(co.integrate(system, x, (0.0, t), 0.25, method).x, every.x[::2])
 
 
+def memory_after(system, method, x, t, points):
+    """Return all that a run remembers at its end, after so many looks."""
+    times = Times(0.0, t / points, points, 1)
+    start = start_of(system, method, x, False)
+    run = Run(system, method, SystemLoops(system, method, times.h, None), times, start, False)
+    run.advance()
+    assert not np.any(run.state["status"])
+    return run.state["memory"].copy()
+
+
+@pytest.mark.parametrize("name", ["so(3)", "e(3)", "so(4)", "su(3)", "so(5)", "toda"])
+@pytest.mark.parametrize("t", [4.0, -4.0])
+def test_no_look_is_remembered(name, t):
+    """Not in the defects either that are allowed, which grow with the terms of invariants."""
+    system = systems()[name]
+    for tolerance in (1e-8, 1e-14):
+        for seed in range(4):
+            method, x = co.Taylor(tolerance=tolerance), start_for(system, seed)
+            once = memory_after(system, method, x, t, 1)
+            assert np.array_equal(once, memory_after(system, method, x, t, 256))
+
+
 def test_times_far_from_zero_and_where_they_begin_change_nothing():
     system, method = systems()["e(3)"], co.Taylor(tolerance=1e-10)
     x = start_for(system)
@@ -177,6 +199,10 @@ def test_cut_and_gone_on_with_is_the_whole_run(name, h):
         rest.advance()
         assert np.array_equal(rest.saved["x"], whole.saved["x"][cut + 1 :])
         assert rest.state == whole.state
+        # By the same loops too, which have taken the steps of a motion near by since.
+        Run(system, method, loops, times, start_of(system, method, 0.96875 * x, False), True).advance()
+        first.advance()
+        assert np.array_equal(first.saved["x"][-1], whole.saved["x"][-1]) and first.state == whole.state
 
 
 def test_tangent_is_the_derivative_of_the_motion():
