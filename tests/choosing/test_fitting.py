@@ -102,3 +102,17 @@ def test_a_scheme_that_is_dear_with_too_few_steps_is_given_up():
     assert tried == [40]
     found = fitted(lambda steps: (60 / steps) ** 16, 16, 1e-6, limit=100.0)
     assert found.given_up
+
+
+def test_stages_that_iterate_long_with_too_few_steps_are_tried_on():
+    """With 80 steps nothing is right, and they iterate so long that they are dear. With 160 they do not."""
+
+    def cost(trial):
+        return trial.iterations
+
+    pilot = Given(error=lambda steps: 0.9 if steps < 100 else (60 / steps) ** 12, windows=1.0, tried=[])
+    seen = pilot.trial
+    pilot.trial = lambda method, steps: seen(method, steps)._replace(iterations=20.0 if steps < 100 else 1.0)
+    candidate = SimpleNamespace(**{**vars(found_of(None, 1).candidate), "method": co.GaussLegendre(6), "cost": cost})
+    found = fit(pilot, candidate, 1e-6, 300.0, 40.0)
+    assert found is not None and not found.given_up and found.cost <= 300.0

@@ -105,7 +105,7 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: fl
         trial = pilot.trial(candidate.method, steps)
         if trial is None or not trial.error < LARGE:
             too_few = max(too_few, steps)
-            if trial is not None and _at_once(pilot, candidate, trial) > dear:
+            if trial is not None and _least_cost(pilot, candidate, trial) > dear:
                 # More of them are dearer still.
                 return None if best is None else replace(best, given_up=True)
             if steps > (2**20 if trial is None else DEAREST_TRIAL / candidate.cost(trial)):
@@ -115,7 +115,7 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: fl
             continue
         noise = CLEARLY * max(pilot.noise, _rounding(pilot, candidate, steps, 1.0))
         best = _extrapolated(pilot, candidate, goal, trial, noise)
-        known = best.end < WHOLE or _at_once(pilot, candidate, trial) > dear
+        known = best.end < WHOLE or _least_cost(pilot, candidate, trial) > dear
         if best.cost > dear and trial.error > noise and known:
             return replace(best, given_up=True)
         aim = max(goal / candidate.growth(pilot, trial), noise)
@@ -130,9 +130,10 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: fl
     return replace(best, steps=math.ceil(away * too_few * pilot.windows))
 
 
-def _at_once(pilot: Pilot, candidate: Candidate, trial: Trial) -> float:
-    """Return what the run costs with the steps of a trial."""
-    return trial.steps * pilot.windows * candidate.cost(trial) * candidate.share
+def _least_cost(pilot: Pilot, candidate: Candidate, trial: Trial) -> float:
+    """Return what the run costs at the least with the steps of a trial: shorter ones iterate less, but once."""
+    once = trial._replace(iterations=1.0, evaluations=trial.evaluations / max(trial.iterations, 1.0), newton=False)
+    return trial.steps * pilot.windows * candidate.cost(once) * candidate.share
 
 
 def _extrapolated(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, noise: float) -> Fit:

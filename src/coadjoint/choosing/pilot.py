@@ -36,7 +36,7 @@ LAST_CHANGE = 2.0**-35
 # Of two changes by rounding one is hardly ever so many times the other.
 CHANCE = 4.0
 # Rounding of so small a part of the accuracy, at the end, does not matter, nor whether it is less.
-NOTHING = 2.0**-10
+NOTHING = 2.0**-14
 # Radians, at the rate of the start, that one step of it hardly ever takes.
 AT_ONCE = 2.0
 # Steps of the reference in a window, in dimension 16 or less; in proportion fewer above, but at least POINTS / 5.
