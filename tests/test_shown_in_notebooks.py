@@ -116,3 +116,12 @@ def test_states_at_times_are_one_short_line():
     assert many.startswith("<states at 1000 times: x of shape (1000, 3), energy of shape (1000,)") and len(many) < 200
     spins = co.integrate(co.systems.spin_lattice("ring", 9), np.tile([0.6, 0.0, 0.8], 9), (0, 1), 0.125)
     assert repr(spins.at(0.5)).endswith("and 5 more}>")
+
+
+def test_a_certificate_is_a_table_of_its_rows():
+    found = co.certify(co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(), (1.0, 0.2, 0.1), 0.1, steps=20)
+    table = found._repr_html_()
+    assert table.count("<tr>") == len(found.rows) + 1 and "passed: every declared property holds" in table
+    for row in found.rows:
+        assert f"<th>{row.what}</th><td>{row.declared}</td><td>{row.verdict}</td>" in table
+    assert "<td>declared</td><td>verdict</td><td>measured</td>" in table

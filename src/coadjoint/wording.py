@@ -49,16 +49,22 @@ def short(value: Any, limit: int = 80) -> str:
 
 
 def html_table(title: str, rows: Mapping[str, Any]) -> str:
-    """Return a small table for notebooks: a title, and names with values beside them.
+    """Return a small table for notebooks: a title, and names with values beside them, one or a tuple.
 
     Examples
     --------
     >>> html_table("a < b", {"steps": 3})
     '<table><caption><b>a &lt; b</b></caption><tr><th>steps</th><td>3</td></tr></table>'
+    >>> html_table("", {"ends": (0, 1)})
+    '<table><caption><b></b></caption><tr><th>ends</th><td>0</td><td>1</td></tr></table>'
     """
     from html import escape
 
-    lines = [f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in rows.items()]
+    lines = []
+    for name, value in rows.items():
+        cells = value if isinstance(value, tuple) else (value,)
+        entries = "".join(f"<td>{escape(str(cell))}</td>" for cell in cells)
+        lines.append(f"<tr><th>{escape(name)}</th>{entries}</tr>")
     return f"<table><caption><b>{escape(title)}</b></caption>{''.join(lines)}</table>"
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint.errors import unknown_name
+from coadjoint.wording import html_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -161,10 +162,7 @@ class Certificate:
 
     def __str__(self) -> str:
         """Return a table to be read."""
-        head = [
-            f"{self.subject['system']['name']}, {self.subject['scheme']['shown']}, step {self.subject['step']:g}",
-            f"{len(self.subject['states'])} states, {self.subject['steps']} steps from each",
-        ]
+        head = self._head()
         sizes = [max(len(row.what) for row in self.rows), max(len(row.declared) for row in self.rows)]
         sizes = [min(sizes[0], 32), min(sizes[1], 16), max(len(row.verdict) for row in self.rows)]
         lines = []
@@ -176,6 +174,17 @@ class Certificate:
                 padded = [cell.ljust(size) for cell, size in zip(cells, sizes, strict=False)]
                 lines.append("  ".join([*padded, cells[-1]]).rstrip())
         return "\n".join([*head, "", *lines, "", self._said()])
+
+    def _repr_html_(self) -> str:
+        head, (name, *others) = self._head(), HEADINGS
+        rows = {name: tuple(others), **{what: tuple(cells) for what, *cells in map(_cells, self.rows)}}
+        return html_table(f"{'; '.join(head)}; {self._said()}", rows)
+
+    def _head(self) -> list[str]:
+        return [
+            f"{self.subject['system']['name']}, {self.subject['scheme']['shown']}, step {self.subject['step']:g}",
+            f"{len(self.subject['states'])} states, {self.subject['steps']} steps from each",
+        ]
 
     def _said(self) -> str:
         if not self.declares:
