@@ -101,6 +101,7 @@ def begun(ready: PreparedRun, times: Times, start: Start, place: Path, save_ever
     run = PiecewiseRun(ready, times, start, 1)
     run.advance(0)
     piece = run.piece()
+    about = about.beside(piece.system)
     arrays, growing, fixed = new_arrays(piece, about.coordinates)
     store = ArchiveStore.begun(place, arrays)
     try:

@@ -100,6 +100,7 @@ def begun(ensemble: Ensemble, archive: str | Path, size: int | None, workers: in
     """
     target = check_new(archive)
     piece = ensemble.at_start()
+    about = about.beside(piece.system)
     members = len(ensemble.start.momenta)
     growing = over_time(piece)
     longest = max(prod(np.shape(values)[1:]) for _, values, _ in growing.values()) // members

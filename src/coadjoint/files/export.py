@@ -14,7 +14,7 @@ from coadjoint.extras import need
 from coadjoint.files.record_entries import Entry, made_of, parsed
 from coadjoint.files.records import record_of, system_of
 from coadjoint.files.state_arrays import DIMENSIONS, state_of
-from coadjoint.files.variables import CONVENTIONS, coordinates_of, over_time, starts_of, summaries_of
+from coadjoint.files.variables import CONVENTIONS, coordinates_of, over_time, parameters_of, starts_of, summaries_of
 from coadjoint.files.written_events import events_of, variables_of, written_events
 from coadjoint.methods import registry
 from coadjoint.runs.times import times_of
@@ -39,7 +39,8 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     ``column``, and where they are complex over ``part``, real and imaginary), ``energy``, ``casimir_<name>``,
     ``observed_<name>``, ``attitude`` over ``row`` and ``column``; ``drift`` over ``invariant`` and ``tenth`` of the
     run, and in its place with forces ``change``, ``balance``, and ``work`` over ``account``; ``x0``, ``attitude0``,
-    and ``event_...`` of crossings. Names, units and dimensions follow the CF conventions. Attributes: version, system
+    and ``event_...`` of crossings. Numbers in which the systems of a batch differ are coordinates, such as
+    ``swept_inertia_2``. Names, units and dimensions follow the CF conventions. Attributes: version, system
     and method (JSON), step, times, and what cannot be stored (functions).
 
     Parameters
@@ -68,7 +69,8 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     variables = {**over_time(solution), **summaries_of(solution), **starts_of(solution)}
     if solution.events is not None:
         variables |= variables_of(solution.events)
-    return xarray.Dataset(variables, coordinates_of(solution), attributes_of(solution))
+    coordinates = {**parameters_of(solution.system), **coordinates_of(solution)}
+    return xarray.Dataset(variables, coordinates, attributes_of(solution))
 
 
 def attributes_of(solution: Solution) -> dict[str, Any]:

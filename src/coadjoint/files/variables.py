@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from coadjoint.files.records import safe_name
 from coadjoint.files.state_arrays import PARTS, in_parts, state_dimensions
+from coadjoint.files.swept_settings import as_coordinates
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.kinds import unforced
 
 if TYPE_CHECKING:
     from coadjoint.runs.solution import Drift, Solution
@@ -23,6 +25,10 @@ class About(NamedTuple):
 
     coordinates: Variables
     attributes: Mapping[str, Any]
+
+    def beside(self, system: Any) -> About:
+        """Return the same, with the numbers in which systems of a batch differ."""
+        return self._replace(coordinates={**parameters_of(system), **self.coordinates})
 
 
 NOTHING = About({}, {})
@@ -116,6 +122,41 @@ def coordinates_of(solution: Solution) -> Variables:
     if solution.work:
         put("account", [f"{force}: {name}" for force, name in accounts_of(solution)], "force, and what it changes")
     return found
+
+
+def parameters_of(system: Any) -> Variables:
+    """Return the numbers in which the systems of a batch differ, over the members, named as those of a sweep are.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> bodies = co.batch([co.systems.rigid_body(inertia=(1, 2, c)) for c in (2.5, 3.0)])
+    >>> parameters_of(bodies)
+    {'swept_inertia_2': (('member',), array([2.5, 3. ]), {'long_name': 'system.parameters.inertia[2]'})}
+    """
+    if not isinstance(system, Batch):
+        return {}
+    given = [unforced(member).parameters or {} for member in system]
+    differing = dict[str, list[Any]]()
+    for name in given[0]:
+        each = [parameters.get(name) for parameters in given]
+        shapes = {_shape_of_numbers(value) for value in each}
+        if len(shapes) == 1 and None not in shapes:
+            differing[f"system.parameters.{name}"] = each
+    return {
+        name: (("member",), numbers, {"long_name": place})
+        for name, (place, numbers) in as_coordinates(differing).items()
+        if np.any(numbers != numbers[0])
+    }
+
+
+def _shape_of_numbers(value: Any) -> tuple[int, ...] | None:
+    """Return the shape of a number or of an array of numbers; None for anything else."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # lists of unequal lengths
+        return None
+    return array.shape if array.dtype.kind in "iuf" else None
 
 
 def accounts_of(solution: Solution) -> list[tuple[str, str]]:
