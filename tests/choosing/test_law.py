@@ -28,7 +28,9 @@ class Told(SimpleNamespace):
 def fit_of(order, steps, error, method=None, iterations=1.0, newton=False):
     method = method or co.Taylor(order)
     trial = Trial(int(steps), Growth(error, error, error), iterations, iterations * order / 2, newton)
-    return SimpleNamespace(candidate=Told(method=method), steps=steps, error=error, end=error, trial=trial)
+    return SimpleNamespace(
+        candidate=Told(method=method), steps=steps, error=error, end=error, trial=trial, extrapolated=1.0
+    )
 
 
 def exact_fits(goal):
@@ -161,6 +163,58 @@ def test_series_that_are_given_up_spare_the_trials_of_others(monkeypatch):
         assert chosen.method.own_steps
         # Two series make the law; of 20 candidates each other one could be tried.
         assert 2 <= len(tried) <= 6
+
+
+def test_a_law_by_any_two_series_that_are_far_enough_apart():
+    fits = [fit_of(p, 50.0 * 1e6 ** (1.0 / p), 1e-6) for p in (6, 8, 10, 12)]
+    assert law_of(fits[:2]) is None and law_of([fits[0], fits[0], fits[1]]) is None
+    assert law_of(fits).steps(16, 1e-6) == pytest.approx(50.0 * 1e6 ** (1.0 / 16))
+
+
+def test_kin_differ_in_their_order_alone():
+    """Splittings of other families need other steps at the same order; all series are kin, also those of one's own."""
+
+    class Mine(co.Taylor):
+        """A series of one's own."""
+
+    def foretold(known, other):
+        foresight = Foresight(lambda candidate: 1e-6, None)
+        for fit in [*exact_fits(1e-6), fit_of(known.order, 1e5, 1e-6, known)]:
+            foresight.learn(fit)
+        return bool(foresight._kin_of(Told(method=other)))
+
+    assert foretold(co.GaussLegendre(8), co.GaussLegendre(6)) and foretold(
+        co.Splitting(order=10), co.Splitting(order=4)
+    )
+    assert not foretold(co.Splitting(scheme="yoshida4"), co.Splitting(scheme="blanes_moan4"))
+    assert not foretold(co.Splitting(order=4), co.Splitting(scheme="blanes_moan4"))
+    assert not foretold(co.GaussLegendre(2), co.Splitting(order=4))
+    assert foretold(co.Taylor(12), Mine(10)) and foretold(Mine(12), co.Taylor(10))
+    first = co.Splitting(order=2)
+    assert not foretold(first.composed((0.5, 0.5)), first.composed((0.25, 0.5, 0.25)))
+    orders = [Mine(16), Mine(8), co.Taylor(12)]
+    assert isinstance(co.choose(BODY, (0.6, 0.0, 0.8), (0, 30), 1e-6, methods=orders).method, co.Taylor)
+
+
+def test_kin_that_was_extrapolated_far_is_believed_less():
+    costs = []
+    for times in (1.0, 4.0):
+        foresight = Foresight(lambda candidate: 1e-6, None)
+        kin = fit_of(10, 1000.0, 1e-6, co.Splitting(order=10))
+        kin.extrapolated = times
+        for fit in [*exact_fits(1e-6), kin]:
+            foresight.learn(fit)
+        costs.append(foresight.least_cost(Told(method=co.Splitting(order=8))))
+    assert costs[1] == pytest.approx(costs[0] / 2.0) and costs[1] > 0.0
+
+
+def test_of_few_steps_a_look_tells_nothing():
+    """One more or less is a large part of them."""
+    look = fit_of(20, 3, 1e-9, co.Taylor(20, tolerance=1e-10))
+    assert Foresight(lambda candidate: 1e-9, look).guess(Told(method=co.Taylor(16))) is None
+    for span, wanted in ((0.3, 1e-13), (1.0, 1e-14)):
+        choice = co.choose(co.systems.rigid_body((1, 2, 3)), (1.0, 0.2, 0.5), (0, span), wanted)
+        assert round(span / choice.step) <= 2
 
 
 @pytest.mark.parametrize("wanted", [1e-3, 1e-6, 1e-9])

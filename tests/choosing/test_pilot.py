@@ -148,3 +148,18 @@ def test_the_natural_step_is_the_largest_half_of_the_span_that_is_right(span):
     assert apart(h) <= pilots.SETTLED
     rate = np.linalg.norm(BODY.vector_field(X0)) / np.linalg.norm(X0)
     assert h == span or 2 * abs(h) * rate > pilots.AT_ONCE or apart(2 * h) > pilots.SETTLED
+
+
+@pytest.mark.parametrize("start", [0.0, 1e-12, 1e-300])
+@pytest.mark.parametrize("span", [10.0, -10.0])
+def test_from_next_to_nothing_the_step_is_that_of_the_motion(start, span):
+    """x'' = -x driven by a constant force, from rest: the rate at the start, speed over size, says nothing."""
+    system = co.PoissonSystem(
+        lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic(np.eye(2), linear=[1.0, 0.5]), name="driven"
+    )
+    pilot = Pilot(system, np.array([[start, 0.0]]), 0.0, span)
+    assert 0.5 <= pilot.natural_step <= 5.0
+    choice = co.choose(system, (start, 0.0), (0.0, span), 1e-8)
+    end = co.integrate(system, (start, 0.0), (0.0, span), choice.step, choice.method).x[-1]
+    exact = np.array([np.cos(span) + 0.5 * np.sin(span) - 1.0, 0.5 * np.cos(span) - np.sin(span) - 0.5])
+    assert np.linalg.norm(end - exact) < 1e-8 * 3.0

@@ -6,6 +6,8 @@ import pytest
 import coadjoint as co
 from coadjoint.choosing import tolerances
 from coadjoint.choosing.accuracy import SCHEMES
+from coadjoint.choosing.candidates import admitted
+from coadjoint.choosing.pilot import Pilot
 
 OWN = [method for method in SCHEMES if method.own_steps]
 
@@ -90,3 +92,37 @@ def test_steps_of_its_own_that_are_dear_are_looked_at_once(monkeypatch):
     looks.clear()
     alone = co.choose(system, x0, (0.0, time), 1e-6, methods=OWN)
     assert alone.method.own_steps and alone.cost > 1.2 * choice.cost and len(looks) > 1
+
+
+@pytest.mark.parametrize("name", ["body", "chain", "decay"])
+@pytest.mark.parametrize("goal", [1e-2, 1e-6])
+def test_the_steps_that_are_told_are_those_that_are_taken(name, goal):
+    system, x0, time = systems()[name]
+    pilot = Pilot(system, np.array([x0], dtype=float), 0.0, time)
+    (candidate,) = admitted(system, OWN, x0, False, strict=True)
+    look = tolerances.first_look(pilot, candidate, goal)
+    found = tolerances.fit_of_tolerance(pilot, candidate, goal, np.inf, look)
+    for fit in (look, found):
+        taken = tolerances.own_steps_of(pilot, fit.candidate)
+        assert fit.steps == np.ceil(taken.steps * pilot.windows)
+
+
+def test_where_all_tolerances_fail_few_are_tried(monkeypatch):
+    tried = []
+    monkeypatch.setattr(tolerances, "own_steps_of", lambda pilot, candidate: tried.append(candidate.method.tolerance))
+    system, x0, time = systems()["body"]
+    pilot = Pilot(system, np.array([x0], dtype=float), 0.0, time)
+    (candidate,) = admitted(system, OWN, x0, False, strict=True)
+    assert tolerances.fit_of_tolerance(pilot, candidate, 1e-9, np.inf) is None
+    assert len(tried) == len(set(tried)) <= 3
+
+
+def test_cheap_schemes_that_rounding_spoils_put_nothing_out():
+    """Splittings without compensation are cheaper in a crowd, and lose too many digits."""
+    body = co.systems.rigid_body(inertia=(1, 2, 3))
+    crowd = np.array((1.0, 0.2, 0.5)) * (1.0 + 0.01 * np.random.default_rng(0).standard_normal((40, 3)))
+    plain = [co.Splitting(order=p, compensated=False) for p in (10, 8)]
+    choice = co.choose(body, crowd, (0.0, 300.0), 1e-12, methods=[*OWN, *plain])
+    assert choice.method.own_steps
+    with pytest.raises(ValueError, match="below what float64 reaches"):
+        co.choose(body, crowd, (0.0, 300.0), 1e-12, methods=plain)

@@ -16,7 +16,7 @@ from coadjoint.choosing.law import Foresight
 from coadjoint.choosing.pilot import Pilot
 from coadjoint.choosing.roundoff import least_roundoff
 from coadjoint.choosing.sampling import sample_of
-from coadjoint.choosing.tolerances import first_look, fit_of_tolerance
+from coadjoint.choosing.tolerances import expected, first_look, fit_of_tolerance
 from coadjoint.given import read_flag, read_list, read_number
 from coadjoint.keywords import told
 from coadjoint.methods.base import Method
@@ -114,12 +114,13 @@ def choose(
 ) -> Choice:
     """Choose the scheme and the step that reach a wanted accuracy with the least work.
 
-    The same inputs give the same choice, since operations are counted and no time is measured. Each scheme runs from x0
-    over a window at the beginning of the span, and is compared with an accurate reference. The error at other steps
-    follows from the order. The error at the end of the span is extrapolated from its growth over a quarter, a half and
-    the whole window; the growth is taken as linear at least, and as quadratic at least for schemes that are neither
-    symmetric nor Poisson maps. Rounding is estimated. The chosen scheme runs over the window once more, and its step is
-    corrected if the error is too large. A motion that changes its character after the window is not foreseen.
+    The same inputs give the same choice, since operations are counted and no time is measured. Schemes run from x0 over
+    a window at the beginning of the span, and are compared with an accurate reference. Schemes that these show to be
+    dearer are left out. The error at other steps follows from the order. The error at the end of the span is
+    extrapolated from its growth over a quarter, a half and the whole window; the growth is taken as linear at least,
+    and as quadratic at least for schemes that are neither symmetric nor Poisson maps. Rounding is estimated. A chosen
+    step is tried over the window once more, and corrected if the error is too large. A motion that changes its
+    character after the window is not foreseen.
 
     Parameters
     ----------
@@ -231,21 +232,27 @@ def _goal(candidate: Candidate, wanted: float) -> float:
 def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[Fit]:
     """Return what the schemes need that may be the best; steps of their own are looked at first and fitted last."""
     least = least_roundoff(pilot)
+    goal_of = partial(_goal, wanted=wanted)
     waiting = [each for each in candidates if not each.method.own_steps]
-    looks = [(each, first_look(pilot, each, _goal(each, wanted))) for each in candidates if each.method.own_steps]
-    seen = min((look for _, look in looks if look is not None), key=lambda look: look.cost, default=None)
-    foresight = Foresight(partial(_goal, wanted=wanted), seen)
+    looks = [(each, first_look(pilot, each, goal_of(each))) for each in candidates if each.method.own_steps]
+    seen = [expected(look, goal_of(each)) for each, look in looks if look is not None]
+    nearest = min(seen, key=lambda look: look.cost, default=None)
+    foresight = Foresight(goal_of, nearest)
     # What a first look shows is not exact.
-    own = math.inf if seen is None else LOOK * seen.cost
+    own = math.inf if nearest is None else LOOK * nearest.cost
     found = list[Fit]()
+
+    def sound() -> float:
+        """Return the least cost of what rounding does not spoil."""
+        return min((each.cost for each in found if _rounded_well(each, wanted) is not None), default=math.inf)
+
     while waiting:
         candidate = waiting.pop(0)
         # What rounding spoils is no reason to leave others untried, but to try them shortly.
-        sound = min([own, *(each.cost for each in found if _rounded_well(each, wanted) is not None)])
-        if foresight.least_cost(candidate) > sound:
+        if foresight.least_cost(candidate) > min(own, sound()):
             continue
         limit = min([own, *(each.cost for each in found)])
-        result = fit(pilot, candidate, _goal(candidate, wanted), limit, foresight.guess(candidate))
+        result = fit(pilot, candidate, goal_of(candidate), limit, foresight.guess(candidate))
         if result is None:
             continue
         if foresight.learn(result):
@@ -256,8 +263,7 @@ def _fits(pilot: Pilot, candidates: Sequence[Candidate], wanted: float) -> list[
                 # All others have as much rounding.
                 break
     for candidate, look in looks:
-        limit = min((each.cost for each in found), default=math.inf)
-        result = fit_of_tolerance(pilot, candidate, _goal(candidate, wanted), limit, look)
+        result = fit_of_tolerance(pilot, candidate, goal_of(candidate), sound(), look)
         if result is not None:
             found.append(result)
     return found

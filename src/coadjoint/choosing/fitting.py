@@ -48,6 +48,12 @@ class Fit:
     """Whether a trial showed that it will be much dearer than another; its steps are a guess then."""
 
     @cached_property
+    def extrapolated(self) -> float:
+        """How many times finer or coarser the steps are than those of the trial; at least 1."""
+        ratio = self.steps / (self.trial.steps * self.pilot.windows)
+        return max(ratio, 1.0 / ratio)
+
+    @cached_property
     def cost(self) -> float:
         """Work of the run of one member, in rotations."""
         return self.steps * self.candidate.cost(self.trial) * self.candidate.share
@@ -79,7 +85,7 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: fl
     goal : float
         The truncation error wanted at the end.
     limit : float
-        The cost of the best so far; a scheme that will be much dearer is given up.
+        The cost of the best so far, or what it is likely to be; a scheme that will be much dearer is given up.
     guess : float, optional
         How many steps over the span it may need.
 
@@ -127,11 +133,12 @@ def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: fl
         steps = wanted
     if best is None or best.steps >= away * too_few * pilot.windows:
         return best
-    return replace(best, steps=math.ceil(away * too_few * pilot.windows))
+    steps = math.ceil(away * too_few * pilot.windows)
+    return replace(best, steps=steps, error=best.error * (best.steps / steps) ** order)
 
 
 def _least_cost(pilot: Pilot, candidate: Candidate, trial: Trial) -> float:
-    """Return what the run costs at the least with the steps of a trial: shorter ones iterate less, but once."""
+    """Return what the run costs at the least with the steps of a trial: shorter ones iterate less, at least once."""
     once = trial._replace(iterations=1.0, evaluations=trial.evaluations / max(trial.iterations, 1.0), newton=False)
     return trial.steps * pilot.windows * candidate.cost(once) * candidate.share
 
@@ -162,7 +169,8 @@ def confirmed(found: Fit, goal: float, bound: float) -> Fit:
     Returns
     -------
     Fit
-        With the error that was measured.
+        With the error that was measured, where it is more than rounding and a run over the window is not too dear; as
+        it was where steps are the scheme's own.
     """
     pilot, order = found.pilot, found.candidate.method.order
     if found.candidate.method.own_steps:

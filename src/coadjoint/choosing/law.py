@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass, replace
 
 from coadjoint.choosing.candidates import Candidate
 from coadjoint.choosing.fitting import WHOLE, Fit
@@ -13,12 +14,12 @@ from coadjoint.methods.base import Method
 from coadjoint.methods.taylor import Taylor
 
 # What a scheme costs at the least is what its kin foretells by this: series, of which that of the nearest order is
-# believed, and others. In 1000 fits of Gauss methods and splittings, of 75 random and other systems, whatever was
-# left out so cost 1.18 times as much as the best, or more; a series that is left out is cheaper by a few per cent.
+# believed, and others. What kin itself was extrapolated by is believed the less the further that was. A series that is
+# left out is cheaper by a few per cent at the most, mostly.
 NEAR_KIN = 1.2
 KIN = 1.6
 # Before two series were tried: constant steps are so many times as many as those that follow the motion, to one order.
-AS_LOOK = 1.25
+AS_LOOK, FEW = 1.25, 12.0
 # Where no kin was tried: schemes of order p needed no less than a quarter of the steps of the series of order p, where
 # they came near to the best. Their iterations of stages took no less than so many rounds, or their order where that is
 # less.
@@ -66,7 +67,7 @@ class Foresight:
     def learn(self, fit: Fit) -> bool:
         """Take in what one more scheme needs; return whether something is foretold now, and was not before.
 
-        Of a scheme that was given up that is a guess, or not known.
+        A fit that was given up counts too, unless its error tells nothing.
         """
         if fit.end >= WHOLE:
             return False
@@ -91,7 +92,9 @@ class Foresight:
         if self._look is None or order < REFERENCE.order or not _is_series(candidate.method):
             return None
         difference = 1.0 / self._look.candidate.method.order - 1.0 / order
-        return AS_LOOK * self._look.steps * self._goal_of(candidate) ** difference
+        steps = AS_LOOK * self._look.steps * self._goal_of(candidate) ** difference
+        # Of few steps one more or less matters.
+        return steps if steps > FEW else None
 
     def least_cost(self, candidate: Candidate) -> float:
         """Return what a scheme costs at the least; 0 where nothing is foretold."""
@@ -108,16 +111,14 @@ class Foresight:
 
     def cheapest_first(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Return the series in the order of what they are foretold to cost, then all others as they were."""
-        if self._law is None:
-            return list(candidates)
         series = [each for each in candidates if _is_series(each.method)]
         return [*sorted(series, key=self.least_cost), *(each for each in candidates if not _is_series(each.method))]
 
     def _kin_of(self, candidate: Candidate) -> list[Fit]:
-        """Return the fits of schemes of the same kind, the nearest order first."""
-        kind, order = type(candidate.method), candidate.method.order
-        kin = [each for each in self._fits if type(each.candidate.method) is kind and not each.trial.newton]
-        return sorted(kin, key=lambda each: abs(each.candidate.method.order - order))
+        """Return the fits of the same kind of scheme, the nearest order first."""
+        method = candidate.method
+        kin = [each for each in self._fits if not each.trial.newton and _alike(each.candidate.method, method)]
+        return sorted(kin, key=lambda each: abs(each.candidate.method.order - method.order))
 
     def _steps(self, law: Law, candidate: Candidate, kin: Fit) -> float:
         """Return the steps of a scheme: those of its kin, in the proportion of the law."""
@@ -125,9 +126,11 @@ class Foresight:
         return kin.steps * law.steps(candidate.method.order, self._goal_of(candidate)) / of_kin
 
     def _cost_as(self, law: Law, candidate: Candidate, kin: Fit) -> float:
+        """Return what a scheme costs as its kin does, and less where that was extrapolated far."""
         stages = kin.trial.evaluations / max(kin.trial.iterations, 1.0)
         stages *= candidate.method.order / kin.candidate.method.order
-        return self._steps(law, candidate, kin) * _cost(candidate, kin.trial.iterations, stages)
+        steps = self._steps(law, candidate, kin) / math.sqrt(kin.extrapolated)
+        return steps * _cost(candidate, kin.trial.iterations, stages)
 
 
 def _cost(candidate: Candidate, iterations: float, stages: float) -> float:
@@ -136,11 +139,27 @@ def _cost(candidate: Candidate, iterations: float, stages: float) -> float:
 
 
 def law_of(fits: Sequence[Fit]) -> Law | None:
-    """Return the law by two series that are far enough apart; None where there are none among the fits."""
+    """Return the law by the first two series that are far enough apart; None where there are none among the fits."""
     series = [each for each in fits if _is_series(each.candidate.method)]
-    if len(series) < 2 or abs(series[0].candidate.method.order - series[1].candidate.method.order) < APART:
-        return None
-    return Law(series[0], series[1])
+    for other, one in ((a, b) for k, a in enumerate(series) for b in series[:k]):
+        if abs(one.candidate.method.order - other.candidate.method.order) >= APART:
+            return Law(one, other)
+    return None
+
+
+def _alike(one: Method, other: Method) -> bool:
+    """Return whether two schemes differ in their order or their stages alone; of series in anything."""
+    if _is_series(one) or _is_series(other):
+        return _is_series(one) and _is_series(other)
+    if type(one) is not type(other) or not is_dataclass(one):
+        return False
+    for name in ("order", "stages"):
+        if any(field.name == name and field.init for field in fields(one)):
+            try:
+                return bool(replace(one, **{name: getattr(other, name)}) == other)
+            except (ValueError, TypeError):
+                return False
+    return False
 
 
 def _is_series(method: Method) -> bool:

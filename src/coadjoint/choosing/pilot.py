@@ -39,6 +39,7 @@ CHANCE = 4.0
 NOTHING = 2.0**-14
 # Radians, at the rate of the start, that one step of it hardly ever takes.
 AT_ONCE = 2.0
+LEAST_PART = 2.0**-60
 # Steps of the reference in a window, in dimension 16 or less; in proportion fewer above, but at least POINTS / 5.
 WINDOW_STEPS = 240
 # Its steps may be so much longer: 256 of them are as good as 240.
@@ -166,25 +167,30 @@ class Pilot:
             )
         rate = float(np.max(speeds / np.maximum(np.linalg.norm(self.momenta, axis=1), np.finfo(float).tiny)))
         h = abs(self.span)
-        while h * rate > AT_ONCE:
+        while h * rate > AT_ONCE and h > LEAST_PART * abs(self.span):
             h /= 2
+        begun = h
         one: NDArray[np.float64] | None = None
         for _ in range(64):
-            signed = math.copysign(h, self.span)
-            two = self._first_steps(signed, 2)
-            one = one if one is not None or two is None else self._first_steps(signed, 1)
-            if one is not None and two is not None:
-                apart = np.linalg.norm(one[-1] - two[-1], axis=1)
-                if np.all(apart <= SETTLED * _largest(two)):
-                    return h
+            two = self._first_steps(h, 2)
+            one = one if one is not None or two is None else self._first_steps(h, 1)
+            if _agree(one, two):
+                break
             # Half the step comes half as far as two of them.
             one = None if two is None else two[:2]
             h /= 2
-        raise ValueError(f"no step is small enough for {self.system.name} at x0: its trial run fails at the first step")
+        else:
+            name = self.system.name
+            raise ValueError(f"no step is small enough for {name} at x0: its trial run fails at the first step")
+        # From next to nothing the rate at the start says nothing.
+        while h >= begun and 2 * h <= abs(self.span) and _agree(*(self._first_steps(2 * h, n) for n in (1, 2))):
+            h *= 2
+        return h
 
     def _first_steps(self, time: float, steps: int) -> NDArray[np.float64] | None:
-        """Return the states at the start and after each of few steps; None where a member fails."""
-        run = short_run(self.system, REFERENCE, self.momenta, self.t0, time, steps)
+        """Return the states at the start and after each of few steps over a time; None where a member fails."""
+        signed = math.copysign(time, self.span)
+        run = short_run(self.system, REFERENCE, self.momenta, self.t0, signed, steps)
         return None if np.any(run.state["status"]) else run.saved["x"]
 
     def _settled_reference(self) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
@@ -250,6 +256,13 @@ class Pilot:
             for x, size in zip(self.reference[k], self.size, strict=True)
         ]
         return float(max(speeds))
+
+
+def _agree(one: NDArray[np.float64] | None, two: NDArray[np.float64] | None) -> bool:
+    """Return whether one step and two of half its size, which did not fail, end together."""
+    if one is None or two is None:
+        return False
+    return bool(np.all(np.linalg.norm(one[-1] - two[-1], axis=1) <= SETTLED * _largest(two)))
 
 
 def _largest(states: NDArray[np.float64]) -> NDArray[np.float64]:

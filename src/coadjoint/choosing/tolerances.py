@@ -24,12 +24,16 @@ USUAL_SHARE = 0.1
 
 
 def first_look(pilot: Pilot, candidate: Candidate, goal: float) -> Fit | None:
-    """Return about what a scheme needs that takes steps of its own, by one trial; None where that fails.
+    """Return what one trial of a scheme that takes steps of its own shows; None where it fails."""
+    return _look(pilot, candidate, _first_tolerance(pilot, goal))
 
-    Its error is that of the trial. Its steps are those that the goal asks for, in proportion to the order.
-    """
-    looked = _look(pilot, candidate, _first_tolerance(pilot, goal))
-    return None if looked is None else _at(looked, goal)
+
+def expected(found: Fit, goal: float) -> Fit:
+    """Return about what another error at the end takes, by the order."""
+    if not 0.0 < found.error < math.inf:
+        return found
+    change = (found.error / goal) ** (1.0 / found.candidate.method.order)
+    return replace(found, steps=max(1, math.ceil(found.steps * change)))
 
 
 def fit_of_tolerance(
@@ -37,8 +41,7 @@ def fit_of_tolerance(
 ) -> Fit | None:
     """Return the tolerance with which a scheme is expected to reach an error at the end of the span.
 
-    The error is about in proportion to the tolerance, so that few trials find it. Where it is no more than rounding,
-    what the tolerance allows is taken in its place.
+    The error is about in proportion to the tolerance, so that few trials find it.
 
     Parameters
     ----------
@@ -63,10 +66,12 @@ def fit_of_tolerance(
     for count in range(MOST_TRIALS):
         found = first if first is not None and count == 0 else _look(pilot, candidate, tolerance)
         if found is None or not found.trial.error < LARGE:
-            tolerance /= FAR if found is None else 1.0 / USUAL_SHARE
+            before, tolerance = tolerance, tolerance / FAR if found is None else tolerance * USUAL_SHARE
+            if candidate.reaching(tolerance).method == candidate.reaching(before).method:
+                break
             continue
         end = found.error
-        if not end < math.inf or _at(found, goal).cost > DEARER * limit:
+        if not end < math.inf or expected(found, goal).cost > DEARER * limit:
             return best
         if end <= goal and (best is None or found.cost < best.cost):
             best = found
@@ -86,7 +91,10 @@ def _first_tolerance(pilot: Pilot, goal: float) -> float:
 
 
 def _look(pilot: Pilot, candidate: Candidate, tolerance: float) -> Fit | None:
-    """Return what a trial with one tolerance shows; None where it fails."""
+    """Return what a trial with one tolerance shows; None where it fails.
+
+    An error that may be rounding is taken for no more than what the tolerance allows.
+    """
     tried = candidate.reaching(tolerance)
     trial = own_steps_of(pilot, tried)
     if trial is None:
@@ -95,14 +103,6 @@ def _look(pilot: Pilot, candidate: Candidate, tolerance: float) -> Fit | None:
     error = trial.error if trial.error > noise else min(trial.error, trial.steps * tolerance)
     end = error * tried.growth(pilot, trial)
     return Fit(pilot, tried, max(1, math.ceil(trial.steps * pilot.windows)), end, trial)
-
-
-def _at(found: Fit, goal: float) -> Fit:
-    """Return about what another error at the end takes, by the order."""
-    if not 0.0 < found.error < math.inf:
-        return found
-    change = (found.error / goal) ** (1.0 / found.candidate.method.order)
-    return replace(found, steps=max(1, math.ceil(found.steps * change)))
 
 
 def own_steps_of(pilot: Pilot, candidate: Candidate) -> Trial | None:
