@@ -126,3 +126,12 @@ def test_cheap_schemes_that_rounding_spoils_put_nothing_out():
     assert choice.method.own_steps
     with pytest.raises(ValueError, match="below what float64 reaches"):
         co.choose(body, crowd, (0.0, 300.0), 1e-12, methods=plain)
+
+
+def test_a_first_look_that_is_near_enough_is_kept_as_it_is():
+    """It costs nothing more, and what seems cheaper before it was tried once more may not be."""
+    system, x0, time = systems()["body"]
+    pilot = Pilot(system, np.array([x0], dtype=float), 0.0, time)
+    (candidate,) = admitted(system, OWN, x0, False, strict=True)
+    found = tolerances.fit_of_tolerance(pilot, candidate, 1e-6, np.inf)
+    assert tolerances.fit_of_tolerance(pilot, candidate, 1e-6, 0.01 * found.cost, found) is found

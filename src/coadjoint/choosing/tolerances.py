@@ -71,11 +71,11 @@ def fit_of_tolerance(
                 break
             continue
         end = found.error
-        if not end < math.inf or expected(found, goal).cost > DEARER * limit:
-            return best
+        if not end < math.inf:
+            break
         if end <= goal and (best is None or found.cost < best.cost):
             best = found
-        if goal / NEAR <= end <= goal:
+        if goal / NEAR <= end <= goal or expected(found, goal).cost > DEARER * limit:
             break
         # Between both ends of what is near enough.
         ratio = goal / (math.sqrt(NEAR) * end) if end > 0.0 else FAR
