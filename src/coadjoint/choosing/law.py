@@ -14,8 +14,8 @@ from coadjoint.methods.base import Method
 from coadjoint.methods.taylor import Taylor
 
 # What a scheme costs at the least is what its kin foretells by this: series, of which that of the nearest order is
-# believed, and others. What kin itself was extrapolated by is believed the less the further that was. A series that is
-# left out is cheaper by a few per cent at the most, mostly.
+# believed, and others. The further the steps of kin were extrapolated, the less they are believed. A series that is
+# left out is cheaper by a few per cent, mostly.
 NEAR_KIN = 1.2
 KIN = 1.6
 # Before two series were tried: constant steps are so many times as many as those that follow the motion, to one order.
@@ -158,7 +158,7 @@ def _alike(one: Method, other: Method) -> bool:
             try:
                 return bool(replace(one, **{name: getattr(other, name)}) == other)
             except (ValueError, TypeError):
-                return False
+                return False  # there is no such order of this family
     return False
 
 

@@ -227,13 +227,14 @@ class Pilot:
 
     def _noise(self, coarse: NDArray[np.float64], accuracy: float) -> float:
         """Return how far rounding alone moves the reference, relative to the motion, at the worst point."""
-        change = CHANCE * _largest(self.reference - coarse)
+        moved = _largest(self.reference - coarse)
+        change = CHANCE * moved
         # One change may be small by chance, or the error of the coarse steps. Another number of steps shows rounding.
         if np.any(self.sensitivity.factor(self.windows) * change > NOTHING * accuracy * self.size):
             again = self.run(REFERENCE, self.reference_steps + self.points)
             if not np.any(again.state["status"]):
                 apart = _largest(again.saved["x"] - self.reference)
-                change = np.maximum(apart, np.minimum(change / CHANCE, CHANCE * apart))
+                change = np.maximum(apart, np.minimum(moved, CHANCE * apart))
         return max(UNIT_ROUNDOFF, float(np.max(change / self.size)))
 
     def _sensitivity(self, coarse: NDArray[np.float64]) -> Growth:

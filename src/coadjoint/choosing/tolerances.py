@@ -65,23 +65,24 @@ def fit_of_tolerance(
     tolerance, best = _first_tolerance(pilot, goal), None
     for count in range(MOST_TRIALS):
         found = first if first is not None and count == 0 else _look(pilot, candidate, tolerance)
-        if found is None or not found.trial.error < LARGE:
-            before, tolerance = tolerance, tolerance / FAR if found is None else tolerance * USUAL_SHARE
-            if candidate.reaching(tolerance).method == candidate.reaching(before).method:
+        if found is None:
+            after = tolerance / FAR
+        elif not found.trial.error < LARGE:
+            after = tolerance * USUAL_SHARE
+        else:
+            end = found.error
+            if not end < math.inf:
                 break
-            continue
-        end = found.error
-        if not end < math.inf:
+            if end <= goal and (best is None or found.cost < best.cost):
+                best = found
+            if goal / NEAR <= end <= goal or expected(found, goal).cost > DEARER * limit:
+                break
+            # Between both ends of what is near enough.
+            ratio = goal / (math.sqrt(NEAR) * end) if end > 0.0 else FAR
+            after = tolerance * min(max(ratio, 1.0 / FAR), FAR)
+        if candidate.reaching(after).method == candidate.reaching(tolerance).method:
             break
-        if end <= goal and (best is None or found.cost < best.cost):
-            best = found
-        if goal / NEAR <= end <= goal or expected(found, goal).cost > DEARER * limit:
-            break
-        # Between both ends of what is near enough.
-        ratio = goal / (math.sqrt(NEAR) * end) if end > 0.0 else FAR
-        tolerance *= min(max(ratio, 1.0 / FAR), FAR)
-        if candidate.reaching(tolerance).method == found.candidate.method:
-            break
+        tolerance = after
     return best
 
 

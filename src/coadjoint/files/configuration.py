@@ -20,8 +20,7 @@ from coadjoint.files.several_errors import SeveralErrors, told_together
 from coadjoint.files.states_by_name import check_named, state_by_name
 from coadjoint.files.sweeps import Sweep, read_sweep
 from coadjoint.files.swept_members import swept_states, swept_system
-from coadjoint.files.swept_settings import as_coordinates
-from coadjoint.files.variables import About, Variables
+from coadjoint.files.variables import About, Variables, over_members
 from coadjoint.files.written_events import event_of_file
 from coadjoint.given import read_path
 from coadjoint.memory import available, in_words
@@ -224,10 +223,7 @@ class Configuration:
 
     def swept_coordinates(self) -> Variables:
         """Return what a sweep sets, over the members."""
-        return {
-            name: (("member",), values, {"long_name": place})
-            for name, (place, values) in as_coordinates(self.swept).items()
-        }
+        return over_members(self.swept)
 
 
 def system_of_text(text: str) -> Any:

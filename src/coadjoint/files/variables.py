@@ -143,10 +143,14 @@ def parameters_of(system: Any) -> Variables:
         shapes = {_shape_of_numbers(value) for value in each}
         if len(shapes) == 1 and None not in shapes:
             differing[f"system.parameters.{name}"] = each
+    found = over_members(differing)
+    return {name: entry for name, entry in found.items() if np.any(entry[1] != entry[1][0])}
+
+
+def over_members(values: Mapping[str, list[Any]]) -> Variables:
+    """Return what a sweep sets as coordinates over the members: place -> what it is set to, one for each member."""
     return {
-        name: (("member",), numbers, {"long_name": place})
-        for name, (place, numbers) in as_coordinates(differing).items()
-        if np.any(numbers != numbers[0])
+        name: (("member",), numbers, {"long_name": place}) for name, (place, numbers) in as_coordinates(values).items()
     }
 
 
