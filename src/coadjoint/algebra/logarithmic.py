@@ -15,18 +15,19 @@ from coadjoint.algebra.exact import exact_number, rounded
 from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.polynomial import Polynomial
 
-HOLD, QUOTIENT, LOGARITHM, ANGLE = 0, 1, 2, 3
+HOLD, QUOTIENT, LOGARITHM, ANGLE, SINH, SINH_SQUARED, COSH = 0, 1, 2, 3, 4, 5, 6
 DENOMINATOR = 1000  # two angles wind with a common period where their ratio is a fraction with at most this denominator
 
 Number = int | Fraction
 
 
 class Forms(NamedTuple):
-    """A `LogarithmicSum` over plain arrays, as the kernels read it.
+    """A formula over plain arrays, as the kernels read it: a `LogarithmicSum`, or a sum with hyperbolic functions.
 
     Form f is a sum over m from first[f] to first[f + 1] of coefficient[m] times the product of x[coordinate[q]] over q
     from begin[m] to begin[m + 1]. A form of the role HOLD is the first polynomial of the next one; the others are the
-    second polynomial of a term of that kind and weight.
+    second polynomial of a term of that kind and weight. Of SINH and SINH_SQUARED a term is weight * sinh(second)/first
+    and weight * (sinh(second)/first)^2, of COSH weight * cosh(second).
     """
 
     size: int

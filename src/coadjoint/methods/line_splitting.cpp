@@ -24,7 +24,7 @@ struct LineSplitting final : StepScheme {
     const double *factor, *constant;  // the stream of a mode: its factor times the mode, and a constant
     Fourier<double> one;
     Fourier<Eight> eight;
-    Pair<Eight>* row;  // of one transform
+    ComplexNumber<Eight>* row;  // of one transform
     // Modes at the start of the step and what has been added to them, n x n, real and imaginary parts apart.
     std::vector<double> re, im, added_re, added_im;
     // exp(i h theta) - 1 at s, and at -s, beyond one period.
@@ -124,11 +124,11 @@ struct LineSplitting final : StepScheme {
 
     // exp(i h theta) - 1, theta from the modes of the line.
     void turn_of(const Line& k, double h) {
-        Pair<double>* theta = one.place();
+        ComplexNumber<double>* theta = one.place();
         for (int64_t j = 0, a = 0, b = 0; j < n; ++j, a = wrapped(a + k.k1), b = wrapped(b + k.k2)) {
             const int64_t at = a * n + b;
             theta[j] = {factor[at] * (re[at] + added_re[at]), factor[at] * (im[at] + added_im[at])};
-            if (constant) theta[j] = theta[j] + Pair<double>{constant[2 * at], constant[2 * at + 1]};
+            if (constant) theta[j] = theta[j] + ComplexNumber<double>{constant[2 * at], constant[2 * at + 1]};
         }
         theta = one.transform(theta);
         for (int64_t s = 0; s < n; ++s) {
@@ -145,7 +145,7 @@ struct LineSplitting final : StepScheme {
     }
 
     // y := (exp(i h (theta_(s + d) - theta_(s - d))) - 1) y, from small numbers whose rounding is as small.
-    INLINE void turn(Pair<Eight>& y, int64_t s, int64_t d) const {
+    INLINE void turn(ComplexNumber<Eight>& y, int64_t s, int64_t d) const {
         Eight a_re, a_im, b_re, b_im;
         std::memcpy(&a_re, up_re.data() + s + d, sizeof(Eight));
         std::memcpy(&a_im, up_im.data() + s + d, sizeof(Eight));

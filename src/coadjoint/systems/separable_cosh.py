@@ -10,12 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
+from coadjoint.algebra.logarithmic import COSH, HOLD, SINH, SINH_SQUARED, Forms
 from coadjoint.given import read_finite, read_positive
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.ready_made import ready_made
 from coadjoint.systems.separable import Separable
 from coadjoint.systems.starts import over_sphere
 from coadjoint.systems.telling import Picture, Telling
+from coadjoint.systems.user_functions import Formula
 from coadjoint.wording import short
 
 
@@ -100,7 +102,9 @@ def separable_cosh(
     return LiePoissonSystem(g, Separable(functions), name="separable_cosh", parameters=parameters)
 
 
-def _functions(mass: float, kappa: float) -> tuple[Callable[[Any], Any], ...]:
+def _functions(mass: float, kappa: float) -> tuple[Formula, ...]:
+    """Return H_i and its derivatives, whose tables the kernels evaluate to the same bits with every C library."""
+
     def value(y: Any) -> Any:
         return 2.0 * mass * (np.sinh(0.5 * kappa * y) / kappa) ** 2  # (cosh - 1)/kappa^2 without its cancellation
 
@@ -110,4 +114,19 @@ def _functions(mass: float, kappa: float) -> tuple[Callable[[Any], Any], ...]:
     def curvature(y: Any) -> Any:
         return mass * np.cosh(kappa * y)
 
-    return value, slope, curvature
+    return (
+        _formula(value, SINH_SQUARED, 2.0 * mass, 0.5 * kappa, kappa),
+        _formula(slope, SINH, mass, kappa, kappa),
+        _formula(curvature, COSH, mass, kappa, 1.0),
+    )
+
+
+def _formula(function: Callable[[Any], Any], role: int, weight: float, rate: float, divisor: float) -> Formula:
+    """Return a function with its table: a term of (rate x), the function of it being divided by a number."""
+
+    def whole(*numbers: int) -> npt.NDArray[np.int64]:
+        return np.array(numbers, dtype=np.int64)
+
+    weights, coefficients = np.array([0.0, weight]), np.array([divisor, rate])
+    forms = Forms(2, whole(HOLD, role), weights, whole(0, 1, 2), coefficients, whole(0, 0, 1), whole(0))
+    return Formula(function, forms)

@@ -178,7 +178,7 @@ def cap_profile(radius: float, N: int) -> Floats:
     True
     """
     if not 0.0 < radius < pi:
-        raise ValueError(f"a radius is {radius:g}; give radians below pi")
+        raise ValueError(f"a radius is {short(radius)}; give radians below pi")
     x = np.cos(radius)
     P = np.empty(N + 2)
     P[0], P[1] = 1.0, x

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import array_given
+from coadjoint.given import read_complex
 from coadjoint.memory import available, check_room
 from coadjoint.wording import short
 
@@ -221,13 +221,20 @@ def read_harmonics(given: Any, N: int) -> Complexes:
                 raise ValueError
         except (TypeError, ValueError):
             raise TypeError(f"modes has {short(mode)}: {short(value)}; give (l, m): coefficient") from None
+        except OverflowError:
+            raise ValueError(
+                f"modes has {short(mode)}: {short(value)}, too large for float64; give (l, m): coefficient"
+            ) from None
         if not (0 < l < N and abs(m) <= l and np.isfinite(number)):
             raise ValueError(
-                f"mode ({l}, {m}): {short(value)}; give a degree l from 1 to {N - 1}, an order m from -l to l, and a "
-                "finite coefficient"
+                f"mode {short(mode)}: {short(value)}; give a degree l from 1 to {N - 1}, an order m from -l to l, and "
+                "a finite coefficient"
             )
         mirrored = (-1) ** m * number.conjugate()
-        other = complex(given.get((l, -m), mirrored))
+        try:
+            other = complex(given.get((l, -m), mirrored))
+        except (TypeError, ValueError, OverflowError):
+            continue  # refused in its turn
         if abs(other - mirrored) > 1e-12 * abs(number):
             raise ValueError(
                 f"modes ({l}, {m}) and ({l}, {-m}) do not belong to a real vorticity: c_l(-m) = (-1)^m conj(c_lm)"
@@ -237,7 +244,7 @@ def read_harmonics(given: Any, N: int) -> Complexes:
 
 
 def _read_array(given: Any, N: int) -> Complexes:
-    c = array_given(given, "modes", "iufc")
+    c = read_complex(given, "modes")
     if c.ndim < 2 or c.shape[-2:] != (N, N):
         raise ValueError(
             f"modes has the shape {c.shape}; give a mapping of (l, m) to a coefficient, or (..., {N}, {N})"

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from coadjoint.given import read_finite
 from coadjoint.memory import check_room
 from coadjoint.systems.matrices.torus_modes import representatives
+from coadjoint.wording import short
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -81,7 +82,7 @@ def disc_profile(radius: float, length: Floats) -> Floats:
     array([1., 1.])
     """
     if not 0.0 < radius < pi:
-        raise ValueError(f"a radius is {radius:g}; give radians below pi")
+        raise ValueError(f"a radius is {short(radius)}; give radians below pi")
     from scipy.special import j1
 
     some = np.where(length > 0.0, length, 1.0)

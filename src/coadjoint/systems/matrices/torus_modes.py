@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.given import array_given
+from coadjoint.given import read_complex
 from coadjoint.wording import short
 
 Complexes = npt.NDArray[np.complex128]
@@ -82,6 +82,10 @@ def read_modes(given: Any, N: int) -> Complexes:
             number = complex(value)
         except (TypeError, ValueError):
             raise TypeError(f"modes has {short(mode)}: {short(value)}; give (n1, n2): w") from None
+        except OverflowError:
+            raise ValueError(
+                f"modes has {short(mode)}: {short(value)}, too large for float64; give (n1, n2): w"
+            ) from None
         if max(abs(n1), abs(n2)) > half or (n1, n2) == (0, 0) or not np.isfinite(number):
             raise ValueError(f"mode {short(mode)}: give n1, n2 from {-half} to {half}, not both 0, and a finite w")
         seen[n1, n2] = number
@@ -95,7 +99,7 @@ def read_modes(given: Any, N: int) -> Complexes:
 
 
 def _read_array(given: Any, N: int) -> Complexes:
-    w = array_given(given, "modes", "iufc")
+    w = read_complex(given, "modes")
     if w.ndim < 2 or w.shape[-2:] != (N, N):
         raise ValueError(f"modes has the shape {w.shape}; give a mapping of (n1, n2) to w, or (..., {N}, {N})")
     if not np.isfinite(w).all():

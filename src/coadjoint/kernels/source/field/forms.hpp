@@ -1,15 +1,16 @@
-// Functions that are no polynomials but need no function of the user: sums of logarithms, angles and quotients.
+// Functions that are no polynomials and need no function of the user: sums of logarithms, angles, quotients and
+// hyperbolic functions of polynomials.
 #pragma once
 
-#include <cmath>
 #include <limits>
 
 #include "boundary/codes.hpp"
 #include "boundary/tables.hpp"
+#include "numbers/arithmetic.hpp"
 
 namespace coadjoint {
 
-// The value at y, NaN where the function is undefined; operation by operation that of `algebra/logarithmic.py`.
+// The value at y, NaN where the function is undefined; up to the rounding of its functions that of `Forms` in Python.
 inline double value_of_forms(const Forms& forms, const double* y) {
     double total = 0.0, held = 0.0;
     for (int64_t f = 0; f < forms.size; ++f) {
@@ -20,16 +21,23 @@ inline double value_of_forms(const Forms& forms, const double* y) {
             form += product;
         }
         const int64_t role = forms.role[f];
-        if (role == HOLD)
-            held = form;
-        else if (form == 0.0 && (role == QUOTIENT || role == LOGARITHM || held == 0.0))
+        const double weight = forms.weight[f];
+        if (form == 0.0 && (role == QUOTIENT || role == LOGARITHM || (role == ANGLE && held == 0.0)))
             return std::numeric_limits<double>::quiet_NaN();
-        else if (role == QUOTIENT)
-            total += forms.weight[f] * (held / form);
-        else if (role == LOGARITHM)
-            total += forms.weight[f] * std::log(std::fabs(form));
-        else
-            total += forms.weight[f] * std::atan2(held, form);
+        if (role == HOLD) {
+            held = form;
+        } else if (role == QUOTIENT) {
+            total += weight * (held / form);
+        } else if (role == LOGARITHM) {
+            total += weight * rounded_logarithm(absolute(form));
+        } else if (role == ANGLE) {
+            total += weight * rounded_angle(held, form);
+        } else if (role == COSH) {
+            total += weight * (hyperbolic_rotation(form).lowered + 1.0);
+        } else {
+            const double sine = hyperbolic_sine(form);
+            total += role == SINH ? weight * sine / held : weight * ((sine / held) * (sine / held));
+        }
     }
     return total;
 }

@@ -11,8 +11,10 @@ constexpr int64_t SIDE_BY_SIDE = 8;
 typedef Lanes<SIDE_BY_SIDE> Eight;
 
 // The real parts of eight numbers, and then their imaginary parts.
-inline double* numbers_of(Pair<Eight>& numbers) { return reinterpret_cast<double*>(&numbers); }
-inline const double* numbers_of(const Pair<Eight>& numbers) { return reinterpret_cast<const double*>(&numbers); }
+inline double* numbers_of(ComplexNumber<Eight>& numbers) { return reinterpret_cast<double*>(&numbers); }
+inline const double* numbers_of(const ComplexNumber<Eight>& numbers) {
+    return reinterpret_cast<const double*>(&numbers);
+}
 
 template <class T>
 class Circulants {
@@ -27,7 +29,7 @@ class Circulants {
                     const int64_t d = g * SIDE_BY_SIDE + lane;
                     put(k, lane, d < diagonals ? columns[d * n + k] : 0.0, 0.0);
                 }
-            const Pair<Eight>* found = fourier.transform(row);
+            const ComplexNumber<Eight>* found = fourier.transform(row);
             for (int64_t k = 0; k < n; ++k) spectrum.at[g * n + k] = found[k].re / Eight(double(n));
         }
     }
@@ -42,7 +44,7 @@ class Circulants {
                     const Complex value = W[a * n + beyond(a + first + lane)];
                     put(a, lane, value.real(), value.imag());
                 }
-            Pair<Eight>* seen = fourier.transform(row);
+            ComplexNumber<Eight>* seen = fourier.transform(row);
             for (int64_t k = 0; k < n; ++k) {
                 seen[k].re *= spectrum.at[g * n + k];
                 seen[k].im *= spectrum.at[g * n + k];
@@ -62,7 +64,7 @@ class Circulants {
   private:
     const int64_t n, diagonals, groups;
     Fourier<Eight> fourier;
-    Pair<Eight>* const row;
+    ComplexNumber<Eight>* const row;
     Room<Eight> spectrum;
 
     int64_t beyond(int64_t column) const { return column < n ? column : column - n; }

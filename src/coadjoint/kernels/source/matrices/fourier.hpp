@@ -19,25 +19,29 @@ namespace coadjoint {
 constexpr int64_t LARGEST_SUMMED = 53;  // primes above are convolutions: about where the two cost the same
 
 template <class A>
-struct Pair {
+struct ComplexNumber {
     A re, im;
-    INLINE friend Pair operator+(const Pair& a, const Pair& b) { return {a.re + b.re, a.im + b.im}; }
-    INLINE friend Pair operator-(const Pair& a, const Pair& b) { return {a.re - b.re, a.im - b.im}; }
+    INLINE friend ComplexNumber operator+(const ComplexNumber& a, const ComplexNumber& b) {
+        return {a.re + b.re, a.im + b.im};
+    }
+    INLINE friend ComplexNumber operator-(const ComplexNumber& a, const ComplexNumber& b) {
+        return {a.re - b.re, a.im - b.im};
+    }
     // a times the complex number c + i s, of numbers or lanes.
     template <class B>
-    INLINE Pair times(const B& c, const B& s) const {
+    INLINE ComplexNumber times(const B& c, const B& s) const {
         return {fma(re, A(c), -(im * A(s))), fma(re, A(s), im * A(c))};
     }
 };
 
 // cos and sin of 2 pi k / n, by angles of at most a quarter turn.
-inline Pair<double> root_of_unity(int64_t k, int64_t n) {
+inline ComplexNumber<double> root_of_unity(int64_t k, int64_t n) {
     constexpr double QUARTER = 1.5707963267948966;
     k %= n;
     const int64_t quarter = 4 * k / n;
     const Rotation<double> turn = rotation_by(QUARTER * (double(4 * k - quarter * n) / double(n)));
     const double c = 1.0 + turn.lowered, s = turn.sine;
-    const Pair<double> turned[] = {{c, s}, {-s, c}, {-c, -s}, {s, -c}};
+    const ComplexNumber<double> turned[] = {{c, s}, {-s, c}, {-c, -s}, {s, -c}};
     return turned[quarter];
 }
 
@@ -49,9 +53,9 @@ inline double beyond_circle(double c, double s) {
 
 // All of them. Where together they miss the circle, a few are moved by a unit in the last place: a transform and its
 // inverse, which are applied millions of times, would else stretch what they turn a little every time.
-inline std::vector<Pair<double>> roots_of_unity(int64_t n) {
+inline std::vector<ComplexNumber<double>> roots_of_unity(int64_t n) {
     constexpr int MOST_MOVED = 4;
-    std::vector<Pair<double>> roots(n, Pair<double>{1.0, 0.0});
+    std::vector<ComplexNumber<double>> roots(n, ComplexNumber<double>{1.0, 0.0});
     double beyond = 0.0;
     for (int64_t k = 1; 2 * k < n; ++k) {
         roots[k] = root_of_unity(k, n);
@@ -115,11 +119,11 @@ class Fourier {
     }
 
     // A place for numbers to be transformed.
-    Pair<A>* place() { return first.at; }
+    ComplexNumber<A>* place() { return first.at; }
 
     // Transform what is at x, and say where that is then: there, or in a place of this object. What was at x is lost.
-    Pair<A>* transform(Pair<A>* x) {
-        Pair<A>*from = x, *to = x == first.at ? second.at : first.at;
+    ComplexNumber<A>* transform(ComplexNumber<A>* x) {
+        ComplexNumber<A>*from = x, *to = x == first.at ? second.at : first.at;
         int64_t stride = 1, convolution = 0;
         for (int64_t p : factors) {
             if (p == 4) pass_of_four(from, to, stride);
@@ -137,56 +141,56 @@ class Fourier {
   private:
     const int64_t n;
     const std::vector<int64_t> factors;
-    const std::vector<Pair<double>> roots;
+    const std::vector<ComplexNumber<double>> roots;
     std::vector<std::unique_ptr<Rader<A>>> rader;
-    Room<Pair<A>> first, second, column{0};
+    Room<ComplexNumber<A>> first, second, column{0};
 
     // x exp(-2 pi i k / n)
-    INLINE Pair<A> turned(const Pair<A>& x, int64_t k) const {
+    INLINE ComplexNumber<A> turned(const ComplexNumber<A>& x, int64_t k) const {
         return k ? x.times(roots[k].re, -roots[k].im) : x;
     }
 
-    void pass_of_four(const Pair<A>* from, Pair<A>* to, int64_t stride) const {
+    void pass_of_four(const ComplexNumber<A>* from, ComplexNumber<A>* to, int64_t stride) const {
         const int64_t m = n / stride / 4, quarter = stride * m;
         for (int64_t q = 0; q < m; ++q)
             for (int64_t k = 0; k < stride; ++k) {
-                const Pair<A>* x = from + k + stride * q;
-                Pair<A>* y = to + k + stride * 4 * q;
-                const Pair<A> a = x[0] + x[2 * quarter], b = x[0] - x[2 * quarter];
-                const Pair<A> c = x[quarter] + x[3 * quarter], d = x[quarter] - x[3 * quarter];
+                const ComplexNumber<A>* x = from + k + stride * q;
+                ComplexNumber<A>* y = to + k + stride * 4 * q;
+                const ComplexNumber<A> a = x[0] + x[2 * quarter], b = x[0] - x[2 * quarter];
+                const ComplexNumber<A> c = x[quarter] + x[3 * quarter], d = x[quarter] - x[3 * quarter];
                 y[0] = a + c;
-                y[stride] = turned(Pair<A>{b.re + d.im, b.im - d.re}, q * stride);
+                y[stride] = turned(ComplexNumber<A>{b.re + d.im, b.im - d.re}, q * stride);
                 y[2 * stride] = turned(a - c, 2 * q * stride);
-                y[3 * stride] = turned(Pair<A>{b.re - d.im, b.im + d.re}, 3 * q * stride);
+                y[3 * stride] = turned(ComplexNumber<A>{b.re - d.im, b.im + d.re}, 3 * q * stride);
             }
     }
 
     // A pass of a prime, in registers where it is a constant.
     template <int fixed>
-    void pass(Pair<A>* from, Pair<A>* to, int64_t prime, int64_t stride, Rader<A>* convolution) {
+    void pass(ComplexNumber<A>* from, ComplexNumber<A>* to, int64_t prime, int64_t stride, Rader<A>* convolution) {
         const int64_t p = fixed ? fixed : prime, m = n / stride / p;
         if (!fixed && p == n) return direct<fixed>(from, to, p, convolution);
-        Pair<A> few[fixed ? 2 * fixed : 1];
-        Pair<A>*x = fixed ? few : column.at, *X = x + p;
+        ComplexNumber<A> few[fixed ? 2 * fixed : 1];
+        ComplexNumber<A>*x = fixed ? few : column.at, *X = x + p;
         for (int64_t q = 0; q < m; ++q)
             for (int64_t k = 0; k < stride; ++k) {
                 for (int64_t j = 0; j < p; ++j) x[j] = from[k + stride * (q + m * j)];
                 direct<fixed>(x, X, p, convolution);
-                Pair<A>* y = to + k + stride * p * q;
+                ComplexNumber<A>* y = to + k + stride * p * q;
                 for (int64_t r = 0; r < p; ++r) y[r * stride] = turned(X[r], q * r * stride);
             }
     }
 
     // The transform of a prime length; x is overwritten.
     template <int fixed>
-    INLINE void direct(Pair<A>* x, Pair<A>* X, int64_t p, Rader<A>* convolution) {
+    INLINE void direct(ComplexNumber<A>* x, ComplexNumber<A>* X, int64_t p, Rader<A>* convolution) {
         if (!fixed && convolution) convolution->transform(x, X);
         else sum<fixed>(x, X, p);
     }
 
     // The same as it is written.
     template <int fixed>
-    INLINE void sum(Pair<A>* x, Pair<A>* X, int64_t prime) const {
+    INLINE void sum(ComplexNumber<A>* x, ComplexNumber<A>* X, int64_t prime) const {
         const int64_t p = fixed ? fixed : prime, half = (p - 1) / 2, step = n / p;
         if (p == 2) {
             X[0] = x[0] + x[1];
@@ -195,7 +199,7 @@ class Fourier {
         }
         X[0] = x[0];
         for (int64_t j = 1; j <= half; ++j) {
-            const Pair<A> a = x[j], b = x[p - j];
+            const ComplexNumber<A> a = x[j], b = x[p - j];
             x[j] = a + b;
             x[p - j] = a - b;
             X[0] = X[0] + x[j];
@@ -207,8 +211,9 @@ class Fourier {
 
     // The terms k, k + 1, ... and p - k, p - k - 1, ...: so many at once share what they load.
     template <int count>
-    INLINE void sums(const Pair<A>* x, Pair<A>* X, int64_t p, int64_t k, int64_t half, int64_t step) const {
-        Pair<A> even[count], odd[count];
+    INLINE void sums(const ComplexNumber<A>* x, ComplexNumber<A>* X, int64_t p, int64_t k, int64_t half,
+                     int64_t step) const {
+        ComplexNumber<A> even[count], odd[count];
         int64_t turn[count];
         for (int c = 0; c < count; ++c) {
             even[c] = x[0];
@@ -249,9 +254,9 @@ class Rader {
             to.push_back(down);
         }
         Fourier<double> once(length);
-        Pair<double>* roots = once.place();
+        ComplexNumber<double>* roots = once.place();
         for (int64_t j = 0; j < p - 1; ++j) {
-            const Pair<double> root = root_of_unity(p - to[j], p);
+            const ComplexNumber<double> root = root_of_unity(p - to[j], p);
             roots[j] = {root.re / double(length), root.im / double(length)};
             // a longer convolution sees the period before its beginning
             if (j > 0) roots[length - (p - 1) + j] = roots[j];
@@ -259,12 +264,12 @@ class Rader {
         std::copy_n(once.transform(roots), length, kernel.begin());
     }
 
-    void transform(const Pair<A>* x, Pair<A>* X) {
-        Pair<A>* y = inner.place();
+    void transform(const ComplexNumber<A>* x, ComplexNumber<A>* X) {
+        ComplexNumber<A>* y = inner.place();
         for (int64_t j = 0; j < p - 1; ++j) y[j] = x[from[j]];
         for (int64_t j = p - 1; j < length; ++j) y[j] = {A(0.0), A(0.0)};
         y = inner.transform(y);
-        const Pair<A> first = x[0];
+        const ComplexNumber<A> first = x[0];
         X[0] = first + y[0];
         for (int64_t k = 0; k < length; ++k) y[k] = y[k].times(kernel[k].re, kernel[k].im);
         y = inner.transform(y);
@@ -276,7 +281,7 @@ class Rader {
     const int64_t p, length;
     std::vector<int64_t> from, to;
     Fourier<A> inner;
-    std::vector<Pair<double>> kernel;
+    std::vector<ComplexNumber<double>> kernel;
 
     static int64_t convolved(int64_t p) {
         if (factors_of(p - 1).back() <= LARGEST_SUMMED) return p - 1;

@@ -106,25 +106,25 @@ class Modes {
     template <class Move>
     void change_waves(int64_t d, int64_t from, int64_t to, bool read, Move move) {
         coefficients.assign(to - from, Complex(0.0));
-        Pair<double>* x = fourier->place();
+        ComplexNumber<double>* x = fourier->place();
         if (read) {
             for (int64_t a = 0; a < n; ++a) x[a] = {first[a], first[n + a]};
-            const Pair<double>* seen = fourier->transform(x);
+            const ComplexNumber<double>* seen = fourier->transform(x);
             for (int64_t e = from; e < to; ++e) {
                 const int64_t k = table.direction[e];
-                const Pair<double>& value = seen[2 * k % n];
+                const ComplexNumber<double>& value = seen[2 * k % n];
                 coefficients[e - from] = times(std::conj(first_of(k, d)), Complex(value.re, value.im));
             }
         }
-        std::fill_n(x, n, Pair<double>{0.0, 0.0});
+        std::fill_n(x, n, ComplexNumber<double>{0.0, 0.0});
         for (int64_t e = from; e < to; ++e) {
             const int64_t k = table.direction[e];
             const Complex turned = times(first_of(k, d), move(e, coefficients[e - from]));
             x[2 * k % n] = {turned.real(), turned.imag()};
         }
-        const Pair<double>* sums = fourier->transform(x);
+        const ComplexNumber<double>* sums = fourier->transform(x);
         for (int64_t a = 0; a < n; ++a) {
-            const Pair<double>& sum = sums[a ? n - a : 0];  // backward is forward, read backward
+            const ComplexNumber<double>& sum = sums[a ? n - a : 0];  // backward is forward, read backward
             even[a] = sum.re, even[n + a] = sum.im;
         }
     }

@@ -1,6 +1,7 @@
-// Elementary arithmetic: sine with cosine minus one, and their hyperbolic kin, for one number or for lanes.
+// Sine with cosine minus one, and their hyperbolic counterparts, for one number or for lanes.
 #pragma once
 
+#include "numbers/elementary.hpp"
 #include "numbers/lanes.hpp"
 
 namespace coadjoint {
@@ -61,8 +62,8 @@ INLINE Rotation<A> reduced_rotation(const A& phi, const typename Numbers<A>::Mas
 }
 
 NOINLINE static Rotation<double> far_rotation(double phi) {
-    double half = std::sin(0.5 * phi);
-    return {std::sin(phi), -2.0 * half * half};
+    const double half = rounded_sine(0.5 * phi);
+    return {rounded_sine(phi), -2.0 * half * half};
 }
 
 // sin(phi) and cos(phi) - 1, each within 3 units in the last place up to |phi| = 10^6 by Cody-Waite reduction. cos - 1
@@ -116,7 +117,7 @@ INLINE A rational_angle(const A& phi, const A& frequency) {
     A angle = phi;
     for (int lane = 0; lane < Numbers<A>::lanes; ++lane) {
         double own = lane_of(frequency, lane);
-        if (own > 0.0) set_lane(angle, lane, 2.0 * std::atan(0.5 * own * lane_of(phi, lane)) / own);
+        if (own > 0.0) set_lane(angle, lane, 2.0 * rounded_angle(0.5 * own * lane_of(phi, lane), 1.0) / own);
     }
     return angle;
 }
@@ -133,7 +134,7 @@ INLINE A shortfall(const A& s, const A& c, const A& square) {
 
 constexpr double LOG2_E = 1.4426950408889634;
 constexpr double LN2 = 0.6931471805599453, LN2_REST = 2.3190468138462996e-17;  // the sum is ln 2 to twice the precision
-constexpr double FAR_GROWTH = 700.0;  // beyond it powers of two overflow or lose digits: left to the library
+constexpr double FAR_GROWTH = 700.0;  // beyond it powers of two overflow or lose digits
 
 template <class A>
 struct Growth {
@@ -159,8 +160,9 @@ INLINE Growth<A> growth_by(const A& x) {
     if (__builtin_expect(!all(near), 0))
         for (int lane = 0; lane < Numbers<A>::lanes; ++lane)
             if (!at(near, lane)) {
-                set_lane(growth.whole, lane, std::exp(lane_of(x, lane)));
-                set_lane(growth.beyond, lane, std::expm1(lane_of(x, lane)));
+                const double own = lane_of(x, lane), whole = rounded_exponential(own);
+                set_lane(growth.whole, lane, whole);
+                set_lane(growth.beyond, lane, own < 0.0 ? -1.0 : whole);
             }
     return growth;
 }
@@ -170,7 +172,8 @@ INLINE A hyperbolic_sine(const A& x) {
     const A size = absolute(x), beyond = growth_by(size).beyond;
     A sine = 0.5 * (beyond + beyond / (beyond + 1.0));
     const auto near = size <= A(FAR_GROWTH);
-    if (__builtin_expect(!all(near), 0)) sine = select(near, sine, map(size, [](double a) { return std::sinh(a); }));
+    if (__builtin_expect(!all(near), 0))
+        sine = select(near, sine, map(size, [](double a) { return rounded_exponential(a, 1); }));
     return select(x < A(0.0), -sine, sine);
 }
 

@@ -1,0 +1,75 @@
+"""Prints digests of runs of all ready-made systems of vectors and of random runs, by JSON.
+
+`python -m verification.digests_of_systems`, in the folder of the tests. Runs that call functions of a user which are
+those of the C library are left out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+import coadjoint as co
+from coadjoint.methods.suggested import suggested_scheme
+from coadjoint.systems.ready_made import ready_made_systems, telling_of
+from random_runs.cases import case_of
+from random_runs.comparisons import run
+
+# The angles of seed 192 are beyond 10^6 radians.
+SEEDS = (192, *range(30))
+STEPS = 24
+
+
+def digest(*arrays: Any) -> str:
+    """Return a digest of numbers, in which one NaN is as good as another."""
+    found = hashlib.sha256()
+    for array in map(np.asarray, arrays):
+        none = np.isnan(array)
+        found.update(none.tobytes() + np.where(none, 0.0, array).tobytes())
+    return found.hexdigest()
+
+
+def ready_made() -> Iterator[tuple[str, co.Solution]]:
+    """Run the ready-made systems of vectors from their own starts, rounded, since NumPy computed those."""
+    for name, made in ready_made_systems().items():
+        telling = telling_of(name)
+        assert telling is not None, name
+        system = made(**telling.parameters)
+        if isinstance(system, co.LiePoissonSystem | co.PoissonSystem):
+            x0 = np.round(np.atleast_2d(telling.start())[:3], 3)
+            span, method = (0.0, STEPS * telling.step), suggested_scheme(system)
+            yield name, co.integrate(system, x0, span, telling.step, method, attitude=telling.attitude, save_every=8)
+
+
+def digests() -> dict[str, str]:
+    """Return digests of the arrays of all runs; "given SEED" is the digest of what a random run begins with."""
+    compositions = [co.methods.even_order(co.Splitting(order=1), 8, jump) for jump in ("triple", "suzuki")]
+    found = {f"coefficients of {len(made.fractions)} steps": digest(made.fractions) for made in compositions}
+    for name, sol in ready_made():
+        arrays = {"x": sol.x, "energy": sol.energy, **sol.casimirs}
+        arrays |= {f"change of {key}": change.tenths for key, change in sol.change().items()}
+        arrays |= {} if sol.attitude is None else {"attitude": sol.attitude}
+        found |= {f"{name}: {key}": digest(array) for key, array in arrays.items()}
+    for seed in SEEDS:
+        case, _ = case_of(seed)
+        if any(isinstance(system.hamiltonian, co.Separable) for system in case.systems):
+            continue
+        with np.errstate(all="ignore"):
+            fields = [system.vector_field(case.x0[0]) for system in case.systems]
+        try:
+            left = run(case)
+        except (ValueError, TypeError):
+            continue  # refused
+        found[f"given {seed}"] = f"{digest(case.x0, *fields)} {case}"
+        found[f"seed {seed}"] = digest(*(left.arrays[name] for name in sorted(left.arrays)), *left.crossings)
+    return found
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    print(json.dumps(digests()))
