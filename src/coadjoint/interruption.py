@@ -1,9 +1,9 @@
-"""How does the command end when it is told to stop? At once, in one line, with nothing half written left behind.
+"""Interrupts (SIGINT, SIGTERM, SIGHUP): deferred while modules are imported, and how the command ends at one.
 
-An exception will not do: Python drops those that are raised while a weak reference is cleared or a module is loaded,
-and the run would go on. Only while steps are taken the first one raises `Told`, so that what there is of the run can be
-written; the second one ends the process all the same. Nothing is imported here that takes time: an interrupt is heard
-from the first line on.
+The command ends at once, in one line, and removes incomplete files. An exception would not be enough: Python drops
+those that are raised while a weak reference is cleared or a module is loaded, and the run would continue. Only during
+the steps of a run the first signal raises `Told`, so that the solution so far can be written; the second one ends the
+process. Nothing expensive is imported here, so that signals are handled from the first line on.
 """
 
 from __future__ import annotations
@@ -11,11 +11,15 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from importlib.machinery import ModuleSpec
+from threading import current_thread, main_thread
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from types import FrameType
+    from collections.abc import Callable, Sequence
+    from importlib.abc import Loader
+    from types import FrameType, ModuleType
+    from typing import Any
 
 _SAID = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "hung up"}
 _unfinished: list[Callable[[], object]] = []
@@ -82,6 +86,124 @@ def ignore() -> None:
     """
     for number in _heard():
         signal.signal(number, signal.SIG_IGN)
+
+
+class deferred:
+    """A context of the main thread in which signals wait; at its end their handlers are called."""
+
+    def __enter__(self) -> None:
+        self._handlers: dict[int, Callable[[int, FrameType | None], Any]] = {}
+        self._waiting: dict[int, FrameType | None] = {}
+        self._over = False
+        try:
+            for number in _heard():
+                handler = signal.getsignal(number)
+                if callable(handler):
+                    self._handlers[number] = handler
+                    signal.signal(number, self._wait)
+        except BaseException:  # raised by the handler of a signal that came first
+            self._restore()
+            raise
+
+    def __exit__(self, *error: object) -> None:
+        self._restore()
+        for number, frame in self._waiting.items():
+            self._handlers[number](number, frame)
+
+    def _restore(self) -> None:
+        self._over = True
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+
+    def _wait(self, number: int, frame: FrameType | None) -> None:
+        if self._over:  # another handler has raised while handlers were restored
+            signal.signal(number, self._handlers[number])
+            self._handlers[number](number, frame)
+        else:
+            self._waiting[number] = frame
+
+
+class _CompleteImports:
+    """A finder that defers signals until a module which a call of this package imports is complete.
+
+    An exception inside an import removes the modules that are incomplete, but not their submodules, and these do not
+    become attributes of the packages when they are imported again.
+    """
+
+    def __init__(self) -> None:
+        self._loading = False
+        self._interrupted: dict[str, ModuleType] = {}
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if name in self._interrupted:
+            return ModuleSpec(name, self)  # type: ignore[arg-type]
+        # Python raises interrupts in the main thread only.
+        if self._loading or current_thread() is not main_thread() or not _called():
+            return None
+        for finder in sys.meta_path:
+            if finder is not self and hasattr(finder, "find_spec"):
+                spec = finder.find_spec(name, path, target)
+                if spec is not None:
+                    if hasattr(spec.loader, "exec_module"):
+                        spec.loader = _CompleteLoader(self, spec.loader)  # type: ignore[arg-type, assignment]
+                    return spec
+        return None
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """Let Python make a module, which `exec_module` replaces."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Put a module back that was complete when an interrupt was raised, and that Python has removed for it."""
+        sys.modules[module.__name__] = self._interrupted.pop(module.__name__)
+
+    def load(self, loader: Loader, module: ModuleType) -> None:
+        name = module.__name__
+        with deferred():
+            self._loading = True
+            try:
+                loader.exec_module(module)
+                self._interrupted[name] = sys.modules.get(name, module)
+            finally:
+                self._loading = False
+        del self._interrupted[name]  # not reached where a handler raises
+
+
+class _CompleteLoader:
+    """The loader of one module, by the loader that Python has found for it."""
+
+    def __init__(self, imports: _CompleteImports, loader: Loader) -> None:
+        self._imports, self._loader = imports, loader
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        return self._loader.create_module(spec)
+
+    def exec_module(self, module: ModuleType) -> None:
+        module.__loader__ = self._loader
+        if module.__spec__ is not None:
+            module.__spec__.loader = self._loader
+        self._imports.load(self._loader, module)
+
+
+_complete_imports = _CompleteImports()
+
+
+def complete_imports() -> None:
+    """Defer interrupts while calls of this package import modules, until the modules are complete."""
+    if _complete_imports not in sys.meta_path:
+        sys.meta_path.insert(0, _complete_imports)  # type: ignore[arg-type]
+
+
+def _called() -> bool:
+    """Whether a function or module of this package is being executed."""
+    frame: FrameType | None = sys._getframe()
+    while frame is not None:
+        name = str(frame.f_globals.get("__name__"))
+        if name != __name__ and name.partition(".")[0] == "coadjoint":
+            return True
+        frame = frame.f_back
+    return False
 
 
 def begin(abandon: Callable[[], object]) -> None:

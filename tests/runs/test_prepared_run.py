@@ -79,10 +79,10 @@ def test_threads_may_share_one(method):
 
 
 def test_one_thread_starts_none(monkeypatch):
-    def refused(*_):
+    def refused(*_, **__):
         raise AssertionError("a thread for one member")
 
-    monkeypatch.setattr(crews_at_work, "ThreadPoolExecutor", refused)
+    monkeypatch.setattr(crews_at_work.threading, "Thread", refused)
     assert co.prepare(BODY, None, 0.1, threads=8).run(X, (0, 1)).x.shape == (11, 3)
     assert co.prepare(BODY, None, 0.1, threads=1).run([X, X], (0, 1)).x.shape == (11, 2, 3)
     with pytest.raises(AssertionError, match="a thread"):

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
-from coadjoint.algebra.logarithmic import ANGLE, HOLD, LOGARITHM, QUOTIENT
+from coadjoint.algebra.logarithmic import ANGLE, COSH, HOLD, LOGARITHM, QUOTIENT, SINH, SINH_SQUARED
 from coadjoint.kernels.library import kernels
 from coadjoint.program.blocks import CUBIC_HEADER, MOST_SUBSTEPS, Kind
 from coadjoint.program.term_table import FUNCTION, LINEAR, POLYNOMIAL
@@ -51,7 +51,15 @@ class Description(NamedTuple):
 WRITTEN: Mapping[str, Mapping[str, int]] = {
     "Kind": {kind.name: int(kind) for kind in Kind},
     "TermKind": {"LINEAR": LINEAR, "POLYNOMIAL": POLYNOMIAL, "FUNCTION": FUNCTION},
-    "Role": {"HOLD": HOLD, "QUOTIENT": QUOTIENT, "LOGARITHM": LOGARITHM, "ANGLE": ANGLE},
+    "Role": {
+        "HOLD": HOLD,
+        "QUOTIENT": QUOTIENT,
+        "LOGARITHM": LOGARITHM,
+        "ANGLE": ANGLE,
+        "SINH": SINH,
+        "SINH_SQUARED": SINH_SQUARED,
+        "COSH": COSH,
+    },
     "Turn": {turn.name: int(turn) for turn in Turn},
     "Limit": {"CUBIC_HEADER": CUBIC_HEADER, "MOST_SUBSTEPS": MOST_SUBSTEPS},
 }

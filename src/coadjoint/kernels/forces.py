@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -168,8 +167,6 @@ class _Reader:
         self.keep = (CompiledFunction(taken, size, self.n, scalar=False, flat=True, timed=timed, what=what),)
 
 
-# Kept, so that a function is compiled once for many runs.
-@lru_cache(maxsize=256)
 def _taking(function: Callable[..., Any], arguments: str, shape: tuple[int, ...] | None) -> Callable[..., Any]:
     """Return a function of (y) or (y, t), as the kernels call it, from one of other arguments.
 

@@ -121,11 +121,12 @@ def kernels() -> ctypes.CDLL:
 def listening_kernels() -> ctypes.PyDLL:
     """Return the same library for its loops, which are called with Python's lock.
 
-    The loops release the lock while they work, and take it now and then to hear signals. What a handler raises is
-    raised by the call of the loop.
+    The loops release the lock while they work, and take it now and then to check for signals. What a handler raises is
+    raised by the call of the loop. In a daemon thread they suspend the thread once the interpreter is finalizing.
     """
     library = kernels()
     python = ctypes.pythonapi
-    heard = python.PyEval_SaveThread, python.PyEval_RestoreThread, python.PyErr_CheckSignals
+    finalizing = python.Py_IsFinalizing if hasattr(python, "Py_IsFinalizing") else python._Py_IsFinalizing
+    heard = python.PyEval_SaveThread, python.PyEval_RestoreThread, python.PyErr_CheckSignals, finalizing
     library.listen(*(ctypes.cast(function, ctypes.c_void_p) for function in heard))
     return ctypes.PyDLL(library._name, handle=library._handle)

@@ -88,17 +88,29 @@ def _say_once(function: Callable[..., Any], reason: str) -> None:
     )
 
 
-@lru_cache(maxsize=256)
 def _compiled(
+    function: Callable[..., Any], N: int, complex_entries: bool, timed: bool, traceless: tuple[tuple[int, int], ...]
+) -> Any:
+    from coadjoint.kernels.fresh_code import compiled_once
+
+    more = "stream", N, complex_entries, timed, tuple(map(tuple, traceless))
+    name = f"the stream {getattr(function, '__name__', type(function).__name__)}"
+    return compiled_once(function, more, name, lambda: _made(function, N, complex_entries, timed, traceless))
+
+
+def _made(
     function: Callable[..., Any], N: int, complex_entries: bool, timed: bool, traceless: tuple[tuple[int, int], ...]
 ) -> Any:
     import numba
     from numba import carray
 
     from coadjoint.kernels.callbacks import SIGNATURE
+    from coadjoint.kernels.fresh_code import fresh
 
     inner: Any = (
-        numba.njit(error_model="numpy", boundscheck=True)(function) if inspect.isfunction(function) else function
+        numba.njit(error_model="numpy", boundscheck=True)(fresh(function))
+        if inspect.isfunction(function)
+        else fresh(function)
     )
 
     blocks = np.array(traceless, dtype=np.int64).reshape(-1, 2)

@@ -22,7 +22,7 @@ from coadjoint.program.table import Program
 from coadjoint.program.term_table import LINEAR, ValueTable
 from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.terms import FunctionTerm
-from coadjoint.systems.user_functions import takes_time
+from coadjoint.systems.user_functions import Formula, forms_of, takes_time
 
 ORDERS = {"value": 0, "gradient": 1, "hessian": 2}
 
@@ -61,10 +61,11 @@ def addresses_of(
     keep: list[CompiledFunction | TabledFunction | CalledFunction] = []
     if not functions:
         return addresses, ()
-    tell_of_compiling(getattr(term, which) for term in functions.values() if which != "value" or term.forms is None)
+    tell_of_compiling(one for term in functions.values() if forms_of(one := getattr(term, which)) is None)
     for k, term in functions.items():
-        if which == "value" and term.forms is not None:
-            keep.append(TabledFunction(term.forms))
+        function = getattr(term, which)
+        if (forms := forms_of(function)) is not None:
+            keep.append(TabledFunction(forms))
             addresses[k] = keep[-1].address
             continue
         size = len(term.coordinates)
@@ -72,7 +73,6 @@ def addresses_of(
             keep.append(CalledFunction(term.value, size))
             addresses[k] = keep[-1].address
             continue
-        function = getattr(term, which)
         results = size ** ORDERS[which]
         compiled = CompiledFunction(
             function,
@@ -253,5 +253,7 @@ def function_of_all(invariant: Invariant, size: int) -> FunctionTerm:
     """Return an invariant given as a function as a term of all coordinates."""
     timed = takes_time(invariant.value, "an invariant")
     gradient = invariant.gradient or invariant.value
-    forms = invariant.formula.forms() if isinstance(invariant, LogarithmicInvariant) else None
-    return FunctionTerm(np.arange(size), invariant.value, gradient, None, timed=timed, forms=forms)
+    value = invariant.value
+    if isinstance(invariant, LogarithmicInvariant):
+        value = Formula(value, invariant.formula.forms())
+    return FunctionTerm(np.arange(size), value, gradient, None, timed=timed)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+import threading
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from coadjoint.kernels.description import codes
@@ -13,19 +12,19 @@ from coadjoint.methods.base import Method
 from coadjoint.runs.loops import Loops
 
 
-def at_work(crews: Sequence[Crew], given: tuple[Any, ...], loops: Loops, pool: ThreadPoolExecutor | None = None) -> int:
-    """Let crews take steps; return how many members have failed.
+def at_work(crews: Sequence[Crew], given: tuple[Any, ...], loops: Loops, workers: int = 1) -> int:
+    """Let crews take steps in several threads; return how many members have failed.
 
     Parameters
     ----------
     crews : sequence of Crew
-        At work at the same time, where there is a pool.
+        Their order does not matter.
     given : tuple
         The arguments of `Crew.advance` but for the last.
     loops : Loops
         Whose they are: it knows what functions of the user have raised.
-    pool : ThreadPoolExecutor, optional
-        Its threads.
+    workers : int
+        Number of threads; with 1 it is the calling thread.
 
     Returns
     -------
@@ -37,9 +36,8 @@ def at_work(crews: Sequence[Crew], given: tuple[Any, ...], loops: Loops, pool: T
         return crew.advance(*(*given, stop))
 
     try:
-        wrong = sum(map(take, crews) if pool is None else pool.map(take, crews))
+        wrong = sum(map(take, crews)) if workers == 1 else _sum_in_threads(take, crews, workers, stop)
     except BaseException as ended:
-        stop.say()
         raised = loops.raised()
         if raised is not None:
             raise raised from None
@@ -49,14 +47,45 @@ def at_work(crews: Sequence[Crew], given: tuple[Any, ...], loops: Loops, pool: T
     return wrong
 
 
-@contextmanager
-def pool_of(workers: int) -> Iterator[ThreadPoolExecutor | None]:
-    """A pool of threads, or None where one thread does the work."""
-    if workers == 1:
-        yield None
-    else:
-        with ThreadPoolExecutor(workers) as pool:
-            yield pool
+def _sum_in_threads(take: Callable[[Crew], int], crews: Sequence[Crew], workers: int, stop: Stop) -> int:
+    """Return the sum of what `take` returns for each crew; the first error stops all of them and is raised.
+
+    The threads are daemons: those of a pool would make the interpreter wait at its end for a run in a daemon thread.
+    """
+    waiting, lock = list(reversed(crews)), threading.Lock()
+    found: list[int] = []
+    errors: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            while True:
+                with lock:
+                    if not waiting:
+                        return
+                    crew = waiting.pop()
+                found.append(take(crew))
+        except BaseException as error:
+            errors.append(error)
+            waiting.clear()
+            stop.say()
+
+    threads = [threading.Thread(target=work, daemon=True) for _ in range(min(workers, len(crews)))]
+    try:
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    except BaseException:
+        with lock:
+            waiting.clear()
+        stop.say()
+        for thread in threads:
+            if thread.ident is not None:
+                thread.join()
+        raise
+    if errors:
+        raise errors[0]
+    return sum(found)
 
 
 def name_of_status(status: Any) -> str:

@@ -57,6 +57,9 @@ class Event:
     and on both neighbours; a step that is too long for that may hide a pair. In steps of `Taylor` the series of a
     polynomial g tells all crossings, however many there are in one.
 
+    A zero that g touches without a change of sign is not an event, and may or may not be found: round-off decides
+    whether the computed g has a zero there. Find the crossings of dg/dt instead, and keep those where abs(g) is small.
+
     Examples
     --------
     The middle axis of a body flips again and again:

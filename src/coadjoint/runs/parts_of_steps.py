@@ -14,7 +14,7 @@ from coadjoint.kernels.description import codes
 from coadjoint.kernels.structures import pointed
 from coadjoint.kernels.watching import schedule_of_parts
 from coadjoint.methods.base import Method
-from coadjoint.runs.crews_at_work import at_work, name_of_status, pool_of, what_failed
+from coadjoint.runs.crews_at_work import at_work, name_of_status, what_failed
 from coadjoint.runs.loops import Loops
 from coadjoint.runs.rows_of_crews import rows_of_pieces
 from coadjoint.systems.batch import Batch
@@ -156,12 +156,12 @@ class PartsOfSteps:
         sound = np.flatnonzero(np.isfinite(momenta).all(axis=1))
         numbers = 4 * momenta.shape[1] + 4 * groups.shape[1] + self.loops.memory + 16 * count + 8
         chunk = max(1, MOST_NUMBERS // numbers)
-        with pool_of(self.workers if len(sound) > FEW_ROWS else 1) as pool:
-            for first in range(0, len(sound), chunk):
-                some = sound[first : first + chunk]
-                given = momenta[some], groups[some], times[some], lengths[some], owners[some]
-                for every, own in zip(found, self._take(*given, watched, pool), strict=True):
-                    every[some] = own
+        workers = self.workers if len(sound) > FEW_ROWS else 1
+        for first in range(0, len(sound), chunk):
+            some = sound[first : first + chunk]
+            given = momenta[some], groups[some], times[some], lengths[some], owners[some]
+            for every, own in zip(found, self._take(*given, watched, workers), strict=True):
+                every[some] = own
         return found
 
     def _take(
@@ -172,9 +172,9 @@ class PartsOfSteps:
         lengths: Floats,
         owners: NDArray[np.int64],
         watched: bool,
-        pool: Any,
+        workers: int,
     ) -> list[NDArray[Any]]:
-        loops, workers = self.loops, 1 if pool is None else self.workers
+        loops = self.loops
         pieces = loops.pieces(None if watched else self._nothing)
         rows, own, crews = rows_of_pieces(pieces, owners, workers, loops.block)
         count = loops.followed if watched else 0
@@ -184,7 +184,7 @@ class PartsOfSteps:
         starts, steps = times[rows].astype(np.float64), np.where(own, lengths[rows], 0.0)
         schedule = schedule_of_parts(starts, steps)
         with threads_of_blas(loops.rows, workers):
-            at_work(crews, (layout, schedule, saved, state, 0, 1), loops, pool)
+            at_work(crews, (layout, schedule, saved, state, 0, 1), loops, workers)
         place = np.empty(len(momenta), dtype=np.int64)
         place[rows[own]] = np.flatnonzero(own)
         arrays = (saved["x"][0], saved["group"][0], saved["values"][0], state["first"])

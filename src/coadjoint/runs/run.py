@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
@@ -20,7 +19,7 @@ from coadjoint.kernels.description import codes
 from coadjoint.kernels.loop import Crew
 from coadjoint.kernels.watching import schedule_of
 from coadjoint.methods.base import Method
-from coadjoint.runs.crews_at_work import at_work, name_of_status, pool_of, what_failed
+from coadjoint.runs.crews_at_work import at_work, name_of_status, what_failed
 from coadjoint.runs.events import Ending, Events
 from coadjoint.runs.loops import Loops
 from coadjoint.runs.observed import Observed
@@ -170,31 +169,26 @@ class Run:
 
     def _advance(self, first: int, last: int, progress: bool) -> None:
         plan = self.plan
-        if self.workers == 1 and not progress:
+        if not progress:
             for crews in plan.rounds:
-                self.wrong += self._take(crews, first, last, None)
+                self.wrong += self._take(crews, first, last)
         else:
-            with pool_of(self.workers) as pool, progress_bar((last - first) * len(plan.rounds), progress) as bar:
+            with progress_bar((last - first) * len(plan.rounds), progress) as bar:
                 for crews in plan.rounds:
-                    if progress:
-                        self.wrong += self._take_in_chunks(crews, first, last, pool, bar)
-                    else:
-                        self.wrong += self._take(crews, first, last, pool)
+                    self.wrong += self._take_in_chunks(crews, first, last, bar)
 
-    def _take(self, crews: list[Crew], done: int, target: int, pool: ThreadPoolExecutor | None) -> int:
+    def _take(self, crews: list[Crew], done: int, target: int) -> int:
         """Take the steps done + 1 to target of some crews; return how many members have failed."""
         given = self.plan.layout, self._schedule, self.saved, self.state.arrays, done, target
-        return at_work(crews, given, self.loops, pool)
+        return at_work(crews, given, self.loops, self.workers)
 
-    def _take_in_chunks(
-        self, crews: list[Crew], done: int, last: int, pool: ThreadPoolExecutor | None, bar: Callable[[int], Any]
-    ) -> int:
+    def _take_in_chunks(self, crews: list[Crew], done: int, last: int, bar: Callable[[int], Any]) -> int:
         """Take the steps done + 1 to last of some crews, some at a time, so that the bar moves."""
         chunk = 1
         while True:
             target = min(last, done + chunk)
             before = time.perf_counter()
-            wrong = self._take(crews, done, target, pool)
+            wrong = self._take(crews, done, target)
             pace = (target - done) / max(time.perf_counter() - before, 1e-6)
             bar(target - done)
             chunk, done = max(1, min(int(pace * SECONDS_BETWEEN_LOOKS), 1000 * chunk)), target

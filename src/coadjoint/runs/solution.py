@@ -666,7 +666,7 @@ def check_solution(solution: Any) -> None:
         raise TypeError(f"solution is {short(solution)}; it must be a Solution, from co.integrate")
 
 
-PARTS = ("method", "watched", "observed", "events", "choice", "_error", "_began") + tuple(
+PARTS = ("method", "watched", "observed", "events", "choice", "_error", "_began", "_accounts") + tuple(
     name for name, value in vars(Solution).items() if isinstance(value, cached_property)
 )
 """What a copy of a solution has."""

@@ -31,8 +31,9 @@ CODES(Crossing, CROSSINGS)
 #define TERM_KINDS(_) _(LINEAR, 0) _(POLYNOMIAL, 1) _(FUNCTION, 2)
 CODES(TermKind, TERM_KINDS)
 
-// The role of a form in an invariant that is no polynomial: held for the next one, or the second polynomial of a term.
-#define ROLES(_) _(HOLD, 0) _(QUOTIENT, 1) _(LOGARITHM, 2) _(ANGLE, 3)
+// The role of a form in a function that is no polynomial: held for the next one, the second polynomial of a term, or
+// the argument of a hyperbolic function.
+#define ROLES(_) _(HOLD, 0) _(QUOTIENT, 1) _(LOGARITHM, 2) _(ANGLE, 3) _(SINH, 4) _(SINH_SQUARED, 5) _(COSH, 6)
 CODES(Role, ROLES)
 
 // How exp(theta D) - 1 acts on a block of the state or of the group element.

@@ -1,6 +1,14 @@
 // Python's lock and its signals, as far as loops have to do with them.
 #include "boundary/hearing.hpp"
 
+#include <atomic>
+#include <cstdlib>
+#include <thread>
+
+#ifndef _WIN32
+#include <pthread.h>
+#endif
+
 #include "boundary/tables.hpp"
 
 namespace coadjoint {
@@ -10,12 +18,58 @@ namespace {
 constexpr int64_t BETWEEN_LOOKS = int64_t(1) << 20;
 constexpr std::chrono::milliseconds BETWEEN_SIGNALS(50);
 
-// PyEval_SaveThread, PyEval_RestoreThread and PyErr_CheckSignals, where there is a Python.
+// Longest wait for loops of other threads when the process exits.
+constexpr std::chrono::milliseconds LONGEST_WAIT(2000);
+
+// PyEval_SaveThread, PyEval_RestoreThread, PyErr_CheckSignals and Py_IsFinalizing, where there is a Python.
 struct Python {
     void* (*release)();
     void (*acquire)(void*);
     int (*signals)();
+    int (*finalizing)();
 } python{};
+
+std::atomic<int64_t> running{0};  // calls whose threads are not suspended
+std::atomic<bool> exiting{false};
+thread_local bool in_finalizer = false;  // this thread ends the interpreter, and still runs Python
+
+// The interpreter ends while a daemon thread is inside a loop. To take Python's lock would now end the thread by an
+// unwinding that no destructor survives, so the thread sleeps until the process is gone.
+[[noreturn]] void suspend() {
+    --running;
+    for (;;) std::this_thread::sleep_for(std::chrono::hours(1));
+}
+
+void suspend_at_exit() {
+    if (exiting.load(std::memory_order_relaxed) || (python.finalizing && python.finalizing() && !in_finalizer))
+        suspend();
+}
+
+// Called with Python's lock: while the interpreter ends, only the thread that ends it has this.
+void* release() {
+    in_finalizer = python.finalizing && python.finalizing();
+    ++running;
+    return python.release ? python.release() : nullptr;
+}
+
+void acquire(void* thread) {
+    suspend_at_exit();
+    try {
+        python.acquire(thread);
+    } catch (...) {  // pthread_exit of a Python that began to end while this thread waited for its lock
+        suspend();
+    }
+}
+
+// Machine code of the user and BLAS are taken apart after this: no loop may be inside of them.
+void wait_for_loops() {
+    exiting = true;
+    const auto last = std::chrono::steady_clock::now() + LONGEST_WAIT;
+    while (running > 0 && std::chrono::steady_clock::now() < last)
+        std::this_thread::sleep_for(std::chrono::milliseconds(1));
+}
+
+void forget_other_threads() { running = 0; }
 
 }  // namespace
 
@@ -23,7 +77,7 @@ thread_local Hearing* Hearing::current = nullptr;
 
 Hearing::Hearing(const int64_t* stop)
     : stop(stop),
-      thread(python.release ? python.release() : nullptr),
+      thread(release()),
       outer(current),
       next(Clock::now() + BETWEEN_SIGNALS) {
     left = BETWEEN_LOOKS;
@@ -32,17 +86,19 @@ Hearing::Hearing(const int64_t* stop)
 
 Hearing::~Hearing() {
     current = outer;
-    if (python.acquire) python.acquire(thread);
+    if (python.acquire) acquire(thread);
+    --running;
 }
 
 void Hearing::look() {
     left = BETWEEN_LOOKS;
+    suspend_at_exit();
     const Clock::time_point now = Clock::now();
     if (now < next) return;
     next = now + BETWEEN_SIGNALS;
     if (__atomic_load_n(stop, __ATOMIC_RELAXED)) throw Interrupted();
     if (!python.signals) return;
-    python.acquire(thread);
+    acquire(thread);
     // What a handler raises stays raised, and Python sees it when the call returns.
     const int raised = python.signals();
     thread = python.release();
@@ -56,8 +112,12 @@ EXPORT const Lent* lent_to_others() {
 }
 
 // Called once, before the loops: they are then called with Python's lock.
-EXPORT void listen(void* (*release)(), void (*acquire)(void*), int (*signals)()) {
-    python = {release, acquire, signals};
+EXPORT void listen(void* (*release)(), void (*acquire)(void*), int (*signals)(), int (*finalizing)()) {
+    python = {release, acquire, signals, finalizing};
+    std::atexit(wait_for_loops);
+#ifndef _WIN32
+    pthread_atfork(nullptr, nullptr, forget_other_threads);
+#endif
 }
 
 }  // namespace coadjoint

@@ -40,6 +40,17 @@ EXPORT void probe_deviates(uint64_t seed, uint64_t stream, double moment, uint64
     normal_deviates(seed, stream, moment, part, count, out);
 }
 
+// Correctly rounded functions: the sine (what = 0), the exponential (1) and half of it (2), the logarithm (3), and the
+// angle of (second, first).
+EXPORT void probe_rounded(int64_t what, const double* first, const double* second, int64_t count, double* out) {
+    for (int64_t k = 0; k < count; ++k)
+        out[k] = what == 0   ? rounded_sine(first[k])
+                 : what == 1 ? rounded_exponential(first[k])
+                 : what == 2 ? rounded_exponential(first[k], 1)
+                 : what == 3 ? rounded_logarithm(first[k])
+                             : rounded_angle(first[k], second[k]);
+}
+
 EXPORT double probe_fma(double a, double b, double c) { return fma(a, b, c); }
 EXPORT double probe_rational_angle(double phi, double frequency) { return rational_angle(phi, frequency); }
 EXPORT double probe_shortfall(double s, double c, double square) { return shortfall(s, c, square); }

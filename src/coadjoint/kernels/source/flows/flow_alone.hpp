@@ -36,8 +36,9 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
     const Schedule& schedule = loop.schedule;
     const Arrays& arrays = loop.arrays;
     const int64_t size = arrays.size, d = tables.group.size, rows = (d + ROWS - 1) / ROWS;
-    Room<double> scratch(3 * size), copies(2 * size), momenta(2 * size);
+    Room<double> scratch(3 * size), copies(2 * size), momenta(2 * size), kept_momenta(2 * size);
     Room<GroupRows> elements(2 * d * rows), finished(2 * d * rows), group_scratch(3 * d * rows);
+    Room<GroupRows> kept_elements(carry ? 2 * d * rows : 0);
     AngleRoom<double> angles(tables.longest);
     angles.even = even_terms(tables.terms, tables.longest);
     Pace<double> pace;
@@ -62,14 +63,17 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
         });
     const Vectors<double> momentum{x, dx, 1, scratch.at};
     // The group element is finished on a copy, and turned by angles of a copy of the momentum.
+    auto finish_copies = [&](int64_t k) {
+        std::copy_n(x, 2 * size, copies.at);
+        if (carry) std::copy_n(elements.at, 2 * d * rows, finished.at);
+        const double t = start_of(schedule, member, k);
+        const Vectors<GroupRows> copy{finished.at, finished.at + d * rows, rows, group_scratch.at};
+        sweep<care, carry>(tables, Shared{}, tables.section[2], tables.section[3],
+                           Vectors<double>{copies.at, copies.at + size, 1, scratch.at}, copy, t, schedule.h, angles);
+    };
     auto finished_group = [&](int64_t k, double* to) {
         if constexpr (carry) {
-            std::copy_n(x, 2 * size, copies.at);
-            std::copy_n(elements.at, 2 * d * rows, finished.at);
-            const double t = start_of(schedule, member, k);
-            const Vectors<GroupRows> copy{finished.at, finished.at + d * rows, rows, group_scratch.at};
-            sweep<care, true>(tables, Shared{}, tables.section[2], tables.section[3],
-                              Vectors<double>{copies.at, copies.at + size, 1, scratch.at}, copy, t, schedule.h, angles);
+            finish_copies(k);
             const double* element = reinterpret_cast<double*>(finished.at);
             bool sound = true;
             each_entry([&](int64_t, int64_t from) { sound &= 0.0 * element[from] == 0.0; });
@@ -85,6 +89,27 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
         opening = flows_of(tables.section[0], tables.section[loop.k0 == 0]);
         repeated = flows_of(tables.section[1], tables.section[loop.k1 > 1 ? 2 : 1]);
     }
+    int64_t kept = loop.k0;
+    const auto keep = [&](int64_t k) {
+        kept = k;
+        std::copy_n(x, 2 * size, kept_momenta.at);
+        if (carry) std::copy_n(elements.at, 2 * d * rows, kept_elements.at);
+    };
+    const auto is_finite = [&](const double* at, const GroupRows* element) {
+        return finite(size, at) && (!carry || all(finite(d * rows, element)));
+    };
+    // The step that made numbers of step k infinite: where the finish of the step before does so, it was that one.
+    const auto step_that_failed = [&](int64_t k) {
+        if (k == 1) return k;
+        std::copy_n(kept_momenta.at, 2 * size, x);
+        if (carry) std::copy_n(kept_elements.at, 2 * d * rows, elements.at);
+        for (int64_t again = kept + 1; again < k; ++again)
+            sweep<care, carry>(tables, Shared{}, tables.section[again == 1 ? 0 : 1], tables.section[again == 1 ? 1 : 2],
+                               momentum, group, start_of(schedule, member, again), schedule.h, angles);
+        finish_copies(k - 1);
+        return is_finite(copies.at, finished.at) ? k : k - 1;
+    };
+    keep(loop.k0);
     int64_t failed = 0;
     const int64_t work = work_of_step(loop);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
@@ -102,17 +127,16 @@ void follow_alone(const FlowLoop& loop, int64_t member) {
         else if (flows.empty())
             for (uint32_t r = first; r < last; ++r)
                 apply_row<care, carry, false>(tables, Shared{}, r, momentum, group, t, schedule.h, angles);
-        if (!finite(size, x)) {
-            failed = k;
+        if (__builtin_expect(!is_finite(x, elements.at), 0)) {
+            failed = step_that_failed(k);
             break;
         }
+        if (k % KEPT_EVERY == 0) keep(k);
         if ((failed = recorder.after(k, x, dx, finished_group))) break;
     }
     // Momenta are finished several at a time. One that waited may have failed before.
     if (const int64_t earlier = recorder.flush()) failed = earlier;
-    const int64_t taken = (failed ? failed : loop.k1) - loop.k0, start = loop.k0 == 0 && taken > 0;
-    loop.arrays.evaluations[member] += start * (int64_t(tables.section[1]) - tables.section[0]) +
-                                       (taken - start) * (int64_t(tables.section[2]) - tables.section[1]);
+    loop.arrays.evaluations[member] += rows_applied(tables, loop.k0, failed ? failed : loop.k1);
     if (failed) loop.overflow(member, failed);
     std::copy_n(x, size, arrays.momenta + member * size);
     std::copy_n(dx, size, arrays.errors + member * size);

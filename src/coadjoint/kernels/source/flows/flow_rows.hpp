@@ -156,6 +156,16 @@ NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first
 
 typedef Loop<FlowTables> FlowLoop;
 
+// Steps after which a loop keeps its unfinished state: from there a step that failed is found again.
+constexpr int64_t KEPT_EVERY = 64;
+
+// How many rows of the program the steps k0 + 1 to k apply.
+inline int64_t rows_applied(const FlowTables& tables, int64_t k0, int64_t k) {
+    const int64_t taken = k - k0, start = k0 == 0 && taken > 0;
+    return start * (int64_t(tables.section[1]) - tables.section[0]) +
+           (taken - start) * (int64_t(tables.section[2]) - tables.section[1]);
+}
+
 // About how many multiplications some rows take for one vector, their angles apart.
 inline int64_t work_of_rows(const FlowTables& tables, const Action& action, uint32_t first, uint32_t last) {
     int64_t work = 0;

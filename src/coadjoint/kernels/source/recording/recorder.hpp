@@ -51,25 +51,32 @@ class MemberRecorder {
     // returns whether it is finite. Returns the first step whose finished state is not, or 0.
     template <class Group>
     INLINE int64_t after(int64_t k, const double* x, const double* dx, const Group& group) {
-        if (k == saved.next) {
+        const bool due = k == saved.next;
+        if (!due && !noting && !crossings) return 0;
+        bool sound = true;
+        if (crossings && arrays.square) sound = group(k, crossings->groups.data() + waiting * arrays.square);
+        if (due) {
             const int64_t place = saved.take();
-            if (!group(k, group_at(place))) return k;
-            slot[waiting] = place;
-            saving = true;
-        } else if (!noting && !crossings) {
-            return 0;
+            sound = sound && group(k, group_at(place));
+            if (sound) slot[waiting] = place, saving = true;
         }
-        if (crossings && arrays.square) group(k, crossings->groups.data() + waiting * arrays.square);
+        if (__builtin_expect(!sound, 0)) return end_at(k, x, dx);
         if constexpr (!gathers) {
             note(1, &k, x);
             return 0;
         } else {
-            double *to = reinterpret_cast<double*>(states.at), *owed = reinterpret_cast<double*>(errors.at);
-            for (int64_t i = 0; i < size; ++i) to[i * lanes + waiting] = x[i];
-            if (Finish::with_errors)
-                for (int64_t i = 0; i < size; ++i) owed[i * lanes + waiting] = dx[i];
-            step[waiting++] = k;
+            gather(k, x, dx);
             return __builtin_expect(waiting == lanes, 0) ? flush() : 0;
+        }
+    }
+
+    // Clear what was saved of the member from a step on.
+    NOINLINE void take_back(int64_t from) {
+        for (int64_t place = saved.slot - 1; place >= 0 && step_of(schedule, place) >= from; --place) {
+            const int64_t row = place * arrays.members + member;
+            std::fill_n(arrays.x + row * size, size, NAN);
+            std::fill_n(arrays.values + row * watch.size, watch.size, NAN);
+            std::fill_n(group_at(place), arrays.square, NAN);
         }
     }
 
@@ -139,6 +146,28 @@ class MemberRecorder {
     void forget() {
         std::fill_n(slot, lanes, -1);
         saving = false;
+    }
+
+    INLINE void gather(int64_t k, const double* x, const double* dx) {
+        double *to = reinterpret_cast<double*>(states.at), *owed = reinterpret_cast<double*>(errors.at);
+        for (int64_t i = 0; i < size; ++i) to[i * lanes + waiting] = x[i];
+        if (Finish::with_errors)
+            for (int64_t i = 0; i < size; ++i) owed[i * lanes + waiting] = dx[i];
+        step[waiting++] = k;
+    }
+
+    // The group element of step k is not finite. The deviations of its momentum count, as where no element is finished.
+    NOINLINE int64_t end_at(int64_t k, const double* x, const double* dx) {
+        if (const int64_t earlier = flush()) return earlier;
+        if (!noting) return k;
+        auto none = std::unique_ptr<LookedFor>();
+        std::swap(crossings, none);
+        if constexpr (gathers)
+            gather(k, x, dx), flush();
+        else
+            note(1, &k, x);
+        std::swap(crossings, none);
+        return k;
     }
 
     INLINE void note(int64_t count, const int64_t* steps, const A* x) {
@@ -226,6 +255,20 @@ class CrowdRecorder {
         });
     }
 
+    // Count the deviations after step k of lanes that stop in it although their momenta are finite: those not `sound`.
+    template <class Mask>
+    NOINLINE void note_before_stopping(int64_t k, const A* x, const Mask& sound) {
+        if (!noting) return;
+        if (schedule.watching) enter_tenth(k);
+        const std::vector<A> others_last(last.at, last.at + watch.size), others_worst(worst.at, worst.at + watch.size);
+        note(k, -1, x);
+        each([&](int64_t lane, int64_t i) {
+            if (!at(sound, int(lane))) return;
+            set_lane(last.at[i], int(lane), lane_of(others_last[i], int(lane)));
+            set_lane(worst.at[i], int(lane), lane_of(others_worst[i], int(lane)));
+        });
+    }
+
   private:
     static constexpr int lanes = Numbers<A>::lanes;
     const Watch& watch;
@@ -250,14 +293,19 @@ class CrowdRecorder {
         crossings->find_next_end(going);
     }
 
+    // Go on to the largest deviations of the tenth of the run that step k belongs to.
+    void enter_tenth(int64_t k) {
+        const int64_t now = tenth_of(schedule, k);
+        if (now == tenth) return;
+        keep_worst();
+        tenth = now;
+        each([&](int64_t lane, int64_t i) { set_lane(worst.at[i], lane, worst_of(lane, i)); });
+    }
+
     // Of a step that is neither saved nor watched only the turns are counted.
     void note(int64_t k, int64_t slot, const A* x) {
         const bool looked = schedule.watching || slot >= 0;
-        if (int64_t now = tenth_of(schedule, k); looked && now != tenth) {
-            keep_worst();
-            tenth = now;
-            each([&](int64_t lane, int64_t i) { set_lane(worst.at[i], lane, worst_of(lane, i)); });
-        }
+        if (looked) enter_tenth(k);
         A t(schedule.t0 + double(k) * schedule.h);
         for (int64_t lane = 0; schedule.starts && lane < lanes; ++lane)
             set_lane(t, int(lane), start_of(schedule, members[std::min(lane, count - 1)], k + 1));

@@ -60,7 +60,7 @@ void follow_alone(const RungeKuttaLoop& loop, Single& one, int64_t member, const
             loop.fail(member, k, failure_of(one.residual), one.residual);
             break;
         }
-        if (!finite(n, one.x)) {
+        if (!(finite(n, one.x) && finite(square, one.g))) {
             loop.overflow(member, k);
             break;
         }
@@ -171,7 +171,7 @@ struct Together {
             const double start = schedule.t0 + double(k - 1) * schedule.h;
             for (int64_t part = 0; part < tables.substeps && left > 0; ++part)
                 substep(recorder, k, start + tables.moment[part] * schedule.h, tables.fraction[part] * schedule.h, part);
-            const auto sound = finite(crowd.n, crowd.x);
+            const auto sound = finite(crowd.n, crowd.x) & finite(loop.arrays.square, crowd.g);
             if (__builtin_expect(!all(sound), 0))
                 for (int64_t lane = 0; lane < count; ++lane)
                     if (going[lane] && !at(sound, int(lane)))

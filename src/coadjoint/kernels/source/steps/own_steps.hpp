@@ -3,11 +3,16 @@
 #pragma once
 
 #include "boundary/hearing.hpp"
+#include "steps/step_length.hpp"
 #include "steps/step_scheme.hpp"
 
 namespace coadjoint {
 
-constexpr int64_t MOST_OWN_STEPS = int64_t(1) << 24;  // between two looks
+// The most steps of its own within one step of the run, as a power of two. From 2^12 on a motion is given up that has
+// not come near the end of it and does not speed up: at any of these powers its length would have to grow eightfold each
+// time the number of steps doubles.
+constexpr int64_t MOST_OWN_STEPS = 24, FIRST_JUDGED = 12, EIGHTFOLD = 3;
+constexpr double SPEEDING_UP = 1.125;  // from one half of the steps to the other, the longest of which are compared
 
 struct OwnSteps : StepScheme {
     // What is remembered of a member: where its last step of its own ended, and the length of the one from there.
@@ -23,7 +28,7 @@ struct OwnSteps : StepScheme {
         remembered = HEAD + 2 * (size + square) + further;
     }
 
-    double reached = 0.0;  // how far from the start the last of its steps came
+    double reached = 0.0;  // how far from the start the last of its steps came that did not fail
 
     // Find the state at a point at which one looks, `number` steps of length h after t0, from what is remembered of the
     // member; a run begins at the given state. The loop calls this in place of `step`; it returns a status.
@@ -35,25 +40,29 @@ struct OwnSteps : StepScheme {
             std::copy_n(x, size, base.x), std::copy_n(dx, size, base.dx);
             std::copy_n(group, square, base.group), std::copy_n(dgroup, square, base.dgroup);
             base.length = h;
+            reached = 0.0;
             if (const int64_t status = begin(base, t0)) return status;
         }
         const double there = double(number) * h, left_out = fma(double(number), h, -there);
-        for (int64_t count = 0; count < MOST_OWN_STEPS; ++count) {
+        StepCount steps(std::fabs(h), base.since);
+        while (true) {
+            reached = std::fabs(base.since);
             const double ahead = ((there - base.since) - base.rest) + left_out;
-            if (std::fabs(ahead) <= std::fabs(base.length)) {
-                reached = std::fabs(there);
-                return part(base, t0, ahead, x, dx, group, dgroup);
-            }
+            if (std::fabs(ahead) <= std::fabs(base.length)) return part(base, t0, ahead, x, dx, group, dgroup);
             hearing.after(work);
-            // The step is over, whatever comes of it.
             const double length = base.length;
             double since, rest;
             add_owing_rest(base.since, base.rest + length, since, rest);
-            reached = std::fabs(since);
             if (const int64_t status = finish(base, t0)) return status;
+            if (!finite(size, base.x) || !finite(square, base.group)) {
+                residual = std::numeric_limits<double>::quiet_NaN();
+                return OVERFLOWED;
+            }
             base.since = since, base.rest = rest;
+            reached = std::fabs(since);
             if (const int64_t status = propose(base, t0)) return status;
             if (!(std::fabs(base.length) > UNIT_ROUNDOFF * std::fabs(since))) break;
+            if (!steps.go_on(since, length)) break;
         }
         residual = base.length;
         return UNDEFINED;
@@ -81,6 +90,34 @@ struct OwnSteps : StepScheme {
 
   private:
     static constexpr int64_t HEAD = 3;
+
+    // Steps of its own that end within one step of the run, which are as many wherever one looks.
+    struct StepCount {
+        double h, begin, number, longest = 0.0, before = 0.0;  // the longest of the later half, and of the first
+        int64_t count = 0, judged = FIRST_JUDGED;
+
+        StepCount(double h, double since) : h(h), begin(std::fabs(since)), number(std::floor(begin / h)) {}
+
+        // Count a step that ended; return whether the next step of the run may be reached.
+        bool go_on(double since, double length) {
+            const double there = std::fabs(since);
+            if (there >= (number + 1.0) * h) {
+                *this = StepCount(h, since);
+                return true;
+            }
+            longest = larger(longest, std::fabs(length));
+            if (++count < int64_t(1) << judged) {
+                if (2 * count == int64_t(1) << judged) before = longest, longest = 0.0;
+                return true;
+            }
+            if (judged == MOST_OWN_STEPS) return false;
+            const double most = (there - begin) * whole_power_of_two(double(EIGHTFOLD * (MOST_OWN_STEPS - judged)));
+            const bool hopeless = (number + 1.0) * h - begin > most && longest <= SPEEDING_UP * before;
+            before = larger(before, longest), longest = 0.0;
+            ++judged;
+            return !hopeless;
+        }
+    };
 
     Base read(double* at) const {
         double *x = at + HEAD, *dx = x + size, *group = dx + size, *dgroup = group + square;

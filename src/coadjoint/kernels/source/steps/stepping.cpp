@@ -119,13 +119,13 @@ static int64_t take(StepScheme& scheme, const Stepping& tables, double start, do
 }
 
 // Look at the end of step k of a scheme that takes steps of its own. Where one of these fails, `failing` is the step of
-// the run in which it ends, wherever one looks.
+// the run in which it begins, wherever one looks.
 static int64_t reach(OwnSteps& scheme, double t0, int64_t k, double h, double* x, double* dx, double* g, double* dg,
                      Hearing& hearing, int64_t& failing) {
     hearing.after(scheme.work);
     scheme.evaluations = scheme.iterations = 0;
     const int64_t status = scheme.reach(x, dx, g, dg, t0, k, h, hearing);
-    if (status != DONE) failing = std::min(k, 1 + int64_t(scheme.reached / std::fabs(h)));
+    failing = std::min(k, 1 + int64_t(scheme.reached / std::fabs(h)));
     return status;
 }
 
@@ -182,12 +182,13 @@ static void follow(const Loop<Stepping>& loop, const Crew& crew) {
                 status = take(*scheme, tables, start, h, x, dx, g, dg, loop.hearing, watched);
             arrays.evaluations[member] += scheme->evaluations;
             arrays.iterations[member] += scheme->iterations;
-            if (status == DONE && !finite(n, x)) {
+            if (status == DONE && !(finite(n, x) && finite(square, g))) {
                 status = OVERFLOWED;
                 scheme->residual = std::numeric_limits<double>::quiet_NaN();
             }
             if (status != DONE) {
                 loop.fail(member, failing, status, scheme->residual);
+                if (failing < k) recorder.take_back(failing);
                 break;
             }
             if (schedule.events && tables.substeps == 1) recorder.between(scheme->series_of_step());
