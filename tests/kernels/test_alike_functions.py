@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.alike_functions import key_of
+from coadjoint.kernels.function_contents import key_of
 
 numba = pytest.importorskip("numba")
 
-from coadjoint.kernels import callbacks  # noqa: E402
+from coadjoint.kernels import callbacks, fresh_code  # noqa: E402
 
 SLOPE = 2.0
 
@@ -61,7 +61,8 @@ def test_what_is_alike():
         (times(np.zeros(2))[0], times(np.zeros((2, 1)))[0]),
         (times(np.ones(2))[0], times(np.zeros(2))[0]),
         (times((1.0, 2.0))[0], times((2.0, 1.0))[0]),
-        (times([1.0])[0], times([1.0])[0]),
+        (times([1.0])[0], times([2.0])[0]),
+        (times({1: 2})[0], times({1: 3})[0]),
         (defaults(0.5), defaults(0.25)),
         (times(inner)[0], times(math.sin)[0]),
         (with_module(), with_module(inner=math.cos)),
@@ -143,8 +144,8 @@ def test_many_functions_are_told_of_beforehand(monkeypatch):
 
 
 def test_what_is_kept_is_bounded(monkeypatch):
-    monkeypatch.setattr(callbacks, "_COMPILED", {})
-    monkeypatch.setattr(callbacks, "MOST_KEPT", 3)
+    monkeypatch.setattr(fresh_code, "_COMPILED", {})
+    monkeypatch.setattr(fresh_code, "MOST_KEPT", 3)
     for k in range(5):
         co.prepare(spins([times(90.0 + k)]), co.Splitting(), 0.1)
-    assert len(callbacks._COMPILED) == 3
+    assert len(fresh_code._COMPILED) == 3

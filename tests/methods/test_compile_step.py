@@ -1,9 +1,12 @@
 """A step in C++ that stands in a file of the user, compiled against the headers of the kernels."""
 
 import dataclasses
+import os
+import pickle
 import shutil
 import signal
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +14,7 @@ import pytest
 from own_schemes import NOTHING, Relaxed
 
 import coadjoint as co
-from coadjoint.methods import step_compiler
+from coadjoint.methods import preprocessed_source, step_compiler
 
 SOURCE = Path(__file__).with_name("own_step.cpp")
 
@@ -82,26 +85,192 @@ def test_what_it_asks_of_the_kernels_is_lent_to_it(step):
         timer.cancel()
 
 
-def test_it_is_compiled_once(step, monkeypatch):
-    """Another process finds what was compiled, and a file that has changed is compiled again."""
-
+def test_another_process_finds_what_was_compiled(step, monkeypatch):
     def refused(*given):
         raise AssertionError("compiled again")
 
-    step_compiler._library.cache_clear()
-    step_compiler._address.cache_clear()
+    for known in ("_LOADED", "_LIBRARIES", "_LAST"):
+        monkeypatch.setattr(step_compiler, known, {})
     monkeypatch.setattr(step_compiler, "_build", refused)
     assert co.methods.compile_step(SOURCE) == step and step.address != 0
 
 
-def test_a_file_that_has_changed_is_compiled_again(step, tmp_path, monkeypatch):
-    other = tmp_path / "own_step.cpp"
-    other.write_text(SOURCE.read_text() + "\n// changed\n")
-    built = []
-    monkeypatch.setattr(step_compiler, "_build", lambda command, source, target: built.append(source) or 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        co.methods.compile_step(other)
-    assert built == [other]
+def test_an_edited_file_is_compiled_again(step, tmp_path):
+    """In the same process; a step that was compiled before the edit stays what it was."""
+    path, body = tmp_path / "own_step.cpp", co.systems.rigid_body(inertia=(1, 2, 3))
+    path.write_text(SOURCE.read_text())
+
+    def last(compiled):
+        return co.integrate(body, (1, 0.2, 0.1), (0, 1), 0.125, scheme_of(compiled)(0.5)).x[-1]
+
+    first = co.methods.compile_step(path)
+    assert first.digest == step.digest and np.array_equal(last(first), last(step))
+    path.write_text(SOURCE.read_text().replace("tables.coefficients[0]", "2 * tables.coefficients[0]"))
+    second = co.methods.compile_step(path)
+    assert second != first and second.address != first.address
+    assert np.array_equal(last(first), last(step))
+    assert np.array_equal(last(second), co.integrate(body, (1, 0.2, 0.1), (0, 1), 0.125, scheme_of(step)(1.0)).x[-1])
+
+
+class Project:
+    """A source with headers of its own, of which only the preprocessing is tested."""
+
+    def __init__(self, folder, step, patch):
+        self.folder, self.patch, self.names = folder, patch, []
+        for name in ("own", "first", "second"):
+            (folder / name).mkdir()
+        self.write("own/own.cpp", '#include "one.hpp"\n#include "steps/step_scheme.hpp"\nSTEP_SCHEME(own_step, Own)\n')
+        self.write("own/one.hpp", '#include "deep/two.hpp"\n#include <three.hpp>\n#ifdef MACRO\nint MACRO;\n#endif\n')
+        self.write("own/deep/two.hpp", 'int two;\n#include "three.hpp"\n')
+        self.write("second/three.hpp", "int three;\n")
+        self.write("compiler", '#!/bin/sh\nexec c++ "$@"\n')
+        (folder / "compiler").chmod(0o755)
+        self.options()
+        patch.setattr(step_compiler, "_LAST", {})
+        patch.setattr(step_compiler, "_LOADED", {})
+        self.library = step_compiler._LIBRARIES[step.path, step.digest]
+        patch.setattr(step_compiler, "cached_library", self.loaded)
+
+    def loaded(self, name, build):
+        self.names.append(name)
+        return self.library
+
+    def write(self, name, text):
+        path = self.folder / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text)
+
+    def options(self, more=""):
+        search = f"-I{self.folder}/absent -I{self.folder}/first -I{self.folder}/second"
+        self.patch.setenv("CXX", f"{self.folder}/compiler {search} {more}")
+
+    def compile(self):
+        """Return what identifies the step, and how many libraries were loaded."""
+        return co.methods.compile_step(self.folder / "own" / "own.cpp"), len(self.names)
+
+
+def same_size_and_time(project):
+    path = project.folder / "own" / "deep" / "two.hpp"
+    before = path.stat()
+    path.write_text(path.read_text().replace("two", "owt"))
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def link_turned(project):
+    (project.folder / "own" / "one.hpp").unlink()
+    (project.folder / "own" / "one.hpp").symlink_to(project.folder / "other.hpp")
+
+
+EDITS = {
+    "source": lambda project: project.write("own/own.cpp", "int more;\nSTEP_SCHEME(own_step, Own)\n"),
+    "header": lambda project: project.write("own/one.hpp", "int one;\n"),
+    "header of a header": lambda project: project.write("own/deep/two.hpp", "int other;\n"),
+    "same size and time": same_size_and_time,
+    "header in a folder of an option": lambda project: project.write("second/three.hpp", "int other;\n"),
+    "header found before another": lambda project: project.write("first/three.hpp", "int other;\n"),
+    "folder found before another": lambda project: project.write("absent/three.hpp", "int other;\n"),
+    "header beside the header": lambda project: project.write("own/deep/three.hpp", "int other;\n"),
+    "header of the library shadowed": lambda project: project.write("own/steps/step_scheme.hpp", "int other;\n"),
+    "macro": lambda project: project.options("-DMACRO=four"),
+    "searched folders": lambda project: project.options(f"-isystem {project.folder}/first -DMACRO=five"),
+    "compiler": lambda project: project.write("compiler", '#!/bin/sh\nexec c++ -DMACRO=six "$@"\n'),
+    "link": link_turned,
+}
+
+
+@pytest.mark.parametrize(
+    ("edit", "trusting"), [*((edit, True) for edit in EDITS), ("header", False), ("header found before another", False)]
+)
+def test_an_edit_is_noticed_in_the_same_process(step, tmp_path, monkeypatch, edit, trusting):
+    """From the stamps of files and folders alone, where all are old enough, and from the preprocessed text."""
+    monkeypatch.setattr(preprocessed_source, "SETTLED", -(10**18) if trusting else 10**18)
+    project = Project(tmp_path, step, monkeypatch)
+    project.write("other.hpp", "int other;\n")
+    first, count = project.compile()
+    assert count == 1
+    with monkeypatch.context() as patch:
+        if trusting:
+            patch.setattr(step_compiler, "_run", None)
+        assert project.compile() == (first, 1)
+    EDITS[edit](project)
+    second, count = project.compile()
+    assert count == 2 and project.names[0] != project.names[1]
+    assert (second.digest != first.digest) == (edit != "compiler"), "another machine may have another compiler"
+    assert project.compile() == (second, 2)
+
+
+def test_time_stamps_of_files_that_have_just_changed_are_not_trusted(tmp_path, monkeypatch):
+    """A second edit within the resolution of the clock would leave the same ones."""
+    (tmp_path / "file").touch()
+    stamps = preprocessed_source.stamps_of([os.fsencode(tmp_path / name) for name in ("file", "none")])
+    newest = max((tmp_path / "file").stat().st_mtime_ns, (tmp_path / "file").stat().st_ctime_ns)
+    for later, trusted in ((0, False), (1, True), (-1, False), (-(10**18), False)):
+        monkeypatch.setattr(time, "time_ns", lambda later=later: newest + preprocessed_source.SETTLED + later)
+        assert preprocessed_source.settled(stamps) == trusted
+    assert not preprocessed_source.settled({})
+
+
+def test_a_compiler_that_does_not_list_its_folders(step, tmp_path, monkeypatch):
+    """Then a header may appear anywhere, and each call preprocesses."""
+    monkeypatch.setattr(preprocessed_source, "SETTLED", -(10**18))
+    project = Project(tmp_path, step, monkeypatch)
+    project.write("compiler", '#!/bin/sh\nexec c++ "$@" 2>/dev/null\n')
+    first, _ = project.compile()
+    project.write("first/three.hpp", "int other;\n")
+    assert project.compile()[1] == 2 and project.compile()[0] != first
+
+
+def test_a_step_in_another_process(step, tmp_path, monkeypatch):
+    """It is compiled there from the same file, by any compiler, and an edited file is refused."""
+    project = Project(tmp_path, step, monkeypatch)
+    sent, address = pickle.loads(pickle.dumps(project.compile()[0])), step.address
+    monkeypatch.setattr(step_compiler, "_LIBRARIES", {})
+    project.write("compiler", '#!/bin/sh\nexec c++ -DMACRO=other "$@"\n')
+    assert sent.address == address
+    monkeypatch.setattr(step_compiler, "_LIBRARIES", {})
+    project.write("own/deep/two.hpp", "int other;\n")
+    with pytest.raises(ValueError, match=r"own\.cpp: is not what the step own_step was compiled from"):
+        sent.address  # noqa: B018
+
+
+def failing(folder, text):
+    path = folder / "compiler"
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        (lambda folder: "/no/such/compiler", r"the compiler /no/such/compiler cannot be run \(No such file"),
+        (str, "cannot be run .*; name another one by CXX="),
+        (lambda folder: str(SOURCE), "cannot be run"),
+        (lambda folder: "c++ '", r"CXX is .*cannot be read as a command \(No closing quotation\)"),
+        (lambda folder: failing(folder, "exit 3"), r"failed \(exit status 3\); name another one by CXX="),
+        (lambda folder: failing(folder, "kill -9 $$"), r"failed \(exit status -9\)"),
+        (lambda folder: failing(folder, "exit 0"), "has written nothing; name another one"),
+        (lambda folder: failing(folder, "cat >/dev/null; sleep 60"), "did not end within 0 s"),
+        (lambda folder: failing(folder, "printf '\\377 no licence' >&2; exit 1"), "refuses it: . no licence"),
+    ],
+)
+def test_compilers_that_do_not_work(tmp_path, monkeypatch, command, said):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("CXX", command(tmp_path))
+    if "did not end" in said:
+        monkeypatch.setattr(step_compiler, "SECONDS", 0.1)
+    with pytest.raises((RuntimeError, ValueError), match=said) as refused:
+        co.methods.compile_step(SOURCE)
+    assert "\n" not in str(refused.value) and refused.value.__suppress_context__ | (refused.value.__context__ is None)
+    assert list(tmp_path.rglob("*.so")) == []
+
+
+def test_no_compiler_is_installed(monkeypatch):
+    monkeypatch.delenv("CXX", raising=False)
+    monkeypatch.setattr(step_compiler, "_LAST", {})
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with pytest.raises(RuntimeError, match="no C\\+\\+ compiler is installed"):
+        co.methods.compile_step(SOURCE)
 
 
 @pytest.mark.parametrize(
@@ -110,6 +279,7 @@ def test_a_file_that_has_changed_is_compiled_again(step, tmp_path, monkeypatch):
         ("int main() {}", "has no STEP_SCHEME"),
         ("STEP_SCHEME(one, One)\nSTEP_SCHEME(two, Two)", "has the steps one, two; say which"),
         ('#include "steps/step_scheme.hpp"\nSTEP_SCHEME(one, Unknown)', "the compiler c.. refuses it: .*Unknown"),
+        ("STEP_SCHEME(one, One)\n#include <no_such_header>", "the compiler c.. refuses it: .*no_such_header"),
     ],
 )
 def test_what_cannot_be_compiled_is_refused_in_one_line(tmp_path, monkeypatch, text, said):

@@ -267,6 +267,27 @@ def test_a_motion_that_ends_is_refused_by_its_time():
     assert np.max(np.abs(failure.value.partial.x[-1, ::2, 1] - exact)) < 1e-9
 
 
+def test_a_motion_that_is_too_fast_is_given_up_early():
+    """After 2^k of its steps, k from 12 on, where 2^(k + 3 (24 - k)) would not be enough: probed on both sides."""
+    plane = co.LieAlgebra.from_brackets(3, {(2, 0): {1: 1.0}, (2, 1): {0: -1.0}})
+    turning = co.LiePoissonSystem(plane, co.Quadratic(0.0, linear=[0.0, 0.0, 1.0]))
+    method, x0 = co.Taylor(tolerance=1e-3), (1.0, 0.0, 0.0)
+    length = 200.0 / own_steps(end_of(turning, method, x0, 200.0))
+    for steps_needed, power in ((2.0**48.5, 12), (2.0**47.5, 13), (2.0**46.5, 13), (2.0**45.5, 14)):
+        for end in (length * steps_needed, -length * steps_needed):
+            with pytest.raises(co.IntegrationError, match=r"2\^24 of its own steps would lie in one step") as failure:
+                co.integrate(turning, x0, (0.0, end), abs(end), method)
+            assert failure.value.step == 1 and abs(own_steps(failure.value.partial) - 2**power) <= 2
+    # Thousands of steps are taken, and so is a fast beginning of a motion that slows down.
+    assert own_steps(end_of(turning, method, x0, length * 2**14)) > 2**13
+    line = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}})
+    decaying = co.LiePoissonSystem(line, co.Polynomial({(1, 1): 1.0}))
+    way = -np.sign(decaying.vector_field(np.array([0.0, 1.0]))[1])
+    for start in (1e10, 1e30, 1e60):
+        sol = end_of(decaying, co.Taylor(tolerance=1e-9), (0.0, start), way)
+        assert 0.5 < sol.x[-1, 1] < 2.0 and own_steps(sol) < 2000  # errors are relative to the start
+
+
 def test_rest_and_motions_that_are_polynomials():
     body = co.systems.rigid_body(inertia=(1, 2, 2.5))
     for x0 in ((0.0, 0.0, 2.0), (0.0, 0.0, 0.0)):

@@ -11,7 +11,8 @@ import numba
 import numpy as np
 from numba import carray, types
 
-from coadjoint.kernels.alike_functions import key_of
+from coadjoint.kernels.fresh_code import compiled_digests, compiled_once, fresh
+from coadjoint.kernels.function_contents import key_of
 from coadjoint.systems.user_functions import MultipleOf
 
 SIGNATURE = types.void(types.CPointer(types.float64), types.float64, types.CPointer(types.float64))
@@ -21,22 +22,16 @@ def callback_of(
     function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str
 ) -> Any:
     """Return a function as a C callback, or refuse it with Numba's reason; see `CompiledFunction`."""
-    key = key_of(function), size, results, scalar, flat, timed
-    if key not in _COMPILED:
+
+    def make() -> Any:
         try:
-            found = _compiled(function, size, results, scalar, flat, timed)
+            return _compiled(function, size, results, scalar, flat, timed)
         except Exception as error:  # Numba raises errors of many kinds
             raise TypeError(f"{what} cannot be compiled by Numba: {reason_of(error)}") from error
-        while len(_COMPILED) >= MOST_KEPT:
-            del _COMPILED[next(iter(_COMPILED))]
-        _COMPILED[key] = found
-    return _COMPILED[key]
+
+    return compiled_once(function, (size, results, scalar, flat, timed), what, make)
 
 
-# A stepper or a scan makes many runs of one system, and a lattice has one function at all of its sites. What is equal
-# is compiled once.
-_COMPILED: dict[Any, Any] = {}
-MOST_KEPT = 4096
 MANY = 48
 SECONDS_EACH = 0.05
 
@@ -51,8 +46,7 @@ def tell_of_many(functions: Sequence[Callable[..., Any]]) -> None:
     """
     if len(functions) < MANY:
         return
-    known = {key[0] for key in _COMPILED}
-    count = len({key_of(function) for function in functions} - known)
+    count = len({key_of(function) for function in functions} - compiled_digests())
     if count >= MANY:
         warnings.warn(
             f"{count} different functions of Python are compiled one by one, about {SECONDS_EACH * count:.0f} s in "
@@ -72,7 +66,7 @@ def _inner(function: Any) -> Any:
     """Return a function as compiled code calls it."""
     if isinstance(function, MultipleOf):
         return _multiple(_inner(function.function), function.factor, function.scalar)
-    return numba.njit(boundscheck=True, **_WITHIN)(function) if inspect.isfunction(function) else function
+    return numba.njit(boundscheck=True, **_WITHIN)(fresh(function)) if inspect.isfunction(function) else fresh(function)
 
 
 # Compiled code alone calls it, so that no ways in from Python are compiled.

@@ -12,7 +12,6 @@ import ctypes
 import inspect
 from collections import namedtuple
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any
 
 import numba
@@ -21,6 +20,7 @@ from numba import carray, types
 from numba.extending import overload_method
 
 from coadjoint.kernels.callbacks import reason_of
+from coadjoint.kernels.fresh_code import compiled_once, fresh
 from coadjoint.kernels.library import kernels
 
 NUMBERS = types.CPointer(types.float64)
@@ -119,7 +119,6 @@ _offer(HAMILTONIANS, "value", _number, ENERGY)
 _offer(HAMILTONIANS[1:], "hessian", _matrix, HESSIAN)
 
 
-@lru_cache(maxsize=256)
 def compiled_step(
     function: Callable[..., Any], names: tuple[str, ...], values: tuple[Any, ...], derivatives: bool
 ) -> tuple[Any, str]:
@@ -141,9 +140,21 @@ def compiled_step(
     reason : str
         Why it cannot.
     """
+    try:
+        return compiled_once(
+            (function, names, values),
+            ("step", derivatives),
+            function.__qualname__,
+            lambda: _compiled(function, names, values, derivatives),
+        ), ""
+    except Exception as error:  # Numba raises errors of many kinds
+        return None, f"Numba cannot compile them ({reason_of(error)})"
+
+
+def _compiled(function: Callable[..., Any], names: tuple[str, ...], values: tuple[Any, ...], derivatives: bool) -> Any:
     scheme: Any = namedtuple("Scheme", names or ("nothing",))(*(values or (0,)))
     system_kind, hamiltonian_kind = SYSTEMS[derivatives], HAMILTONIANS[derivatives]
-    inner = numba.njit(error_model="numpy", boundscheck=True)(function)
+    inner = numba.njit(error_model="numpy", boundscheck=True)(fresh(function))
 
     def call(seen: Any, x: Any, t: float, h: float, out: Any) -> int:
         numbers = carray(seen, (2,))
@@ -160,7 +171,4 @@ def compiled_step(
             out[0] = np.nan
         return 0
 
-    try:
-        return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(call), ""
-    except Exception as error:  # Numba raises errors of many kinds
-        return None, f"Numba cannot compile them ({reason_of(error)})"
+    return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(call)

@@ -49,8 +49,13 @@ class Composed(Method):
 
     @property
     def symmetric(self) -> bool:
-        """Whether the coefficients are a palindrome."""
-        return self.coefficients == self.coefficients[::-1]
+        """Whether the base is symmetric and the coefficients are a palindrome."""
+        return self.base.symmetric and self.coefficients == self.coefficients[::-1]
+
+    @property
+    def largest(self) -> float:  # type: ignore[override]
+        """As the base."""
+        return self.base.largest
 
     @property
     def compensates(self) -> bool:  # type: ignore[override]
@@ -80,6 +85,16 @@ class Composed(Method):
         """Return the composition of the settled base."""
         return with_settled_base(self, system, coordinates)
 
+    def with_compensation(self) -> Method | None:
+        """Return the composition of the compensated base."""
+        return with_compensated_base(self)
+
+
+def with_compensated_base(method: Any) -> Any:
+    """Return a scheme, a dataclass, around its compensated base; None if the base has no such choice left."""
+    base = method.base.with_compensation()
+    return None if base is None else replace(method, base=base)
+
 
 def with_settled_base(method: Any, system: System, coordinates: Sequence[int]) -> Any:
     """Return a scheme, a dataclass, around its base with what the base chooses for a system written out."""
@@ -91,6 +106,11 @@ class FlowsOfBase(FlowMethod):
     """Flows of the parts of another scheme."""
 
     base: FlowMethod
+
+    @property
+    def failures(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Those of the base."""
+        return self.base.failures
 
     @property
     def parts(self) -> Any:
@@ -107,9 +127,18 @@ class FlowsOfBase(FlowMethod):
         """As the base."""
         return self.base.rotation
 
+    @property
+    def largest(self) -> float:  # type: ignore[override]
+        """As the base."""
+        return self.base.largest
+
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
         """Return the flows of the settled base."""
         return with_settled_base(self, system, coordinates)
+
+    def with_compensation(self) -> Method | None:
+        """Return the flows of the compensated base."""
+        return with_compensated_base(self)
 
 
 @dataclass(frozen=True)

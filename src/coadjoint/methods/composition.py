@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 LARGEST_SUM = 1000.0
 MOST_SUBSTEPS = 1000
+CUBE_ROOT_OF_2 = 1.2599210498948732  # the power of floats is that of the C library
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,9 @@ class Composition(Composed):
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         return self.whole.tangent(system, x, t, h)
 
+    def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
+        return self.whole.tangent_on(system, x, t, h, vectors)
+
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         """Return how the base finds it."""
         return self.base.tangent_by(system, x, t, h)
@@ -137,7 +141,7 @@ class Composition(Composed):
         from coadjoint.methods.gauss_legendre import GaussLegendre
         from coadjoint.methods.splitting import Splitting
 
-        outer = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))
+        outer = 1.0 / (2.0 - CUBE_ROOT_OF_2)
         fractions = (outer, 1.0 - 2.0 * outer, outer)
         return [cls(Splitting(order=2), fractions), cls(GaussLegendre(1), fractions)]
 

@@ -110,12 +110,12 @@ class IsospectralGauss(SteppedMethod):
         return CompiledLoop(STEP_LOOP, found.tables, found.keep, memory=remembered(STEP_LOOP, found.tables))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of its products."""
+        """Return the work of the products of each iteration; those of all substeps are counted together."""
         from coadjoint.methods.work import work_of_products
 
         # Newton's method of one stage counts a step of it as one iteration.
         products = 12 if self.stages == 1 else 3 * self.stages
-        return work_of_products(matrices_of(system), substeps * products, iterated=True)
+        return work_of_products(matrices_of(system), products, iterated=True)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step of a matrix (N, N) or of its numbers (dim,), read in NumPy.

@@ -1,4 +1,4 @@
-"""A step in C++ that stands in a file of the user: compiled against the headers of the kernels."""
+"""Compilation of steps in C++ from files of the user, against the headers of the kernels."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ import re
 import shlex
 import shutil
 import subprocess
-import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
-from coadjoint.kernels.compiling import SOURCE, options, tuning
+from coadjoint.kernels.compiling import options, tuning
 from coadjoint.kernels.library import kernels, level_in_use
+from coadjoint.methods.code_cache import cached_library
+from coadjoint.methods.preprocessed_source import PreprocessedSource, Stamp, settled, stamps_of
 from coadjoint.wording import short
 
 COMPILERS = ("c++", "g++", "clang++")
@@ -30,26 +33,56 @@ class CompiledStep:
     Parameters
     ----------
     name : str
-        The name that its ``STEP_SCHEME`` says.
+        The name that its ``STEP_SCHEME`` gives it.
     path : str
         The file.
+    digest : str
+        Of the content of the file and of the user's headers that it includes, and of the options in ``CXX``.
     """
 
     name: str
     path: str
+    digest: str
 
     @property
     def address(self) -> int:
-        """Where the step stands in memory."""
-        return _address(self.name, self.path)
+        """The address of the compiled function in this process."""
+        library = _LIBRARIES.get((self.path, self.digest))
+        if library is None:
+            # From another process, perhaps on another machine: the machine code may differ, and its source may not.
+            here = compile_step(self.path, self.name)
+            if here.digest != self.digest:
+                raise ValueError(
+                    f"{self.path}: is not what the step {self.name} was compiled from: the file, its headers or the "
+                    "options in CXX have changed; give every process the same ones"
+                )
+            library = _LIBRARIES[self.path, self.digest]
+        return ctypes.cast(getattr(library, f"{self.name}_step"), ctypes.c_void_p).value or 0
+
+
+class _Compiled(NamedTuple):
+    """The last compilation of a file: what it depends on, and its digest."""
+
+    settings: object
+    stamps: dict[bytes, Stamp]
+    digest: str
+
+
+_LOADED: dict[str, ctypes.CDLL] = {}
+"""The libraries in use, by the digest of all that makes the machine code; they stay while the process lives."""
+_LIBRARIES: dict[tuple[str, str], ctypes.CDLL] = {}
+"""The same, by the path and the digest of a step."""
+_LAST: dict[str, _Compiled] = {}
 
 
 def compile_step(path: str | Path, name: str | None = None) -> CompiledStep:
     """Compile a step in C++ for this processor, in some seconds, and load it.
 
     The file includes ``steps/step_scheme.hpp``, derives from ``StepScheme``, and ends with ``STEP_SCHEME(name, Type)``.
-    What was compiled is kept for the next process, in the folder ``coadjoint`` of the user's cache, until the file, the
-    headers or the compiler change.
+    The compiled code is cached for other processes in the folder ``coadjoint`` of the user's cache. It is compiled
+    again, also within a process, when the file, a header that it includes, the compiler, or an option in ``CXX``
+    changes. Code is loaded from the cache only if no other user can have written it; otherwise a `RuntimeWarning`
+    gives the reason, and the file is compiled in a temporary folder.
 
     Parameters
     ----------
@@ -61,14 +94,15 @@ def compile_step(path: str | Path, name: str | None = None) -> CompiledStep:
     Returns
     -------
     CompiledStep
-        To be returned as `compiled_step` by a scheme that derives from `CompiledStepMethod`.
+        To be returned as `compiled_step` by a scheme that derives from `CompiledStepMethod`. It stands for the file as
+        it was in this call.
 
     Raises
     ------
     ValueError
-        There is no such file, it has no such step, or the compiler refuses it; with what it said.
+        There is no such file, it has no such step, or the compiler refuses it; with its messages.
     RuntimeError
-        No compiler is installed; ``CXX`` names one.
+        There is no compiler, or it does not work; the environment variable ``CXX`` selects another one.
     """
     source = Path(path)
     try:
@@ -82,58 +116,96 @@ def compile_step(path: str | Path, name: str | None = None) -> CompiledStep:
         raise ValueError(f"{source}: has the steps {', '.join(names)}; say which, by name=")
     if name is not None and name not in names:
         raise ValueError(f"{source}: has no step {short(name)}; it has {', '.join(names)}")
-    step = CompiledStep(name or names[0], str(source.resolve()))
-    _address(step.name, step.path)
+    place = str(source.resolve())
+    step = CompiledStep(name or names[0], place, _digest_of_library(place))
+    if not hasattr(_LIBRARIES[place, step.digest], f"{step.name}_step"):
+        raise ValueError(f"{source}: has no step {step.name} after preprocessing")
     return step
 
 
-@cache
-def _address(name: str, path: str) -> int:
-    library = _library(Path(path))
-    return ctypes.cast(getattr(library, f"{name}_step"), ctypes.c_void_p).value or 0
-
-
-@cache
-def _library(source: Path) -> ctypes.CDLL:
+def _digest_of_library(place: str) -> str:
+    """Return the digest of a file, of which the library is loaded then."""
     kernels()  # refuses first, by name, where kernels are missing
-    compiler = _compiler()
     # compiled for the level in use, so that the bits are the same
-    how = [*options(tuning(level_in_use())), "-DCOADJOINT_APART", "-shared"]
-    said = subprocess.run([*compiler, "--version"], capture_output=True, text=True, timeout=SECONDS, check=False).stdout
-    key = hashlib.sha256(json.dumps([compiler, how, said]).encode())
-    for part in [source, *sorted(SOURCE.rglob("*.hpp"))]:
-        key.update(part.read_bytes())
-    target = _cache() / f"{source.stem}-{key.hexdigest()[:24]}.so"
-    if not target.exists():
-        target.parent.mkdir(parents=True, exist_ok=True)
-        _build([*compiler, *how, str(source)], source, target)
-    library = ctypes.CDLL(str(target))
+    settings = level_in_use(), dict(os.environ)
+    last = _LAST.get(place)
+    if last is not None and last.settings == settings and stamps_of(last.stamps) == last.stamps:
+        return last.digest
+    compiler = _compiler()
+    executable = os.fsencode(shutil.which(compiler[0]) or compiler[0])
+    command = [*compiler, *options(tuning(settings[0])), "-DCOADJOINT_APART"]
+    version = _run([*compiler, "--version"], place).stdout.decode(errors="replace")
+    found = _run([*command, "-E", "-v", place], place)
+    if found.returncode != 0:
+        raise _refusal(compiler, place, found)
+    source = PreprocessedSource.read(found.stdout, found.stderr)
+    watched = source.watched()
+    stamps = stamps_of([*watched, executable])
+    identity = [command, version, os.fsdecode(executable), (stamps[executable] or ())[2:4]]
+    key = hashlib.sha256(json.dumps(identity).encode() + source.text).hexdigest()
+    if key not in _LOADED:
+        _LOADED[key] = _load(f"{Path(place).stem[:40]}-{key[:32]}", place, partial(_build, command, source.text))
+    digest = source.digest([word for word in compiler if word.startswith("-")])
+    _LIBRARIES[place, digest] = _LOADED[key]
+    if watched and settled(stamps):
+        _LAST[place] = _Compiled(settings, stamps, digest)
+    return digest
+
+
+def _load(name: str, place: str, build: Callable[[str, Path], None]) -> ctypes.CDLL:
+    try:
+        library = cached_library(name, partial(build, place))
+    except OSError as reason:
+        raise ValueError(f"{place}: the compiled step cannot be loaded ({reason})") from None
     lending = kernels().lent_to_others
     lending.restype = ctypes.c_void_p
     library.borrow(ctypes.c_void_p(lending()))
     return library
 
 
-def _build(command: list[str], source: Path, target: Path) -> None:
-    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
-        made = Path(folder) / target.name
-        done = subprocess.run([*command, "-o", str(made)], capture_output=True, text=True, timeout=SECONDS, check=False)
-        if done.returncode != 0:
-            lines = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines()
-            raise ValueError(f"{source}: the compiler {command[0]} refuses it: {' | '.join(lines[:3])[:600]}")
-        os.replace(made, target)
+def _build(command: Sequence[str], text: bytes, place: str, made: Path) -> None:
+    """Compile the preprocessed text, and not the file, which may have changed since."""
+    done = _run([*command, "-shared", "-o", str(made), "-x", "c++-cpp-output", "-"], place, text)
+    if done.returncode != 0:
+        raise _refusal(command, place, done)
+    if not made.is_file():
+        raise RuntimeError(f"{place}: the compiler {command[0]} has written nothing; name another one by CXX=")
+
+
+def _run(command: Sequence[str], place: str, text: bytes = b"") -> subprocess.CompletedProcess[bytes]:
+    """Run a compiler, which writes its messages in English."""
+    language = {**os.environ, "LC_ALL": "C"}
+    try:
+        return subprocess.run(command, input=text, capture_output=True, timeout=SECONDS, check=False, env=language)
+    except OSError as reason:
+        raise RuntimeError(
+            f"{place}: the compiler {command[0]} cannot be run ({reason.strerror}); name another one by CXX="
+        ) from None
+    except subprocess.TimeoutExpired:
+        raise RuntimeError(
+            f"{place}: the compiler {command[0]} did not end within {SECONDS:.0f} s; name another one by CXX="
+        ) from None
+
+
+def _refusal(command: Sequence[str], place: str, done: subprocess.CompletedProcess[bytes]) -> Exception:
+    lines = done.stderr.decode(errors="replace").splitlines()
+    shown = [line for line in lines if re.search(r"\berror: ", line)][:3] or lines[-3:]
+    if done.returncode < 0 or not shown:
+        return RuntimeError(
+            f"{place}: the compiler {command[0]} failed (exit status {done.returncode}); name another one by CXX="
+        )
+    return ValueError(f"{place}: the compiler {command[0]} refuses it: {' | '.join(shown)[:600]}")
 
 
 def _compiler() -> list[str]:
-    given = os.environ.get("CXX")
-    if given:
-        return shlex.split(given)
+    given = os.environ.get("CXX", "")
+    try:
+        words = shlex.split(given)
+    except ValueError as reason:
+        raise RuntimeError(f"CXX is {short(given)}, which cannot be read as a command ({reason})") from None
+    if words:
+        return words
     found = next((name for name in COMPILERS if shutil.which(name)), None)
     if found is None:
         raise RuntimeError("no C++ compiler is installed (c++, g++ or clang++); install one, or name it by CXX=")
     return [found]
-
-
-def _cache() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "coadjoint"

@@ -17,8 +17,8 @@ DECIDING = 4  # last terms, and terms in the middle, that decide
 LN2 = 0.6931471805599453
 NO_LIMIT = 900.0  # beyond 2^900 a length is as good as endless
 MOST_STEPS = 1_000_000
-MANY = "or more than 2^24 of its own steps lie between two saved points: give a smaller step"
-"""Ends what is said where there was no next step; as many as the kernels take."""
+MANY = "or more than 2^24 of its own steps would lie in one step of the run: give a smaller step"
+"""End of the messages about a motion that has no next step; the limit is that of the kernels."""
 TOO_SHORT = f"the motion becomes so fast that steps no longer change the time: it blows up, or nearly so; {MANY}"
 
 

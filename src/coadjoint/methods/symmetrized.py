@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Context, Decimal
 from typing import Any
 
 import numpy as np
@@ -75,7 +76,9 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
         raise ValueError(f"order is {wanted}; from {base} it is even, and {method.order} or more")
     for reached in range(method.order, wanted, 2):
         sides = JUMPS[jump]
-        outer = 1.0 / (2 * sides - (2.0 * sides) ** (1.0 / (reached + 1)))
+        # By decimals, since the power of floats is that of the C library.
+        root = float(Context(prec=40).power(Decimal(2 * sides), Decimal(1.0 / (reached + 1))))
+        outer = 1.0 / (2 * sides - root)
         method = Composition(method, (*[outer] * sides, 1.0 - 2 * sides * outer, *[outer] * sides))
     return method
 
@@ -144,6 +147,16 @@ class PairOfTableaux(RungeKuttaMethod):
     symmetric = True
 
     base: RungeKuttaMethod
+
+    @property
+    def failures(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Those of the base."""
+        return self.base.failures
+
+    @property
+    def largest(self) -> float:  # type: ignore[override]
+        """As the base."""
+        return self.base.largest
 
     @property
     def order(self) -> int:

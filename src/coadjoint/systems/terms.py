@@ -10,7 +10,6 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.logarithmic import Forms
 from coadjoint.algebra.polynomial import Polynomial
 
 
@@ -198,8 +197,6 @@ class FunctionTerm:
         The functions take the time as a second argument.
     piece : int or None
         Number of the piece of a `SplitHamiltonian` that it belongs to.
-    forms : Forms or None
-        The value as a formula that the kernels know: then it needs no compiling.
     """
 
     coordinates: npt.NDArray[np.int64]
@@ -209,7 +206,6 @@ class FunctionTerm:
     scalar: bool = False
     timed: bool = False
     piece: int | None = None
-    forms: Forms | None = None
 
     called: ClassVar[bool] = True
     constant: ClassVar[float] = 0.0

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.logarithmic import Forms
 from coadjoint.algebra.product_sums import Coefficient
 from coadjoint.extras import installed
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -49,6 +50,41 @@ class MultipleOf:
         return self.factor * (found if self.scalar else np.asarray(found))
 
 
+@dataclass(frozen=True, eq=False)
+class Formula:
+    """A function of x together with its formula, which the kernels evaluate without compiling the function.
+
+    Parameters
+    ----------
+    function : callable
+        Of (x).
+    forms : Forms
+        The same function as tables.
+
+    Examples
+    --------
+    >>> from coadjoint.algebra.logarithmic import LogarithmicSum
+    >>> from coadjoint.algebra.polynomial import Polynomial
+    >>> Formula(np.log, LogarithmicSum.logarithm(Polynomial.variable(0, 1)).forms())(1.0).item()
+    0.0
+    """
+
+    function: Callable[..., Any]
+    forms: Forms
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Return the value at x."""
+        return self.function(*arguments)
+
+
+def forms_of(function: Any) -> Forms | None:
+    """Return the tables of a `Formula` or of a multiple of one, None for any other function."""
+    if isinstance(function, Formula):
+        return function.forms
+    forms = forms_of(function.function) if isinstance(function, MultipleOf) else None
+    return None if forms is None else forms._replace(weight=function.factor * forms.weight)
+
+
 def multiple_of(function: Any, factor: Coefficient, scalar: bool) -> Any:
     """Return the `MultipleOf` a function; None stays None, and a fraction is rounded, since functions give floats."""
     factor = factor if isinstance(factor, int) else float(factor)
@@ -61,7 +97,7 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
     A second argument counts as the time if it has no default, or if its name is ``t``
     (``lambda x, m=m: ...`` is a function of x alone).
     """
-    while isinstance(function, MultipleOf):
+    while isinstance(function, MultipleOf | Formula):
         function = function.function
     if not callable(function):
         raise TypeError(f"{name} is {short(function)}; give a function of (x) or (x, t)")

@@ -1,0 +1,138 @@
+"""Compiling functions of users: nothing that Numba has compiled before is reused unless what it read is the same."""
+
+from __future__ import annotations
+
+import types
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numba
+
+from coadjoint.kernels.function_contents import contents_of
+
+MOST_KEPT = 4096
+_COMPILED: dict[Any, Any] = {}
+_FRESH: dict[str, Any] = {}
+_warned: set[str] = set()
+
+
+def compiled_once(read: Any, more: tuple[Any, ...], name: str, make: Callable[[], Any]) -> Any:
+    """Return what `make` compiles; the same again while `read`, with all that its functions read, is the same.
+
+    What cannot be followed is compiled each time, with a warning.
+    """
+    found = contents_of(read)
+    if found.unknown:
+        made = make()
+        if name not in _warned:
+            _warned.add(name)
+            warnings.warn(
+                f"{name} is compiled again whenever it is prepared, since what it reads cannot be compared: "
+                f"{', '.join(found.unknown[:3])}",
+                UserWarning,
+                stacklevel=2,
+            )
+        return made
+    key = found.digest, more
+    if key not in _COMPILED:
+        made = make()
+        _keep(_COMPILED, key, made)
+    return _COMPILED[key]
+
+
+def compiled_digests() -> set[str]:
+    """Return the digests of what is compiled."""
+    return {digest for digest, _ in _COMPILED}
+
+
+def fresh(function: Any) -> Any:
+    """Return a function for Numba to compile, in which every dispatcher is one without machine code.
+
+    Numba takes globals as constants when it compiles, and a dispatcher keeps its machine code when they change.
+    """
+    if isinstance(function, types.FunctionType):
+        return _copied(function, {})
+    return _renewed(function, {}, False)
+
+
+def _keep(kept: dict[Any, Any], key: Any, value: Any) -> None:
+    while len(kept) >= MOST_KEPT:
+        del kept[next(iter(kept))]
+    kept[key] = value
+
+
+def _renewed(value: Any, made: dict[int, tuple[Any, Any]], compiles: bool) -> Any:
+    """Return the same of a value; `compiles` says that plain functions are compiled too.
+
+    `made` holds each dispatcher beside its fresh one, so that no other object gets its id meanwhile.
+    """
+    if id(value) in made:
+        return made[id(value)][1]
+    if isinstance(value, tuple) and type(value) is tuple:
+        return tuple(_renewed(one, made, compiles) for one in value)
+    if isinstance(value, types.FunctionType) and compiles:
+        return _renewed(numba.njit(value), made, compiles)
+    if not isinstance(value, numba.core.dispatcher.Dispatcher):
+        return value
+    found = contents_of(value)
+    if found.unknown or found.digest not in _FRESH:
+        new: Any = None
+
+        def promise(copy: types.FunctionType) -> None:
+            nonlocal new
+            new = type(value)(copy, value.locals, value.targetoptions)
+            made[id(value)] = value, new
+
+        _copied(value.py_func, made, promise)
+        if not value._can_compile:
+            for signature in value.nopython_signatures:
+                new.compile(signature)
+            new.disable_compile()
+        if found.unknown:
+            return new
+        _keep(_FRESH, found.digest, new)
+    return _FRESH[found.digest]
+
+
+def _copied(
+    function: types.FunctionType,
+    made: dict[int, tuple[Any, Any]],
+    promise: Callable[[types.FunctionType], None] | None = None,
+) -> types.FunctionType:
+    """Return a copy of a function that reads fresh dispatchers; functions that call themselves get the `promise`."""
+    cells = tuple(types.CellType() for _ in function.__closure__ or ())
+    names = dict(function.__globals__)
+    copy = types.FunctionType(function.__code__, names, function.__name__, function.__defaults__, cells or None)
+    copy.__kwdefaults__, copy.__qualname__ = function.__kwdefaults__, function.__qualname__
+    copy.__module__ = function.__module__
+    vars(copy).update(vars(function))
+    if promise is not None:
+        promise(copy)
+    own = (function.__module__ or "").startswith("coadjoint.")
+    for new, old in zip(cells, function.__closure__ or (), strict=True):
+        try:
+            new.cell_contents = _renewed(old.cell_contents, made, own)
+        except ValueError:  # a name that has no value yet
+            pass
+    attributes = _attributes(function.__code__)
+    for name in attributes & names.keys():
+        names[name] = _renewed(_module(names[name], attributes, made), made, False)
+    return copy
+
+
+def _module(value: Any, attributes: set[str], made: dict[int, tuple[Any, Any]]) -> Any:
+    """Return a copy of a module with fresh dispatchers, where it has some that are read; anything else as it is."""
+    if not isinstance(value, types.ModuleType):
+        return value
+    new = {name: _renewed(vars(value)[name], made, False) for name in attributes & vars(value).keys()}
+    if all(vars(value)[name] is own for name, own in new.items()):
+        return value
+    copy = types.ModuleType(value.__name__)
+    vars(copy).update({**vars(value), **new})
+    return copy
+
+
+def _attributes(code: types.CodeType) -> set[str]:
+    inside = [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
+    return set(code.co_names).union(*map(_attributes, inside))

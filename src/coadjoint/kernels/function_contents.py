@@ -1,0 +1,386 @@
+"""Digests of functions by everything that they read: the same digest means the same machine code and the same run."""
+
+from __future__ import annotations
+
+import dis
+import functools
+import hashlib
+import inspect
+import linecache
+import sys
+import sysconfig
+import types
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from fractions import Fraction
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from coadjoint.algebra.polynomial import Polynomial
+
+PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis), type(NotImplemented), Fraction, range)
+LARGEST = 10**6
+"""Objects with more entries than this are not followed."""
+PACKAGES = frozenset({"numpy", "scipy", "numba", "llvmlite"})
+"""Packages whose functions and classes are known by their names, like those of the standard library."""
+DYNAMIC = frozenset({"globals", "locals", "vars", "eval", "exec", "__import__", "open", "input"})
+"""Builtins by which a function reads what its code does not name."""
+SCALARS = (bool, int, float, complex, str, bytes)
+NOT_CONTENT = frozenset(
+    "__dict__ __weakref__ __doc__ __module__ __qualname__ __annotations__ __annotate__ __annotate_func__ "
+    "__annotations_cache__ __firstlineno__ __static_attributes__ __abstractmethods__ _abc_impl __parameters__ "
+    "__orig_bases__ __dataclass_fields__ __dataclass_params__ __match_args__ __slots__ __wrapped__".split()
+)
+
+
+class Contents(NamedTuple):
+    """The digest of a value, and the names of what could not be followed.
+
+    Parameters
+    ----------
+    digest : str
+        The same in every process, for the same minor version of Python.
+    unknown : tuple of str
+        C functions and objects whose state is hidden, and values that are too large.
+    """
+
+    digest: str
+    unknown: tuple[str, ...]
+
+
+def contents_of(value: Any, written: bool = False) -> Contents:
+    """Return the digest of a value with everything that the functions in it read.
+
+    Parameters
+    ----------
+    value : object
+        A function, or numbers, arrays and containers with functions in them.
+    written : bool
+        Digest the source text of functions in place of their code, which another version of Python compiles to
+        something else. Functions without a source that matches their code are unknown.
+
+    Returns
+    -------
+    Contents
+
+    Examples
+    --------
+    >>> def times(a):
+    ...     return lambda x: a * x
+    >>> one, other, again = (contents_of(times(a)).digest for a in (1.0, 2.0, 1.0))
+    >>> one == other, one == again
+    (False, True)
+    """
+    walk = _Walk(written)
+    walk.add(value)
+    return Contents(walk.digest.hexdigest(), tuple(dict.fromkeys(walk.unknown)))
+
+
+class _Walk:
+    """One traversal: objects with an identity are numbered as they are met, data are added by content."""
+
+    def __init__(self, written: bool) -> None:
+        self.digest, self.unknown = hashlib.blake2b(digest_size=32), list[str]()
+        self._written, self._left = written, LARGEST
+        self._met: dict[Any, int] = {}
+        self._arrays: dict[int, bytes] = {}
+        self._open: list[Any] = []
+        self._held: list[Any] = []  # so that no other object gets the id of one that was met
+
+    def _say(self, *words: Any) -> None:
+        self.digest.update("".join(f"{len(text)}:{text};" for text in map(str, words)).encode("utf-8", "surrogatepass"))
+
+    def _give_up(self, what: str) -> None:
+        self.unknown.append(what)
+        self._say("unknown", what)
+
+    def _is_new(self, value: Any, *more: Any) -> bool:
+        """Return whether an object is met for the first time; else add its number."""
+        key = (id(value), *more)
+        if key in self._met:
+            self._say("again", self._met[key])
+            return False
+        self._met[key] = len(self._met)
+        self._held.append(value)
+        return True
+
+    def add(self, value: Any) -> None:
+        """Add a value by its type."""
+        kind = type(value)
+        self._left -= 1
+        if self._left < 0:
+            if self._left == -1:
+                self._give_up(f"more than {LARGEST} objects")
+        elif kind in PLAIN:
+            self._say(kind.__name__, repr(value))
+        elif isinstance(value, np.ndarray | np.generic):
+            self._add_array(value)
+        elif kind in (tuple, list, dict, set, frozenset, types.MappingProxyType):
+            self._add_container(value)
+        elif kind is types.CodeType:
+            self._add_code(value)
+        elif kind is Polynomial:
+            self._say("polynomial")
+            self._add_unordered(value.monomials.items())
+        elif self._is_new(value):
+            self._add_object(value)
+
+    def _add_array(self, value: Any) -> None:
+        array = np.asarray(value)
+        kind = array.dtype.str if array.dtype.names is None else array.dtype.descr
+        self._say("array", type(value).__name__, kind, array.shape, array.flags.c_contiguous, array.flags.f_contiguous)
+        if array.dtype.hasobject:
+            self.add(array.ravel().tolist())
+        else:
+            if id(value) not in self._arrays:
+                self._arrays[id(value)] = hashlib.sha256(np.ascontiguousarray(array).data).digest()
+                self._held.append(value)
+            self.digest.update(self._arrays[id(value)])
+        if isinstance(value, np.ndarray) and type(value) is not np.ndarray:
+            self.add(dict(sorted(getattr(value, "__dict__", {}).items())))
+
+    def _add_container(self, value: Any) -> None:
+        if any(value is one for one in self._open):
+            self._say("inside of itself")
+        elif len(value) > self._left:
+            self._give_up(f"a {type(value).__name__} of {len(value)} entries")
+        else:
+            self._open.append(value)
+            self._say(type(value).__name__, len(value))
+            if isinstance(value, set | frozenset):
+                self._add_unordered(value)
+            else:
+                for entry in value.items() if isinstance(value, Mapping) else value:
+                    self.add(entry)
+            self._open.pop()
+
+    def _add_unordered(self, values: Iterable[Any]) -> None:
+        found = [contents_of(value, self._written) for value in values]
+        self._say(*sorted(one.digest for one in found))
+        self.unknown += [what for one in found for what in one.unknown]
+
+    def _add_object(self, value: Any) -> None:
+        kind = type(value)
+        numba = kind.__module__.partition(".")[0] == "numba"
+        if isinstance(value, types.FunctionType):
+            self._add_function(value)
+        elif numba and isinstance(getattr(value, "py_func", None), types.FunctionType):  # a dispatcher
+            self._say("compiled")
+            options = getattr(value, "targetoptions", {})
+            self.add([value.py_func, dict(sorted(options.items())), getattr(value, "_can_compile", True)])
+            if not getattr(value, "_can_compile", True):
+                self._say(*map(str, value.nopython_signatures))
+        elif numba and isinstance(getattr(value, "_pyfunc", None), types.FunctionType):  # a callback
+            self.add(["callback", value._pyfunc, str(getattr(value, "_sig", ""))])
+        elif isinstance(value, functools.partial):
+            self.add(["partial", value.func, value.args, value.keywords])
+        elif isinstance(value, types.MethodType):
+            self.add(["method", value.__func__, value.__self__])
+        elif isinstance(value, staticmethod | classmethod):
+            self.add([kind.__name__, value.__func__])
+        elif isinstance(value, property):
+            self.add(["property", value.fget, value.fset, value.fdel])
+        elif isinstance(value, functools.cached_property):
+            self.add(["cached property", value.func])
+        elif isinstance(value, types.BuiltinFunctionType) and not isinstance(value.__self__, types.ModuleType | None):
+            self.add(["builtin method", value.__name__, value.__self__])
+        elif isinstance(value, types.ModuleType):
+            self._say("module", value.__name__)
+        elif isinstance(value, type):
+            self._add_class(value)
+        elif isinstance(value, types.CellType):
+            self.add(["cell", *_inside(value)])
+        elif kind is type(_read_by):
+            self.add(["cached", value.__wrapped__])
+        elif isinstance(getattr(value, "__qualname__", None), str) and (callable(value) or hasattr(kind, "__get__")):
+            self._add_named(value)
+        elif isinstance(value, np.ufunc) and not hasattr(value, "_dispatcher"):
+            self._say("ufunc", value.__name__)
+        else:
+            self._add_instance(value)
+
+    def _add_named(self, value: Any) -> None:
+        """Add a C function or a descriptor by its name; only those of known packages are known by it."""
+        owner = getattr(value, "__objclass__", None)
+        module = getattr(value, "__module__", None) or getattr(owner, "__module__", None) or "builtins"
+        self._say("named", module, value.__qualname__)
+        if not _is_known(module) and owner is None:
+            self._give_up(f"{module}.{value.__qualname__}")
+
+    def _add_class(self, kind: type) -> None:
+        self._say("class", kind.__module__, kind.__qualname__)
+        if not _is_known(kind.__module__) and not _is_own(kind.__module__):
+            self.add(kind.__bases__)
+            self.add({name: own for name, own in sorted(vars(kind).items()) if name not in NOT_CONTENT})
+
+    def _add_instance(self, value: Any) -> None:
+        kind = type(value)
+        self.add(kind)
+        if any(base.__module__ in ("_ctypes", "ctypes") for base in kind.__mro__):
+            return self._give_up(f"a C object, {kind.__qualname__}")
+        if isinstance(value, (*SCALARS, tuple, list, set, frozenset, dict)):
+            bases: tuple[Any, ...] = (*SCALARS, tuple, list, set, frozenset, dict)
+            self.add(next(base for base in bases if isinstance(value, base))(value))
+        if is_dataclass(value) and _is_own(kind.__module__):
+            return self.add({field.name: getattr(value, field.name) for field in fields(value)})
+        slots = [name for base in kind.__mro__ for name in _slots(base) if hasattr(value, name)]
+        if not slots and not hasattr(value, "__dict__"):
+            return None if isinstance(value, (*SCALARS, tuple, list, set, frozenset, dict)) else self._reduce(value)
+        kept = {**{name: getattr(value, name) for name in slots}, **getattr(value, "__dict__", {})}
+        cached = functools.cached_property
+        self.add({name: kept[name] for name in sorted(kept) if not isinstance(getattr(kind, name, None), cached)})
+
+    def _reduce(self, value: Any) -> None:
+        """Add an object of a C type by what `pickle` would keep of it."""
+        try:
+            found = value.__reduce_ex__(4)
+            made = found if isinstance(found, str) else [found[0], *found[1:3], *map(list, filter(None, found[3:5]))]
+        except Exception:
+            return self._give_up(f"an object of {type(value).__qualname__}")
+        self.add(made)
+
+    def _add_function(self, function: types.FunctionType) -> None:
+        module = function.__module__ or ""
+        self._say("function")
+        if _is_known(module):
+            self._say(module, function.__qualname__)
+        elif self._written:
+            text = _source(function)
+            if text is None:
+                self._give_up(f"the source of {function.__qualname__}")
+            self._say(text)
+        else:
+            self._add_code(function.__code__)
+        read = _read_by(function.__code__)
+        self.add(function.__defaults__)
+        self.add(dict(sorted((function.__kwdefaults__ or {}).items())))
+        self.add({name: own for name, own in sorted(vars(function).items()) if name != "__wrapped__"})
+        for name, cell in sorted(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)):
+            self._say("closed over", name)
+            for own in _inside(cell):
+                self._add_read(own, read.attributes)
+        if _is_known(module) or _is_own(module):
+            return
+        builtins: dict[str, Any] = cast(Any, function).__builtins__
+        for name in read.names:
+            if name in function.__globals__:
+                self._say("global", name)
+                self._add_read(function.__globals__[name], read.attributes)
+            elif name in builtins:
+                own = builtins[name]
+                self._say("builtin", name)
+                if name in DYNAMIC:
+                    self._give_up(f"what {function.__qualname__} reads by {name}()")
+                elif not _is_known(getattr(own, "__module__", None) or "builtins"):
+                    self.add(own)
+        for name in read.imports:
+            if not _is_known(name) and not _is_own(name):
+                if name in sys.modules:
+                    self._add_read(sys.modules[name], read.attributes)
+                else:
+                    self._give_up(f"the module {name}")
+
+    def _add_read(self, value: Any, attributes: frozenset[str]) -> None:
+        """Add a value that a function reads; of a module those attributes that the function names."""
+        if not isinstance(value, types.ModuleType):
+            return self.add(value)
+        self._say("module", value.__name__)
+        known = _is_known(value.__name__) or _is_own(value.__name__)
+        for name in sorted(attributes & vars(value).keys()):
+            own = vars(value)[name]
+            replaced = isinstance(own, types.FunctionType) and not _is_known(own.__module__ or "")
+            if (not known or (replaced and not _is_own(own.__module__ or ""))) and self._is_new(value, name):
+                self._say("attribute", name)
+                self._add_read(own, attributes)
+
+    def _add_code(self, code: types.CodeType) -> None:
+        counts = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
+        names = code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
+        self._say("code", *counts, *names, len(code.co_code))
+        self.digest.update(code.co_code + getattr(code, "co_exceptiontable", b""))
+        self.add(code.co_consts)
+
+
+class _Read(NamedTuple):
+    """The global names that a function reads, the attributes that it names, and the modules that it imports."""
+
+    names: tuple[str, ...]
+    attributes: frozenset[str]
+    imports: tuple[str, ...]
+
+
+@functools.lru_cache(maxsize=4096)
+def _read_by(code: types.CodeType) -> _Read:
+    names, attributes, imports = set[str](), set[str](code.co_names), set[str]()
+    for instruction in dis.get_instructions(code):
+        if instruction.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"):
+            names.add(instruction.argval)
+        elif instruction.opname == "IMPORT_NAME":
+            imports.add(instruction.argval)
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            inner = _read_by(constant)
+            names |= set(inner.names)
+            attributes |= inner.attributes
+            imports |= set(inner.imports)
+        elif isinstance(constant, str):
+            attributes.add(constant)  # as by getattr
+    return _Read(tuple(sorted(names)), frozenset(attributes), tuple(sorted(imports)))
+
+
+def _inside(cell: types.CellType) -> list[Any]:
+    try:
+        return [cell.cell_contents]
+    except ValueError:  # a name that has no value yet
+        return []
+
+
+def _slots(kind: type) -> tuple[str, ...]:
+    slots = vars(kind).get("__slots__", ())
+    return (slots,) if isinstance(slots, str) else tuple(slots)
+
+
+def _is_own(module: str) -> bool:
+    return module.partition(".")[0] == "coadjoint"
+
+
+@functools.lru_cache(maxsize=4096)
+def _is_known(module: str) -> bool:
+    """Return whether a module belongs to the standard library or to `PACKAGES`; files of its name are others."""
+    top = module.partition(".")[0]
+    if top in PACKAGES:
+        return True
+    if top not in sys.stdlib_module_names:
+        return False
+    place = getattr(sys.modules.get(top), "__file__", None)
+    return place is None or place.startswith((sysconfig.get_path("stdlib"), sysconfig.get_path("platstdlib")))
+
+
+def _source(function: types.FunctionType) -> str | None:
+    """Return the text of a function; None where no file has the text of its code, or has another one by now."""
+    code = function.__code__
+    try:
+        linecache.checkcache(code.co_filename)
+        lines = linecache.getlines(code.co_filename, function.__globals__)
+        if code in _codes_in("".join(lines), code.co_filename):
+            return inspect.getsource(function)
+    except (OSError, TypeError, ValueError, SyntaxError):
+        pass
+    return None
+
+
+@functools.lru_cache(maxsize=16)
+def _codes_in(text: str, name: str) -> frozenset[types.CodeType]:
+    found, waiting = set[types.CodeType](), [compile(text, name, "exec", dont_inherit=True)]
+    while waiting:
+        code = waiting.pop()
+        found.add(code)
+        waiting += [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
+    return frozenset(found)
+
+
+def key_of(function: Any) -> Any:
+    """Return what is equal for functions that compile to the same code; unlike anything else where that is unknown."""
+    found = contents_of(function)
+    return object() if found.unknown else found.digest

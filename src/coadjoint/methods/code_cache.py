@@ -1,0 +1,116 @@
+"""The user's cache of compiled steps: libraries are loaded from it only if no other user can have written them."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import stat
+import tempfile
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+from coadjoint.private_folders import OTHERS_WRITE, check_private, private_folder
+
+
+def cached_library(name: str, build: Callable[[Path], None]) -> ctypes.CDLL:
+    """Load a library from the cache, and build it first where it is missing or damaged.
+
+    Where the cache cannot be used, warn, and build it in a temporary folder. `build` writes a file, and does not raise
+    an OSError.
+
+    Raises
+    ------
+    OSError
+        The library cannot be loaded.
+    """
+    try:
+        folder = _cache_folder()
+        path = _stored(folder, name)
+        if path is None:
+            with tempfile.TemporaryDirectory(dir=folder) as own:
+                made = Path(own, name)
+                build(made)
+                path = folder / _name_of(name, _settled(made))
+                os.replace(made, path)
+    except OSError as reason:
+        why = f"{reason.strerror}: {reason.filename}" if reason.strerror else reason
+        warnings.warn(
+            f"the cache of compiled steps is not used ({why}), so that each process compiles them again; correct this "
+            "or name another folder by XDG_CACHE_HOME",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        with private_folder() as own_folder:
+            build(own_folder / name)
+            return ctypes.CDLL(str(own_folder / name))
+    return ctypes.CDLL(str(path))
+
+
+def _name_of(name: str, content: bytes) -> str:
+    """Return the name of a file, which depends on its content: loading a damaged one would end the process."""
+    return f"{name}-{hashlib.sha256(content).hexdigest()[:32]}.so"
+
+
+def _cache_folder() -> Path:
+    """Return the folder, made if it is missing; no other user can change or replace what is in it."""
+    given = os.environ.get("XDG_CACHE_HOME", "")
+    # A relative path is ignored, as the XDG Base Directory Specification requires.
+    base = Path(given) if os.path.isabs(given) else _home() / ".cache"
+    folder = Path(os.path.realpath(base / "coadjoint"))
+    for place in (*reversed(folder.parents), folder):
+        if not place.exists():
+            place.mkdir(mode=0o700, exist_ok=True)
+    check_private(folder)
+    return folder
+
+
+def _home() -> Path:
+    try:
+        home = Path.home()
+    except RuntimeError:
+        raise FileNotFoundError("the user has no home folder") from None
+    if not home.is_absolute() or not home.is_dir():
+        raise FileNotFoundError(f"the home folder {home} does not exist")
+    return home
+
+
+def _stored(folder: Path, name: str) -> Path | None:
+    """Return the library of this name, if there is one that is not damaged; a damaged one is removed.
+
+    Raises
+    ------
+    PermissionError
+        Another user can have written it.
+    """
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith(f"{name}-"):
+            if path.name == _name_of(name, _own_content(path)):
+                # Its name is safe to load by: in a private folder nobody else can put another file in its place.
+                return path
+            path.unlink(missing_ok=True)
+    return None
+
+
+def _own_content(path: Path) -> bytes:
+    """Return the content of a file, which must belong to this user and be writable by nobody else."""
+    with open(path, "rb", opener=_without_links) as file:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & OTHERS_WRITE:
+            raise PermissionError(
+                f"{path} is not a file that only this user can write: owner {found.st_uid}, mode {found.st_mode:o}"
+            )
+        return file.read()
+
+
+def _without_links(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
+
+
+def _settled(path: Path) -> bytes:
+    """Let a new file be on the disk, writable by its owner alone, whatever the umask is; return its content."""
+    path.chmod(0o600)
+    with open(path, "rb") as file:
+        os.fsync(file.fileno())
+        return file.read()
