@@ -51,13 +51,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         status, said = 130, "coadjoint: interrupted"
     if said:
-        print(said, file=sys.stderr)
+        _complain(said)
     return status
+
+
+def _complain(sentence: str) -> None:
+    """Write to the standard error; where that is impossible, the exit status alone remains."""
+    try:
+        print(sentence, file=sys.stderr, flush=True)
+    except (OSError, ValueError):
+        pass
 
 
 def run() -> None:
     """Run the command and leave the interpreter with its exit status."""
     hear()
+    _open_closed_streams()
     status = main()
     try:
         sys.stdout.flush()
@@ -67,11 +76,30 @@ def run() -> None:
         status = UNREAD
         _forget_output()
     except OSError as reason:
-        print(f"coadjoint: the standard output cannot be written ({reason.strerror})", file=sys.stderr)
+        if status == 0:
+            _complain(f"coadjoint: the standard output cannot be written ({reason.strerror})")
         status = status or 1
         _forget_output()
     ignore()
     sys.exit(status)
+
+
+def _open_closed_streams() -> None:
+    """Open the standard streams that were closed, so that no file of a run gets their numbers.
+
+    What is written to a standard output that was closed fails, as for any output that cannot be written.
+    """
+    for number, name, flags in ((0, "stdin", os.O_RDONLY), (1, "stdout", os.O_RDONLY), (2, "stderr", os.O_WRONLY)):
+        if getattr(sys, name) is not None:
+            continue
+        try:
+            os.fstat(number)
+        except OSError:
+            opened = os.open(os.devnull, flags)
+            if opened != number:
+                os.dup2(opened, number)
+                os.close(opened)
+        setattr(sys, name, open(number, "w" if number else "r", encoding="utf-8"))
 
 
 def _forget_output() -> None:

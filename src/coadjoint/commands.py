@@ -517,5 +517,8 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
     except BrokenPipeError:
         return UNREAD, ""
     except OSError as error:
-        return 1, in_one_line(f"coadjoint: {error}")
+        # What is written to files has their names, or is an OutputError.
+        lost = type(error) is OSError and error.filename is None
+        said = f"the standard output cannot be written ({error.strerror})" if lost else str(error)
+        return 1, in_one_line(f"coadjoint: {said}")
     return 0, ""

@@ -1,8 +1,9 @@
-"""Which packages come with an extra of this one, and what is said where one is missing?"""
+"""The extras of the package: which packages each one brings, and the message where one is missing."""
 
 from __future__ import annotations
 
 import importlib.util
+import os
 
 EXTRAS = {
     "numba": "functions",
@@ -21,6 +22,7 @@ EXTRAS = {
     "sympy": "algebra",
     "ducc0": "fluids",
     "distributed": "cluster",
+    "cryptography": "cluster",
 }
 """Package -> the extra that brings it, as pyproject.toml declares it; all others that are imported are requirements."""
 
@@ -44,7 +46,7 @@ def need(what: str, *packages: str) -> None:
     Raises
     ------
     MissingPackageError
-        With all that are missing, and the line that installs them.
+        With all that are missing, and the line that installs them; or Numba's compiler is turned off.
 
     Examples
     --------
@@ -52,6 +54,12 @@ def need(what: str, *packages: str) -> None:
     """
     missing = [name for name in packages if not installed(name)]
     if not missing:
+        if "numba" in packages and os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+            raise MissingPackageError(
+                f"{what} needs the compiler of numba, which the environment variable NUMBA_DISABLE_JIT turns off; "
+                "unset it",
+                name="numba",
+            )
         return
     extras = ",".join(dict.fromkeys(EXTRAS[name] for name in missing))
     named = missing[0] if len(missing) == 1 else f"{', '.join(missing[:-1])} and {missing[-1]}"

@@ -137,6 +137,23 @@ def read_numbers(values: Any, what: str) -> Floats:
         raise no_numbers(values, what) from None
 
 
+def read_complex(values: Any, what: str) -> NDArray[np.complex128]:
+    """Return a complex copy of real or complex numbers, refused as in `read_numbers`.
+
+    Examples
+    --------
+    >>> read_complex([1, 2j], "modes")
+    array([1.+0.j, 0.+2.j])
+    """
+    array = array_given(values, what, "iufc")
+    try:
+        return np.array(array, dtype=np.complex128)
+    except OverflowError:
+        raise ValueError(f"{what} holds a number that is too large for float64") from None
+    except (TypeError, ValueError):
+        raise no_numbers(values, what) from None
+
+
 def read_finite(values: Any, what: str) -> Floats:
     """Return a float64 copy of finite real numbers; the first entry that is not finite is named.
 

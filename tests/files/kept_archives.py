@@ -28,7 +28,7 @@ RUNS = {
     "matrix": (FLUID, W, co.IsospectralGauss(1), {}),
     "damped": (BODY.with_forces(co.forces.LinearDamping(0.125)), X, co.GaussLegendre(1), {}),
 }
-"""What runs: by sums, products, quotients and square roots alone, so that the bits are those of any machine."""
+"""Runs by sums, products, quotients and square roots alone: of vectors, so that the bits are those of any machine."""
 
 
 def write(folder: Path) -> None:

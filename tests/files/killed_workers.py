@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from distributed import Client, LocalCluster, WorkerPlugin
+from distributed import Client, WorkerPlugin
 
 import coadjoint as co
 from coadjoint.files import archived_run, block_run, stored_arrays
+from coadjoint.files.local_cluster import local_cluster
 
 STEP, STEPS, EVERY, MEMBERS = 0.125, 3 * 10**6, 2000, 8
 ROWS = 64
@@ -64,9 +65,8 @@ def killed(seed: int, folder: Path) -> tuple[int, int]:
     notes, stop, pids = folder / "notes.txt", threading.Event(), list[int]()
     rows = stored_arrays.FEWEST_ROWS, stored_arrays.MOST_ROWS
     stored_arrays.FEWEST_ROWS = stored_arrays.MOST_ROWS = ROWS
-    alone: dict[str, Any] = {"threads_per_worker": 1, "dashboard_address": ":0", "memory_limit": None}
     try:
-        with LocalCluster(n_workers=2, silence_logs=50, **alone) as cluster, Client(cluster) as client:
+        with local_cluster(2) as client:
             client.register_plugin(Often(notes))
             killer = threading.Thread(target=kill_some, args=(client, seed, stop, pids))
             killer.start()

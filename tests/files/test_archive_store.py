@@ -2,12 +2,22 @@
 
 import json
 import os
+import shutil
 
 import numpy as np
 import pytest
 import xarray
 
-from coadjoint.files.archive_store import FORMAT, ROOT, ArchiveError, ArchiveStore, read_array, read_kept, read_root
+from coadjoint.files.archive_store import (
+    FORMAT,
+    ROOT,
+    ArchiveError,
+    ArchiveReplaced,
+    ArchiveStore,
+    read_array,
+    read_kept,
+    read_root,
+)
 from coadjoint.files.stored_arrays import StoredArray
 
 ROWS = 16
@@ -70,8 +80,12 @@ def test_own_readers_see_what_was_committed_when_the_root_was_read(store):
     assert np.array_equal(read_array(store.path, "x", known["x"]), X[:20])
     assert read_array(store.path, "component", known["component"]).tolist() == ["e1", "é2", "e3"]
     (store.path / "x" / "c.1.0").unlink()
-    lost = read_array(store.path, "x", known["x"])
+    with pytest.raises(ArchiveError, match=r"x/c\.1\.0 is missing"):
+        read_array(store.path, "x", known["x"])
+    lost = read_array(store.path, "x", known["x"], may_be_missing=lambda place: place == (1, 0))
     assert np.isnan(lost[16:, :2]).all() and np.array_equal(lost[16:, 2], X[16:20, 2])
+    part = [range(3, 15, 4), range(1, 3)]
+    assert np.array_equal(read_array(store.path, "x", known["x"], part), X[3:15:4, 1:3])
 
 
 def test_who_goes_on_writes_again_what_did_not_count(store):
@@ -98,13 +112,46 @@ def test_the_second_writer_is_refused(store):
     ArchiveStore.opened(store.path).close()
 
 
-def test_a_folder_that_was_removed_is_not_made_again(store, tmp_path):
+def contents(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("other", [False, True])
+def test_a_folder_that_was_moved_is_noticed_and_has_all(store, tmp_path, other):
+    """Another archive at its place stays as it is; what was computed is in the folder that was moved."""
+    written(store, 0, 10)
     store.path.rename(tmp_path / "aside")
-    with pytest.raises(FileNotFoundError):
-        written(store, 0, 10)
-    with pytest.raises(OSError, match="No such file"):
-        store.commit({}, {"time": 0})
+    if other:
+        ArchiveStore.begun(store.path, arrays()).close()
+    before = contents(store.path)
+    kept = written(store, 10, 20)
+    with pytest.raises(ArchiveReplaced, match="its folder was moved or replaced"):
+        store.commit({}, {"time": 20}, [kept])
+    assert store.path.exists() == other and contents(store.path) == before
+    known, _ = read_root(tmp_path / "aside")
+    assert np.array_equal(read_array(tmp_path / "aside", "x", known["x"]), X[:20])
+    assert np.array_equal(read_kept(tmp_path / "aside", kept)["momenta"], X[:20])
+
+
+def test_a_folder_that_was_removed_is_not_made_again(store):
+    shutil.rmtree(store.path)
+    for write in (lambda: written(store, 0, 10), lambda: store.commit({}, {"time": 0})):
+        with pytest.raises(FileNotFoundError):
+            write()
     assert not store.path.exists()
+
+
+def test_a_lock_that_was_replaced_is_noticed(store):
+    """Somebody has removed the lock file, and another process writes by a lock of its own."""
+    written(store, 0, 10)
+    (store.path / ".coadjoint" / "lock").unlink()
+    second = ArchiveStore.opened(store.path)
+    before = contents(store.path)
+    for write in (lambda: written(store, 10, 20), lambda: store.commit({}, {"time": 10})):
+        with pytest.raises(ArchiveReplaced, match="its lock file was replaced"):
+            write()
+    assert contents(store.path) == before
+    second.close()
 
 
 @pytest.mark.parametrize("broken", ["write", "fsync", "replace"])
@@ -112,7 +159,11 @@ def test_a_full_disk_leaves_the_last_commit(store, monkeypatch, broken):
     kept = written(store, 0, 20)
     store.commit({}, {"time": 20}, [kept])
 
-    def full(*_):
+    opened = open
+
+    def full(*given, **options):
+        if given[1:] == ("rb",):
+            return opened(*given, **options)
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:

@@ -1,33 +1,41 @@
 """Ensembles on workers of Dask: the bits of one machine, whatever is lost on the way."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
+import warnings
 from concurrent.futures import CancelledError
 from pathlib import Path
 from threading import Thread, Timer
+from types import SimpleNamespace
+from urllib.parse import urlsplit
 
 import killed_workers
 import numpy as np
+import psutil
 import pytest
 from distributed import Client, LocalCluster
+from distributed.comm import CommClosedError
 
 import coadjoint as co
 from coadjoint.files import on_workers
+from coadjoint.files.archive_folder import ArchiveFolder
 from coadjoint.files.archive_store import ArchiveError, ArchiveUnwritten
 from coadjoint.files.blocks import read_about
+from coadjoint.files.local_cluster import local_cluster
+from coadjoint.files.run_in_blocks import team_of
 from coadjoint.files.unfinished import locked
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X = np.random.default_rng(3).standard_normal((11, 3))
-ALONE = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0", "memory_limit": None}
 
 
 @pytest.fixture(scope="module")
 def client():
-    with LocalCluster(**ALONE) as cluster, Client(cluster) as found:
+    with local_cluster(2) as found:
         yield found
 
 
@@ -122,10 +130,10 @@ def test_a_block_that_an_earlier_call_still_runs_is_waited_for(tmp_path, client,
             lost.setattr("coadjoint.files.run_in_blocks.run_block", lambda *given: {"busy": True})
             co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, members_per_block=4)
     lock = locked(archive / ".coadjoint" / "block-000001.lock", os.O_CREAT)
-    Timer(3.0, os.close, [lock]).start()
     began = time.monotonic()
+    Timer(3.0, os.close, [lock]).start()
     found = co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, client=client)
-    assert time.monotonic() - began > 2.5
+    assert time.monotonic() - began >= 3.0
     assert_same(found, co.integrate(BODY, X, (0, 2), 0.125))
 
 
@@ -156,7 +164,7 @@ def script(tmp_path, archive, how):
     return [sys.executable, str(path)]
 
 
-def until(condition, seconds=60.0):
+def until(condition, seconds=300.0):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "nothing happens"
@@ -165,7 +173,8 @@ def until(condition, seconds=60.0):
 
 def done(archive):
     """Return the numbers of the blocks that are done."""
-    return {k for k in range(11) if (read_about(archive, k) or {}).get("archive_finished")}
+    with ArchiveFolder(archive) as folder:
+        return {k for k in range(11) if (read_about(folder, k) or {}).get("archive_finished")}
 
 
 def written(archive):
@@ -240,7 +249,7 @@ def test_the_scheduler_is_killed_and_another_one_started(tmp_path):
         worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboard"]
         here = ["--scheduler-file", str(file)]
         quiet = {"stderr": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "cwd": tmp_path}
-        scheduler = subprocess.Popen([*dask, *here, "--port", "0", "--no-dashboard"], **quiet)
+        scheduler = subprocess.Popen([*dask, *here, "--host", "127.0.0.1", "--port", "0", "--no-dashboard"], **quiet)
         until(file.exists)
         return scheduler, subprocess.Popen([*worker, *here, "--death-timeout", "5", "--no-nanny"], **quiet), file
 
@@ -354,3 +363,108 @@ def test_workers_need_an_ensemble(tmp_path, monkeypatch, capsys):
     assert (
         "run.workers: workers are for the members of an ensemble, and the file has one state" in capsys.readouterr().err
     )
+
+
+def processes():
+    return [psutil.Process(), *psutil.Process().children(recursive=True)]
+
+
+def listening():
+    """Return the address and the port of each socket on which this process and its children listen."""
+    found = [connection for process in processes() for connection in process.net_connections("inet")]
+    return {(socket.laddr.ip, socket.laddr.port) for socket in found if socket.status == psutil.CONN_LISTEN}
+
+
+def reached(ports, seconds):
+    """Return what another user reaches by these ports."""
+    attack = [sys.executable, str(Path(__file__).with_name("stranger.py")), *map(str, (seconds, *ports))]
+    done = subprocess.run(attack, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_a_stranger_reaches_a_cluster_without_credentials():
+    """Otherwise the next test would show nothing."""
+    plain = {"n_workers": 1, "processes": False, "protocol": "tcp://", "dashboard_address": None}
+    with LocalCluster(**plain, silence_logs=50) as cluster:
+        (found,) = reached([urlsplit(cluster.scheduler_address).port], 30).values()
+    assert found == {"client": os.getpid(), "message": "Scheduler", "bytes": 8}
+
+
+def test_a_stranger_reaches_nothing_while_workers_run(tmp_path, monkeypatch):
+    """On no port of the scheduler, of a worker, or of its nanny, before and after a worker is killed."""
+    on_client, tried = on_workers.on_client, []
+
+    def attacked(client, *given):
+        key = next(line for line in client.security.tls_client_key.splitlines()[1:] if line)
+        for kill in (True, False):
+            ports = listening() - before
+            assert len(ports) == 3 and {host for host, _ in ports} == {"127.0.0.1"}
+            assert not any(reached([port for _, port in ports], 2).values())
+            for process in processes():
+                assert key not in " ".join([*process.cmdline(), *process.environ().values()])
+            folder = Path(client.run_on_scheduler(lambda dask_scheduler: dask_scheduler.local_directory)).parents[1]
+            assert folder.stat().st_mode & 0o777 == 0o700
+            assert not any(key in file.read_text() for file in folder.rglob("*") if file.is_file())
+            for paths in client.run(lambda: sys.path).values():
+                scratch = {path.partition("/dask-scratch-space")[0] for path in paths if "scratch" in path}
+                assert str(folder) in scratch, "code is found there"
+                assert all(Path(path).stat().st_mode & 0o777 == 0o700 for path in scratch)
+            tried.append(ports)
+            if kill:
+                (pid,) = client.run(os.getpid, nanny=False).values()
+                os.kill(pid, signal.SIGKILL)
+                until(lambda killed=pid: killed not in client.run(os.getpid, on_error="ignore").values())
+                client.wait_for_workers(1, timeout=60)
+        on_client(client, *given)
+
+    monkeypatch.setattr(on_workers, "on_client", attacked)
+    before = listening()
+    found = co.ensemble(BODY, X, (0, 2), 0.125, archive=tmp_path / "many.zarr", workers=1)
+    assert len(tried) == 2 and tried[0] != tried[1]
+    assert_same(found, co.integrate(BODY, X, (0, 2), 0.125))
+
+
+@pytest.mark.parametrize(
+    ("address", "warned"),
+    [
+        ("tcp://192.0.2.7:8786", True),
+        ("tcp://[2001:db8::7]:8786", True),
+        ("ucx://192.0.2.7:8786", True),
+        ("tcp://somewhere:8786", True),
+        ("tls://192.0.2.7:8786", False),
+        ("tcp://127.0.0.1:8786", False),
+        ("tcp://127.1.2.3:8786", False),
+        ("tcp://[::1]:8786", False),
+        ("tcp://localhost:8786", False),
+        ("inproc://192.0.2.7/1/1", False),
+    ],
+)
+def test_a_client_without_credentials_on_another_machine(address, warned):
+    client = object.__new__(Client)
+    client.scheduler, client.status = SimpleNamespace(address=address), "closed"
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("default")
+        for _ in range(3):
+            assert team_of(client, None, None).client is client
+    assert [warning.category for warning in found] == [RuntimeWarning] * warned
+    assert all(address in str(warning.message) for warning in found)
+
+
+def test_workers_that_end_while_they_receive_tables(tmp_path, client, monkeypatch):
+    """The tables are sent again; a scheduler that is gone is reported."""
+    archive, scatter, tries = tmp_path / "many.zarr", client.scatter, []
+
+    def failing(*given, **more):
+        tries.append(given)
+        if len(tries) < on_workers.RETRIES:
+            raise CommClosedError("a worker has ended")
+        return scatter(*given, **more)
+
+    monkeypatch.setattr(client, "scatter", failing)
+    monkeypatch.setattr(on_workers, "_answers", lambda client: len(tries) != 1)
+    with pytest.raises(ArchiveUnwritten, match="the scheduler of the cluster is lost"):
+        co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, client=client)
+    found = co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, client=client)
+    assert_same(found, co.integrate(BODY, X, (0, 2), 0.125))
+    assert len(tries) == on_workers.RETRIES

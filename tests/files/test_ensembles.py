@@ -11,9 +11,10 @@ import xarray
 
 import coadjoint as co
 from coadjoint.files import run_in_blocks as ensembles
+from coadjoint.files.archive_folder import ArchiveFolder
 from coadjoint.files.archive_store import ArchiveError, ArchiveStore, ArchiveUnwritten, read_root
 from coadjoint.files.block_run import BlockRun
-from coadjoint.files.blocks import blocks_of, lock_path, marker_path, read_about, read_marker, size_of_blocks
+from coadjoint.files.blocks import blocks_of, lock_file, marker_file, read_about, read_marker, size_of_blocks
 from coadjoint.files.ensemble_archive import left_of
 from coadjoint.files.unfinished import locked
 from coadjoint.runs.prepared_run import PreparedRun
@@ -148,10 +149,10 @@ def test_chunks_that_no_marker_speaks_of_are_written_again(tmp_path, monkeypatch
     """As where a worker is killed between its chunks and its marker."""
     archive = tmp_path / "many.zarr"
     _, blocks = cut(archive, monkeypatch, (8,))
-    held = marker_path(archive, 0).read_bytes()
+    held = (archive / ".coadjoint" / marker_file(0)).read_bytes()
     store, _ = prepared(archive)
     BlockRun(store, PreparedRun(BODY, None, 0.125).among(0, 4), times_of((0, 4), 0.125, 1), blocks[0]).advance(20)
-    marker_path(archive, 0).write_bytes(held)
+    (archive / ".coadjoint" / marker_file(0)).write_bytes(held)
     assert_same(co.ensemble(BODY, X, (0, 4), 0.125, archive=archive), co.integrate(BODY, X, (0, 4), 0.125))
 
 
@@ -159,7 +160,7 @@ def test_chunks_that_no_marker_speaks_of_are_written_again(tmp_path, monkeypatch
 def test_what_is_damaged_or_removed_is_computed_again(tmp_path, what):
     archive = tmp_path / "many.zarr"
     co.ensemble(BODY, X, (0, 4), 0.125, archive=archive, members_per_block=4)
-    marker = marker_path(archive, 1)
+    marker = archive / ".coadjoint" / marker_file(1)
     if what == "marker":
         marker.write_bytes(marker.read_bytes().replace(b'"failed": 0', b'"failed": 4'))
     elif what == "numbers":
@@ -171,7 +172,8 @@ def test_what_is_damaged_or_removed_is_computed_again(tmp_path, what):
             file.unlink()
     if what == "numbers":
         # Its first line is whole, and says that the block is done. Nothing has to go on from its numbers.
-        assert read_marker(archive, 1) is None and read_about(archive, 1) is not None
+        with ArchiveFolder(archive) as folder:
+            assert read_marker(folder, 1) is None and read_about(folder, 1) is not None
     else:
         store, _ = prepared(archive)
         assert [block.number for block in left_of(store)] == {"folder": [0, 1, 2]}.get(what, [1])
@@ -247,7 +249,7 @@ def test_two_calls_at_once(tmp_path, monkeypatch):
     with pytest.raises(ArchiveError, match="another process is writing to this archive"):
         co.ensemble(BODY, X, (0, 4), 0.125, archive=archive)
     store.close()
-    lock = locked(lock_path(archive, 1), os.O_CREAT)
+    lock = locked(archive / ".coadjoint" / lock_file(1), os.O_CREAT)
     with pytest.raises(ArchiveUnwritten, match="another process is still running some members"):
         co.ensemble(BODY, X, (0, 4), 0.125, archive=archive)
     os.close(lock)

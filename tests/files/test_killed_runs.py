@@ -45,10 +45,10 @@ def from_then_on(calls, original):
     """Return what fails from some call on, as a full disk does; until then it does what the original does."""
     left = itertools.count(calls, -1)
 
-    def full(*given):
+    def full(*given, **options):
         if next(left) <= 1:
             raise OSError(errno.ENOSPC, FULL)
-        return original(*given)
+        return original(*given, **options)
 
     return full
 
@@ -157,20 +157,63 @@ def test_a_small_disk(tmp_path):
     assert refused == [f"{tmp_path}/run.zarr: cannot be written ({FULL}); what it holds stays"] * 2
 
 
-def test_a_folder_that_is_removed_while_the_run_goes_on(tmp_path, monkeypatch, small_pieces):
-    path, original = tmp_path / "run.zarr", os.replace
+def contents(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
-    def aside(source, target):
-        original(source, target)
-        if str(target).endswith("run.zarr/zarr.json") and path.exists():
+
+@pytest.mark.parametrize("other", [False, True], ids=["moved", "replaced"])
+def test_a_folder_that_is_moved_while_the_run_goes_on(tmp_path, monkeypatch, small_pieces, other):
+    """What was computed is in the folder that was moved, and an archive that was put in its place stays as it is."""
+    path, original = tmp_path / "run.zarr", os.replace
+    if other:
+        co.integrate(BODY, X, (0.0, 1.0), 0.125, archive=tmp_path / "other.zarr")
+    before = contents(tmp_path / "other.zarr")
+
+    def aside(source, target, **options):
+        original(source, target, **options)
+        if str(target) == "zarr.json" and path.exists() and not (tmp_path / "aside").exists():
             path.rename(tmp_path / "aside")
+            if other:
+                (tmp_path / "other.zarr").rename(path)
 
     monkeypatch.setattr(os, "replace", aside)
-    with pytest.raises(ArchiveUnwritten, match=r"could not be written \(.*\); it holds the run up to step"):
+    with pytest.raises(ArchiveUnwritten, match=r"could not be written \(its folder was moved or replaced") as told:
         co.integrate(*RUN, archive=path)
-    assert os.listdir(tmp_path) == ["aside"]
+    assert sorted(os.listdir(tmp_path)) == ["aside"] + ["run.zarr"] * other
+    assert told.value.partial is None
     monkeypatch.undo()
+    if other:
+        assert contents(path) == before
     assert np.array_equal(co.resume(tmp_path / "aside").x, co.integrate(*RUN).x)
+
+
+def test_points_that_an_archive_lacks_are_in_the_error(tmp_path, monkeypatch, small_pieces):
+    """An archive that is removed, or locked anew, while its run goes on: nothing computed is lost."""
+    path, original, whole = tmp_path / "run.zarr", co.Solution.change, co.integrate(*RUN)
+
+    def remove():
+        shutil.rmtree(path)
+
+    def lock_again():
+        (path / ".coadjoint" / "lock").unlink()
+        (path / ".coadjoint" / "lock").touch()
+
+    for what in (remove, lock_again):
+        pieces = itertools.count()
+
+        def meanwhile(self, what=what, pieces=pieces):
+            if path.exists() and next(pieces) == 4:
+                what()
+            return original(self)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(co.Solution, "change", meanwhile)
+            with pytest.raises(ArchiveUnwritten) as told:
+                co.integrate(*RUN, archive=path)
+        held, partial = co.open_archive(path).x if path.exists() else whole.x[:0], told.value.partial
+        assert len(partial.x) and np.array_equal(partial.x, whole.x[np.isin(whole.t, partial.t)])
+        assert not len(held) or np.array_equal(np.concatenate([held, partial.x]), whole.x[: len(held) + len(partial.x)])
+        shutil.rmtree(path, ignore_errors=True)
 
 
 def test_two_writers(tmp_path, monkeypatch):

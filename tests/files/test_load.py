@@ -1,8 +1,11 @@
 """Runs opened again from whatever they were written to: every part has the bits that it had."""
 
+import json
+import os
 import pickle
 
 import h5py
+import numcodecs
 import numpy as np
 import pytest
 import xarray
@@ -165,3 +168,43 @@ def test_other_files_are_refused_in_one_sentence(tmp_path):
     for wrong in (None, 3, b"a.nc", ["a.nc"]):
         with pytest.raises(TypeError, match="path is"):
             co.load(wrong)
+
+
+class Running:
+    """An object that makes a folder when it is read by `pickle`."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.folder),)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    "codecs",
+    [
+        {"filters": [{"id": "pickle"}], "compressor": None},
+        {"filters": [{"id": "vlen-utf8"}, {"id": "pickle"}], "compressor": None, "dtype": "|O", "fill_value": ""},
+        {"filters": [{"id": "vlen-utf8"}], "compressor": {"id": "pickle"}, "dtype": "|O", "fill_value": ""},
+    ],
+)
+@pytest.mark.parametrize("consolidated", [True, False])
+@pytest.mark.parametrize("name", ["x", "time"])
+def test_nothing_in_a_dataset_is_executed(tmp_path, monkeypatch, codecs, consolidated, name):
+    """Whatever the version of numcodecs allows; xarray reads the coordinates when it opens a dataset."""
+    monkeypatch.setattr("numcodecs.pickles.ALLOW_UNSAFE_PICKLE_DECODE", True, raising=False)
+    assert pickle.loads(numcodecs.Pickle().encode([1])) == [1]
+    path, run = tmp_path / "run.zarr", tmp_path / "run"
+    RUNS["one member"]().to_xarray().to_zarr(path, zarr_format=2, consolidated=consolidated)
+    metadata = json.loads((path / name / ".zarray").read_text()) | codecs
+    (path / name / ".zarray").write_text(json.dumps(metadata))
+    if consolidated:
+        whole = json.loads((path / ".zmetadata").read_text())
+        whole["metadata"][f"{name}/.zarray"] = metadata
+        (path / ".zmetadata").write_text(json.dumps(whole))
+    for chunk in (path / name).glob("[0-9]*"):
+        chunk.write_bytes(pickle.dumps(Running(run)))
+    with pytest.raises(ValueError, match=r"is stored by pickle|cannot be read as a dataset"):
+        co.load(path)
+    assert not run.exists()

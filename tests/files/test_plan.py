@@ -1,12 +1,13 @@
 """What a file would run and cost, beside what it runs and costs."""
 
-import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from configuration_files import OWN, READY_MADE
 
 from coadjoint import cli
+from coadjoint.files import plan as planning
 from coadjoint.files.configuration import load
 from coadjoint.files.plan import plan
 from coadjoint.systems.batch import Batch
@@ -81,14 +82,21 @@ def test_every_example(folder, capsys, example):
     assert not [*folder.iterdir()]
 
 
-def test_the_time_is_that_of_the_run(folder):
+def test_the_time_is_estimated_from_a_trial(folder, monkeypatch):
+    """On a clock that counts steps: what a call takes beside them is a small part of a trial that is long enough."""
+    clock, a_call, a_step = [0.0], 1e-3, 1e-4
+
+    def short_run(configuration, ready, times, steps, every, short=planning._short):
+        clock[0] += a_call + a_step * steps
+        return short(configuration, ready, times, steps, every)
+
+    monkeypatch.setattr(planning, "_short", short_run)
+    monkeypatch.setattr(planning, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
     text = READY_MADE.replace("[0, 1]", "[0, 1000000]").replace("step = 0.1", "step = 0.1\nsave_every = 1000")
     found = planned(folder, text)
-    begun = time.perf_counter()
-    found.configuration.integrate()
-    taken = time.perf_counter() - begun
-    # The machine may do something else meanwhile, but not all of the time.
-    assert taken / 3 < found.seconds + found.ready < 3 * taken and 0 < found.tried < found.steps
+    taken = a_step * found.steps
+    assert taken < found.seconds <= taken * (1 + a_call / (planning.TRIAL - a_call)) * (1 + 1e-12)
+    assert found.ready == 0.0 and 0 < found.tried < found.steps
 
 
 def test_what_is_printed(folder, capsys):

@@ -1,6 +1,6 @@
-"""Where does a run go while it runs? Into an archive: a Zarr store that any reader may open at any time.
+"""The store of an archive: a Zarr store that a run writes while it runs, and that any reader may open at any time.
 
-What is where in the folder::
+Content of the folder::
 
     zarr.json              the root: attributes, and the shapes of all arrays (consolidated metadata)
     x/c.0.0, energy/c.0    chunks of arrays; those over ``time`` and ``crossing`` grow
@@ -14,27 +14,31 @@ rows that are written before the root is are not seen, and are written again by 
 whole. So a process may be killed at any moment, and at any moment a reader finds arrays of one length, without a hole.
 
 An archive may be written by several processes at once where each writes chunks of its own, and one of them commits.
+
+An archive may come from a stranger. Its metadata must be what the library writes: plain names, and the codecs, types
+and chunks of `StoredArray`. Files are reached through `ArchiveFolder`, which follows no links. Nothing is unpickled.
 """
 
 from __future__ import annotations
 
 import errno
 import hashlib
-import io
 import json
 import os
 import secrets
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import OneLineError
+from coadjoint.errors import OneLineError, in_one_line
+from coadjoint.files.archive_folder import ArchiveFolder
 from coadjoint.files.stored_arrays import StoredArray
-from coadjoint.files.unfinished import LOCK, locked
-from coadjoint.files.whole_files import WRITING, settle, write_whole
+from coadjoint.files.stored_numbers import numbers_from, numbers_to
+from coadjoint.files.unfinished import LOCK
+from coadjoint.memory import check_room
 from coadjoint.wording import short
 
 FORMAT = 1
@@ -45,6 +49,9 @@ VERSION = "archive_format"
 STATE = "state-"
 LONGEST_NAME = 255
 GROUP = {"zarr_format": 3, "node_type": "group"}
+BYTES_OF_JSON = 32
+"""Memory that JSON takes when it is parsed, for each of its bytes."""
+MOST_ARRAYS = 10**5
 
 
 class ArchiveError(OneLineError):
@@ -56,7 +63,20 @@ class ArchiveMoved(ArchiveError):
 
 
 class ArchiveUnwritten(OSError):
-    """An archive could not be written while its run went on; it holds what was committed before, and is resumed."""
+    """An archive could not be written during its run; it contains what was committed before, and can be resumed.
+
+    Attributes
+    ----------
+    partial : Solution or None
+        The saved points that were computed since the last commit, which the archive does not contain. None if there
+        are none, or if another process has computed them.
+    """
+
+    partial: Any = None
+
+
+class ArchiveReplaced(OSError):
+    """The folder of an archive, or its lock file, is no longer the one that the run has begun to write."""
 
 
 def path_of(given: Any) -> Path:
@@ -110,11 +130,17 @@ class ArchiveStore:
     """
 
     def __init__(
-        self, path: Path, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any], lock: int | None
+        self,
+        path: Path,
+        arrays: Mapping[str, StoredArray],
+        attributes: Mapping[str, Any],
+        lock: int | None,
+        lock_file: str = LOCK,
+        folder: ArchiveFolder | None = None,
     ) -> None:
         self.path, self.arrays, self.attributes = path, dict(arrays), dict(attributes)
-        self._lock = lock
-        self._touched: set[Path] = set()
+        self.folder, self._lock, self._lock_file = folder or ArchiveFolder(path), lock, lock_file
+        self._touched: set[str] = set()
 
     @classmethod
     def begun(cls, path: Path, arrays: Mapping[str, StoredArray]) -> ArchiveStore:
@@ -127,11 +153,17 @@ class ArchiveStore:
         arrays : mapping
             What it will hold; of those that grow no rows yet.
         """
-        for folder in (path, path / HIDDEN, *(path / name for name in arrays)):
-            folder.mkdir()
-        _write_json(path / HIDDEN / ROOT, {**GROUP, "attributes": {}})
-        found = cls(path, arrays, {VERSION: FORMAT}, locked(path / HIDDEN / LOCK, os.O_CREAT))
-        found._write_arrays(arrays)
+        path.mkdir()
+        folder = ArchiveFolder(path)
+        try:
+            for name in (HIDDEN, *arrays):
+                folder.make(name)
+            folder.write(HIDDEN, ROOT, _json({**GROUP, "attributes": {}}))
+            found = cls(path, arrays, {VERSION: FORMAT}, folder.lock(HIDDEN, LOCK), folder=folder)
+            found._write_arrays(arrays)
+        except BaseException:
+            folder.close()
+            raise
         return found
 
     @classmethod
@@ -144,27 +176,27 @@ class ArchiveStore:
             Somebody else is writing to it; or as `read_root`.
         """
         read_root(path)
+        folder, lock = open_folder(path), None
         try:
-            lock = locked(path / HIDDEN / LOCK, os.O_CREAT)
-        except OSError as reason:
-            raise unwritable(path, reason) from None
-        if lock is None:
-            raise ArchiveError(f"{path}: another process is writing to this archive; wait until it has ended")
-        # Once more: what it was before the lock may have changed.
-        try:
-            arrays, attributes = read_root(path)
+            try:
+                lock = folder.lock(HIDDEN, LOCK)
+            except OSError as reason:
+                raise unwritable(path, reason) from None
+            if lock is None:
+                raise ArchiveError(f"{path}: another process is writing to this archive; wait until it has ended")
+            # Once more: what it was before the lock may have changed.
+            found = cls(path, *read_root_in(path, folder), lock, folder=folder)
+            try:
+                for name in ("", HIDDEN, *found.arrays):
+                    folder.remove_unfinished(name)
+                found._write_arrays(found.arrays)
+            except OSError as reason:
+                raise unwritable(path, reason) from None
         except BaseException:
-            os.close(lock)
+            if lock is not None:
+                os.close(lock)
+            folder.close()
             raise
-        found = cls(path, arrays, attributes, lock)
-        try:
-            for folder in (path, path / HIDDEN, *(path / name for name in arrays)):
-                for left in folder.glob(f".*{WRITING}"):
-                    left.unlink(missing_ok=True)
-            found._write_arrays(arrays)
-        except OSError as reason:
-            found.close()
-            raise unwritable(path, reason) from None
         return found
 
     def moved(self, path: Path) -> None:
@@ -181,12 +213,50 @@ class ArchiveStore:
             self.close()
             raise
         self.path = path
+        self.folder.path = path.absolute()
 
     def close(self) -> None:
         """Let others write."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
+        self.folder.close()
+
+    def check_lock(self) -> None:
+        """Refuse to write where the lock file is another one: somebody else may be writing.
+
+        Raises
+        ------
+        ArchiveReplaced
+            The lock file was replaced.
+        OSError
+            It is gone.
+        """
+        if self._lock is None:
+            return
+        try:
+            there = self.folder.status(HIDDEN, self._lock_file)
+        except FileNotFoundError:
+            raise FileNotFoundError(errno.ENOENT, "it was removed meanwhile") from None
+        if not os.path.samestat(os.fstat(self._lock), there):
+            raise ArchiveReplaced(errno.ESTALE, "its lock file was replaced, so that another process may write to it")
+
+    def check_place(self) -> None:
+        """Refuse to go on where the name of the archive leads to another folder than the one that is written.
+
+        Raises
+        ------
+        ArchiveReplaced
+            The folder was renamed, and may have been replaced.
+        """
+        if self._lock is None:
+            return
+        try:
+            there = os.stat(self.folder.path / HIDDEN / self._lock_file, follow_symlinks=False)
+        except OSError:
+            there = None
+        if there is None or not os.path.samestat(os.fstat(self._lock), there):
+            raise ArchiveReplaced(errno.ESTALE, "its folder was moved or replaced; what was computed is in the old one")
 
     def write(self, name: str, values: Any, first: tuple[int, ...] = ()) -> None:
         """Write a part of an array; it does not count before it is committed.
@@ -201,17 +271,30 @@ class ArchiveStore:
         first : tuple of int
             Where the region begins; at the start of the dimensions that are not given.
         """
+        self.check_lock()
         array, region = self.arrays[name], np.asarray(values)
         begin = (*first, *(0,) * (region.ndim - len(first)))
         for place, inside, outside in array.chunks_at(begin, region.shape):
             key = array_key(place)
             chunk = array.empty()
             if array.grows and inside[0].start > 0:
-                held = array.decoded((self.path / name / key).read_bytes())
-                chunk[: inside[0].start] = held[: inside[0].start]
+                chunk[: inside[0].start] = self.chunk(name, place)[: inside[0].start]
             chunk[inside] = region[outside]
-            write_whole(self.path / name / key, array.encoded(chunk))
-        self._touched.add(self.path / name)
+            self.folder.write(name, key, array.encoded(chunk))
+        self._touched.add(name)
+
+    def chunk(self, name: str, place: tuple[int, ...]) -> NDArray[Any]:
+        """Return a chunk that is there.
+
+        Raises
+        ------
+        ArchiveError
+            It is missing or damaged.
+        """
+        found = _chunk(self.path, self.folder, name, self.arrays[name], place)
+        if found is None:
+            raise missing_chunk(self.path, name, place)
+        return found
 
     def keep(self, numbers: Mapping[str, Any], about: Mapping[str, Any]) -> Kept:
         """Write numbers and arrays from which a run goes on, and return what `commit` should say of them.
@@ -223,11 +306,10 @@ class ArchiveStore:
         about : mapping
             Plain numbers that are to be known without reading them.
         """
-        content = io.BytesIO()
-        np.savez(content, **{name: np.asarray(value) for name, value in numbers.items()})  # type: ignore[arg-type]
-        raw, file = content.getvalue(), f"{STATE}{secrets.token_hex(6)}.npz"
-        write_whole(self.path / HIDDEN / file, raw)
-        self._touched.add(self.path / HIDDEN)
+        self.check_lock()
+        raw, file = numbers_to(numbers), f"{STATE}{secrets.token_hex(6)}.npz"
+        self.folder.write(HIDDEN, file, raw)
+        self._touched.add(HIDDEN)
         return Kept(file, hashlib.sha256(raw).hexdigest(), dict(about))
 
     def commit(
@@ -243,30 +325,37 @@ class ArchiveStore:
             How many rows there are along the dimensions that grow.
         kept : iterable of Kept
             The states that stay; the files of all others are removed.
+
+        Raises
+        ------
+        ArchiveReplaced
+            The lock file is another one, and nothing is committed; or the folder was moved, and all is committed in it.
+        OSError
+            It cannot be written; the last commit stays.
         """
-        if self._lock is not None and os.fstat(self._lock).st_nlink == 0:
-            raise FileNotFoundError(errno.ENOENT, "it was removed meanwhile")
+        self.check_lock()
         arrays = {
             name: array._replace(shape=(lengths[array.dims[0]], *array.shape[1:])) if array.grows else array
             for name, array in self.arrays.items()
         }
         merged = {**self.attributes, **attributes}
         merged = {name: value for name, value in merged.items() if value is not None}
-        settle(self._touched)
+        self.folder.settle(self._touched)
         changed = {name: array for name, array in arrays.items() if array != self.arrays[name]}
-        _write_json(self.path / ROOT, root_of(arrays, merged))
+        self.folder.write("", ROOT, _json(root_of(arrays, merged)))
         self.arrays, self.attributes, self._touched = arrays, merged, set()
-        settle([self.path])
+        self.folder.settle([""])
         self._write_arrays(changed)
         stay = {one.file for one in kept if one is not None}
-        for file in (self.path / HIDDEN).glob(f"{STATE}*"):
-            if file.name not in stay:
-                file.unlink(missing_ok=True)
+        for file in self.folder.names(HIDDEN):
+            if file.startswith(STATE) and file not in stay:
+                self.folder.remove(HIDDEN, file)
+        self.check_place()
 
     def _write_arrays(self, arrays: Mapping[str, StoredArray]) -> None:
-        """Tell readers without consolidated metadata what the arrays look like; they see them one after the other."""
+        """Write the metadata of single arrays, for readers without consolidated metadata."""
         for name, array in arrays.items():
-            _write_json(self.path / name / ROOT, array.metadata())
+            self.folder.write(name, ROOT, _json(array.metadata()))
 
 
 def unwritable(path: Path, reason: OSError) -> ArchiveError:
@@ -296,6 +385,24 @@ def root_of(arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) ->
     }
 
 
+def open_folder(path: Path) -> ArchiveFolder:
+    """Return the open folder of an archive.
+
+    Raises
+    ------
+    ArchiveError
+        There is none.
+    """
+    try:
+        return ArchiveFolder(path)
+    except FileNotFoundError:
+        raise ArchiveError(f"{path}: there is no archive of a run") from None
+    except NotADirectoryError:
+        raise ArchiveError(f"{path}: is a file; an archive is a folder, which a run with archive= writes") from None
+    except OSError as reason:
+        raise ArchiveError(f"{path}: cannot be read ({reason.strerror})") from None
+
+
 def read_root(path: Path) -> tuple[dict[str, StoredArray], dict[str, Any]]:
     """Return the arrays and attributes of an archive, as they are at this moment.
 
@@ -304,53 +411,131 @@ def read_root(path: Path) -> tuple[dict[str, StoredArray], dict[str, Any]]:
     ArchiveError
         There is none, it is damaged, or a later version of the library has written it.
     """
+    with open_folder(path) as folder:
+        return read_root_in(path, folder)
+
+
+def read_root_in(path: Path, folder: ArchiveFolder) -> tuple[dict[str, StoredArray], dict[str, Any]]:
+    """Return what `read_root` does, of a folder that is open."""
     try:
-        root = json.loads((path / ROOT).read_text(encoding="utf-8"))
+        content = folder.read("", ROOT)
+        check_room(BYTES_OF_JSON * len(content), ROOT)
+        root = json.loads(content.decode("utf-8"), object_pairs_hook=_without_repetition)
         attributes = root["attributes"]
         version = attributes[VERSION]
         metadata = root["consolidated_metadata"]["metadata"]
     except FileNotFoundError:
         raise ArchiveError(f"{path}: there is no archive of a run") from None
-    except NotADirectoryError:
-        raise ArchiveError(f"{path}: is a file; an archive is a folder, which a run with archive= writes") from None
     except OSError as reason:
-        raise ArchiveError(f"{path}: cannot be read ({reason.strerror})") from None
+        raise ArchiveError(f"{path}: {ROOT} cannot be read ({reason.strerror})") from None
     except (ValueError, LookupError, TypeError, RecursionError):
         raise ArchiveError(f"{path}: is no archive of a run, or its {ROOT} is damaged") from None
     if isinstance(version, bool) or not isinstance(version, int) or version < 1:
-        raise ArchiveError(f"{path}: {VERSION} is {version!r}; it must be a whole number from 1 up")
+        raise ArchiveError(f"{path}: {VERSION} is {short(version)}; it must be a whole number from 1 up")
     if version > FORMAT:
         raise ArchiveError(
-            f"{path}: is an archive of format {version}, and this version of coadjoint reads formats up to {FORMAT}; "
-            "take a later version"
+            f"{path}: is an archive of format {short(version)}, and this version of coadjoint reads formats up to "
+            f"{FORMAT}; take a later version"
         )
     try:
-        arrays = {
-            name: StoredArray.of_metadata(each) for name, each in metadata.items() if each["node_type"] == "array"
-        }
-    except (LookupError, TypeError, AttributeError):
-        raise ArchiveError(f"{path}: the arrays in {ROOT} are damaged") from None
-    return arrays, attributes
+        return _arrays_of(metadata), attributes
+    except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as reason:
+        said = f" ({in_one_line(str(reason), 200)})" if isinstance(reason, ValueError) else ""
+        raise ArchiveError(f"{path}: the arrays in {ROOT} are damaged{said}") from None
 
 
-def read_array(path: Path, name: str, array: StoredArray) -> NDArray[Any]:
-    """Return all of an array, as it was when the root was read.
+def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a name is given twice")
+    return found
+
+
+def _arrays_of(metadata: Mapping[str, Any]) -> dict[str, StoredArray]:
+    """Return the arrays that the metadata of an archive describe; refuse what the library does not write.
+
+    Raises
+    ------
+    ValueError
+        A name is no plain name, or the metadata of an array are not what `StoredArray.metadata` gives.
+    """
+    if len(metadata) > MOST_ARRAYS:
+        raise ValueError(f"{len(metadata)} arrays")
+    found, rows = {}, set()
+    for name, each in metadata.items():
+        if name == HIDDEN and each["node_type"] == "group":
+            continue
+        # A file of this name is read and written: no path, and nothing that leads elsewhere.
+        if not name.isidentifier() or len(name.encode()) > LONGEST_NAME:
+            raise ValueError(f"an array is called {short(name)}, which is no plain name")
+        array = StoredArray.of_metadata(each)
+        if array.metadata() != each:
+            raise ValueError(f"the metadata of {short(name)} are not those that the library writes")
+        array.check()
+        found[name] = array
+        rows |= {array.shape[0]} if array.grows else set()
+    if len(rows) > 1:
+        raise ValueError(f"arrays over time have the lengths {short(sorted(rows))}")
+    return found
+
+
+def missing_chunk(path: Path, name: str, place: tuple[int, ...]) -> ArchiveError:
+    """Return the error for a chunk that was committed and is not there."""
+    return ArchiveError(
+        f"{path}: {name}/{array_key(place)} is missing, though the archive was committed with it; restore the file"
+    )
+
+
+def _chunk(
+    path: Path, folder: ArchiveFolder, name: str, array: StoredArray, place: tuple[int, ...]
+) -> NDArray[Any] | None:
+    """Return a chunk, or None where it is missing."""
+    file = array_key(place)
+    try:
+        return array.decoded(folder.read(name, file, array.most_bytes))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as reason:
+        said = getattr(reason, "strerror", None) or reason
+        raise ArchiveError(f"{path}: {name}/{file} cannot be read ({said})") from None
+
+
+def read_array(
+    path: Path,
+    name: str,
+    array: StoredArray,
+    part: Sequence[range] | None = None,
+    may_be_missing: Callable[[tuple[int, ...]], bool] | None = None,
+) -> NDArray[Any]:
+    """Return an array, as it was when the root was read.
+
+    Parameters
+    ----------
+    path : Path
+        The archive.
+    name, array
+        What is read.
+    part : sequence of range, optional
+        Along each axis the entries that are read, ascending; by default all.
+    may_be_missing : callable, optional
+        Whether a chunk, by its numbers along the axes, may not be written yet: it is empty (NaN) then. By default every
+        chunk must be there.
 
     Raises
     ------
     ArchiveError
-        A chunk is damaged, or cannot be read. What was never written is nothing (NaN).
+        A chunk is missing or damaged, or cannot be read.
     """
-    found = np.empty(array.shape, dtype=object if array.kind == "string" else array.kind)
-    for place, inside, outside in array.chunks_at((0,) * len(array.shape), array.shape):
-        file = path / name / array_key(place)
-        try:
-            found[outside] = array.decoded(file.read_bytes())[inside]
-        except FileNotFoundError:
-            found[outside] = array.empty()[inside]
-        except (OSError, ValueError) as reason:
-            said = getattr(reason, "strerror", None) or reason
-            raise ArchiveError(f"{path}: {name}/{file.name} cannot be read ({said})") from None
+    chosen = tuple(map(range, array.shape)) if part is None else tuple(part)
+    found = np.empty(tuple(map(len, chosen)), dtype=object if array.kind == "string" else array.kind)
+    with open_folder(path) as folder:
+        for place, inside, outside in array.chunks_in(chosen):
+            chunk = _chunk(path, folder, name, array, place)
+            if chunk is None:
+                if may_be_missing is None or not may_be_missing(place):
+                    raise missing_chunk(path, name, place)
+                chunk = array.empty()
+            found[outside] = chunk[inside]
     return found
 
 
@@ -362,18 +547,22 @@ def read_kept(path: Path, kept: Kept) -> dict[str, NDArray[Any]]:
     ArchiveError
         The file is missing, or is not the one that was written.
     """
-    place = path / HIDDEN / Path(kept.file).name
+    if not (kept.file.startswith(STATE) and kept.file.replace("-", "_").replace(".", "_").isidentifier()):
+        raise ArchiveError(f"{path}: a state is called {short(kept.file)}, which is no plain name")
     try:
-        raw = place.read_bytes()
+        with open_folder(path) as folder:
+            raw = folder.read(HIDDEN, kept.file)
     except FileNotFoundError:
         raise ArchiveMoved(f"{path}: the state {kept.file} is missing") from None
     except OSError as reason:
         raise ArchiveError(f"{path}: the state {kept.file} cannot be read ({reason.strerror})") from None
     if hashlib.sha256(raw).hexdigest() != kept.digest:
         raise ArchiveError(f"{path}: the state {kept.file} is damaged: its check sum is another one")
-    with np.load(io.BytesIO(raw), allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in arrays.files}
+    try:
+        return numbers_from(raw)
+    except ValueError as reason:
+        raise ArchiveError(f"{path}: the state {kept.file} is damaged ({reason})") from None
 
 
-def _write_json(path: Path, content: Mapping[str, Any]) -> None:
-    write_whole(path, json.dumps(content).encode("utf-8"))
+def _json(content: Mapping[str, Any]) -> bytes:
+    return json.dumps(content).encode("utf-8")

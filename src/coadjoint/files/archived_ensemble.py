@@ -1,9 +1,9 @@
-"""What does the archive of an ensemble have to say? As that of one run, with members that may not be computed yet."""
+"""Ensembles in archives: as archives of one run, with members that may not be computed yet."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.files.archive_store import read_root
+from coadjoint.files.archive_checks import check_archive
+from coadjoint.files.archive_store import open_folder, read_root
 from coadjoint.files.archived_run import ACCOUNTS, FINISHED, STEPS
 from coadjoint.files.archived_solution import ArchivedSolution, open_archive
-from coadjoint.files.blocks import NOT_YET, SIZE, STATUS, Block, blocks_of, read_about
+from coadjoint.files.blocks import MEMBER, NOT_YET, SIZE, STATUS, Block, blocks_of, is_computed, read_about
 from coadjoint.runs.solution import Statistics
 
 
@@ -35,6 +36,7 @@ class ArchivedEnsemble(ArchivedSolution):
 
     def __init__(self, path: Path, system: Any = None) -> None:
         arrays, attributes = read_root(path)
+        check_archive(path, arrays, attributes)
         self.__dict__.update(
             path=path,
             choice=None,
@@ -56,7 +58,20 @@ class ArchivedEnsemble(ArchivedSolution):
     @cached_property
     def _abouts(self) -> list[dict[str, Any]]:
         """What the markers of the blocks say; nothing of those that have not begun."""
-        return [read_about(self.path, block.number) or {} for block in self.blocks]
+        with open_folder(self.path) as folder:
+            return [read_about(folder, block.number) or {} for block in self.blocks]
+
+    def _may_be_missing(self, name: str) -> Callable[[tuple[int, ...]], bool] | None:
+        array = self._arrays[name]
+        if self.attributes[FINISHED] or MEMBER not in array.dims or not is_computed(name, array):
+            return None
+        axis, rows = array.dims.index(MEMBER), array.chunk[0]
+
+        def not_written(place: tuple[int, ...]) -> bool:
+            about = self._abouts[place[axis]]
+            return not about or (array.grows and place[0] * rows >= about["rows"])
+
+        return not_written
 
     @cached_property
     def finished(self) -> bool:  # type: ignore[override]

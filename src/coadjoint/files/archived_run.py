@@ -1,4 +1,4 @@
-"""How does a run write itself down while it runs? Piece by piece into an archive, each of them committed at once."""
+"""Runs that are written to an archive while they run: piece by piece, each of them committed at once."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.files.archive_store import ArchiveStore, ArchiveUnwritten, Kept
+from coadjoint.files.archive_store import ArchiveError, ArchiveReplaced, ArchiveStore, ArchiveUnwritten, Kept
 from coadjoint.files.export import said_of
 from coadjoint.files.stored_arrays import TYPES, StoredArray, chunk_of, rows_of_chunk
 from coadjoint.files.variables import Variables, coordinates_of, over_time, starts_of, summaries_of, times_of_points
@@ -97,6 +97,7 @@ class ArchivedRun:
         run, began = self.run, time.perf_counter()
         if run.number == self._committed:
             return
+        piece: Solution | None = None
         try:
             piece = run.piece()
             for name, (_, values, _) in growing_of(piece).items():
@@ -109,8 +110,9 @@ class ArchivedRun:
             said = {**self._attributes(piece, states), **(said_of(failure) if failure else {})}
             self.store.commit(said, lengths, states)
             self._states = states
-        except OSError as reason:
-            raise unwritten(self.store, reason) from reason
+        except (OSError, ArchiveError) as reason:
+            held = self.store.attributes.get(STEPS) == run.number
+            raise unwritten(self.store, reason, None if held else piece) from reason
         run.let_go()
         self._took, self._committed = time.perf_counter() - began, run.number
 
@@ -140,7 +142,7 @@ class ArchivedRun:
 
 
 def states_of(attributes: Mapping[str, Any]) -> list[Kept]:
-    """Return the states that an archive keeps: of its blocks, and the last one."""
+    """Return the states that an archive contains: of its blocks, and the last one."""
     return [Kept(*kept) for kept in json.loads(attributes[STATES])]
 
 
@@ -172,10 +174,13 @@ def first_step(ready: PreparedRun, times: Times, start: Start) -> str:
     return hashlib.sha256(run.state.arrays.numbers.tobytes()).hexdigest()
 
 
-def unwritten(store: ArchiveStore, reason: OSError) -> ArchiveUnwritten:
-    """Return the error for an archive that could not be written."""
-    said, steps = reason.strerror or str(reason), store.attributes.get(STEPS, 0)
-    return ArchiveUnwritten(
-        f"{store.path}: the archive could not be written ({said}); it holds the run up to step {steps}, and the run "
-        "goes on from there when it is resumed"
-    )
+def unwritten(store: ArchiveStore, reason: OSError | ArchiveError, partial: Solution | None = None) -> ArchiveUnwritten:
+    """Return the error for an archive that could not be written, with the points that it lacks."""
+    said, steps = getattr(reason, "strerror", None) or str(reason), store.attributes.get(STEPS, 0)
+    if isinstance(reason, ArchiveReplaced):
+        ending = f"the run was written up to step {steps}, and nothing of what is there now was changed"
+    else:
+        ending = f"it holds the run up to step {steps}, and the run goes on from there when it is resumed"
+    found = ArchiveUnwritten(f"{store.path}: the archive could not be written ({said}); {ending}")
+    found.partial = partial
+    return found

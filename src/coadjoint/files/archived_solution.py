@@ -1,9 +1,9 @@
-"""What does an archive have to say? A solution that reads what it is asked for, when it is asked."""
+"""Solutions in archives: arrays are read on first use."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from math import prod
 from pathlib import Path
@@ -12,14 +12,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import in_one_line
 from coadjoint.extras import need
-from coadjoint.files.archive_store import ArchiveError, ArchiveMoved, path_of, read_array, read_kept, read_root
+from coadjoint.files.archive_checks import check_archive, check_reported, reading
+from coadjoint.files.archive_store import (
+    ArchiveError,
+    ArchiveMoved,
+    array_key,
+    missing_chunk,
+    open_folder,
+    path_of,
+    read_array,
+    read_kept,
+    read_root,
+)
 from coadjoint.files.archived_run import ACCOUNTS, FINISHED, STEPS, states_of
 from coadjoint.files.blocks import SIZE
 from coadjoint.files.export import solution_inputs
 from coadjoint.files.read_solution import ReadSolution
-from coadjoint.files.stored_arrays import GROWING, StoredArray
+from coadjoint.files.stored_arrays import StoredArray
 from coadjoint.memory import check_room
 from coadjoint.runs.piecewise_run import STATE, larger
 from coadjoint.runs.solution import Statistics
@@ -53,7 +63,10 @@ class ArchivedSolution(ReadSolution):
 
     def __init__(self, path: Path, system: Any = None) -> None:
         arrays, attributes = read_root(path)
+        check_archive(path, arrays, attributes)
         kept = read_kept(path, states_of(attributes)[-1])
+        with reading(path):
+            check_reported(kept, arrays)
         self.__dict__.update(
             path=path,
             finished=bool(attributes[FINISHED]),
@@ -97,7 +110,33 @@ class ArchivedSolution(ReadSolution):
         array = self._arrays[name]
         what = f"{name} of the archive {self.path}"
         check_room(16 * prod(array.shape), what, f"read a part of to_xarray()[{name!r}]")
-        return read_array(self.path, name, array)
+        return read_array(self.path, name, array, may_be_missing=self._may_be_missing(name))
+
+    def _may_be_missing(self, name: str) -> Callable[[tuple[int, ...]], bool] | None:
+        """Return which chunks of an array may not be written yet; None if all of them are committed."""
+        return None
+
+    def check_whole(self) -> None:
+        """Refuse an archive that lacks chunks that were committed, or whose last chunks, which grow, are damaged.
+
+        Raises
+        ------
+        ArchiveError
+            Naming the first array and chunk.
+        """
+        with open_folder(self.path) as folder:
+            for name, array in self._arrays.items():
+                try:
+                    files = folder.names(name)
+                except OSError as reason:
+                    raise ArchiveError(f"{self.path}: {name} cannot be read ({reason.strerror})") from None
+                for place, _, _ in array.chunks_in([range(0, size, chunk) for size, chunk in array.extent]):
+                    if array_key(place) not in files:
+                        raise missing_chunk(self.path, name, place)
+                if array.grows:
+                    begun = array.shape[0] - array.shape[0] % array.chunk[0]
+                    rows = range(begun, array.shape[0])
+                    read_array(self.path, name, array, [rows, *map(range, array.shape[1:])])
 
     @cached_property
     def initial(self) -> Mapping[str, Any]:
@@ -119,12 +158,17 @@ class ArchivedSolution(ReadSolution):
     def to_xarray(self) -> xarray.Dataset:
         import xarray
 
-        found = xarray.open_zarr(self.path, chunks=None)
-        text = [name for name, array in self._arrays.items() if array.kind == "string"]
-        names = {name: (found[name].dims, list(map(str, found[name].values)), found[name].attrs) for name in text}
-        found = found.assign_coords(names)
-        # It may have grown since it was opened.
-        return found.isel({dim: slice(self._arrays[dim].shape[0]) for dim in GROWING if dim in self._arrays})
+        from coadjoint.files.archived_variables import ArchivedArray, variable
+
+        found: dict[str, Any] = {}
+        for name, array in self._arrays.items():
+            if array.kind == "string":
+                found[name] = (array.dims, list(map(str, self._whole(name))), dict(array.attributes))
+            else:
+                found[name] = variable(ArchivedArray(self.path, name, array, self._may_be_missing(name)))
+        given = str(self.attributes.get("coordinates", "")).split()
+        attributes = {name: value for name, value in self.attributes.items() if name != "coordinates"}
+        return xarray.Dataset(found, attrs=attributes).set_coords([name for name in given if name in found])
 
 
 def _opened(path: Path, system: Any) -> ArchivedSolution:
@@ -173,8 +217,4 @@ def open_archive(path: str | Path, system: Any = None) -> ArchivedSolution:
         except ArchiveMoved as reason:  # it was committed to while it was opened
             if attempt == ATTEMPTS - 1:
                 raise ArchiveError(str(reason)) from None
-        except ArchiveError:
-            raise
-        except (LookupError, TypeError, ValueError) as reason:
-            raise ArchiveError(f"{path}: the archive is damaged ({in_one_line(str(reason), 100)})") from None
     raise AssertionError

@@ -1,4 +1,4 @@
-"""How is a run begun in an archive, and gone on with after it was cut?"""
+"""Runs that begin in an archive, and that are resumed from it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
+from coadjoint.files.archive_checks import reading
 from coadjoint.files.archive_store import ArchiveError, ArchiveStore, path_of, read_kept, unwritable
 from coadjoint.files.archived_ensemble import ArchivedEnsemble
 from coadjoint.files.archived_run import (
@@ -228,8 +229,10 @@ def resume(
     store = ArchiveStore.opened(place)
     try:
         found = open_archive(place, system)
+        found.check_whole()
         given = asked_again(place, found, system, observe, events)
-        inputs = found.inputs(given.events)
+        with reading(place):
+            inputs = found.inputs(given.events)
         ready = PreparedRun(
             inputs["system"],
             inputs["method"],
@@ -252,7 +255,8 @@ def resume(
             if longer.steps != times.steps:
                 times = longer
                 try:
-                    lengthen(store, ready, times, start)
+                    with reading(place):
+                        lengthen(store, ready, times, start)
                 except OSError as reason:
                     raise unwritable(place, reason) from None
         if store.attributes[FINISHED]:
@@ -269,7 +273,9 @@ def _run_on(
     store: ArchiveStore, ready: PreparedRun, times: Times, start: Start, stored: Any, progress: bool, until: int | None
 ) -> ArchivedSolution:
     try:
-        failure = ArchivedRun(store, ready, times, start, stored).advance(until, progress)
+        with reading(store.path):
+            run = ArchivedRun(store, ready, times, start, stored)
+        failure = run.advance(until, progress)
     except KeyboardInterrupt as stopped:
         stopped.partial = open_archive(store.path, ready.system)  # type: ignore[attr-defined]
         stopped.add_note(f"{store.path} has what was computed; co.resume({str(store.path)!r}) goes on with it")

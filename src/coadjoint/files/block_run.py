@@ -1,9 +1,8 @@
-"""How does a worker run one block of an ensemble? From the archive, into its own chunks of it, and to its marker."""
+"""The run of one block of an ensemble: from the archive, into its own chunks of it and its marker."""
 
 from __future__ import annotations
 
 import json
-import os
 import platform
 import time
 from pathlib import Path
@@ -12,13 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint import __version__
-from coadjoint.files.archive_store import ArchiveError, ArchiveStore, ArchiveUnwritten, array_key, read_root
+from coadjoint.files.archive_store import (
+    HIDDEN,
+    ArchiveError,
+    ArchiveStore,
+    ArchiveUnwritten,
+    open_folder,
+    read_root_in,
+)
 from coadjoint.files.archived_run import FINISHED, STEPS, ArchivedRun
-from coadjoint.files.blocks import DONE, FAILED, NOT_YET, STATUS, Block, lock_path, read_marker, write_marker
+from coadjoint.files.blocks import DONE, FAILED, NOT_YET, STATUS, Block, lock_file, read_marker, write_marker
 from coadjoint.files.export import said_of
-from coadjoint.files.unfinished import locked
 from coadjoint.files.variables import over_time, summaries_of
-from coadjoint.files.whole_files import settle
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.times import times_of
 
@@ -47,7 +51,7 @@ class BlockRun(ArchivedRun):
     """
 
     def __init__(self, store: ArchiveStore, ready: PreparedRun, times: Times, block: Block) -> None:
-        marker = read_marker(store.path, block.number)
+        marker = read_marker(store.folder, block.number)
         x0, attitude = (_of_block(store, name, block) for name in ("x0", "attitude0"))
         start = ready.start(x0, attitude)
         rows, stored = store.arrays["time"].chunk[0], None if marker is None else marker.stored
@@ -75,7 +79,7 @@ class BlockRun(ArchivedRun):
         failed = np.asarray(piece.failed)
         status = np.where(failed, FAILED, DONE) if run.over else np.full(len(failed), NOT_YET)
         store.write(STATUS, status, (block.first,))
-        settle([store.path / name for name in (*written, STATUS)])
+        store.folder.settle((*written, STATUS))
         stats = piece.stats
         self.about = {
             STEPS: run.number,
@@ -92,7 +96,8 @@ class BlockRun(ArchivedRun):
             # The members of the block are numbered from its first; who failed is said of all of them.
             who = f" for {failed.sum()} of {len(failed)} members (first: member {failed.argmax()})"
             self.about["failed_reason"] = str(self._failure).replace(who, "")
-        write_marker(store.path, block.number, self.about, run.stored())
+        write_marker(store.folder, block.number, self.about, run.stored())
+        store.check_place()
         run.let_go()
         self._took, self._committed = time.perf_counter() - began, run.number
 
@@ -126,26 +131,29 @@ def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threa
     ArchiveUnwritten
         It cannot be written.
     """
-    path = Path(archive)
+    path, here = Path(archive), platform.node()
     try:
-        arrays, attributes = read_root(path)
+        folder = open_folder(path)
     except ArchiveError as reason:
-        raise ArchiveError(
-            f"{reason} on the machine {platform.node()}; every worker must see the folder by the same name"
-        ) from None
-    if attributes["coadjoint_version"] != __version__:
-        raise ArchiveError(
-            f"{path}: was begun by coadjoint {attributes['coadjoint_version']}, and the worker on {platform.node()} "
-            f"has {__version__}; install the same version everywhere"
-        )
-    lock = locked(lock_path(path, block.number), os.O_CREAT)
-    if lock is None:
-        return BUSY
+        raise _unseen(reason) from None
+    store: ArchiveStore | None = None
     try:
+        try:
+            arrays, attributes = read_root_in(path, folder)
+        except ArchiveError as reason:
+            raise _unseen(reason) from None
+        if attributes["coadjoint_version"] != __version__:
+            raise ArchiveError(
+                f"{path}: was begun by coadjoint {attributes['coadjoint_version']}, and the worker on {here} has "
+                f"{__version__}; install the same version everywhere"
+            )
+        lock = folder.lock(HIDDEN, lock_file(block.number))
+        if lock is None:
+            return BUSY
+        store = ArchiveStore(path, arrays, attributes, lock, lock_file(block.number), folder)
         times = times_of(_span(attributes), float(attributes["step"]), int(attributes["save_every"]))
         first, last = (block.first, block.last) if whole else (0, block.last - block.first)
-        own = ready.among(first, last, threads)
-        run = BlockRun(ArchiveStore(path, arrays, attributes, None), own, times, block)
+        run = BlockRun(store, ready.among(first, last, threads), times, block)
         if not run.about[FINISHED]:
             run.advance()
             run.commit()
@@ -155,11 +163,18 @@ def run_block(archive: str, block: Block, ready: PreparedRun, whole: bool, threa
     except OSError as reason:
         said = reason.strerror or str(reason)
         raise ArchiveUnwritten(
-            f"{path}: members {block.first} to {block.last - 1} could not be written on {platform.node()} ({said}); "
+            f"{path}: members {block.first} to {block.last - 1} could not be written on {here} ({said}); "
             "the next call with this archive goes on"
         ) from reason
     finally:
-        os.close(lock)
+        if store is not None:
+            store.close()
+        folder.close()
+
+
+def _unseen(reason: ArchiveError) -> ArchiveError:
+    """Return the error for an archive that a worker cannot read."""
+    return ArchiveError(f"{reason} on the machine {platform.node()}; every worker must see the folder by the same name")
 
 
 def _span(attributes: dict[str, Any]) -> Any:
@@ -171,6 +186,6 @@ def _of_block(store: ArchiveStore, name: str, block: Block) -> Any:
     array: StoredArray | None = store.arrays.get(name)
     if array is None:
         return None
-    chunk = array.decoded((store.path / name / array_key((block.number, *(0,) * (len(array.shape) - 1)))).read_bytes())
+    chunk = store.chunk(name, (block.number, *(0,) * (len(array.shape) - 1)))
     values = chunk[: block.last - block.first]
     return values[..., 0] + 1j * values[..., 1] if array.dims[-1] == "part" else values

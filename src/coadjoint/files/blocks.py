@@ -1,4 +1,4 @@
-"""Which members go together, and what is known of them? Blocks of an ensemble in an archive, each with one writer.
+"""Blocks of an ensemble in an archive: members that are run together, by one writer.
 
 Members go in blocks of one size; along the members each chunk of an array is one block, so that no two blocks share a
 file. Beside the arrays each block has in the hidden folder of the archive::
@@ -13,20 +13,18 @@ damaged counts as none: the block is run again, to the same bits.
 from __future__ import annotations
 
 import hashlib
-import io
 import itertools
 import json
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.files.archive_store import HIDDEN, array_key
-from coadjoint.files.whole_files import settle, write_whole
+from coadjoint.files.stored_numbers import numbers_from, numbers_to
 
 if TYPE_CHECKING:
+    from coadjoint.files.archive_folder import ArchiveFolder
     from coadjoint.files.stored_arrays import StoredArray
 
 SIZE = "archive_block"
@@ -34,6 +32,8 @@ SIZE = "archive_block"
 MEMBER = "member"
 STARTS = ("x0", "attitude0")
 STATUS = "status"
+COMPUTED = ("drift", "change", "balance", "failed", STATUS)
+"""Arrays over the members, and not over time, that a block writes."""
 NOT_YET, DONE, FAILED = 0, 1, 2
 ABOUT_STATUS = {
     "long_name": "whether the member has been computed to its end",
@@ -45,6 +45,12 @@ BYTES = 2**22
 SIDE_BY_SIDE = 32
 """Members that go side by side in the kernels."""
 BLOCKS_OF_A_WORKER = 4
+ABOUT: dict[str, Any] = {
+    name: int for name in ("archive_steps", "archive_finished", "evaluations", "iterations", "failed", "rows")
+} | {"seconds": int | float}
+"""Numbers that every marker has."""
+LONGEST_HEAD = 2**16
+"""Bytes of the first line of a marker."""
 
 
 class Block(NamedTuple):
@@ -97,46 +103,48 @@ class Marker(NamedTuple):
     stored: dict[str, NDArray[Any]]
 
 
-def marker_path(archive: Path, number: int) -> Path:
-    """Return the file of the marker of a block."""
-    return archive / HIDDEN / f"block-{number:06d}"
+def marker_file(number: int) -> str:
+    """Return the file of the marker of a block, in the hidden folder."""
+    return f"block-{number:06d}"
 
 
-def lock_path(archive: Path, number: int) -> Path:
-    """Return the file that is locked while a block is run."""
-    return archive / HIDDEN / f"block-{number:06d}.lock"
+def lock_file(number: int) -> str:
+    """Return the file that is locked while a block is run, in the hidden folder."""
+    return f"block-{number:06d}.lock"
 
 
-def write_marker(archive: Path, number: int, about: Mapping[str, Any], stored: Mapping[str, Any]) -> None:
+def write_marker(folder: ArchiveFolder, number: int, about: Mapping[str, Any], stored: Mapping[str, Any]) -> None:
     """Write the marker of a block, whole; a first line of text, and the numbers after it."""
-    content = io.BytesIO()
-    np.savez(content, **{name: np.asarray(value) for name, value in stored.items()})  # type: ignore[arg-type]
-    raw = content.getvalue()
+    raw = numbers_to(stored)
     head = json.dumps({"about": dict(about), "bytes": len(raw), "numbers": hashlib.sha256(raw).hexdigest()})
     line = f"{hashlib.sha256(head.encode()).hexdigest()} {head}\n"
-    write_whole(marker_path(archive, number), line.encode() + raw)
-    settle([archive / HIDDEN])
+    folder.write(HIDDEN, marker_file(number), line.encode() + raw)
+    folder.settle([HIDDEN])
 
 
-def read_about(archive: Path, number: int) -> dict[str, Any] | None:
-    """Return what the marker of a block says, without its numbers; None where there is none, or a damaged one."""
+def read_about(folder: ArchiveFolder, number: int) -> dict[str, Any] | None:
+    """Return the head of the marker of a block, without its numbers; None where there is none, or a damaged one."""
+    marker = _marker(folder, number, LONGEST_HEAD)
+    return None if marker is None else marker[0]["about"]
+
+
+def read_marker(folder: ArchiveFolder, number: int) -> Marker | None:
+    """Return the marker of a block; None where there is none, or a damaged one."""
+    marker = _marker(folder, number)
+    if marker is None or hashlib.sha256(marker[1]).hexdigest() != marker[0].get("numbers"):
+        return None
     try:
-        with open(marker_path(archive, number), "rb") as file:
-            return dict(_head(file.readline())["about"])
-    except (OSError, ValueError, LookupError, TypeError):
+        return Marker(marker[0]["about"], numbers_from(marker[1]))
+    except ValueError:
         return None
 
 
-def read_marker(archive: Path, number: int) -> Marker | None:
-    """Return the marker of a block; None where there is none, or a damaged one."""
+def _marker(folder: ArchiveFolder, number: int, head: int | None = None) -> tuple[dict[str, Any], bytes] | None:
+    """Return the head of a marker and its numbers; None where there is none, or a damaged one."""
     try:
-        line, _, raw = marker_path(archive, number).read_bytes().partition(b"\n")
-        head = _head(line)
-        if hashlib.sha256(raw).hexdigest() != head["numbers"]:
-            return None
-        with np.load(io.BytesIO(raw), allow_pickle=False) as arrays:
-            return Marker(dict(head["about"]), {name: arrays[name] for name in arrays.files})
-    except (OSError, ValueError, LookupError, TypeError):
+        line, _, raw = folder.read(HIDDEN, marker_file(number), head=head).partition(b"\n")
+        return _head(line), raw
+    except (OSError, ValueError, RecursionError):
         return None
 
 
@@ -144,8 +152,19 @@ def _head(line: bytes) -> dict[str, Any]:
     digest, _, text = line.decode("utf-8").rstrip("\n").partition(" ")
     if hashlib.sha256(text.encode()).hexdigest() != digest:
         raise ValueError("the marker is damaged")
-    found: dict[str, Any] = json.loads(text)
+    found = json.loads(text)
+    if not isinstance(found, dict) or not isinstance(found.get("about"), dict):
+        raise ValueError("the marker is damaged")
+    about = found["about"]
+    for name, kinds in ABOUT.items():
+        if isinstance(about.get(name), bool) or not isinstance(about.get(name), kinds) or not 0 <= about[name] < 2**62:
+            raise ValueError("the marker is damaged")
     return found
+
+
+def is_computed(name: str, array: StoredArray) -> bool:
+    """Return whether an array is written by the blocks, and not when the archive is begun."""
+    return array.grows or name in COMPUTED
 
 
 def chunks_of(arrays: Mapping[str, StoredArray], block: Block, rows: int) -> Iterator[tuple[str, tuple[int, ...]]]:
@@ -161,6 +180,9 @@ def chunks_of(arrays: Mapping[str, StoredArray], block: Block, rows: int) -> Ite
             yield name, place
 
 
-def is_whole(archive: Path, arrays: Mapping[str, StoredArray], block: Block, rows: int) -> bool:
+def is_whole(folder: ArchiveFolder, arrays: Mapping[str, StoredArray], block: Block, rows: int) -> bool:
     """Return whether all chunks are there of which a marker speaks: somebody may have removed some."""
-    return all((archive / name / array_key(place)).is_file() for name, place in chunks_of(arrays, block, rows))
+    wanted = dict[str, set[str]]()
+    for name, place in chunks_of(arrays, block, rows):
+        wanted.setdefault(name, set()).add(array_key(place))
+    return all(files <= folder.names(name) for name, files in wanted.items())

@@ -1,4 +1,4 @@
-"""What does a configuration file ask for? Read, checked and turned into a run; nothing in it is executed."""
+"""Configuration files: read, checked and turned into a run; nothing in them is executed."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.extras import need
 from coadjoint.files.configuration_parts import ConfigurationError, method_of_file, section, system_of_file
 from coadjoint.files.configuration_text import tables_of, text_of
+from coadjoint.files.content_checksum import CHECKSUM
 from coadjoint.files.initial_states import initial_state
 from coadjoint.files.polynomials import read_polynomial
 from coadjoint.files.readable_tables import Readable, readable
@@ -219,6 +220,7 @@ class Configuration:
         xarray.Dataset
         """
         found = solution.to_xarray().drop_encoding().assign_attrs({CONFIGURATION: self.text})
+        found.attrs.pop(CHECKSUM, None)  # that of the content without what is added here
         return found.assign_coords(self.swept_coordinates())
 
     def swept_coordinates(self) -> Variables:

@@ -1,4 +1,4 @@
-"""How is the archive of an ensemble begun, and gone on with? Preallocated: all times and members are known."""
+"""The archive of an ensemble: begun, compared with a run that continues it, and finished; all times are known."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from coadjoint.files.archive_store import ArchiveError, ArchiveStore, array_key
+from coadjoint.files.archive_store import HIDDEN, ArchiveError, ArchiveStore
 from coadjoint.files.archived_run import ACCOUNTS, FINISHED, FIRST_STEP, STEPS, first_step
 from coadjoint.files.archives import check_new, unmade
 from coadjoint.files.blocks import (
@@ -23,8 +23,8 @@ from coadjoint.files.blocks import (
     Block,
     blocks_of,
     is_whole,
-    lock_path,
-    marker_path,
+    lock_file,
+    marker_file,
     read_about,
     size_of_blocks,
 )
@@ -187,7 +187,7 @@ def _equal(store: ArchiveStore, name: str, array: StoredArray, values: Any) -> b
     if array.shape != values.shape:
         return False
     for place, inside, outside in array.chunks_at((0,) * len(array.shape), array.shape):
-        held = array.decoded((store.path / name / array_key(place)).read_bytes())[inside]
+        held = store.chunk(name, place)[inside]
         if held.tobytes() != np.ascontiguousarray(values[outside]).tobytes():
             return False
     return True
@@ -197,9 +197,9 @@ def left_of(store: ArchiveStore) -> list[Block]:
     """Return the blocks that are not done."""
     found = []
     for block in blocks_of(store.arrays["x0"].shape[0], int(store.attributes[SIZE])):
-        about = read_about(store.path, block.number)
-        if about is not None and not is_whole(store.path, store.arrays, block, int(about["rows"])):
-            marker_path(store.path, block.number).unlink()
+        about = read_about(store.folder, block.number)
+        if about is not None and not is_whole(store.folder, store.arrays, block, int(about["rows"])):
+            store.folder.remove(HIDDEN, marker_file(block.number))
             about = None
         if about is None or not about[FINISHED]:
             found.append(block)
@@ -209,7 +209,7 @@ def left_of(store: ArchiveStore) -> list[Block]:
 def finish(store: ArchiveStore) -> dict[str, Any]:
     """Say in the root that every block is done, and return what it says of failures."""
     blocks = blocks_of(store.arrays["x0"].shape[0], int(store.attributes[SIZE]))
-    abouts = [read_about(store.path, block.number) or {} for block in blocks]
+    abouts = [read_about(store.folder, block.number) or {} for block in blocks]
     said: dict[str, Any] = {
         FINISHED: 1,
         STEPS: min(int(about[STEPS]) for about in abouts),
@@ -227,5 +227,5 @@ def finish(store: ArchiveStore) -> dict[str, Any]:
             said["failed_reason"] = f"{who}{first['failed_reason']}"
     store.commit(said, {"time": store.arrays["time"].shape[0]})
     for block in blocks:
-        lock_path(store.path, block.number).unlink(missing_ok=True)
+        store.folder.remove(HIDDEN, lock_file(block.number))
     return said

@@ -1,4 +1,4 @@
-"""How is a solution kept outside of this library? As an xarray dataset that says how to repeat the run."""
+"""Solutions as xarray datasets, with the attributes from which a run is repeated."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
+from coadjoint.files.content_checksum import with_checksum
 from coadjoint.files.record_entries import Entry, made_of, parsed
 from coadjoint.files.records import record_of, system_of
 from coadjoint.files.state_arrays import DIMENSIONS, state_of
@@ -70,7 +71,7 @@ def dataset_of(solution: Solution) -> xarray.Dataset:
     if solution.events is not None:
         variables |= variables_of(solution.events)
     coordinates = {**parameters_of(solution.system), **coordinates_of(solution)}
-    return xarray.Dataset(variables, coordinates, attributes_of(solution))
+    return with_checksum(xarray.Dataset(variables, coordinates, attributes_of(solution)))
 
 
 def attributes_of(solution: Solution) -> dict[str, Any]:
@@ -132,7 +133,7 @@ def mark_failed(dataset: xarray.Dataset, error: IntegrationError) -> xarray.Data
     >>> mark_failed(xarray.Dataset(), error).attrs["failed_step"]
     3
     """
-    return dataset.assign_attrs(**said_of(error))
+    return with_checksum(dataset.assign_attrs(**said_of(error)))
 
 
 def said_of(error: IntegrationError) -> dict[str, Any]:
@@ -233,7 +234,7 @@ def _system(dataset: xarray.Dataset, system: Any) -> Any:
 
 
 def rebuild(dataset: xarray.Dataset) -> Solution:
-    """Repeat the run of a dataset: the same bits, on any machine and number of threads.
+    """Repeat the run of a dataset: the same bits, with any number of threads.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Is a function that is given now the one that a run was begun with? Told by a digest of what it is made of."""
+"""Fingerprints of functions, by which archives know them."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ import numpy as np
 from coadjoint.algebra.polynomial import Polynomial
 from coadjoint.files.record_entries import EXACT, INTEGRAL
 from coadjoint.files.records import record_of
+from coadjoint.kernels.function_contents import contents_of
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -26,12 +27,7 @@ PLAIN = (type(None), bool, int, float, complex, str, bytes, Fraction, range)
 
 
 class Fingerprint:
-    """A digest of values and functions: equal where they are made of the same code and numbers.
-
-    Of a function these are its code, the constants in it, its defaults, what it has closed over, and the global
-    numbers, arrays and functions of its own package that it names. It cannot see what else a function reads when it is
-    called: files, attributes of modules and objects, what has changed inside of other packages; these stand with their
-    names alone.
+    """The digest of archives that were written before `contents_of` existed; it does not see all that functions read.
 
     Parameters
     ----------
@@ -162,18 +158,27 @@ def fingerprint_of(value: Any) -> dict[str, Any]:
     code, text = Fingerprint(False), Fingerprint(True)
     code.add(value)
     text.add(value)
+    contents, written = contents_of(value), contents_of(value, written=True)
     return {
         "python": ".".join(platform.python_version_tuple()[:2]),
         "code": code.hexdigest(),
         "text": None if text.unknown else text.hexdigest(),
+        "contents": contents.digest,
+        "unknown": list(contents.unknown),
+        "written": written.digest if written.unknown == contents.unknown else None,
     }
 
 
 def same_fingerprint(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Return whether two values are the same, as far as can be told.
+    """Return whether two values are the same with all that their functions read.
 
-    Code is compared where the version of Python is the same, otherwise the text of functions.
+    Code is compared where the version of Python is the same, otherwise the text of functions; where a function has no
+    text, they count as different.
     """
+    if "contents" in one and "contents" in other:
+        if one["python"] == other["python"]:
+            return bool(one["contents"] == other["contents"])
+        return one["written"] is not None and one["written"] == other["written"]
     if one["python"] == other["python"]:
         return bool(one["code"] == other["code"])
     return one["text"] is not None and one["text"] == other["text"]

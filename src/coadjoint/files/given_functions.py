@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -105,6 +106,13 @@ def _check(path: Path, what: str, made: Any, wanted: Mapping[str, Any], given: A
         raise ArchiveError(
             f"{path}: {what} is {short(given)}, which is not what the run was begun with: its numbers, or the code of "
             f"its functions ({short(', '.join(wanted[what]['named']))[1:-1]}), are others"
+        )
+    unknown = wanted.get(what, {}).get("unknown", ())
+    if unknown:
+        warnings.warn(
+            f"{path}: {what} is compared without {short(', '.join(unknown))[1:-1]}, which cannot be followed",
+            UserWarning,
+            stacklevel=4,
         )
 
 

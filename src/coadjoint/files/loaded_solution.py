@@ -16,12 +16,15 @@ from coadjoint.errors import OneLineError, in_one_line
 from coadjoint.extras import need
 from coadjoint.files.archive_store import HIDDEN
 from coadjoint.files.archived_solution import open_archive
+from coadjoint.files.checked_files import check_hdf5, check_zarr
+from coadjoint.files.content_checksum import CHECKSUM, checksum_of
 from coadjoint.files.export import ENDED, NEEDED, solution_inputs
 from coadjoint.files.read_solution import ReadSolution
 from coadjoint.given import read_path
 from coadjoint.memory import check_room
 from coadjoint.runs.events import Ending, Event, Events
 from coadjoint.runs.solution import Solution, Statistics
+from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinate_names import coordinate_names
 from coadjoint.systems.kinds import unforced
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -85,9 +88,11 @@ class LoadedSolution(ReadSolution):
         if self.t[0] == self.t_span[0]:
             return {name: series[0] for name, series in zip(self._names, values, strict=True)}
         # The start was not among the times that were kept.
-        system = self.system
-        found = {"energy": system.energy(self.x0, self.t_span[0])}
-        return found | {name: casimir(self.x0) for name, casimir in system.casimirs.items()}
+        if self.failed is None:
+            return _invariants_at(self.system, self.x0, self.t_span[0])
+        systems = self.system if isinstance(self.system, Batch) else [self.system] * len(self.x0)
+        each = [_invariants_at(own, x, self.t_span[0]) for own, x in zip(systems, self.x0, strict=True)]
+        return {name: np.array([found[name] for found in each]) for name in self._names}
 
     @cached_property
     def _ending(self) -> Ending | None:  # type: ignore[override]
@@ -126,6 +131,11 @@ class LoadedSolution(ReadSolution):
 
     def to_xarray(self) -> xarray.Dataset:
         return self.dataset.copy()
+
+
+def _invariants_at(system: Any, x: NDArray[Any], t: float) -> dict[str, Any]:
+    """Return the energy and the Casimirs of one state."""
+    return {"energy": system.energy(x, t)} | {name: casimir(x) for name, casimir in system.casimirs.items()}
 
 
 def load(path: str | Path, system: Any = None) -> Solution:
@@ -187,12 +197,22 @@ def load(path: str | Path, system: Any = None) -> Solution:
     import xarray
 
     try:
+        if engine == "h5netcdf":
+            check_hdf5(place)
+        elif engine == "zarr":
+            check_zarr(place)
         with xarray.open_dataset(place, engine=engine) as opened:
             absent = [key for key in (*NEEDED, "evaluations", "iterations", "seconds") if key not in opened.attrs]
             if absent or any(name not in opened.variables for name in ("x", "x0", "energy", "time", "invariant")):
                 raise LoadError(f"{shown}: holds no run: it was not written by this library")
             check_room(2 * opened.nbytes, f"{shown}: the run in it", "read parts of it with xarray")
             dataset = opened.load()
+        stated = dataset.attrs.get(CHECKSUM)
+        if stated is not None and stated != checksum_of(dataset):
+            raise LoadError(
+                f"{shown}: its content is not that of its check sum, so that it was damaged, or changed after it was "
+                f"written; if you have changed it, remove its attribute {CHECKSUM} and write it again"
+            )
     except LoadError:
         raise
     except Exception as reason:  # of xarray, or of whoever reads for it: a damaged file has no kind of its own

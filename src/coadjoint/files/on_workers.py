@@ -1,10 +1,9 @@
-"""Who runs the blocks of an ensemble? Workers of Dask, which send back some numbers each and nothing else."""
+"""Blocks of an ensemble on workers of Dask, which return some numbers each and nothing else."""
 
 from __future__ import annotations
 
 import importlib
 import json
-import logging
 import secrets
 import time
 from concurrent.futures import CancelledError
@@ -29,32 +28,12 @@ SECONDS_BETWEEN_TRIES = 2.0
 def on_processes(
     workers: int, store: ArchiveStore, left: list[Block], ready: PreparedRun, threads: int | None, progress: bool
 ) -> None:
-    """Run blocks in processes of this machine, which end with this call.
-
-    Raises
-    ------
-    RuntimeError
-        No worker has started.
-    """
+    """Run blocks in processes of this machine, which end with this call."""
     if not left:
         return
-    distributed: Any = importlib.import_module("distributed")
-    alone = {
-        "threads_per_worker": 1,
-        "processes": True,
-        "dashboard_address": ":0",
-        "memory_limit": None,
-        # What goes wrong is raised here; processes that end in the middle of a block are not worth a line each.
-        "silence_logs": logging.CRITICAL,
-    }
-    try:
-        cluster = distributed.LocalCluster(n_workers=min(workers, len(left)), **alone)
-    except RuntimeError as reason:
-        raise RuntimeError(
-            "the workers of ensemble(workers=) did not start; each of them imports the script, so that the call must "
-            'stand below if __name__ == "__main__":'
-        ) from reason
-    with cluster, distributed.Client(cluster) as client:
+    from coadjoint.files.local_cluster import local_cluster
+
+    with local_cluster(min(workers, len(left))) as client:
         on_client(client, store, left, ready, threads, progress)
 
 
@@ -100,7 +79,13 @@ def _round(
     """Submit blocks and wait for them; return those that are not done, and why the first of them is not."""
     archive, token, whole = str(store.path), secrets.token_hex(4), not isinstance(ready.system, Batch)
     ready.loops(_signed(store, ready)).make_all()  # here, so that no worker makes them
-    everything: Any = client.scatter(ready, broadcast=True, hash=False) if whole else None
+    try:
+        everything: Any = client.scatter(ready, broadcast=True, hash=False) if whole else None
+    except (OSError, CancelledError) as lost:
+        # A worker that ends while it receives the tables fails this request, and not the cluster.
+        if not _answers(client):
+            raise _lost(store) from lost
+        return left, lost
 
     def submitted(block: Block, again: int) -> Any:
         given = everything if whole else ready.among(block.first, block.last)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from coadjoint.errors import OneLineError
 from coadjoint.extras import need
+from coadjoint.files.content_checksum import with_checksum
 from coadjoint.files.netcdf_file import write_netcdf
 from coadjoint.files.unfinished import Unfinished, remove_leftovers
 from coadjoint.files.zarr_store import INDEX, write_zarr, written_by_coadjoint
@@ -124,7 +125,7 @@ def _rehearse(target: Path) -> None:
 
 
 def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
-    """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``), whole or not at all.
+    """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``), whole or not at all, with a check sum of its content.
 
     It is written beside the target and renamed. A file is replaced in one step; between two Zarr stores, which are
     folders, there is a moment without either.
@@ -152,6 +153,7 @@ def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
     array([1., 2.])
     """
     target = check_target(path)
+    dataset = with_checksum(dataset)
     write = write_netcdf if target.suffix == ".nc" else write_zarr
     with Unfinished(target) as unfinished:
         _in_a_thread(lambda: write(dataset, unfinished.place, unfinished.writing), unfinished.give_up)

@@ -110,7 +110,10 @@ class ReadSolution(Solution):
 
     @cached_property
     def casimirs(self) -> Mapping[str, NDArray[np.float64]]:
-        return self._series("casimir_")
+        found = self._series("casimir_")
+        # A Zarr store lists its arrays in alphabetical order; values are named by their place.
+        ordered = {name: found.labels[name] for name in self._names[1:] if name in found.labels}
+        return Read({**ordered, **found.labels}, self._read)
 
     @cached_property
     def observed(self) -> Mapping[str, NDArray[np.float64]]:  # type: ignore[override]
@@ -143,15 +146,15 @@ class Read(Mapping[str, NDArray[Any]]):
     """Arrays by name, each read when it is first asked for."""
 
     def __init__(self, labels: Mapping[str, str], read: Callable[[str], NDArray[Any]]) -> None:
-        self._labels, self._read, self._found = dict(labels), read, dict[str, NDArray[Any]]()
+        self.labels, self._read, self._found = dict(labels), read, dict[str, NDArray[Any]]()
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self._found:
-            self._found[name] = self._read(self._labels[name])
+            self._found[name] = self._read(self.labels[name])
         return self._found[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._labels)
+        return iter(self.labels)
 
     def __len__(self) -> int:
-        return len(self._labels)
+        return len(self.labels)

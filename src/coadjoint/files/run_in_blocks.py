@@ -1,18 +1,22 @@
-"""How is an ensemble run in blocks? Its archive is begun or gone on with, and what is left of it is given to a team."""
+"""Ensembles in blocks: an archive is begun or continued, and its unfinished blocks are run."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
+import warnings
 import weakref
 from collections.abc import Mapping
+from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import urlsplit
 
 import numpy as np
 
 from coadjoint.errors import IntegrationError
 from coadjoint.extras import need
+from coadjoint.files.archive_checks import check_archive
 from coadjoint.files.archive_store import ArchiveStore, ArchiveUnwritten, path_of
 from coadjoint.files.archived_ensemble import ArchivedEnsemble
 from coadjoint.files.archived_run import unwritten
@@ -27,6 +31,10 @@ from coadjoint.wording import short
 
 if TYPE_CHECKING:
     from coadjoint.files.blocks import Block
+
+
+WITHOUT_TLS = ("tcp", "ws", "ucx", "ucxx")
+"""Protocols of Dask without credentials."""
 
 
 class Team(NamedTuple):
@@ -64,10 +72,34 @@ def team_of(client: Any, workers: Any, threads: Any) -> Team:
 
         if not isinstance(client, Client):
             raise TypeError(f"client is {short(client)}; it must be a distributed.Client")
+        warn_of_plain_text(client)
     if workers is not None:
-        need("ensemble(workers=)", "distributed")
+        need("ensemble(workers=)", "distributed", "cryptography")
         workers = read_whole(workers, "workers", floats=True)
     return Team(client, workers, None if threads is None else read_whole(threads, "threads", floats=True))
+
+
+def warn_of_plain_text(client: Any) -> None:
+    """Warn of a client that reaches its scheduler over a network without TLS."""
+    address = getattr(client.scheduler, "address", "")
+    protocol, _, place = address.partition("://")
+    host = urlsplit(f"//{place}").hostname
+    if protocol not in WITHOUT_TLS or host is None or is_loopback(host):
+        return
+    warnings.warn(
+        f"the client is connected to {address} without TLS; whoever reaches this address can run code on the workers "
+        "and in this process: start the cluster with TLS credentials and connect by Client(address, security=...)",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a host is this machine by an address that other machines cannot reach."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def run_in_blocks(
@@ -129,6 +161,7 @@ def _run(whole: Ensemble, path: Path, team: Team, size: int | None, progress: bo
     if path.exists():
         store = ArchiveStore.opened(path)
         try:
+            check_archive(path, store.arrays, store.attributes)
             check_same(whole, store)
         except BaseException:
             store.close()
@@ -171,6 +204,10 @@ def _here(store: ArchiveStore, left: list[Block], ready: PreparedRun, progress: 
     """Run blocks in this process, one after the other."""
     with progress_bar(sum(block.last - block.first for block in left), progress, "member") as bar:
         for block in left:
+            try:
+                store.check_place()
+            except OSError as reason:
+                raise unwritten(store, reason) from reason
             if run_block(str(store.path), block, ready, True, None) == BUSY:
                 raise ArchiveUnwritten(f"{store.path}: another process is still running some members; try again later")
             bar(block.last - block.first)

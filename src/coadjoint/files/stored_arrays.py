@@ -1,4 +1,4 @@
-"""Which arrays has an archive, and what do they look like in a file? Arrays of Zarr of format 3, in chunks.
+"""Arrays of an archive and their form in files: Zarr format 3, in chunks.
 
 An array that grows does so along its first dimension; a chunk is always stored whole, with nothing (`FILL`) behind the
 rows that there are. What is written here is read by any reader of Zarr: numbers by the codecs bytes, blosc and crc32c,
@@ -8,12 +8,15 @@ names by the codec vlen-utf8.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from coadjoint.errors import in_one_line
+from coadjoint.wording import short
 
 GROWING = ("time", "crossing")
 """The dimensions along which arrays grow."""
@@ -23,6 +26,15 @@ BYTES = 2**22
 TYPES = {"f": "float64", "i": "int64", "b": "bool"}
 FILL: dict[str, Any] = {"float64": "NaN", "int64": 0, "bool": False, "string": ""}
 SEPARATOR = "."
+MOST_AXES = 8
+LONGEST, LARGEST_ROWS = 2**62, 2**16
+"""The longest axis and the most rows of a chunk that are read."""
+ITEM = 8
+"""Bytes of a number."""
+OVERHEAD = 16
+"""Bytes by which a compressed chunk may be longer than its numbers: the header of Blosc."""
+CHECKED = 4
+"""Bytes of the check sum of a chunk."""
 
 
 class StoredArray(NamedTuple):
@@ -89,24 +101,64 @@ class StoredArray(NamedTuple):
             metadata["attributes"],
         )
 
+    def check(self) -> None:
+        """Refuse shapes and chunks that the library does not write.
+
+        Raises
+        ------
+        ValueError
+            Naming what is wrong.
+        """
+        axes = len(self.dims)
+        if not all(isinstance(name, str) and name.isidentifier() for name in self.dims) or not 1 <= axes <= MOST_AXES:
+            raise ValueError(f"the dimensions are {short(self.dims)}")
+        for what, sizes, least in (("shape", self.shape, 0), ("chunk", self.chunk, 1)):
+            if len(sizes) != axes or any(type(size) is not int or not least <= size <= LONGEST for size in sizes):
+                raise ValueError(f"the {what} is {short(sizes)}; it must be {axes} whole numbers from {least} up")
+        longest = [max(1, size) for size in self.shape]
+        if self.grows:
+            longest[0] = LARGEST_ROWS
+        row = ITEM * prod(longest[int(self.grows) :])
+        if any(size > most for size, most in zip(self.chunk, longest, strict=True)) or (
+            ITEM * prod(self.chunk) > max(BYTES, row)
+        ):
+            raise ValueError(f"the chunk is {short(self.chunk)}, which is too large for the shape {short(self.shape)}")
+
+    @property
+    def extent(self) -> list[tuple[int, int]]:
+        """The shape with the chunk: pairs of both along each axis."""
+        return list(zip(self.shape, self.chunk, strict=True))
+
+    @property
+    def most_bytes(self) -> int | None:
+        """The length that a chunk has as bytes at most; None for text."""
+        if self.kind == "string":
+            return None
+        return np.dtype(self.kind).itemsize * prod(self.chunk) + OVERHEAD + CHECKED
+
     def chunks_at(self, first: tuple[int, ...], shape: tuple[int, ...]) -> Iterator[tuple[tuple[int, ...], Any, Any]]:
-        """Yield the chunks that a region touches: the number of each along the axes, the part of it, and of the region.
+        """Yield the chunks that a region touches, as `chunks_in`: the region begins at `first`, and has a shape."""
+        return self.chunks_in([range(a, a + n) for a, n in zip(first, shape, strict=True)])
+
+    def chunks_in(self, part: Sequence[range]) -> Iterator[tuple[tuple[int, ...], Any, Any]]:
+        """Yield the chunks that have entries of a part: the number of each along the axes, and slices of it and of the
+        part.
 
         Parameters
         ----------
-        first : tuple of int
-            Where the region begins.
-        shape : tuple of int
-            How far it goes.
+        part : sequence of range
+            The entries along each axis, ascending.
         """
-        along = [range(a // c, -(-(a + n) // c)) for a, n, c in zip(first, shape, self.chunk, strict=True)]
+        along = [range(r[0] // c, r[-1] // c + 1) if r else range(0) for r, c in zip(part, self.chunk, strict=True)]
         for place in itertools.product(*along):
             inside, outside = [], []
-            for k, a, n, c in zip(place, first, shape, self.chunk, strict=True):
-                low, high = max(a, k * c), min(a + n, (k + 1) * c)
-                inside.append(slice(low - k * c, high - k * c))
-                outside.append(slice(low - a, high - a))
-            yield place, tuple(inside), tuple(outside)
+            for k, r, c in zip(place, part, self.chunk, strict=True):
+                low, high = (-(-(end - r.start) // r.step) for end in (k * c, (k + 1) * c))
+                low, high = max(low, 0), min(high, len(r))
+                outside.append(slice(low, high))
+                inside.append(slice(r.start + low * r.step - k * c, r.start + (high - 1) * r.step + 1 - k * c, r.step))
+            if all(one.start < one.stop for one in outside):
+                yield place, tuple(inside), tuple(outside)
 
     def empty(self) -> NDArray[Any]:
         """Return a chunk of nothing."""
@@ -135,19 +187,60 @@ class StoredArray(NamedTuple):
         ValueError
             They are damaged.
         """
-        from numcodecs import Blosc, VLenUTF8
-
-        content, told = content[:-4], content[-4:]
+        content, told = content[:-CHECKED], content[-CHECKED:]
         if _sum_of(content) != told:
             raise ValueError("a chunk of the archive is damaged: its check sum is another one")
         if self.kind == "string":
-            return np.asarray(VLenUTF8().decode(content), dtype=object).reshape(self.chunk)
+            return np.array(texts_of(content, prod(self.chunk)), dtype=object).reshape(self.chunk)
+        kind = np.dtype(self.kind).newbyteorder("<")
         if self.kind != "bool":
-            content = bytes(Blosc().decode(content))
-        return np.frombuffer(content, dtype=np.dtype(self.kind).newbyteorder("<")).reshape(self.chunk).copy()
+            content = unpacked(content, kind.itemsize * prod(self.chunk))
+        if len(content) != kind.itemsize * prod(self.chunk):
+            raise ValueError(f"a chunk of the archive has {len(content)} bytes, which its shape does not ask for")
+        return np.frombuffer(content, dtype=kind).reshape(self.chunk).copy()
 
 
 BLOSC = {"typesize": 8, "cname": "zstd", "clevel": 3, "shuffle": "shuffle", "blocksize": 0}
+
+
+def unpacked(content: bytes, length: int) -> bytes:
+    """Return what Blosc has compressed, of which the length is known; nothing longer is made.
+
+    Raises
+    ------
+    ValueError
+        It is damaged, or holds another number of bytes.
+    """
+    from numcodecs import Blosc
+
+    # The header: versions, flags, size of an entry; lengths of the content, of a block, and of all that is here.
+    held, packed = (int.from_bytes(content[at : at + 4], "little") for at in (4, 12))
+    if len(content) < OVERHEAD or held != length or packed != len(content):
+        raise ValueError("a chunk of the archive is damaged: its header is not that of its length")
+    try:
+        return bytes(Blosc().decode(content))
+    except (RuntimeError, ValueError, TypeError) as reason:
+        raise ValueError(f"a chunk of the archive is damaged: {in_one_line(str(reason), 100)}") from None
+
+
+def texts_of(content: bytes, count: int) -> list[str]:
+    """Return texts that the codec vlen-utf8 has encoded, of which the number is known.
+
+    Raises
+    ------
+    ValueError
+        They are damaged, or another number.
+    """
+    found, at = [], 4
+    if int.from_bytes(content[:4], "little") != count or 4 * count > len(content):
+        raise ValueError("a chunk of the archive is damaged: it has another number of texts")
+    for _ in range(count):
+        begin = at + 4
+        at = begin + int.from_bytes(content[at:begin], "little")
+        found.append(content[begin:at].decode("utf-8"))
+    if at != len(content):
+        raise ValueError("a chunk of the archive is damaged: its texts have other lengths")
+    return found
 
 
 def _sum_of(content: bytes) -> bytes:

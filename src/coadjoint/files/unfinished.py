@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 import shutil
+import stat
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -114,11 +116,19 @@ def remove_leftovers(target: Path) -> None:
     """
     prefix = _prefix(target)
     with os.scandir(target.parent) as entries:
-        found = [Path(entry.path) for entry in entries if entry.name.startswith(prefix)]
-    for folder in found:
+        found = [entry for entry in entries if entry.name.startswith(prefix)]
+    for entry in found:
         # Somebody else's, or gone meanwhile: no reason to refuse a run.
         with suppress(OSError):
-            _remove_if_left(folder, target)
+            if _is_own(entry):
+                _remove_if_left(Path(entry.path), target)
+
+
+def _is_own(entry: os.DirEntry[str]) -> bool:
+    """Return whether an entry is a folder of this user, and no symbolic link: only such folders are removed."""
+    if not entry.is_dir(follow_symlinks=False):
+        return False
+    return not hasattr(os, "geteuid") or entry.stat(follow_symlinks=False).st_uid == os.geteuid()
 
 
 def _remove_if_left(folder: Path, target: Path) -> None:
@@ -137,18 +147,25 @@ def _prefix(target: Path) -> str:
     return f".{target.name[:24]}-{sha256(os.fsencode(target.name)).hexdigest()[:12]}-"
 
 
-def locked(path: Path, create: int = 0) -> int | None:
-    """Return the descriptor of a locked file, or None where another process has locked or removed it."""
-    if fcntl is None:
-        if not create:
-            return None
-        return os.open(path, os.O_RDWR | create, 0o600)
+def locked(path: Path, create: int = 0, folder: int | None = None) -> int | None:
+    """Return the descriptor of a locked file, or None where another process has locked or removed it.
+
+    No symbolic link is followed to the file. `folder` is the descriptor of the folder from which `path` is reached.
+    """
+    if fcntl is None and not create:
+        return None
+    flags = os.O_RDWR | create | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
-        descriptor = os.open(path, os.O_RDWR | create, 0o600)
+        descriptor = os.open(path, flags, 0o600, dir_fd=folder)
     except FileNotFoundError:
         if create:
             return None
         raise
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "the lock is no regular file")
+    if fcntl is None:
+        return descriptor
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -1,21 +1,20 @@
-"""How is a file replaced so that a reader finds the old one or the new one, and never a part of either?"""
+"""Files replaced whole: a reader finds the old one or the new one, and never a part of either."""
 
 from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
 UNHEARD = (errno.EINVAL, errno.EBADF, errno.ENOTSUP, errno.ENOSYS)
-"""What file systems answer that do not sync folders."""
+"""Error numbers of file systems that do not sync folders."""
 WRITING = ".writing"
 """Ends the name of a file that is not whole yet; what a killed process leaves of it means nothing."""
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file beside its place, on to the disk, and rename it.
+def write_whole(path: Path, content: bytes, folder: int | None = None) -> None:
+    """Write a file beside its place, sync it to disk, and rename it; no symbolic link is followed to either.
 
     Its folder must exist: one that somebody has removed is not made again.
 
@@ -25,6 +24,8 @@ def write_whole(path: Path, content: bytes) -> None:
         The file, replaced if it exists.
     content : bytes
         All of it.
+    folder : int, optional
+        Descriptor of the folder from which `path` is reached.
 
     Raises
     ------
@@ -40,34 +41,36 @@ def write_whole(path: Path, content: bytes) -> None:
     ['answer.txt']
     """
     beside = path.with_name(f".{path.name}{WRITING}")
+
+    def opened(name: str, flags: int) -> int:
+        try:
+            return os.open(name, flags, 0o666, dir_fd=folder)
+        except FileExistsError:
+            os.unlink(name, dir_fd=folder)  # left by a killed process, or a link out of the folder
+            return os.open(name, flags, 0o666, dir_fd=folder)
+
     try:
-        with open(beside, "wb") as file:
+        with open(beside, "xb", opener=opened) as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(beside, path)
+        os.replace(beside, path, src_dir_fd=folder, dst_dir_fd=folder)
     except BaseException:
         with suppress(OSError):
-            beside.unlink()
+            os.unlink(beside, dir_fd=folder)
         raise
 
 
-def settle(folders: Iterable[Path]) -> None:
-    """Let what was renamed in some folders be on the disk, where the system can say so of folders.
+def settle(folder: int) -> None:
+    """Sync the names in an open folder to disk, where the system can sync folders.
 
     Raises
     ------
     OSError
-        The disk is full or broken, or a folder is gone.
+        The disk is full or broken.
     """
-    if os.name == "nt":  # folders are no files there
-        return
-    for folder in folders:
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        except OSError as reason:
-            if reason.errno not in UNHEARD:
-                raise
-        finally:
-            os.close(descriptor)
+    try:
+        os.fsync(folder)
+    except OSError as reason:
+        if reason.errno not in UNHEARD:
+            raise

@@ -1,0 +1,263 @@
+"""Archives of strangers: one sentence, bounded memory, and nothing outside of the archive is written or removed."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import google_crc32c
+import numpy as np
+import pytest
+from hostile_archives import BODY, HIDDEN, ROOT, SPAN, STEP, X, archives, attacked, outside_names, seen
+from numcodecs import Blosc
+
+import coadjoint as co
+from coadjoint import cli
+from coadjoint.files.archive_store import ArchiveError
+from coadjoint.files.archives import archive_run
+from coadjoint.files.stored_arrays import StoredArray
+from coadjoint.files.unfinished import remove_leftovers
+from coadjoint.runs.prepared_run import PreparedRun
+
+NAMES = ("vector", "members", "finished", "blocks")
+KINDS = ("metadata", "chunk", "state", "link")
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="links and FIFOs")
+
+
+@pytest.fixture(autouse=True)
+def without_waiting_for_the_disk(monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("hostile") / "base"
+    assert tuple(archives(folder)) == NAMES
+    return folder
+
+
+def check(base, tmp_path, name, kind, seeds):
+    if (name, kind) == ("blocks", "state"):
+        return
+    for seed in seeds:
+        assert not attacked(base, tmp_path / "try", name, kind, seed), (name, kind, seed)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", NAMES)
+def test_drawn(base, tmp_path, name, kind):
+    check(base, tmp_path, name, kind, range(4))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", NAMES)
+def test_drawn_many_times(base, tmp_path, name, kind):
+    check(base, tmp_path, name, kind, range(4, 130))
+
+
+def half(path):
+    return archive_run(PreparedRun(BODY, co.GaussLegendre(2), STEP), X, SPAN, 2, path, until=13)
+
+
+@pytest.fixture
+def run(tmp_path):
+    """An unfinished archive beside a folder of the user."""
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "kept").write_bytes(b"a file of the user")
+    half(tmp_path / "run.zarr")
+    return tmp_path / "run.zarr", outside
+
+
+def edit_root(path, change):
+    root = json.loads((path / ROOT).read_text())
+    change(root["attributes"], root["consolidated_metadata"]["metadata"])
+    (path / ROOT).write_text(json.dumps(root))
+
+
+@pytest.mark.parametrize("k", range(5))
+def test_names_of_arrays_are_plain(run, k, capsys):
+    path, outside = run
+    edit_root(path, lambda _, arrays: arrays.update({outside_names(outside)[k]: arrays.pop("energy")}))
+    before = seen(outside)
+    for ask in (co.open_archive, co.resume, co.load):
+        with pytest.raises(ArchiveError, match="which is no plain name"):
+            ask(path)
+    assert cli.main(["resume", str(path)]) == 2 and capsys.readouterr().err.count("\n") == 1
+    assert seen(outside) == before
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "x",
+        HIDDEN,
+        f"{HIDDEN}/lock",
+        f"{HIDDEN}/.zarr.json.writing",
+        ".zarr.json.writing",
+        "x/.c.0.0.writing",
+        "x/c.0.0",
+    ],
+)
+def test_links_are_not_followed(run, name):
+    """A link stands where a folder or a file of the archive is, or where one will be written."""
+    path, outside = run
+    place = path / name
+    if place.is_dir():
+        shutil.move(place, outside / "there")
+        place.symlink_to(outside / "there")
+    else:
+        place.unlink(missing_ok=True)
+        place.symlink_to(outside / ("new" if name.endswith("lock") else "kept"))
+    before = seen(outside)
+    if name.endswith(".writing"):
+        assert co.resume(path).finished  # it is taken for what a killed process has left
+    else:
+        with pytest.raises(ArchiveError, match="a symbolic link, which an archive never contains"):
+            co.resume(path)
+    assert seen(outside) == before
+
+
+def test_an_archive_may_be_reached_through_a_link(run, tmp_path):
+    """A link that the user names is followed."""
+    (tmp_path / "link").symlink_to(run[0])
+    assert co.resume(tmp_path / "link").finished and co.open_archive(run[0]).finished
+
+
+def test_leftovers_are_folders_and_no_links(tmp_path):
+    """A link with the name of what a killed run has left is not followed, and nothing is removed behind it."""
+    target, precious = tmp_path / "run.zarr", tmp_path / "precious"
+    precious.mkdir()
+    for name in ("lock", "kept"):
+        (precious / name).touch()
+    from coadjoint.files.unfinished import _prefix
+
+    (tmp_path / f"{_prefix(target)}01234567").symlink_to(precious)
+    remove_leftovers(target)
+    assert sorted(os.listdir(precious)) == ["kept", "lock"]
+
+
+CHILD = """
+import resource, sys
+import coadjoint as co
+found = co.open_archive(sys.argv[1])
+found.t, found.to_xarray()["energy"].values
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+for read in (lambda: found.x, lambda: found.to_xarray()["x"].values):
+    try:
+        read()
+    except ValueError as refused:
+        print(refused)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+"""
+
+
+def with_sum(body):
+    return body + int(google_crc32c.value(body)).to_bytes(4, "little")
+
+
+def test_a_small_chunk_does_not_become_large(run):
+    """A few kilobytes that are 128 MB when they are unpacked; a process of its own measures the memory."""
+    path, _ = run
+    packed = bytes(Blosc("zstd", 1, Blosc.SHUFFLE).encode(np.zeros(2**24)))
+    assert len(packed) < 2**17
+    (path / "x" / "c.0.0").write_bytes(with_sum(packed))
+    said = subprocess.run([sys.executable, "-c", CHILD, path], capture_output=True, text=True, check=True).stdout
+    *refused, more = said.splitlines()
+    assert len(refused) == 2 and all("x/c.0.0 cannot be read" in line for line in refused)
+    assert int(more) < 2**15  # kB, a quarter of it
+
+
+def test_what_a_chunk_may_hold_is_known_before_it_is_unpacked(monkeypatch):
+    array = StoredArray(("time", "component"), "float64", (7, 3), (8, 3), {})
+    good = array.encoded(np.arange(24.0).reshape(8, 3))
+    assert np.array_equal(array.decoded(good), np.arange(24.0).reshape(8, 3))
+    monkeypatch.setattr("numcodecs.Blosc.decode", None)
+    for held in (23, 25, 2**25):
+        with pytest.raises(ValueError, match="its header is not that of its length"):
+            array.decoded(with_sum(bytes(Blosc("zstd", 3, Blosc.SHUFFLE).encode(np.zeros(held)))))
+    names = StoredArray(("component",), "string", (3,), (3,), {})
+    for body in (b"\4\0\0\0" + bytes(16), (2**31 - 1).to_bytes(4, "little") + bytes(12), b"\3\0\0\0" + bytes(11), b""):
+        with pytest.raises(ValueError, match=r"another number of texts|texts have other lengths"):
+            names.decoded(with_sum(body))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda _, arrays: arrays["x"].update(shape=[7, 2**40]), "the arrays along component have the lengths"),
+        (lambda _, arrays: arrays["x"].update(shape=[2**40, 3]), "arrays over time have the lengths"),
+        (lambda _, arrays: arrays["x"]["chunk_grid"]["configuration"].update(chunk_shape=[2**17, 3]), "the chunk is"),
+        (lambda _, arrays: arrays["x"]["codecs"].insert(1, {"name": "gzip"}), "not those that the library writes"),
+        (lambda _, arrays: arrays["x"].update(data_type="object"), "damaged"),
+        (lambda given, _: given.update(archive_steps=14), "it must be a list of states, of which the last one"),
+        (lambda given, _: given.update(archive_finished=2), "archive_finished is 2; it must be 0 or 1"),
+        (lambda given, _: given.update(steps=10**400), "steps is"),
+        (lambda given, _: given.update(archive_accounts="[" * 10**5), "archive_accounts is"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named(run, change, said):
+    edit_root(run[0], change)
+    for ask in (co.open_archive, co.resume):
+        with pytest.raises(ArchiveError, match=said):
+            ask(run[0])
+
+
+@pytest.mark.parametrize("finished", [False, True])
+@pytest.mark.parametrize("name", ["x", "time", "energy", "x0", "drift", "component", "attitude"])
+def test_a_missing_chunk_is_named_and_not_read_as_nothing(tmp_path, name, finished):
+    path, options = tmp_path / "run.zarr", {"attitude": True}
+    ready = PreparedRun(BODY, co.GaussLegendre(2), STEP, **options)
+    archive_run(ready, X, SPAN, 2, path, until=None if finished else 13)
+    (chunk,) = (path / name).glob("c.*")
+    chunk.unlink()
+    found = co.open_archive(path)
+    said = rf"{name}/{chunk.name} is missing"
+    for read in (lambda: found.to_xarray().load(), lambda: found._whole(name)):
+        with pytest.raises(ArchiveError, match=said):
+            read()
+    if not finished:
+        with pytest.raises(ArchiveError, match=said):
+            co.resume(path)
+
+
+def test_missing_chunks_of_an_ensemble(tmp_path):
+    """Members that are not computed yet are NaN; those that are, by the marker of their block or the root, are not."""
+    path, x0 = tmp_path / "many.zarr", np.multiply.outer([1.0, 0.5, 0.2], X)
+    co.ensemble(BODY, x0, SPAN, STEP, archive=path, members_per_block=2)
+    chunk, marker = path / "x" / "c.0.1.0", path / HIDDEN / "block-000001"
+    chunk.unlink()
+    with pytest.raises(ArchiveError, match="is missing"):
+        _ = co.open_archive(path).x
+    edit_root(path, lambda given, _: given.update(archive_finished=0))
+    with pytest.raises(ArchiveError, match="is missing"):
+        _ = co.open_archive(path).x
+    marker.unlink()
+    found = co.open_archive(path)
+    for x in (found.x, found.to_xarray()["x"].values):
+        assert np.isfinite(x[:, :2]).all() and np.isnan(x[:, 2]).all()
+    assert np.array_equal(co.resume(path).x, co.integrate(BODY, x0, SPAN, STEP).x)
+
+
+def test_parts_are_read_as_of_any_array(tmp_path):
+    """By xarray: slices in both directions, single entries and lists, over several chunks."""
+    path = tmp_path / "run.zarr"
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("coadjoint.files.stored_arrays.FEWEST_ROWS", 5)
+        patched.setattr("coadjoint.files.stored_arrays.MOST_ROWS", 5)
+        found = co.integrate(BODY, X, SPAN, STEP, archive=path).to_xarray()["x"]
+    x = co.integrate(BODY, X, SPAN, STEP).x
+    rng = np.random.default_rng(1)
+    for _ in range(60):
+        first, last = rng.integers(-40, 40, 2)
+        rows = [
+            slice(first, last, int(rng.choice([1, 2, 7, -1, -3]))),
+            int(rng.integers(-33, 33)),
+            list(rng.integers(0, 33, 4)),
+        ]
+        if rows[0].step < 0 and not len(x[rows[0]]):
+            continue  # xarray itself fails
+        key = (rows[rng.integers(3)], [slice(None), slice(None, None, -1), 1, [2, 0]][rng.integers(4)])
+        assert np.array_equal(found[key].values, x[key[0]][..., key[1]]), key
