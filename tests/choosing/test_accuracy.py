@@ -13,6 +13,8 @@ from coadjoint.choosing.roundoff import roundoff
 from coadjoint.methods.work import FUNCTION, MULTIPLICATION, flow_work, iteration_work
 from coadjoint.program.table import build_program
 
+pytestmark = pytest.mark.sensitive
+
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X0 = (1.0, 0.2, 0.5)
 SPAN = (0.0, 40.0)

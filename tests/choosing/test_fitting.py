@@ -10,6 +10,8 @@ from coadjoint.choosing.fitting import Fit, confirmed, fit
 from coadjoint.choosing.growth import Growth
 from coadjoint.choosing.pilot import Trial
 
+pytestmark = pytest.mark.sensitive
+
 NOISE = 1e-13
 
 

@@ -1,4 +1,4 @@
-"""How many steps does one scheme need? Trials over the window of a pilot, until the error is where it can be told."""
+"""Trials of one scheme over the window of a pilot, until its error can be extrapolated to the wanted one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import cached_property
 
 from coadjoint.choosing.candidates import Candidate
 from coadjoint.choosing.pilot import REFERENCE, Pilot, Trial
-from coadjoint.choosing.roundoff import roundoff
+from coadjoint.choosing.roundoff import MARGIN, roundoff
 
 MOST_TRIALS = 10
 # A trial costs no more than so many rotations (30 ms), whatever the accuracy: smaller steps follow by the order.
@@ -65,12 +65,13 @@ class Fit:
 
     @cached_property
     def roundoff(self) -> float:
-        """What rounding leaves at the end of the span."""
-        return _rounding(self.pilot, self.candidate, self.steps, self.pilot.windows)
+        """Rounding error at the end of the span, at most; steps of a scheme's own are tried as they are run."""
+        seen = self.end - self.error if self.candidate.method.own_steps else 0.0
+        return max(seen, _rounding(self.pilot, self.candidate, self.steps, self.pilot.windows, MARGIN))
 
 
-def _rounding(pilot: Pilot, candidate: Candidate, steps: int, windows: float) -> float:
-    return roundoff(pilot, steps, candidate.flows, candidate.summed_exactly, windows)
+def _rounding(pilot: Pilot, candidate: Candidate, steps: int, windows: float, margin: float = 1.0) -> float:
+    return roundoff(pilot, steps, candidate.flows, candidate.summed_exactly, windows, margin)
 
 
 def fit(pilot: Pilot, candidate: Candidate, goal: float, limit: float, guess: float | None = None) -> Fit | None:

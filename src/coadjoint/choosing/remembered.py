@@ -57,9 +57,20 @@ def remembered(system: System, key: Hashable, make: Callable[[], Found]) -> Foun
 
 
 def loops_of(system: System, method: Method, h: float) -> SystemLoops:
-    """Return the loops of a scheme that follow the energy alone; they are kept where they do not depend on the step."""
+    """Return the loops of a scheme that follow the energy alone.
+
+    They are cached where they depend neither on the step nor on functions of the user, which may read something else.
+    """
 
     def made() -> SystemLoops:
         return SystemLoops(system, method, h, None, casimirs={})
 
-    return remembered(system, ("loops", method), made) if method.tables_of_any_step else made()
+    return (
+        remembered(system, ("loops", method), made)
+        if method.tables_of_any_step and not _has_functions(system)
+        else made()
+    )
+
+
+def _has_functions(system: System) -> bool:
+    return system.algebra is None or any(term.called for term in system.hamiltonian.terms())
