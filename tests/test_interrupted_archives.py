@@ -37,12 +37,12 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run with
 from coadjoint.files import stored_arrays
 stored_arrays.FEWEST_ROWS = stored_arrays.MOST_ROWS = 64
 original, writes = os.replace, 0
-def replace(source, target):
+def replace(source, target, **folders):
     global writes
     writes += 1
     if writes == {write}:
         os.kill(os.getpid(), signal.{name})
-    original(source, target)
+    original(source, target, **folders)
 os.replace = replace
 from coadjoint.cli import run
 sys.argv = ["coadjoint", *{arguments!r}]
@@ -114,12 +114,12 @@ def test_at_any_write(folder, capsys, write, name, again, then):
 FULL = """
 import os
 really, left = os.replace, {write}
-def full(source, target):
+def full(source, target, **folders):
     global left
     left -= 1
     if left <= 0:
         raise OSError(28, "No space left on device")
-    really(source, target)
+    really(source, target, **folders)
 os.replace = full
 """
 
@@ -161,12 +161,12 @@ def test_an_ensemble_with_workers(folder):
     Path("many.toml").write_text(MANY.format(states=states))
     code = "from coadjoint.cli import run; import sys; sys.argv = ['coadjoint', 'run', 'many.toml']; run()"
     command = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
-    end = time.monotonic() + 60
+    end = time.monotonic() + 300
     while not list(Path("run.zarr/.coadjoint").glob("block-*.lock")):
         assert time.monotonic() < end, "nothing happens"
         time.sleep(0.02)
     command.send_signal(signal.SIGTERM)
-    said = command.communicate(timeout=60)[1]
+    said = command.communicate(timeout=300)[1]
     line = r"many.toml: terminated; run.zarr holds \d+ of 12 members: coadjoint resume run.zarr goes on with it"
     # Python may speak of the semaphore of a worker that was killed.
     assert command.returncode == 143 and re.fullmatch(line, said.splitlines()[0]), said

@@ -25,26 +25,48 @@ t_span = [0.0, 1000000000.0]
 step = 0.1
 save_every = 1000000
 """
-# Sends a signal 0.3 s after the loops have begun to work, or after the archive is there.
-SIGNAL = """
-import os, signal, sys, threading, time
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run without a terminal
-from coadjoint.kernels.loop import Crew
-original = Crew.advance
-def later():
-    while {archive!r} and not os.path.exists({archive!r}):
-        time.sleep(0.01)
-    time.sleep(0.3)
-    os.kill(os.getpid(), signal.{name})
-def advance(self, *given):
-    Crew.advance = original
-    threading.Thread(target=later, daemon=True).start()
-    return original(self, *given)
-Crew.advance = advance
+COMMAND = """
 from coadjoint.cli import run
 sys.argv = ["coadjoint", *{arguments!r}]
 run()
 """
+# A signal from another thread as soon as the loop has saved a point after the first one; 10^10 steps take minutes.
+SIGNAL = (
+    """
+import os, signal, sys, threading, time
+import numpy as np
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run without a terminal
+from coadjoint.kernels.loop import Crew
+original = Crew.advance
+def advance(self, layout, schedule, saved, *given):
+    def later():
+        while np.isnan(saved["x"][1]).any():
+            time.sleep(0.001)
+        os.kill(os.getpid(), signal.{name})
+    saved["x"][1] = np.nan
+    Crew.advance = original
+    threading.Thread(target=later, daemon=True).start()
+    return original(self, layout, schedule, saved, *given)
+Crew.advance = advance
+"""
+    + COMMAND
+)
+# A signal after the first half of the steps of a call that is not the first one.
+SIGNAL_AT_HALF = (
+    """
+import os, signal, sys
+from coadjoint.kernels.loop import Crew
+original, calls = Crew.advance, []
+def advance(self, layout, schedule, saved, state, k0, k1, stop):
+    calls.append(None)
+    if len(calls) != 5:
+        return original(self, layout, schedule, saved, state, k0, k1, stop)
+    original(self, layout, schedule, saved, state, k0, (k0 + k1) // 2, stop)
+    os.kill(os.getpid(), signal.{name})
+Crew.advance = advance
+"""
+    + COMMAND
+)
 
 
 def child(code):
@@ -58,12 +80,13 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.sensitive
 @pytest.mark.parametrize(
     ("name", "status", "said"),
     [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up")],
 )
 def test_without_an_archive_the_command_writes_what_there_is(folder, name, status, said):
-    done = child(SIGNAL.format(name=name, archive="", arguments=["run", "long.toml", "--out", "run.nc"]))
+    done = child(SIGNAL.format(name=name, arguments=["run", "long.toml", "--out", "run.nc"]))
     line = f"long.toml: {said}; the solution so far is in run.nc, marked as incomplete\n"
     assert (done.returncode, done.stdout, done.stderr) == (status, "", line)
     assert sorted(os.listdir(folder)) == ["long.toml", "run.nc"]
@@ -77,10 +100,11 @@ def test_without_an_archive_the_command_writes_what_there_is(folder, name, statu
         assert np.array_equal(found["x"][:count], first.x)
 
 
+@pytest.mark.sensitive
 @pytest.mark.parametrize(("name", "status", "said"), [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated")])
 def test_an_archive_goes_on(folder, capsys, name, status, said):
     (folder / "long.toml").write_text(LONG.replace("1000000000.0", "1000000.0").replace("1000000\n", "1000\n"))
-    done = child(SIGNAL.format(name=name, archive="run.zarr", arguments=["run", "long.toml", "--archive", "run.zarr"]))
+    done = child(SIGNAL_AT_HALF.format(name=name, arguments=["run", "long.toml", "--archive", "run.zarr"]))
     reached = co.open_archive("run.zarr").reached
     line = (
         f"long.toml: {said}; run.zarr holds the run up to step {reached}: coadjoint resume run.zarr goes on with it\n"
@@ -96,7 +120,7 @@ def test_an_archive_goes_on(folder, capsys, name, status, said):
 
 
 def test_a_second_interrupt_ends_it_at_once(folder):
-    code = SIGNAL.format(name="SIGINT", archive="", arguments=["run", "long.toml", "--out", "run.nc"])
+    code = SIGNAL.format(name="SIGINT", arguments=["run", "long.toml", "--out", "run.nc"])
     twice = "import coadjoint.files.output as output, os, signal\n"
     twice += "output.write_netcdf = lambda *given: os.kill(os.getpid(), signal.SIGINT)\n"
     done = child(twice + code)

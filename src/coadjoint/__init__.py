@@ -16,10 +16,14 @@ from __future__ import annotations
 
 import importlib
 
+from coadjoint.interruption import complete_imports
+
 # The module typing would take most of the time that an import of this package takes.
 TYPE_CHECKING = False
 
 __version__ = "0.1.0"
+
+complete_imports()
 
 _HOME = {
     "IntegrationError": "coadjoint.errors",

@@ -10,6 +10,7 @@ from coadjoint.program.block_table import blocks_of
 from coadjoint.program.blocks import Kind
 from coadjoint.program.reading import Reading
 from coadjoint.program.table import build_program
+from commuting_actions import acting
 
 U = 2.0**-53
 ANGLES = (0.0, 1e-12, -1e-12, 0.37, -0.37, 3.1, -7.7, 50.0, -50.0)
@@ -28,18 +29,6 @@ def in_basis(algebra, T):
 def whole_matrix(n, seed):
     draw = np.random.default_rng(seed).integers(-1, 2, (2, n, n)).astype(float)
     return (np.tril(draw[0], -1) + np.eye(n)) @ (np.triu(draw[1], 1) + np.eye(n))
-
-
-def acting(*matrices):
-    """The algebra of commuting matrices acting on R^m: their basis elements come last, and D of each is its matrix."""
-    m = len(matrices[0])
-    brackets = {}
-    for number, D in enumerate(matrices):
-        for j in range(m):
-            row = {k: float(D[j, k]) for k in range(m) if D[j, k]}
-            if row:
-                brackets[j, m + number] = row
-    return co.LieAlgebra.from_brackets(m + len(matrices), brackets)
 
 
 def turning(algebra, coordinates):

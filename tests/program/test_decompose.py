@@ -14,6 +14,8 @@ from coadjoint.program.second_order import part_jets, second_order_term
 from coadjoint.program.shift import quadratic_casimirs, shifted_terms
 from coadjoint.program.split import split
 
+pytestmark = pytest.mark.sensitive
+
 U = 2.0**-53
 
 

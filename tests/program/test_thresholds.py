@@ -4,6 +4,9 @@ A small quantity eps above a threshold must act. It is followed in one long step
 out, it is missed by an eighth; kept, the result is as good as rounding lets it be.
 """
 
+from fractions import Fraction
+from functools import cache
+
 import mpmath
 import numpy as np
 import pytest
@@ -22,6 +25,9 @@ from coadjoint.program.split import split
 from coadjoint.program.squares import complete_squares
 from coadjoint.program.table import build_program
 from coadjoint.program.unshift import Turn, unshift_tables
+from commuting_actions import acting
+
+pytestmark = pytest.mark.sensitive
 
 U = 2.0**-53
 COORDINATES = co.Splitting(order=1, parts="coordinates")
@@ -31,18 +37,6 @@ TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 def square_of(form):
     """H = (l.x)^2 / 2."""
     return co.Quadratic(np.outer(form, form))
-
-
-def acting(*matrices):
-    """The algebra of commuting matrices that act on R^m: their basis elements come last, D of each is its matrix."""
-    m = len(matrices[0])
-    brackets = {}
-    for number, D in enumerate(matrices):
-        for j in range(m):
-            row = {k: float(D[j, k]) for k in range(m) if D[j, k]}
-            if row:
-                brackets[j, m + number] = row
-    return co.LieAlgebra.from_brackets(m + len(matrices), brackets)
 
 
 def flow_of(algebra, form, x, time):
@@ -403,27 +397,35 @@ def test_two_parts_of_so4_of_which_one_is_slow(power):
     assert [Turn(kind).name for kind in unshift_tables(algebra, system.representation, -1, whole).kind] == ["CUBIC"]
 
 
+@cache
 def in_rounded_basis(algebra, seed):
-    """The same algebra in an orthonormal basis, every constant rounded."""
-    Q = np.linalg.qr(np.random.default_rng(seed).standard_normal((algebra.dim, algebra.dim)))[0]
-    c = np.array([[algebra.bracket(a, b) for b in np.eye(algebra.dim)] for a in np.eye(algebra.dim)])
-    turned = np.einsum("ia,jb,abk,kl->ijl", Q, Q, c, Q.T)
-    return co.LieAlgebra((turned - np.swapaxes(turned, 0, 1)) / 2), Q
+    """The same algebra in an orthonormal basis of rational numbers, every constant rounded once; and that basis."""
+    rng, n, Q = np.random.default_rng(seed), algebra.dim, fractions(np.eye(algebra.dim))
+    for _ in range(2):
+        normal = fractions(rng.integers(1, 6, n) * rng.choice([-1, 1], n))
+        Q = Q - 2 * np.multiply.outer(Q.dot(normal), normal) / normal.dot(normal)
+    c = fractions([[algebra.bracket(a, b) for b in np.eye(n)] for a in np.eye(n)])
+    turned = np.tensordot(Q, np.tensordot(Q, c.dot(Q.T), axes=(1, 1)), axes=(1, 1))
+    return co.LieAlgebra(turned.astype(float)), Q
+
+
+def fractions(values):
+    return np.array([Fraction(v) for v in np.ravel(values).tolist()]).reshape(np.shape(values))
 
 
 def quadratic(form):
     n = len(form)
-    pairs = {(i, j): form[i, j] * (0.5 if i == j else 1.0) for i in range(n) for j in range(i, n)}
+    pairs = {(i, j): float(form[i, j]) * (0.5 if i == j else 1.0) for i in range(n) for j in range(i, n)}
     return co.Polynomial({tuple(int(k == i) + int(k == j) for k in range(n)): c for (i, j), c in pairs.items()})
 
 
 def test_cubic_is_found_in_rounded_bases():
     """so(2,1) turns or stretches by D^3 = lam D."""
     lorentz = co.algebras.get("so(p,q)", p=2, q=1)
-    metric = np.diag([np.trace(lorentz.coadjoint(row) @ lorentz.coadjoint(row)) for row in np.eye(3)])
+    inverse = fractions(np.diag([1 / np.trace(lorentz.coadjoint(row) @ lorentz.coadjoint(row)) for row in np.eye(3)]))
     for seed in range(16):
         algebra, Q = in_rounded_basis(lorentz, seed)
-        tables = unshift_tables(algebra, None, -1, ((quadratic(Q @ np.linalg.inv(metric) @ Q.T), 1.0),))
+        tables = unshift_tables(algebra, None, -1, ((quadratic(Q.dot(inverse).dot(Q.T)), 1.0),))
         assert [Turn(kind).name for kind in tables.kind] == ["CUBIC"]
 
 
@@ -436,18 +438,19 @@ def test_a_shift_that_is_nilpotent_or_nearly_so(power):
     for found in quadratic_casimirs(system).values():
         form = np.zeros((6, 6))
         form[found.rows, found.columns] = found.values
-        forms.append(form)
+        forms.append(fractions(form))
     forms.sort(key=lambda form: not np.any(np.diag(form)))
     x = np.linspace(-0.4, 0.6, 6)
     for seed in range(8):
         algebra, Q = in_rounded_basis(euclid, seed)
-        whole, near = (quadratic(Q @ (forms[0] + c * forms[1]) @ Q.T) for c in (0.0, eps))
+        whole, near = (quadratic(Q.dot(forms[0] + Fraction(c) * forms[1]).dot(Q.T)) for c in (0.0, eps))
         tables = unshift_tables(algebra, None, -1, ((whole, 1.0),))
         assert [(Turn(kind).name, order) for kind, order in zip(tables.kind, tables.order, strict=True)] == [
             ("NILPOTENT", 1)
         ]
         # In the basis that is not rounded, where it is known: rounding there is a turn of its own, by sqrt(u).
-        plain = elements(euclid, None, ((quadratic(forms[0] + eps * forms[1]), 1.0),), x, 1 / (64 * eps))[1]
+        plain = elements(euclid, None, ((quadratic(forms[0] + Fraction(eps) * forms[1]), 1.0),), x, 1 / (64 * eps))[1]
+        Q = Q.astype(float)
         found = elements(algebra, None, ((near, 1.0),), Q @ x, 1 / (64 * eps), exactly=False)[0]
         # The second power is a 64th of the first, the third one 4096th of it, over 3; rounding is far below.
         assert np.abs(found - Q @ plain @ Q.T).max() <= np.abs(plain).max() / 1024

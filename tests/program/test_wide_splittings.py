@@ -1,8 +1,6 @@
 """Splittings of many coupled coordinates: the quick ways decide what the plain ways decide, and what is too much is
 refused."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -12,6 +10,7 @@ from coadjoint.program.commutation import Commutation
 from coadjoint.program.quadratic_atoms import quadratic_atoms
 from coadjoint.program.wide_generators import TooWide, check_products
 from coadjoint.waiting import LongWait
+from guards import bounded_work
 
 ALGEBRAS = {
     "so(6)": co.algebras.so(6),
@@ -123,17 +122,14 @@ def test_what_takes_minutes_is_refused_at_once(algebra, count, method):
     g = co.algebras.get(algebra)
     M = symmetric(np.random.default_rng(7), g.dim, 1.0)
     system = co.LiePoissonSystem(g, co.Quadratic(M))
-    begun = time.perf_counter()
     for refused in (
         lambda: method.properties(system),
         lambda: co.prepare(system, method, 0.1),
         lambda: co.integrate(system, np.ones(g.dim), (0, 1), 0.1, method),
     ):
-        with pytest.raises(
-            ValueError, match=rf"Splitting cannot be used for .* has {count} flows of .* take GaussLegendre"
-        ):
+        message = rf"Splitting cannot be used for .* has {count} flows of .* take GaussLegendre"
+        with bounded_work(30.0), pytest.raises(ValueError, match=message):
             refused()
-    assert time.perf_counter() - begun < 10.0
     assert co.GaussLegendre(2).properties(system).energy
 
 
@@ -185,10 +181,9 @@ def test_products_of_brackets_are_counted_before_they_are_made(name, coupled, mo
 def test_terms_that_would_take_days_are_refused_at_once():
     g = co.algebras.su(9)
     system = co.LiePoissonSystem(g, co.Quadratic(symmetric(np.random.default_rng(1), g.dim, 1.0)))
-    begun = time.process_time()
-    with pytest.raises(ValueError, match=r"take .e\+10 products of monomials .* about .e\+0[34] s, .* a lower order"):
+    message = r"take .e\+10 products of monomials .* about .e\+0[34] s, .* a lower order"
+    with bounded_work(), pytest.raises(ValueError, match=message):
         co.modified_hamiltonian(system, co.Splitting(order=2), order=4)
-    assert time.process_time() - begun < 10.0
     assert list(co.modified_hamiltonian(system, co.Splitting(order=2), order=2).terms) == [0]
 
 

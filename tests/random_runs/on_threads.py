@@ -11,7 +11,7 @@ import threading
 
 import coadjoint as co
 
-from .cases import case_of
+from .cases import REFUSALS, case_of
 from .comparisons import differing, prepared_by, run
 
 
@@ -20,7 +20,7 @@ def differences(seed: int) -> list[str]:
     case, _ = case_of(seed)
     try:
         alone = run(case)
-    except (ValueError, TypeError):
+    except REFUSALS:
         return []
     found = differing(alone, run(case, threads=4))
     ready = co.prepare(

@@ -34,9 +34,17 @@ def tried(seeds: range, limit: float) -> int:
         faulthandler.cancel_dump_traceback_later()
         wrong += bool(found)
         for sentence in found:
-            print(f"seed {seed}: {sentence}\n    {case_of(seed)[0]}", flush=True)
+            print(f"seed {seed}: {sentence}\n    {shown(seed)}", flush=True)
     print(f"{len(seeds)} seeds, {wrong} wrong", flush=True)
     return wrong
+
+
+def shown(seed: int) -> str:
+    """Return the case of a seed as text, also where drawing it is what fails."""
+    try:
+        return str(case_of(seed)[0])
+    except Exception as error:
+        return f"its case cannot be drawn: {error}"
 
 
 def main() -> int:

@@ -6,6 +6,9 @@ import pytest
 from two_steps import assert_bounded_by_order, assert_order
 
 import coadjoint as co
+from coadjoint.kernels.functions import TabledFunction
+from coadjoint.kernels.tables import invariants_table
+from coadjoint.kernels.watching import values_along
 
 CASES = {
     "A3,7": ({"a": 1.5}, (1.0, 0.7, -0.3), (0.7, 0.5, 0.4)),
@@ -58,6 +61,28 @@ def test_hessian_and_small_momenta():
     )
     tiny = 1e-9 * x0
     assert system.energy(tiny) == pytest.approx(np.dot((0.5, 0.35, -0.15), tiny**2), rel=1e-14)
+
+
+def test_the_kernels_have_the_formula_and_its_multiples():
+    """Value, slope and curvature of each function by its tables, also of 3 H: rounding of a few operations."""
+    mass, kappa = 0.7, 1.25
+    system = co.systems.separable_cosh("A3,7", (1.0, mass, -0.3), kappa, {"a": 1.5})
+    points = np.concatenate([np.linspace(-3.0, 3.0, 25), [1e-12, -1e-5, 40.0, 565.0]])
+    for factor, hamiltonian in ((1.0, system.hamiltonian), (3.0, system.hamiltonian.times(3.0))):
+        term = hamiltonian.functions()[1]
+        with mp.workdps(40):
+            exact = {
+                "value": [mass * 2 * (mp.sinh(mp.mpf(kappa * y) / 2) / kappa) ** 2 for y in points],
+                "gradient": [mass * mp.sinh(mp.mpf(kappa * y)) / kappa for y in points],
+                "hessian": [mass * mp.cosh(mp.mpf(kappa * y)) for y in points],
+            }
+        for which, wanted in exact.items():
+            table = invariants_table([(which, co.Invariant(getattr(term, which)))], 1)
+            assert [type(kept) for kept in table.keep] == [TabledFunction]
+            found = np.empty((len(points), 1, 1))
+            values_along(table.tables, points[:, None, None], np.zeros(len(points)), found)
+            expected = [float(factor * number) for number in wanted]
+            np.testing.assert_allclose(found[:, 0, 0], expected, rtol=2.0**-53 * 24)
 
 
 @pytest.mark.parametrize(

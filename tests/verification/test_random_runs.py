@@ -7,12 +7,15 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import coadjoint as co
 from long import long_beyond
+from random_runs import soak
 from random_runs.cases import case_of
+from random_runs.comparisons import differences, run
 
 SEEDS, EACH = 300, 25
 # The limit of a single seed ends a process earlier.
@@ -33,6 +36,33 @@ def test_random_runs_have_the_same_bits_in_any_company(first):
     )
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
     assert done.stdout.splitlines()[-1] == f"{EACH} seeds, 0 wrong"
+
+
+@pytest.mark.parametrize("seed", [2000018, 770000244])
+def test_states_at_which_numbers_are_too_large_are_drawn(seed):
+    case, _ = case_of(seed)
+    with pytest.raises(OverflowError):
+        for x in case.x0:
+            case.systems[0].vector_field(x)
+
+
+def test_a_case_that_cannot_be_drawn_does_not_end_the_soak(monkeypatch, capsys):
+    def fail(seed):
+        raise RuntimeError("no such case")
+
+    limit = SimpleNamespace(dump_traceback_later=lambda *given, **options: None, cancel_dump_traceback_later=int)
+    monkeypatch.setattr(soak, "faulthandler", limit)  # needs a file, which captured output is not
+    monkeypatch.setattr(soak, "case_of", fail)
+    monkeypatch.setattr(soak, "differences", lambda seed: [] if seed % 2 else fail(seed))
+    assert soak.tried(range(4), 60.0) == 2
+    assert capsys.readouterr().out.count("its case cannot be drawn: no such case") == 2
+
+
+@pytest.mark.parametrize("seed", [770000343, 770002335])
+def test_failures_have_the_same_step_in_any_company(seed):
+    """A group element overflows where the momentum does not; a step of the scheme's own overflows."""
+    assert not list(differences(seed))
+    assert run(case_of(seed)[0]).failed.any()
 
 
 def test_cases_have_all_that_a_run_may_be_given():

@@ -12,7 +12,6 @@ Floats = npt.NDArray[np.float64]
 Pair = tuple[Floats, Floats]
 
 TABLE = 4001
-JUMP = 0.5  # a line that goes over the edge of a map ends there
 
 
 @dataclass(frozen=True)
@@ -58,8 +57,10 @@ class Projection:
     def line(self, longitude: Floats, latitude: Floats, centre: tuple[float, float]) -> Pair:
         """Return a line on the sphere as one on the map, with NaN where it leaves over an edge."""
         seen = unit_vectors(longitude, latitude) @ turned(centre).T
-        x, y = self.onto(np.arctan2(seen[:, 1], seen[:, 0]), np.arcsin(np.clip(seen[:, 2], -1.0, 1.0)))
-        over = np.append(np.hypot(np.diff(x), np.diff(y)) > JUMP, False)
+        across = np.arctan2(seen[:, 1], seen[:, 0])
+        x, y = self.onto(across, np.arcsin(np.clip(seen[:, 2], -1.0, 1.0)))
+        # By the angle: near the poles both edges of a map are close to each other.
+        over = np.append(np.abs(np.diff(across)) > np.pi, False)
         return np.where(over, np.nan, x), y
 
 

@@ -144,6 +144,11 @@ def test_modes_of_a_mapping():
         (np.ones((5, 5)), ValueError, "these must be zero"),
         (np.full((5, 5), np.inf), ValueError, "finite"),
         ("(2, 1)", TypeError, "modes is"),
+        ({(2, 1): 10**400}, ValueError, "too large for float64"),
+        ({(2, 1): 1.0, (2, -1): 10**400}, ValueError, "too large for float64"),
+        ({(10**400, 0): 1.0}, ValueError, "give a degree l from 1 to 4"),
+        ({(2, 10**5000): 1.0}, ValueError, "an order m from -l to l"),
+        ([[10**400] * 5] * 5, ValueError, "too large for float64"),
     ],
 )
 def test_what_is_no_field_is_refused(modes, kind, said):

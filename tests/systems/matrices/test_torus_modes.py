@@ -47,6 +47,8 @@ def test_coarse_grids_and_small_sizes_keep_what_they_resolve():
         (np.eye(N), ValueError, "not conjugate, or that of"),
         (np.full((N, N), np.nan), ValueError, "finite"),
         ("(1, 0)", TypeError, "modes is"),
+        ({(1, 0): 10**400}, ValueError, "too large for float64"),
+        ([[10**400] * N] * N, ValueError, "too large for float64"),
     ],
 )
 def test_what_is_no_field_is_refused(modes, kind, said):

@@ -1,0 +1,225 @@
+"""Error bars and estimates on random cases with a known truth: too small fails, and so does too large.
+
+The median of true errors over estimates must lie in a band. Each band is so narrow that estimates that are 8 times too
+small or too large are outside of it, which is tested too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+
+import coadjoint as co
+from coadjoint.analysis.lyapunov import LyapunovExponents
+from coadjoint.analysis.order import fit_order
+from coadjoint.analysis.periods import period
+from coadjoint.analysis.phase_drift import drift_of_series
+from coadjoint.analysis.straight_line import straight_line
+from coadjoint.rounding import UNIT_ROUNDOFF
+
+MEDIAN_OF_A_NORMAL = 0.6745
+"""Of |z|, for a standard error that is right."""
+SOME = 40
+
+
+def body_of(rng: np.random.Generator) -> co.LiePoissonSystem:
+    """Return a body with masses on three axes, so that no principal moment exceeds the sum of the others."""
+    a, b, c = rng.uniform(0.3, 0.6), rng.uniform(0.8, 1.1), rng.uniform(1.3, 1.7)
+    return co.systems.rigid_body((b + c, a + c, a + b))
+
+
+def slopes_of_noise() -> np.ndarray:
+    """Lines with white noise: the largest of seven estimates counts, so that the error bar is wide by up to 2."""
+    found = []
+    for seed in range(SOME):
+        rng = np.random.default_rng(seed)
+        t, slope = np.linspace(rng.uniform(-50, 50), 90.0, rng.integers(400, 3000)), rng.normal()
+        line = straight_line(t, slope * t + rng.normal() + rng.uniform(0.1, 3.0) * rng.normal(size=len(t)))
+        found.append(abs(line.slope - slope) / line.uncertainty)
+    return np.array(found)
+
+
+def leads_with_noise() -> np.ndarray:
+    """The same of a phase error that is known, backward in time."""
+    found = []
+    for seed in range(SOME):
+        rng = np.random.default_rng(100 + seed)
+        t, slope = np.linspace(7.3, -rng.uniform(50, 500), rng.integers(300, 2000)), 0.1 * rng.normal()
+        drift = drift_of_series(t, slope * t + 0.05 * rng.normal(size=len(t)))
+        found.append(abs(drift.slope - slope) / drift.uncertainty)
+    return np.array(found)
+
+
+def frequencies_of_noise() -> np.ndarray:
+    """Lines of random frequency and phase in white noise, real and complex, forward and backward."""
+    found = []
+    for seed in range(SOME):
+        rng = np.random.default_rng(200 + seed)
+        count, sense = int(rng.integers(300, 900)), (-1.0) ** seed
+        t = 7.3 + sense * rng.uniform(0.05, 0.4) * np.arange(count)
+        w = rng.uniform(0.05, 0.45) * 2 * np.pi / abs(t[1] - t[0])
+        signal = np.exp(1j * (w * t + rng.uniform(0, 6)))
+        noise = rng.normal(size=(2, count)) * 10.0 ** rng.uniform(-6, -1)
+        signal = signal + noise[0] + 1j * noise[1] if seed % 4 > 1 else signal.real + noise[0]
+        lines = co.frequencies(t, signal, count=1)
+        found.append(abs(lines.frequency[0] - w) / lines.uncertainty[0])
+    return np.array(found)
+
+
+def exponents_of_random_stretching() -> np.ndarray:
+    """Independent stretches with a known mean: the standard error of ten blocks, or the trend of the last half."""
+    found = []
+    for seed in range(SOME):
+        rng = np.random.default_rng(300 + seed)
+        steps = rng.normal(0.3, rng.uniform(0.5, 2.0), (400, 2))
+        t = 7.3 + (-1.0) ** seed * np.arange(401.0)
+        result = LyapunovExponents(t, np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)]), 2, "compiled")
+        found += list(np.abs(result.exponents - 0.3) / result.uncertainty)
+    return np.array(found)
+
+
+@cache
+def accurate_runs() -> tuple[list[float], list[float]]:
+    """Return true errors over estimates, and over the expected errors of the choice, of random bodies."""
+    estimated, expected = [], []
+    methods = (co.Splitting(order=2), co.GaussLegendre(2), co.Splitting(order=4), co.ExplicitRungeKutta("rk4"))
+    for seed in range(16):
+        rng = np.random.default_rng(400 + seed)
+        body = body_of(rng)
+        x0, sense = rng.normal(size=3), (-1.0) ** seed
+        end = 7.3 + sense * rng.uniform(10.0, 60.0)
+        sol = co.integrate(body, x0, (7.3, end), accuracy=10.0 ** -rng.uniform(3, 7), method=methods[seed % 4])
+        error = np.linalg.norm(sol.x[-1] - body.exact(x0, end - 7.3)) / np.linalg.norm(x0)
+        estimated.append(error / sol.error_estimate)
+        expected.append(error / sol.choice.error)
+    return estimated, expected
+
+
+def errors_at_the_end() -> np.ndarray:
+    return np.array(accurate_runs()[0])
+
+
+def errors_expected_by_choices() -> np.ndarray:
+    return np.array(accurate_runs()[1])
+
+
+def suggested_steps() -> np.ndarray:
+    """The energy that a step keeps, over the wanted bound: of order 2 an eightfold step changes it 64 times."""
+    found = []
+    for seed in range(12):
+        rng = np.random.default_rng(500 + seed)
+        body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(rng.uniform(0.3, 1.5, 3)), sign=-1)
+        x0, wanted = rng.normal(size=3), 10.0 ** -rng.uniform(4, 7)
+        method = co.Splitting(parts="coordinates")
+        h = co.suggest_step(body, method, x0, wanted)
+        sol = co.integrate(body, x0, (7.3, 7.3 - 2000 * h), h, method)
+        found.append(np.sqrt(sol.drift()["energy"] / wanted))
+    return np.array(found)
+
+
+def predicted_drifts() -> np.ndarray:
+    """The measured slope over the predicted one; and of the attitude."""
+    found = []
+    for seed in range(3):
+        rng = np.random.default_rng(600 + seed)
+        body = body_of(rng)
+        x0, sense = rng.normal(size=3) + np.array([1.0, 0.0, 0.0]), (-1.0) ** seed
+        H = co.modified_hamiltonian(body, co.Splitting(parts="coordinates"))
+        predicted = co.predicted_drift(body, x0, modified=H, step=sense * 0.05, attitude=True)
+        method = co.Splitting(parts="coordinates")
+        sol = co.integrate(body, x0, (0.0, sense * 200.0), 0.05, method, save_every=9, attitude=True)
+        found.append(co.phase_drift(sol).slope / predicted.slope)
+        found.append(co.phase_drift(sol, of="attitude").slope / predicted.precession)
+    return np.array(found)
+
+
+ESTIMATES: dict[str, tuple[Callable[[], np.ndarray], float, float]] = {
+    # An error bar that is the largest of several estimates, or has a term beside the scatter, is up to 3 times wide.
+    "slope of a line": (slopes_of_noise, MEDIAN_OF_A_NORMAL / 3.0, MEDIAN_OF_A_NORMAL * 1.5),
+    "slope of a phase drift": (leads_with_noise, MEDIAN_OF_A_NORMAL / 3.0, MEDIAN_OF_A_NORMAL * 1.5),
+    "frequency": (frequencies_of_noise, MEDIAN_OF_A_NORMAL / 3.0, MEDIAN_OF_A_NORMAL * 1.5),
+    "Lyapunov exponent": (exponents_of_random_stretching, MEDIAN_OF_A_NORMAL / 3.0, MEDIAN_OF_A_NORMAL * 1.5),
+    # Errors that follow the order are estimated with what a finer run leaves taken off.
+    "error at the end": (errors_at_the_end, 0.93, 1.07),
+    "expected error of a choice": (errors_expected_by_choices, 0.5, 1.5),
+    "suggested step": (suggested_steps, 0.9, 1.1),
+    "predicted drift": (predicted_drifts, 0.97, 1.03),
+}
+
+
+@pytest.mark.parametrize("name", ESTIMATES)
+def test_true_errors_over_estimates_are_near_one_on_both_sides(name):
+    draw, low, high = ESTIMATES[name]
+    ratios = draw()
+    assert np.all(np.isfinite(ratios))
+    assert low < np.median(ratios) < high, np.median(ratios)
+    # A normal deviate is beyond four standard errors once in 16 000 cases, with ten blocks once in 300.
+    assert np.quantile(ratios, 0.9) < 6.0 * high
+    for factor in (8.0, 0.125):
+        assert not low < np.median(ratios / factor) < high, "a wrong estimate would be noticed"
+
+
+def test_the_estimate_of_each_member_is_near_one():
+    """No case is far off where the order tells the error."""
+    assert 0.7 < min(errors_at_the_end()) <= max(errors_at_the_end()) < 1.4
+
+
+def test_what_is_left_by_the_order_is_what_a_finer_run_leaves():
+    """`Finer.left` is the error of the finer run in parts of that of the run, measured against the closed form."""
+    body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), np.array([1.0, 0.2, 0.5])
+    end = body.exact(x0, 8.0)
+    schemes = [co.Splitting(order=2), co.Splitting(order=4), co.GaussLegendre(2), co.CommutatorFree(3), co.Kahan()]
+    schemes += [co.Composition(co.GaussLegendre(1), (0.3, 0.4, 0.3)), co.Projected(co.ExplicitRungeKutta("rk4"))]
+    for method in schemes:
+        for times in (1.5, 2.5):
+            steps = 160
+            finer = method.finer(steps, times)
+            own, better = (
+                co.integrate(body, x0, (0.0, 8.0), 8.0 / count, scheme).x[-1]
+                for scheme, count in ((method, steps), (finer.method, finer.steps))
+            )
+            left = np.linalg.norm(better - end) / np.linalg.norm(own - end)
+            assert 0.85 < left / finer.left < 1.15, (str(method), left, finer.left)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 6])
+def test_fitted_orders_are_those_of_the_points(order):
+    """Points that are off by 2 percent: the slope of n of them over a decade is known to 0.02 sqrt(12 / n) / ln 10."""
+    off = []
+    for seed in range(SOME):
+        rng = np.random.default_rng(seed)
+        steps = np.geomspace(1.0, 0.1, int(rng.integers(5, 12)))
+        errors = steps**order * np.exp(0.02 * rng.normal(size=len(steps)))
+        mixed = rng.permutation(len(steps))
+        fit = fit_order(steps[mixed], errors[mixed])
+        off.append((fit.order - order) / (0.02 * np.sqrt(12.0 / len(steps)) / np.log(10.0)))
+    assert 0.3 < np.median(np.abs(off)) < 1.2 and abs(np.mean(off)) < 0.5
+
+
+def test_periods_are_known_to_what_they_say():
+    """x'' = -w^2 x, and a field that is a thousandth faster."""
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        w, x0 = rng.uniform(0.1, 10.0), rng.normal(size=2)
+        found = period(lambda x, w=w: np.array([x[1], -w * w * x[0]]), x0)
+        assert abs(found.time * w / (2.0 * np.pi) - 1.0) < 1e-11
+        assert found.misfit < 1e-10
+
+
+def test_round_off_is_estimated_within_a_factor():
+    """Near round-off the error is a random walk; the rule is for the worst of four motions."""
+    ratios = []
+    for seed in range(6):
+        rng = np.random.default_rng(700 + seed)
+        body = body_of(rng)
+        x0 = rng.normal(size=3)
+        choice = co.choose(body, x0, (0.0, 60.0), 1e-12)
+        sol = co.integrate(body, x0, (0.0, 60.0), accuracy=1e-12)
+        error = np.linalg.norm(sol.x[-1] - body.exact(x0, 60.0)) / np.linalg.norm(x0)
+        assert choice.roundoff > UNIT_ROUNDOFF
+        ratios.append(error / max(choice.roundoff, UNIT_ROUNDOFF))
+    assert 1.0 / 64.0 < np.median(ratios)
+    assert max(ratios) < 1e-12 / UNIT_ROUNDOFF

@@ -1,0 +1,9 @@
+"""Settings of all tests."""
+
+import signal
+
+
+def pytest_configure():
+    """Processes in the background of a shell ignore interrupts, and so would those that tests start and interrupt."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)

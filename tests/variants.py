@@ -1,0 +1,116 @@
+"""Repeats the tests marked `sensitive`, and digests of runs, as on other machines: `python variants.py`.
+
+Each variant sets what a machine may change: the BLAS kernels, NumPy's vector instructions, those of the C library, the
+level of the kernels, the share of the processor. One that does not apply here is named and left out.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from threadpoolctl import threadpool_info
+
+from coadjoint.kernels.library import built_levels, processor_level
+
+ROOT = Path(__file__).parents[1]
+# The least level of the processor that each kernel of OpenBLAS needs.
+CORES = {"Haswell": 3, "SkylakeX": 4, "Prescott": 1}
+LEVELS = (1, 3)
+HWCAPS = "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F"
+PERIOD, SHARE = 0.1, 0.2
+"""Seconds, of which the processes run this share."""
+# Tests that wait for other processes run under a quota, and only there: the others compute the same in five times the
+# time, and these compute nothing that depends on instructions.
+WAITING = {"test_interrupted_imports.py", "test_interrupted_preparation.py", "test_interrupted_runs.py"}
+
+
+class Variant(NamedTuple):
+    """A setting of the environment; `lacks` names what it would need, where it does not apply."""
+
+    name: str
+    setting: dict[str, str]
+    lacks: str = ""
+    quota: bool = False
+
+
+def variants() -> Iterator[Variant]:
+    level = processor_level() or 0
+    openblas = any(found["internal_api"] == "openblas" for found in threadpool_info())
+    for core, least in CORES.items():
+        lacks = "" if openblas and level >= least else f"OpenBLAS on an x86-64 processor of level v{least}"
+        yield Variant(f"OPENBLAS_CORETYPE={core}", {"OPENBLAS_CORETYPE": core}, lacks)
+    # Their names differ by the version of NumPy, which refuses those that it does not know.
+    features = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
+    setting = {"NPY_DISABLE_CPU_FEATURES": " ".join(features)}
+    yield Variant(
+        "NumPy without SIMD", setting, "" if features else "a NumPy that chooses instructions when it is loaded"
+    )
+    glibc = platform.libc_ver()[0] == "glibc" and platform.machine() == "x86_64"
+    yield Variant("glibc without AVX and FMA", {"GLIBC_TUNABLES": HWCAPS}, "" if glibc else "glibc on x86-64")
+    for one in LEVELS:
+        lacks = "" if one in built_levels() and level >= one else f"kernels built for v{one} (COADJOINT_LEVELS)"
+        yield Variant(f"COADJOINT_LEVEL=v{one}", {"COADJOINT_LEVEL": f"v{one}"}, lacks)
+    lacks = "" if hasattr(signal, "SIGSTOP") else "signals that stop a process"
+    yield Variant(f"{SHARE:.0%} of the processor", {}, lacks, quota=True)
+
+
+def passed(variant: Variant) -> bool:
+    """Run the sensitive tests under a setting."""
+    # These files alone: to collect all tests takes longer than to run these.
+    paths = [path for path in (ROOT / "tests").rglob("test_*.py") if "mark.sensitive" in path.read_text("utf-8")]
+    chosen = sorted(str(path) for path in paths if (path.name in WAITING) == variant.quota)
+    command = [sys.executable, "-m", "pytest", "-q", "-n", "2", "-m", "sensitive and not long", *chosen]
+    # In a process group, so that all of its processes can be stopped at once; Linux gives a session a share of its own.
+    with subprocess.Popen(command, cwd=ROOT, env=os.environ | variant.setting, process_group=0) as tests:
+        try:
+            while variant.quota and tests.poll() is None:
+                time.sleep(PERIOD * SHARE)
+                os.killpg(tests.pid, signal.SIGSTOP)
+                time.sleep(PERIOD * (1 - SHARE))
+                os.killpg(tests.pid, signal.SIGCONT)
+            tests.wait()
+        except BaseException:
+            os.killpg(tests.pid, signal.SIGKILL)
+            raise
+    return tests.returncode == 0
+
+
+def digests(setting: dict[str, str]) -> dict[str, str]:
+    command = [sys.executable, "-m", "verification.digests_of_runs"]
+    done = subprocess.run(command, cwd=ROOT / "tests", env=os.environ | setting, stdout=subprocess.PIPE, check=True)
+    found: dict[str, str] = json.loads(done.stdout)
+    return found
+
+
+def main() -> int:
+    expected, wrong = digests({}), []
+    for variant in variants():
+        if variant.lacks:
+            print(f"{variant.name}: left out, it needs {variant.lacks}", flush=True)
+            continue
+        print(f"{variant.name}:", flush=True)
+        began = time.monotonic()
+        if not passed(variant):
+            wrong.append(variant.name)
+        if variant.setting:
+            found = digests(variant.setting)
+            differing = [name for name, digest in expected.items() if found[name] != digest]
+            if differing:
+                wrong.append(f"{variant.name} (other bits: {', '.join(differing)})")
+        print(f"{variant.name}: {time.monotonic() - began:.0f} s", flush=True)
+    print("\n".join(["failed under:", *wrong]) if wrong else "the same under all of them", flush=True)
+    return int(bool(wrong))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
