@@ -16,7 +16,13 @@ COUNT ?= 3000
 # Configurations, and as many calls, of `make fuzz`.
 FUZZED ?= 50000
 
-.PHONY: demo test long core mutants soak fuzz sanitize compilers aarch64 bench kernels package packages release-checks clean
+# A copy of a checkout has the environment and the build folder of the other one, which name its paths.
+MOVED := $(shell sed -n 's/^command = .* //p' $(VENV)/pyvenv.cfg 2>/dev/null | grep -vxF '$(abspath $(VENV))')
+BUILT := $(shell sed -n 's/^CMAKE_HOME_DIRECTORY:INTERNAL=//p' $(BUILD)/CMakeCache.txt 2>/dev/null | grep -vxF '$(CURDIR)')
+# Installing configures the build folder too.
+CONFIGURE := $(if $(BUILT),$(if $(MOVED),,$(if $(wildcard $(VENV)/installed),package)))
+
+.PHONY: moved demo test variants long core mutants soak fuzz sanitize compilers aarch64 bench kernels package packages release-checks clean
 
 demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -31,6 +37,10 @@ test: kernels
 # More seeds, schemes and compilers than `make test` has time for.
 long: kernels
 	$(ONE_THREAD) $(BIN)/pytest -n 2 -m long
+
+# The sensitive tests again, and digests of runs, as on machines with other instructions, and on one that is busy.
+variants: kernels
+	cd tests && $(ONE_THREAD) ../$(BIN)/python variants.py
 
 # What the package promises without its extras, installed into a virtual environment that has nothing else.
 core:
@@ -78,12 +88,16 @@ NEEDED := import tomllib; project = tomllib.load(open("pyproject.toml", "rb"))["
 	print(*project["dependencies"], *(one for name in extras if not name.startswith("bench") for one in extras[name] \
 	if not one.startswith("coadjoint[")), sep="\n")
 
-$(VENV)/installed: pyproject.toml
+$(VENV)/installed: pyproject.toml $(if $(MOVED),moved)
 	@test -n "$(PYTHON)" || { echo "coadjoint needs Python 3.11 or newer: set PYTHON=/path/to/python" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) cmake ninja scikit-build-core
 	@$(MAKE) --no-print-directory --jobs=2 package packages
 	@touch $@
+
+moved:
+	@echo "$(VENV) was made for $(MOVED): it is made again"
+	rm -rf $(VENV)
 
 package:
 	$(PIP) --no-build-isolation --no-deps --editable .
@@ -94,6 +108,7 @@ packages:
 
 # Compiles what has changed. COADJOINT_LEVELS=all builds for every level of x86-64.
 kernels: $(VENV)/installed
+	$(if $(CONFIGURE),@echo "$(BUILD) was made for $(BUILT): it is configured again"; $(MAKE) --no-print-directory package)
 	$(if $(COADJOINT_LEVELS),$(BIN)/cmake -DCOADJOINT_LEVELS="$(COADJOINT_LEVELS)" $(BUILD))
 	@$(BIN)/cmake --build $(BUILD)
 
