@@ -57,6 +57,18 @@ def test_phase_of_a_shifted_motion(lead: float) -> None:
     assert found == pytest.approx(np.full(9, lead), abs=64 * U * 20.0)
 
 
+def test_phase_of_a_driven_motion_follows_its_field_at_each_time() -> None:
+    def rotating(t):
+        return 0.9 * np.cos(2.0 * t), 0.9 * np.sin(2.0 * t), -1.0
+
+    spin = co.systems.spin_lattice("chain", 1, field=rotating)
+    better = co.integrate(spin, (0.6, 0.0, 0.8), (1.0, 9.0), 1 / 64, co.Splitting(order=6))
+    t, lead = np.linspace(2.0, 8.0, 9), 0.01
+    found = phase_error(spin, better.x[0], t, better.at(t + lead).x, better)
+    # The interpolation of the run is right to its own bound, 2^-30 of the largest state, which moves by about 1 a time.
+    assert found == pytest.approx(np.full(9, lead), abs=2.0**-28)
+
+
 def test_phase_of_the_midpoint_rule_grows_linearly() -> None:
     body, x0 = co.systems.paper_rigid_body(), (1.0, 2.0, 0.5)
     run = co.integrate(body, x0, (0.0, 200.0), 0.05, co.GaussLegendre(1), save_every=400)

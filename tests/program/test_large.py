@@ -145,6 +145,14 @@ def test_shifts_are_counted_as_they_are_made():
     assert all(count in (0, len(parts)) for count, parts in zip(counts, made, strict=True))
 
 
+@pytest.mark.parametrize("M", [(1.0, 1.0, 2.0), (1.0, 1.0, 1.0), (3.0, 2.0, 1.0)])
+@pytest.mark.parametrize("copies", [1, 2, 5])
+def test_a_shift_is_tried_once(M, copies):
+    system = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), copies), co.Quadratic(np.tile(M, copies)))
+    shifts = list(candidate_shifts(system, split(system), quadratic_casimirs(system)))
+    assert shifts and len(set(shifts)) == len(shifts)
+
+
 def calls(make):
     """Count the calls of functions, Python's and built-in ones, while a program is built."""
     system, counted = make(), 0

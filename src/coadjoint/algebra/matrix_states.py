@@ -272,11 +272,14 @@ class MatrixAlgebra:
         if not np.isfinite(A).all():
             raise ValueError(f"{what} contains NaN or infinity; every entry must be finite")
         near = self.projected(A, spared=SPARED)
-        away, size = np.abs(A - near).max(initial=0.0), np.abs(A).max(initial=0.0)
-        if away > ROUNDED * self.N * size:
+        away, size = (np.abs(B).max(axis=(-2, -1), initial=0.0).reshape(-1) for B in (A - near, A))
+        wrong = np.flatnonzero(away > ROUNDED * self.N * size)
+        if len(wrong):
+            one = wrong[0]
+            which = f"{what}[{one}]" if A.ndim == 3 else what
             raise ValueError(
-                f"{what} is no matrix of {self}: it must be {self.says}, and misses that by {away:.2g} where its "
-                f"largest entry is {size:.2g}"
+                f"{which} is no matrix of {self}: it must be {self.says}, and misses that by {away[one]:.2g} where its "
+                f"largest entry is {size[one]:.2g}"
             )
         return near
 

@@ -111,7 +111,7 @@ def _found(
     change = np.full(len(times), np.inf)
     for _ in range(MOST_ITERATIONS):
         y = right(times + lead)
-        f = field_along(system, y)
+        f = field_along(system, y, times + lead)
         # Off the orbit Gauss-Newton converges linearly, and its last digits are round-off of the exact motion.
         change = np.einsum("ki,ki->k", f, states - y) / np.einsum("ki,ki->k", f, f)
         lead = lead + change

@@ -74,9 +74,10 @@ def motion_of(system: System, reference: Any, x0: ArrayLike, member: int | None 
     return given
 
 
-def field_along(system: System, states: Floats) -> Floats:
-    """Return the vector field at states, shape (k, n)."""
-    return np.array([system.vector_field(state) for state in states]).reshape(states.shape)
+def field_along(system: System, states: Floats, times: Floats) -> Floats:
+    """Return the vector field at states of shape (k, n), each at its time."""
+    values = [system.vector_field(state, t) for state, t in zip(states, times.tolist(), strict=True)]
+    return np.array(values).reshape(states.shape)
 
 
 def _between(system: System, run: Solution, member: int | None) -> Motion:
@@ -91,7 +92,7 @@ def _between(system: System, run: Solution, member: int | None) -> Motion:
     t = run.t
     if len(t) < NODES:
         raise ValueError(f"the reference has {len(t)} saved points; {NODES} are needed to interpolate")
-    slopes = field_along(system, states)
+    slopes = field_along(system, states, t)
     largest = float(np.max(np.abs(states)))
     rising = t if t[-1] > t[0] else -t
 

@@ -175,8 +175,9 @@ def candidate_shifts(
         for coordinate in coordinates:
             for name, entry in holders.get(coordinate, [])[:1]:
                 factors.setdefault(name, diagonal.get(coordinate, 0.0) / entry)
-        seen.add(together := tuple((name, factor) for name, factor in sorted(factors.items()) if factor))
-        if together:
+        together = tuple((name, factor) for name, factor in sorted(factors.items()) if factor)
+        if together not in seen:
+            seen.add(together)
             yield together
         for coordinate in coordinates if len(casimirs) <= 4 else []:
             for name, entry in holders.get(coordinate, []):

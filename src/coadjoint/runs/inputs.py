@@ -85,7 +85,7 @@ class Inputs:
                 self._places_of_torque(where, name) if isinstance(where, str) else _coordinates(where, name, system.dim)
             )
         every = np.arange(len(self.values))
-        self._all = next((name for name, where in self.places.items() if np.array_equal(where, every)), "")
+        self._all = next((name for name, where in self.places.items() if np.array_equal(where, every)), None)
         self._changing = np.concatenate([where.ravel() for where in self.places.values()])
         if len(np.unique(self._changing)) < len(self._changing):
             twice = int(np.flatnonzero(np.bincount(self._changing) > 1)[0])
@@ -127,7 +127,7 @@ class Inputs:
         ValueError, TypeError
             No such input, or its value has another shape or is not finite.
         """
-        if len(given) == 1 and self._all in given:
+        if self._all is not None and list(given) == [self._all]:
             # Every coefficient, in the order of the coordinates: nothing is to be put together.
             numbers = read_numbers(given[self._all], self._all)
             if numbers.shape[-1:] == self.values.shape and numbers.ndim <= 2 and len(numbers) and are_finite(numbers):

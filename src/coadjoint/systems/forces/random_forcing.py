@@ -32,7 +32,7 @@ class RandomForcing(OnLayer):
     band : (float, float)
         Lowest and highest degree l, or wave number |n|, both of which belong to it.
     seed : int
-        The same seed gives the same noise, in any company; from 0 to 2^63 - 1.
+        The same seed gives the same noise, in any company; from 0 to 2^62.
     stream : int
         That of the first member; member m of an ensemble has the noise of ``stream + m``.
     layer : {"vorticity", "carried"}
