@@ -159,9 +159,7 @@ def recipes(folder, target="kernels"):
     # The tests may be run by make, which hands its options on.
     environment = {name: value for name, value in os.environ.items() if name not in {"MAKEFLAGS", "MAKELEVEL"}}
     command = ["make", "--dry-run", target]
-    done = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=True, timeout=300
-    )
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True, timeout=300)
     return done.stdout.splitlines()
 
 
