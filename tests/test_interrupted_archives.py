@@ -150,7 +150,7 @@ MANY = (
     TOP.replace("GaussLegendre", "Splitting")
     .replace('attitude = "coadjoint"', "")
     .replace("x = [1.0, 0.1, 0.5, 0.25, 0.5, 1.0]", "x = {states}")
-    .replace("32.0", "40000.0")
+    .replace("32.0", "80000.0")
     + """
 save_every = 100
 workers = 1

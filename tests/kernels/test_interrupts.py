@@ -38,7 +38,7 @@ turned = co.LiePoissonSystem(co.algebras.change_of_basis(co.algebras.so(5), basi
 large = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 20000), co.Quadratic(np.tile([1.0, 2, 3], 20000)))
 wide = np.tile(y, (20000, 1))
 signal.signal(signal.SIGALRM, hear)
-signal.setitimer(signal.ITIMER_REAL, 0.6)
+signal.setitimer(signal.ITIMER_REAL, 1.0)
 try:
     run_for_ever()
 except Heard:
