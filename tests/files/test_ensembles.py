@@ -20,6 +20,8 @@ from coadjoint.files.unfinished import locked
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.times import times_of
 
+pytestmark = pytest.mark.thinned(3)
+
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X = np.random.default_rng(3).standard_normal((11, 3))
 BATCH = co.batch([co.systems.rigid_body(inertia=(1, 2, 2 + 0.0625 * k)) for k in range(11)])
