@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable, Sequence
 from typing import Any
 
 import pytest
@@ -17,6 +17,58 @@ def long_where(chosen: Iterable[Any], cases: Iterable[Any]) -> list[Any]:
     """Return cases for `parametrize`; the chosen ones are long."""
     chosen = list(chosen)
     return [_long(case) if case in chosen else case for case in cases]
+
+
+def long_between(count: int, cases: Iterable[Any]) -> list[Any]:
+    """Return cases for `parametrize`; the first and every `count`-th after it stay, those between are long."""
+    return [_long(case) if k % count else case for k, case in enumerate(cases)]
+
+
+def thin(items: Iterable[pytest.Item]) -> None:
+    """Mark all but about one of k cases of each test marked `thinned(k)` as long, whatever the number of parameters.
+
+    Cases stay as in a Latin square: the ranks of their values among those of each parameter add up to a multiple of k.
+    Each value of each parameter stays in at least one case. The nearest mark counts: that of a test before that of its
+    module.
+    """
+    tests: dict[str, list[Any]] = {}
+    for item in items:
+        if _may_be_thinned(item):
+            tests.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for cases in tests.values():
+        _thin_one(cases, *cases[0].get_closest_marker("thinned").args)
+
+
+def _may_be_thinned(item: pytest.Item) -> bool:
+    """Return whether a test is marked, has cases, and is not to be repeated under other settings with all of them."""
+    marks = {mark.name for mark in item.iter_markers()}
+    return "thinned" in marks and not marks & {"long", "sensitive"} and hasattr(item, "callspec")
+
+
+def _thin_one(cases: Sequence[Any], share: int) -> None:
+    """Mark cases of one test as long."""
+    ranks: dict[tuple[str, Hashable], int] = {}
+    counts: dict[str, int] = {}
+    values = []
+    for case in cases:
+        values.append({(name, _key(value)) for name, value in case.callspec.params.items()})
+        for key in values[-1] - ranks.keys():
+            ranks[key] = counts.get(key[0], 0)
+            counts[key[0]] = ranks[key] + 1
+    stays = [sum(ranks[key] for key in keys) % share == 0 for keys in values]
+    missing = ranks.keys() - {key for keys, stay in zip(values, stays, strict=True) if stay for key in keys}
+    while missing:
+        most = max(range(len(cases)), key=lambda k: len(values[k] & missing))
+        stays[most] = True
+        missing -= values[most]
+    for case, stay in zip(cases, stays, strict=True):
+        if not stay:
+            case.add_marker(pytest.mark.long)
+
+
+def _key(value: Any) -> Hashable:
+    """Return what stands for a value of a parameter in a dictionary."""
+    return value if isinstance(value, str | float | int) else repr(value)
 
 
 def _long(case: Any) -> Any:

@@ -298,6 +298,8 @@ NOT_CALLED = {"Certificate", "Choice", "Corrector", "Events", "Frequencies", "In
               "LyapunovExponents", "ModifiedField", "ModifiedHamiltonian", "PhaseDrift", "PreparedRun", "Section",
               "Solution"}  # fmt: skip
 SLOW = [("predicted_drift", "step"), ("certify", "step"), ("exact", "t"), ("level_surface", "box")]
+# A prepared run reads its span as "run" does.
+SLOW += [(name, "t_span") for name in ("end", "run to an accuracy", "end to an accuracy")]
 BY_OTHER_NAMES = {"LieAlgebra", "Polynomial"}
 
 
@@ -335,6 +337,7 @@ def patience():
         signal.signal(signal.SIGALRM, before)
 
 
+@pytest.mark.thinned(6)
 @pytest.mark.filterwarnings("ignore:.*no body has:UserWarning")
 @pytest.mark.parametrize(
     ("name", "parameter"), long_where(SLOW, [(name, key) for name in CALLS for key in CALLS[name][1]])

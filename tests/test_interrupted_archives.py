@@ -16,6 +16,7 @@ import coadjoint
 import coadjoint as co
 from coadjoint import cli
 from coadjoint.files.configuration import load
+from long import long_beyond
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
 TOP = """
@@ -81,14 +82,17 @@ def check_stopped(done, name, what):
 
 @pytest.mark.parametrize(
     ("write", "name", "again", "then"),
-    [
-        # The root of the archive is written as file 27, of its first commit as file 42, and then every 15.
-        (4, "SIGINT", 61, "SIGTERM"),
-        (20, "SIGKILL", 57, "SIGINT"),
-        (43, "SIGTERM", 30, "SIGKILL"),
-        (57, "SIGINT", 41, "SIGHUP"),
-        (70, "SIGKILL", 3, "SIGINT"),
-    ],
+    long_beyond(
+        2,
+        [
+            # The root of the archive is written as file 27, of its first commit as file 42, and then every 15.
+            (20, "SIGKILL", 57, "SIGINT"),
+            (43, "SIGTERM", 30, "SIGKILL"),
+            (4, "SIGINT", 61, "SIGTERM"),
+            (57, "SIGINT", 41, "SIGHUP"),
+            (70, "SIGKILL", 3, "SIGINT"),
+        ],
+    ),
 )
 def test_at_any_write(folder, capsys, write, name, again, then):
     """In the middle of the making of the archive, or of a commit: the command, and the one that goes on with it."""

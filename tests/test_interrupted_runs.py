@@ -13,6 +13,7 @@ import xarray
 import coadjoint
 import coadjoint as co
 from coadjoint import cli
+from long import long_beyond
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
 LONG = """
@@ -83,7 +84,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.sensitive
 @pytest.mark.parametrize(
     ("name", "status", "said"),
-    [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up")],
+    long_beyond(2, [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up")]),
 )
 def test_without_an_archive_the_command_writes_what_there_is(folder, name, status, said):
     done = child(SIGNAL.format(name=name, arguments=["run", "long.toml", "--out", "run.nc"]))

@@ -14,6 +14,8 @@ from coadjoint import cli
 from coadjoint.files.output import check_target, write_dataset
 from test_cli import BODY
 
+pytestmark = pytest.mark.thinned(3)
+
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(coadjoint.__file__).parents[1])}
 # Acts when the piece of a number is about to be written, from whatever thread writes.
 AT_PIECE = """

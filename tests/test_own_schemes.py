@@ -66,6 +66,7 @@ def blocks(language):
 
 
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler is installed")
+@pytest.mark.long
 def test_the_scheme_in_cpp_is_compiled_and_is_its_reading(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     (step,), (scheme,) = blocks("cpp"), blocks("python")

@@ -69,6 +69,7 @@ co.methods.Spliting
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(importlib.util.find_spec("mypy") is None, reason="mypy is not installed")
 def test_a_type_checker_knows_every_name_and_no_other(tmp_path):
     file = tmp_path / "user.py"

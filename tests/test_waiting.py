@@ -3,7 +3,9 @@
 import os
 import subprocess
 import sys
+import threading
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -59,6 +61,34 @@ def test_the_outer_of_two_speaks_for_both(clock):
                     at("a pilot run")
 
     assert said(work) == ["certify has taken 8 s so far; now it computes a pilot run; Ctrl-C ends it"]
+
+
+def test_calls_of_one_function_have_a_wait_each(clock):
+    """Nested, one after the other, and in two threads of which the first to begin is the first to end."""
+    entered = [threading.Event(), threading.Event()]
+
+    @waiting.waiting("choose")
+    def work(depth):
+        if depth:
+            work(depth - 1)
+            clock[0] += 6.0
+            at("a pilot run")
+
+    for _ in range(2):
+        assert [one.partition(" so far")[0] for one in said(lambda: work(1))] == ["choose has taken 6 s"]
+
+    @waiting.waiting("choose")
+    def beside(number):
+        entered[number].set()
+        assert entered[1 - number].wait(timeout=60)
+        if number:
+            assert first.exception(timeout=60) is None
+
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(beside, 0)
+        assert entered[0].wait(timeout=60)
+        second = pool.submit(beside, 1)
+        assert first.exception(timeout=60) is None and second.exception(timeout=60) is None
 
 
 def test_outside_of_any_work_nothing_is_said(clock):

@@ -7,6 +7,8 @@ from scipy.special import ellipk
 import coadjoint as co
 from coadjoint.analysis.sampled import sampled
 
+pytestmark = pytest.mark.thinned(3)
+
 U = 2.0**-53
 
 

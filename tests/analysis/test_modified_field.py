@@ -13,7 +13,9 @@ from fields_under_test import ALGEBRAS, along, elementary, field_of, whole
 import coadjoint as co
 from coadjoint.methods.power_series import expand
 from coadjoint.methods.stages import linear_solve
-from long import long_beyond
+from long import long_between, long_beyond
+
+pytestmark = pytest.mark.thinned(3)
 
 NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 C1 = 1 / (2 - 2 ** (1 / 3))
@@ -158,7 +160,7 @@ def skew_systems():
     }
 
 
-@pytest.mark.parametrize("which", skew_systems())
+@pytest.mark.parametrize("which", long_between(3, skew_systems()))
 def test_modified_midpoint_is_skew_to_every_order(which: str) -> None:
     system = skew_systems()[which]
     found = co.modified_field(system, co.ModifiedGaussLegendre(1), 5 if system.dim < 6 else 4)
@@ -276,7 +278,7 @@ def kinds_of_fields():
 
 
 @pytest.mark.parametrize("which", long_beyond(1, [0, 1]))
-@pytest.mark.parametrize("scheme", SCHEMES, ids=str)
+@pytest.mark.parametrize("scheme", long_between(3, SCHEMES), ids=str)
 def test_a_step_is_the_flow_of_its_field(scheme, which: int) -> None:
     """One step and the flow of the terms below h^r differ by h^(r+1) f_r and less, forward and backward."""
     system, order = kinds_of_fields()[which], 4
@@ -309,7 +311,7 @@ def test_a_step_is_the_flow_of_its_field(scheme, which: int) -> None:
 SHORT = [s for s in SCHEMES if not isinstance(s, co.Composition) and s != co.Splitting(order=4)][::2]
 
 
-@pytest.mark.parametrize("scheme", long_beyond(3, SHORT), ids=str)
+@pytest.mark.parametrize("scheme", long_beyond(1, SHORT), ids=str)
 def test_the_two_ways_agree(scheme) -> None:
     system = whole("e(3)", -1, seed=11, linear=True)
     exact = co.modified_field(system, scheme, 4, way="exact")
@@ -322,6 +324,7 @@ def test_the_two_ways_agree(scheme) -> None:
     assert points.keeps("energy") == exact.keeps("energy")
 
 
+@pytest.mark.long
 def test_radau_on_the_energy_surface() -> None:
     system = whole("so(3)", -1)
     found = co.modified_field(system, co.RadauEnergy(2), 4)

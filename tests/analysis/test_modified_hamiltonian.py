@@ -18,6 +18,8 @@ from coadjoint.methods.splitting_schemes import SCHEMES
 from coadjoint.program.second_order import second_order_term
 from long import long_where
 
+pytestmark = pytest.mark.thinned(3)
+
 SYSTEMS = systems()
 C1 = 1 / (2 - 2 ** (1 / 3))
 JUMP = (C1, 1 - 2 * C1, C1)
@@ -217,7 +219,7 @@ def test_one_rational_rotation_is_integrated_exactly():
 # --- error terms
 
 
-@pytest.mark.parametrize("name", long_where(["blanes_casas_murua10"], sorted(SCHEMES)))
+@pytest.mark.parametrize("name", long_where(["blanes_casas_murua10", "kahan_li10a", "kahan_li10d"], sorted(SCHEMES)))
 def test_every_scheme_has_its_first_term_at_its_order(name):
     system, _ = SYSTEMS["so(3)"]
     scheme = co.Splitting(scheme=name, parts="coordinates")

@@ -7,6 +7,8 @@ import pytest
 
 from coadjoint.analysis.straight_line import straight_line
 
+pytestmark = pytest.mark.thinned(3)
+
 SAMPLES, SERIES = 1000, 200
 T = np.arange(SAMPLES) * 0.1
 

@@ -6,6 +6,8 @@ import pytest
 import coadjoint as co
 from long import long_where
 
+pytestmark = pytest.mark.thinned(3)
+
 
 def systems():
     rng = np.random.default_rng(5)

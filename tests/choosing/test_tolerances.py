@@ -9,6 +9,8 @@ from coadjoint.choosing.accuracy import SCHEMES
 from coadjoint.choosing.candidates import admitted
 from coadjoint.choosing.pilot import Pilot
 
+pytestmark = pytest.mark.thinned(3)
+
 OWN = [method for method in SCHEMES if method.own_steps]
 
 

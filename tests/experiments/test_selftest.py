@@ -11,8 +11,10 @@ from coadjoint import cli
 from coadjoint.experiments.selftest import checks, run, subjects
 from coadjoint.experiments.selftest.findings import Finding
 from core_only import run_with_the_core
+from long import long_beyond
 
 
+@pytest.mark.long
 def test_the_command_prints_a_line_for_each_check(capsys):
     assert cli.main(["selftest"]) == 0
     *lines, last = capsys.readouterr().out.splitlines()
@@ -30,10 +32,25 @@ def test_the_command_prints_a_line_for_each_check(capsys):
     assert all(len(line) < 200 for line in lines)
 
 
-def test_without_extras_what_is_skipped_is_named():
-    code = """
-from coadjoint.experiments.selftest.run import selftest
-found = list(selftest())
+def test_the_command_prints_a_line_for_each_of_some_checks(monkeypatch, capsys):
+    monkeypatch.setattr(run, "CHECKS", (checks.motions, checks.resumed))
+    assert cli.main(["selftest"]) == 0
+    *lines, last = capsys.readouterr().out.splitlines()
+    assert len(lines) > 3 and all(line.startswith("ok ") for line in lines)
+    assert f"{len(lines)} checks, 0 failed, 0 skipped" in last
+    assert all(any(what in line for line in lines) for what in ("motion on su(3)", "cut and resumed: "))
+
+
+# All checks, or the first and the last of them.
+EACH = long_beyond(1, ["run.CHECKS = run.CHECKS[::5]", ""])
+
+
+@pytest.mark.parametrize("chosen", EACH, ids=["few", "all"])
+def test_without_extras_what_is_skipped_is_named(chosen):
+    code = f"""
+from coadjoint.experiments.selftest import run
+{chosen}
+found = list(run.selftest())
 print([str(one) for one in found if not one.passed], [one.skipped for one in found if one.skipped])
 """
     done = run_with_the_core(code)
@@ -41,10 +58,17 @@ print([str(one) for one in found if not one.passed], [one.skipped for one in fou
     assert done.stdout.strip() == """[] ['xarray is not installed: pip install "coadjoint[io]"']"""
 
 
-def test_the_command_needs_no_extra_but_its_own():
+@pytest.mark.parametrize("chosen", EACH, ids=["few", "all"])
+def test_the_command_needs_no_extra_but_its_own(chosen):
     # click, and what pydantic brings; no xarray, no Numba, no mpmath.
     also = ("click", "pydantic", "pydantic_core", "annotated_types", "typing_extensions", "typing_inspection")
-    done = run_with_the_core("from coadjoint import cli; raise SystemExit(cli.main(['selftest']))", also=also)
+    code = f"""
+from coadjoint import cli
+from coadjoint.experiments.selftest import run
+{chosen}
+raise SystemExit(cli.main(['selftest']))
+"""
+    done = run_with_the_core(code, also=also)
     assert (done.returncode, done.stderr) == (0, "")
     *lines, last = done.stdout.splitlines()
     assert lines[-1] == f'skip  {"cut and resumed":42}  xarray is not installed: pip install "coadjoint[io]"'

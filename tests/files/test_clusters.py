@@ -28,6 +28,7 @@ from coadjoint.files.blocks import read_about
 from coadjoint.files.local_cluster import local_cluster
 from coadjoint.files.run_in_blocks import team_of
 from coadjoint.files.unfinished import locked
+from long import long_between, long_beyond
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X = np.random.default_rng(3).standard_normal((11, 3))
@@ -76,7 +77,7 @@ MOVED = {
 }
 
 
-@pytest.mark.parametrize("name", MOVED)
+@pytest.mark.parametrize("name", long_between(2, MOVED))
 def test_the_bits_of_one_machine(tmp_path, client, name):
     """By tables that no worker derives, but for the loops around others, which are laid out where they run."""
     (system, x0, method, attitude), archive = MOVED[name], tmp_path / "many.zarr"
@@ -131,9 +132,9 @@ def test_a_block_that_an_earlier_call_still_runs_is_waited_for(tmp_path, client,
             co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, members_per_block=4)
     lock = locked(archive / ".coadjoint" / "block-000001.lock", os.O_CREAT)
     began = time.monotonic()
-    Timer(3.0, os.close, [lock]).start()
+    Timer(1.0, os.close, [lock]).start()
     found = co.ensemble(BODY, X, (0, 2), 0.125, archive=archive, client=client)
-    assert time.monotonic() - began >= 3.0
+    assert time.monotonic() - began >= 1.0
     assert_same(found, co.integrate(BODY, X, (0, 2), 0.125))
 
 
@@ -182,7 +183,7 @@ def written(archive):
     return {k: (archive / ".coadjoint" / f"block-{k:06d}").stat().st_mtime_ns for k in done(archive)}
 
 
-@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("count", long_beyond(1, [1, 2]))
 def test_workers_are_killed(tmp_path, client, count):
     """One of them, or all that have the tables: these are sent once more."""
     archive, killed = tmp_path / "many.zarr", []
@@ -239,6 +240,7 @@ def test_the_client_is_killed_and_called_again(tmp_path):
     assert_same(found, whole())
 
 
+@pytest.mark.long
 def test_the_scheduler_is_killed_and_another_one_started(tmp_path):
     archive = tmp_path / "many.zarr"
 
@@ -313,6 +315,7 @@ archive = "many.zarr"
 """
 
 
+@pytest.mark.long
 def test_a_sweep_by_the_command(tmp_path, monkeypatch, capsys):
     from coadjoint import cli
     from coadjoint.files.configuration import load

@@ -44,6 +44,7 @@ def check(base, tmp_path, name, kind, seeds):
         assert not attacked(base, tmp_path / "try", name, kind, seed), (name, kind, seed)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", NAMES)
 def test_drawn(base, tmp_path, name, kind):
@@ -205,6 +206,7 @@ def test_what_is_wrong_is_named(run, change, said):
             ask(run[0])
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("finished", [False, True])
 @pytest.mark.parametrize("name", ["x", "time", "energy", "x0", "drift", "component", "attitude"])
 def test_a_missing_chunk_is_named_and_not_read_as_nothing(tmp_path, name, finished):

@@ -28,6 +28,7 @@ from coadjoint.methods.suggested import suggested_scheme
 from coadjoint.systems.hamiltonian import as_hamiltonian
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.ready_made import ready_made_systems
+from long import long_where
 from served import state_of
 
 HAMILTONIANS = {"Quadratic": Quadratic, "Polynomial": co.Polynomial, "SplitHamiltonian": co.SplitHamiltonian}
@@ -79,6 +80,7 @@ def test_parameters_of_hamiltonians(kind, parameter):
         assert_same_motion(system)
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("parameter", parameters(Quadratic))
 @pytest.mark.parametrize("M", [1.5, [1.0, 2.0, 4.0], FULL], ids=["number", "diagonal", "matrix"])
 def test_parameters_of_quadratic_hamiltonians_inside_of_others(parameter, M):
@@ -201,8 +203,12 @@ OTHERS = {
 }
 
 
+LONGER = [("sphere_euler", "rotation"), ("double_spherical_pendulum", "masses")]
+
+
 @pytest.mark.parametrize(
-    ("name", "parameter"), [(name, p) for name, make in ready_made_systems().items() for p in parameters(make)]
+    ("name", "parameter"),
+    long_where(LONGER, [(name, p) for name, make in ready_made_systems().items() for p in parameters(make)]),
 )
 def test_parameters_of_ready_made_systems(name, parameter):
     make = ready_made_systems()[name]

@@ -15,13 +15,14 @@ from killed_runs import check_what_is_there, killed
 
 import coadjoint as co
 from coadjoint.files.archive_store import ArchiveError, ArchiveUnwritten
+from long import long_beyond
 
 BODY, X = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, -1.0, 0.7)
 RUN = (BODY, X, (0.0, 5.0), 0.125, co.GaussLegendre(2))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", long_beyond(1, range(3)))
 def test_killed_at_random_moments(tmp_path, seed):
     """`make soak` does the same a hundred times more."""
     killed(seed, tmp_path)
@@ -53,13 +54,14 @@ def from_then_on(calls, original):
     return full
 
 
+@pytest.mark.parametrize("every", long_beyond(1, [3, 1]))
 @pytest.mark.parametrize("call", ["fsync", "replace"])
-def test_a_disk_that_is_full_at_any_write(tmp_path, monkeypatch, small_pieces, call):
-    """At each write in turn: one sentence, an archive that is read up to its last commit, and the whole run later."""
+def test_a_disk_that_is_full_at_any_write(tmp_path, monkeypatch, small_pieces, call, every):
+    """At each write, or some: one sentence, an archive that is read up to its last commit, and the whole run later."""
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
     run, original, reached, unmade = (BODY, X, (0.0, 2.0), 0.125, co.GaussLegendre(2)), getattr(os, call), set(), 0
     whole = co.integrate(*run)
-    for calls in itertools.chain(range(1, 24, 4), range(24, 48), itertools.count(48, 7)):
+    for calls in itertools.chain(range(1, 24, 4), range(24, 48, every), itertools.count(48, 7 * every)):
         path = tmp_path / f"run{calls}.zarr"
         try:
             with monkeypatch.context() as patched:

@@ -17,6 +17,8 @@ from coadjoint.files.archived_solution import ArchivedSolution
 from coadjoint.files.loaded_solution import LoadedSolution
 from coadjoint.files.output import write_dataset
 
+pytestmark = pytest.mark.thinned(3)
+
 X = (1.0, 0.1, 0.5)
 BODY = co.systems.rigid_body()
 P = co.Polynomial({(1, 1, 0): 1})

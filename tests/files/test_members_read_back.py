@@ -21,6 +21,8 @@ from coadjoint.files.output import write_dataset
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.batch import Batch
 
+pytestmark = pytest.mark.thinned(3)
+
 T0, STEP = 7.3, 0.125
 STARTS = np.array([[1.0, 0.2, 0.5], [0.4, 0.1, 1.1], [1.3, -0.3, 0.2]])
 RATES = (0.02, 0.05, 0.01)

@@ -18,6 +18,8 @@ from coadjoint.files.netcdf_file import LARGEST_KEPT, PAGE, SteadfastFile
 from coadjoint.files.output import OutputError, check_target, write_dataset, write_figure
 from coadjoint.files.unfinished import Stopped, Unfinished
 
+pytestmark = pytest.mark.thinned(3)
+
 ENGINE = {".nc": "h5netcdf", ".zarr": "zarr"}
 SMALL = xarray.Dataset({"x": ("time", np.arange(3.0))}, {"time": [0.0, 1.0, 2.0]}, {"about": "three numbers"})
 # The last variable is longer than what is kept in memory of a file that cannot be written.

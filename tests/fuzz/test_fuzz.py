@@ -1,4 +1,4 @@
-"""Some thousand inputs that seeds draw: each ends in a result or in one sentence. `make fuzz` tries many more."""
+"""Some hundred inputs that seeds draw: each ends in a result or in one sentence. `make fuzz` tries many more."""
 
 import inspect
 import statistics
@@ -8,16 +8,17 @@ from collections import Counter
 import pytest
 
 import coadjoint as co
+from long import long_beyond
 
 from .configurations import draw
 from .judging import wrong_error
 from .run import in_processes
 
-CONFIGURATIONS, CALLS = 1200, 800
-LONG = 20_000
+FEW, LONG = 200, 20_000
+COUNTS = [("configurations", FEW), ("calls", FEW), ("configurations", 1200), ("calls", 800)]
 
 
-@pytest.mark.parametrize(("kind", "count"), [("configurations", CONFIGURATIONS), ("calls", CALLS)])
+@pytest.mark.parametrize(("kind", "count"), long_beyond(2, COUNTS))
 def test_a_result_or_one_sentence(kind, count):
     assert [f"{seed}: {found}" for seed, found in in_processes(kind, range(count))] == []
 

@@ -12,6 +12,7 @@ import pytest
 
 from coadjoint.kernels import compiling
 from coadjoint.kernels.library import FOLDER, SUFFIX, kernels, processor_level
+from long import long_beyond
 
 ROOT = Path(__file__).parents[2]
 SOURCES = "src/coadjoint/kernels/source"
@@ -100,14 +101,16 @@ def test_another_compiler_is_not_left_out_in_silence(tmp_path, monkeypatch):
 
 
 @needs_tools
-def test_what_has_changed_is_compiled_and_nothing_else(tmp_path):
+@pytest.mark.parametrize("levels", long_beyond(1, ["v3", "v1;v3"]))
+def test_what_has_changed_is_compiled_and_nothing_else(tmp_path, levels):
     """On sources that are made as short as can be: which are compiled does not depend on what they hold."""
     tree = copied(tmp_path)
     for path in tree.rglob("*.cpp"):
         if path.name != "processor.cpp":
             path.write_text('#include "boundary/hearing.hpp"\n')
-    names = ["_kernels_v1", "_kernels_v3"] if processor_level() else ["_kernels"]
-    assert configured(tree, *(["-DCOADJOINT_LEVELS=v1;v3"] if processor_level() else []))[0] == 0
+    names = [f"_kernels_{level}" for level in levels.split(";")] if processor_level() else ["_kernels"]
+    options = [f"-DCOADJOINT_LEVELS={levels}"] if processor_level() else []
+    assert configured(tree, *options)[0] == 0
     assert {name for name, _ in compiled(tree)} == {*names, *(["_processor"] if processor_level() else [])}
     assert compiled(tree) == []
     changed = tree / SOURCES / "boundary/probes.cpp"
@@ -159,9 +162,7 @@ def recipes(folder, target="kernels"):
     # The tests may be run by make, which hands its options on.
     environment = {name: value for name, value in os.environ.items() if name not in {"MAKEFLAGS", "MAKELEVEL"}}
     command = ["make", "--dry-run", target]
-    done = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=True, timeout=300
-    )
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True, timeout=300)
     return done.stdout.splitlines()
 
 

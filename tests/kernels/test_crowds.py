@@ -10,6 +10,8 @@ import coadjoint as co
 from coadjoint.kernels.arrays import NamedArrays
 from runs import STATE, run
 
+pytestmark = pytest.mark.thinned(6)
+
 MEMBERS = 35  # a whole block of lanes on every processor, and some that are left
 METHODS = (
     *SCHEMES,

@@ -10,6 +10,8 @@ import coadjoint as co
 from coadjoint.kernels import tables
 from coadjoint.program.blocks import Kind
 
+pytestmark = pytest.mark.thinned(6)
+
 I4 = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, -1], [0, 0, 1, 0]]) / 2
 J4 = np.array([[0, 0, -1, 0], [0, 0, 0, 1], [1, 0, 0, 0], [0, -1, 0, 0]]) / 2
 QUATERNIONS = np.array([I4, J4, 2 * I4 @ J4])  # the group element turns at half the frequency

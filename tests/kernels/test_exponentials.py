@@ -13,6 +13,8 @@ from coadjoint.kernels.watching import schedule_of
 from coadjoint.program.shift import quadratic_casimirs
 from coadjoint.program.unshift import Turn, unshift_tables
 
+pytestmark = pytest.mark.thinned(3)
+
 U = 2.0**-53
 FACTORS = (0.75, -0.4375, 0.3125)
 COMPACT = ("so(3)", "so(4)", "so(5)", "so(6)", "so(7)", "su(2)", "su(3)", "su(4)", "u(2)", "two su(3)")

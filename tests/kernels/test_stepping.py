@@ -17,6 +17,8 @@ from coadjoint.kernels.step_tables import step_tables
 from coadjoint.kernels.tables import watch_tables
 from coadjoint.kernels.watching import schedule_of
 
+pytestmark = pytest.mark.thinned(3)
+
 U = 2.0**-53
 
 

@@ -12,6 +12,8 @@ from coadjoint.methods.commutator_free import SCHEMES
 from coadjoint.rounding import UNIT_ROUNDOFF
 from moments import moments
 
+pytestmark = pytest.mark.thinned(3)
+
 RNG = np.random.default_rng(4)
 
 

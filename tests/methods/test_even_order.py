@@ -12,6 +12,8 @@ from coadjoint.analysis.order import fit_order
 from coadjoint.methods import even_order
 from long import long_where
 
+pytestmark = pytest.mark.thinned(3)
+
 NOTHING = co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 
 

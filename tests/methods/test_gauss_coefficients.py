@@ -23,6 +23,8 @@ from coadjoint.methods.gauss_coefficients import (
 from coadjoint.methods.gauss_legendre import MOST
 from guards import bounded_work
 
+pytestmark = pytest.mark.thinned(3)
+
 U = 2.0**-53
 COUNTS = (1, 2, 3, 4, 5, 8, 13, 20, 32)
 

@@ -11,6 +11,8 @@ import coadjoint as co
 from coadjoint.systems.matrices.streams import Weights
 from coadjoint.systems.torus_euler import torus_euler
 
+pytestmark = pytest.mark.thinned(3)
+
 
 def body(n: int) -> co.MatrixSystem:
     """Return a free body of n dimensions."""

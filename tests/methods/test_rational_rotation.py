@@ -12,6 +12,9 @@ from coadjoint.kernels.library import kernels
 from coadjoint.kernels.structures import address
 from coadjoint.program.reading import Reading
 from coadjoint.program.table import build_program
+from long import long_where
+
+pytestmark = pytest.mark.thinned(6)
 
 U = 2.0**-53
 I4 = np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, -1], [0, 0, 1, 0]]) / 2
@@ -187,7 +190,7 @@ def test_rotation_matrices_carry_the_momentum(method):
     assert np.max(np.abs(run.attitude[-1] - one(3))) > 0.1
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", long_where(["processed", "first-order steps"], METHODS))
 def test_a_representation_with_other_frequencies(method):
     """Unit quaternions turn by half the angle: q stays orthogonal and q rho(x) q^-1 constant."""
     s = co.LiePoissonSystem(SO3, co.Quadratic(FULL), representation=QUATERNIONS)

@@ -173,6 +173,7 @@ def test_a_speed_that_ends_is_a_failure_by_name():
         co.integrate(BODY, (1.0, 0.2, 0.3), (0.0, 40.0), 1.0, co.ReversibleSteps(co.Splitting(), 0.1, ending))
 
 
+@pytest.mark.long
 def test_steps_without_end_are_a_failure():
     """Of 1e-9 each more than 2^24 lie in one step of the run; shorter steps of the run have fewer."""
     with pytest.raises(co.IntegrationError, match=r"more than 2\^24 of its own steps would lie in one step"):

@@ -12,6 +12,8 @@ import coadjoint as co
 from coadjoint.methods.stages import linear_solve
 from long import long_where
 
+pytestmark = pytest.mark.thinned(3)
+
 GAUSS, ITERATED, MODIFIED, EXPLICIT = (
     co.GaussLegendre,
     co.IteratedGaussLegendre,

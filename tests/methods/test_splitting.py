@@ -10,6 +10,8 @@ from scipy.integrate import solve_ivp
 import coadjoint as co
 from coadjoint.methods.splitting_schemes import DEFAULT_SCHEMES, SCHEMES
 
+pytestmark = pytest.mark.thinned(3)
+
 U = 2.0**-53
 
 

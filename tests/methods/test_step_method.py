@@ -11,6 +11,8 @@ import coadjoint as co
 from coadjoint.kernels import step_functions
 from coadjoint.kernels.step_functions import StepFunction
 
+pytestmark = pytest.mark.thinned(3)
+
 RNG = np.random.default_rng(10)
 C1 = 1 / (2 - 2 ** (1 / 3))
 JUMPS = (C1, 1 - 2 * C1, C1)

@@ -14,6 +14,8 @@ from coadjoint.methods.power_series import Dual, PowerSeries, expand
 from coadjoint.methods.projection import independent
 from energies import polynomial
 
+pytestmark = pytest.mark.thinned(3)
+
 U = 2.0**-53
 
 

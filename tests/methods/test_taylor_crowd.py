@@ -8,6 +8,8 @@ import pytest
 import coadjoint as co
 from energies import polynomial
 
+pytestmark = pytest.mark.thinned(6)
+
 ALGEBRAS = {
     name: co.algebras.get(name) for name in ("so(3)", "A3,1", "gl(2)", "A5,3", "e(3)", "so(2,2)", "su(3)", "so(5)")
 }

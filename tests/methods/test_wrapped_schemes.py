@@ -27,6 +27,8 @@ from coadjoint.methods.symmetrized import PairOfFlows, PairOfTableaux
 from coadjoint.rounding import UNIT_ROUNDOFF
 from verification.systems_under_test import Case, all_cases, cases
 
+pytestmark = pytest.mark.thinned(6)
+
 H = 0.0625
 EXACT, ROUNDED = (0.25, 0.5, 0.25), (0.3, 0.4, 0.3)
 STRIDE = 0.15

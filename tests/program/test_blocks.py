@@ -12,6 +12,8 @@ from coadjoint.program.reading import Reading
 from coadjoint.program.table import build_program
 from commuting_actions import acting
 
+pytestmark = pytest.mark.thinned(3)
+
 U = 2.0**-53
 ANGLES = (0.0, 1e-12, -1e-12, 0.37, -0.37, 3.1, -7.7, 50.0, -50.0)
 

@@ -10,6 +10,8 @@ import pytest
 import coadjoint as co
 from long import long_beyond
 
+pytestmark = pytest.mark.thinned(6)
+
 PAGE = Path(__file__).parents[2] / "docs" / "table.md"
 RNG = np.random.default_rng(30)
 C1 = 1 / (2 - 2 ** (1 / 3))

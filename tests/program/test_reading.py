@@ -11,6 +11,8 @@ from coadjoint.program.reading import Reading
 from coadjoint.program.table import build_program
 from long import long_where
 
+pytestmark = pytest.mark.thinned(3)
+
 DIGITS = 40
 
 

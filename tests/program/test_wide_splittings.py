@@ -11,6 +11,7 @@ from coadjoint.program.quadratic_atoms import quadratic_atoms
 from coadjoint.program.wide_generators import TooWide, check_products
 from coadjoint.waiting import LongWait
 from guards import bounded_work
+from long import long_beyond, long_where
 
 ALGEBRAS = {
     "so(6)": co.algebras.so(6),
@@ -75,7 +76,7 @@ def test_kinds_of_blocks_are_those_of_whole_products(seed, monkeypatch):
         assert blocks.larger_block(n, local, 2.0**-53) == plain
 
 
-@pytest.mark.parametrize("order", [2, 4])
+@pytest.mark.parametrize("order", long_beyond(1, [2, 4]))
 def test_many_coupled_coordinates_move_rightly(order):
     algebra = co.algebras.su(9)  # 80 coordinates, above every bound of what is small
     rng = np.random.default_rng(2)
@@ -161,7 +162,10 @@ def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
     assert sum(made) < 5 * 10**5
 
 
-@pytest.mark.parametrize("name, coupled", [("su(4)", True), ("so(4)", True), ("su(5)", False)])
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "name, coupled", long_where([("su(4)", True)], [("su(4)", True), ("so(4)", True), ("su(5)", False)])
+)
 def test_products_of_brackets_are_counted_before_they_are_made(name, coupled, monkeypatch):
     """Never more than are made; where all coordinates are coupled more than half of them."""
     from coadjoint.program import modified_terms, sweep_logarithm

@@ -6,6 +6,7 @@ import pytest
 import coadjoint as co
 from coadjoint.files.export import rebuild
 from coadjoint.files.output import write_dataset
+from long import long_beyond
 
 X = (0.1, 1.0, 0.2)
 
@@ -142,7 +143,7 @@ def test_statistics_and_drift_have_a_place_for_each_member():
     assert np.array_equal(drift.members, worst)
 
 
-@pytest.mark.parametrize("suffix", [".nc", ".zarr"])
+@pytest.mark.parametrize("suffix", long_beyond(1, [".nc", ".zarr"]))
 def test_a_dataset_of_a_batch_runs_again_to_the_same_bits(suffix, tmp_path):
     import xarray
 

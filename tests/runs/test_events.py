@@ -8,6 +8,8 @@ import coadjoint as co
 from coadjoint.runs import event_run
 from failing_parts import failing_parts
 
+pytestmark = pytest.mark.thinned(3)
+
 U = 2.0**-53
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 FLIPPING = (0.1, 1.0, 0.1)

@@ -15,6 +15,8 @@ from coadjoint.systems.linear_term import linear_of, with_linear
 from verification.schemes_under_test import schemes, serves
 from verification.systems_under_test import full_matrix
 
+pytestmark = pytest.mark.thinned(3)
+
 U, STEP, SPANS = 2.0**-53, 0.0625, ((0.0, 0.5), (0.5, 0.0))
 
 

@@ -5,6 +5,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.runs import event_run
+from long import long_beyond
 
 U = 2.0**-53
 
@@ -15,7 +16,10 @@ def starts(members, seed=1):
     return np.hstack([rng.normal(size=(members, 3)), axis / np.linalg.norm(axis, axis=1)[:, None]])
 
 
-@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(order=12)], ids=str)
+METHODS = [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(order=12)]
+
+
+@pytest.mark.parametrize("method", long_beyond(1, METHODS), ids=str)
 def test_members_end_at_their_number_of_crossings(method, monkeypatch):
     monkeypatch.setattr(event_run, "FIRST_CHUNK", 16)
     monkeypatch.setattr(event_run, "MOST_STEPS", 64)

@@ -8,6 +8,8 @@ import pytest
 import coadjoint as co
 from coadjoint.program.reading import Reading
 
+pytestmark = pytest.mark.thinned(3)
+
 U = 2.0**-53
 C1 = 1 / (2 - 2 ** (1 / 3))
 

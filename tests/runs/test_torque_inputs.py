@@ -10,6 +10,8 @@ from coadjoint.kernels import forces as force_tables
 from verification.schemes_under_test import schemes, serves
 from verification.systems_under_test import full_matrix
 
+pytestmark = pytest.mark.thinned(3)
+
 STEP, SPANS = 0.0625, ((0.0, 0.5), (0.5, 0.0))
 ALGEBRAS = {
     "so(3)": (co.algebras.so(3), -1),

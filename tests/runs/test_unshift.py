@@ -8,6 +8,8 @@ import coadjoint as co
 from coadjoint.files.export import rebuild
 from coadjoint.program.decompose import decompose
 
+pytestmark = pytest.mark.thinned(3)
+
 U = 2.0**-53
 
 

@@ -14,6 +14,8 @@ from coadjoint.systems.elliptic_integrals import across_integral, amplitude
 from coadjoint.systems.free_rigid_body import free_rigid_body
 from coadjoint.systems.rigid_body import so3_body
 
+pytestmark = pytest.mark.thinned(3)
+
 U = 2.0**-53
 CASES = json.loads((Path(__file__).parent / "rigid_body_reference.json").read_text())["cases"]
 

@@ -7,6 +7,8 @@ from scipy.linalg import expm, solve_sylvester
 
 import coadjoint as co
 
+pytestmark = pytest.mark.thinned(3)
+
 
 def matrix_of(system, x):
     return np.einsum("k,kij->ij", x, system.representation)

@@ -12,6 +12,7 @@ from two_steps import assert_bounded_by_order, assert_order
 import coadjoint as co
 from coadjoint.algebra.exact_polynomials import ExactPolynomials
 from coadjoint.systems.lattices import graph
+from long import long_beyond
 
 spin_lattice = co.systems.spin_lattice
 REFERENCES = Path(__file__).parents[1] / "verification" / "references" / "lie_poisson_systems.json"
@@ -200,7 +201,7 @@ def test_three_parts_on_every_graph(lattice, shape, periodic):
     assert "H in 3 parts" in str(co.Splitting().describe(system))
 
 
-@pytest.mark.parametrize("uniform", [True, False])
+@pytest.mark.parametrize("uniform", long_beyond(1, [True, False]))
 def test_field_in_time(uniform):
     """The field of each spin by hand, the gradient by differences, and the order against a code of SciPy."""
     if uniform:

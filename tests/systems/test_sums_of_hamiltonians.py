@@ -8,6 +8,8 @@ import pytest
 import coadjoint as co
 from coadjoint.systems.sum_of_hamiltonians import SumOfHamiltonians
 
+pytestmark = pytest.mark.thinned(3)
+
 rng = np.random.default_rng(11)
 A, B = (M + M.T for M in rng.normal(size=(2, 6, 6)))
 a, b = rng.normal(size=(2, 6))

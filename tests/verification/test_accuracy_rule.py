@@ -15,6 +15,8 @@ from random_runs.algebras import some_algebra
 
 from .written_out import many_digits, written_out
 
+pytestmark = pytest.mark.thinned(3)
+
 ACCURACIES = (1e-3, 1e-6, 1e-9, 1e-12)
 SPLITTINGS = tuple(co.Splitting(order=p) for p in (2, 4, 6, 8, 10))
 # The error is aimed at a third of the accuracy, at its largest in the second half of the run; at the end it may be a

@@ -19,6 +19,8 @@ from coadjoint.systems.batch import Batch
 from .schemes_under_test import schemes
 from .systems_under_test import all_cases
 
+pytestmark = pytest.mark.thinned(6)
+
 STEPS, STEP, T0 = 17, 0.05, 0.25
 # Before the first step, within and at the points that are saved, and before the last step.
 CUTS = ((0,), (1,), (4, 5), (8,), (3, 9, 16), (16,), (12,))
@@ -188,6 +190,7 @@ def test_points_are_let_go(tmp_path, monkeypatch, method, members):
 LATER = [(17, 29), (17, 18), (40, 400), (170, 1000), (1000, 1001), (999, 2000)]
 
 
+@pytest.mark.thinned(9)
 @pytest.mark.parametrize(("steps", "later"), LATER)
 @pytest.mark.parametrize("every", [1, 7, 50])
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8, tolerance=1e-9)], ids=str)

@@ -11,6 +11,8 @@ from .measures import U, group_bound, order_of
 from .schemes_under_test import schemes, serves
 from .systems_under_test import AXES, cases, full_matrix
 
+pytestmark = pytest.mark.thinned(6)
+
 BODY = cases()["so(3), diagonal"].system
 KEPT = {n: m.properties(BODY).attitude for n, m in schemes().items() if serves(m, BODY)}
 SPLITTINGS = [n for n, kept in KEPT.items() if kept == "every representation" and "free body" not in n]

@@ -9,6 +9,8 @@ from coadjoint.runs import run as loop
 from .schemes_under_test import schemes, serves
 from .systems_under_test import full_matrix, rotation_unlike_jacobi, rotation_unlike_jacobi_derivative
 
+pytestmark = pytest.mark.thinned(6)
+
 SPAN, STEP = (0.0, 1.0), 0.0625
 
 

@@ -20,6 +20,8 @@ from .drawn_systems import ALGEBRAS, drawn, drawn_bracket
 from .measures import U
 from .systems_under_test import cases
 
+pytestmark = pytest.mark.thinned(6)
+
 STEP = 0.125
 COUNT = 2
 T0 = 0.75

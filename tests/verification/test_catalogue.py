@@ -21,6 +21,8 @@ from coadjoint.program.squares import complete_squares
 from .measures import MeasuredOrder, U, final_states, gradient_of, order_of, poisson_defect, states_around
 from .systems_under_test import Case, full_matrix
 
+pytestmark = pytest.mark.thinned(3)
+
 # Inside the ranges, and exact as floats.
 EXAMPLES = {
     "A3_5": {"a": -0.5},

@@ -7,6 +7,8 @@ import coadjoint as co
 
 from .systems_under_test import all_cases, cases
 
+pytestmark = pytest.mark.thinned(6)
+
 STEP, STEPS, EVERY = 0.0625, 40, 8
 METHODS = {
     "plain": co.Splitting(order=2),

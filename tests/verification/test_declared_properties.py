@@ -11,6 +11,8 @@ from .measures import drift_bounds, group_bound
 from .schemes_under_test import large_step, pairs, schemes, serves, witnesses
 from .systems_under_test import all_cases, cases, three_spins, with_cubic_casimir
 
+pytestmark = pytest.mark.thinned(6)
+
 STEP, COUNT = 0.1, 1000
 
 

@@ -16,6 +16,8 @@ from coadjoint.files.export import dataset_of, rebuild, solution_inputs
 
 from .schemes_under_test import schemes, serves
 
+pytestmark = pytest.mark.thinned(6)
+
 H, STEPS = 0.0625, 12
 SCHEMES = sorted(
     set(schemes()) - {"Splitting 2 coordinates", "Taylor 1", "Taylor 2", "Iterated 1", "Modified 1 structure"}

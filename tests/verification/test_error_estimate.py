@@ -10,6 +10,8 @@ import coadjoint as co
 from .drawn_systems import ALGEBRAS, drawn
 from .written_out import LONG, many_digits, written_out
 
+pytestmark = pytest.mark.thinned(3)
+
 ACCURACIES = (1e-3, 1e-6, 1e-9, 1e-12)
 FACTOR = 10.0
 

@@ -11,6 +11,8 @@ from coadjoint.methods.gauss_coefficients import gauss_legendre
 from .measures import U, drift_bounds, measured_order
 from .systems_under_test import all_cases, cases, full_matrix
 
+pytestmark = pytest.mark.thinned(3)
+
 WITNESSES = ("so(4), diagonal", "e(3), full, axes permuted", "A3,7, full")
 CHOICES = [(s, m) for s in (1, 2, 3) for m in range(1, 2 * s + 2)]
 FREEZES = ("structure", "gradient")

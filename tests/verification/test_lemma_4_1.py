@@ -11,6 +11,8 @@ import coadjoint as co
 from .measures import U, measured_order, order_of, poisson_defect
 from .systems_under_test import cases, full_matrix
 
+pytestmark = pytest.mark.thinned(3)
+
 DIAGONAL = ("so(3), diagonal", "A3,7, diagonal", "sl(2), diagonal", "so(4), diagonal")
 
 

@@ -11,6 +11,8 @@ from .measures import U, drift_bounds
 from .schemes_under_test import schemes
 from .systems_under_test import cases, with_cubic_casimir
 
+pytestmark = pytest.mark.thinned(3)
+
 SPLITTINGS = [name for name in schemes() if name.startswith("Splitting") and "free body" not in name]
 
 

@@ -35,6 +35,7 @@ def digests(level: str | None) -> dict[str, str]:
     return found
 
 
+@pytest.mark.long  # `make variants` compares levels too
 @pytest.mark.parametrize("level", [None, *usable_levels()[1:]])
 def test_every_level_gives_the_same_bits(level):
     """Also twice the same level, in two processes: nothing of a process, such as an address, is in the bits."""

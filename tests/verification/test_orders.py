@@ -6,6 +6,8 @@ from .measures import measured_order
 from .schemes_under_test import concrete_schemes, pairs, schemes, schemes_in_steps
 from .systems_under_test import all_cases
 
+pytestmark = pytest.mark.thinned(6)
+
 DECLARED = {
     "Splitting 1": 1,
     "Splitting 1 adjoint": 1,

@@ -11,6 +11,8 @@ from .schemes_under_test import pairs, schemes
 from .systems_under_test import all_cases
 from .test_same_bits import CHOSEN, attitude_of, crowd_around
 
+pytestmark = pytest.mark.thinned(6)
+
 SOME = pairs({name: all_cases()[name] for name in (*CHOSEN, "sl(2), driven", "torus", "gl(3), transposed")})
 STEP, FROM = 0.0625, 0.75
 OWNED = ["Splitting 4", "GaussLegendre 2", "Taylor 6", "Splitting 2 free body", "RadauEnergy 2"]

@@ -11,6 +11,8 @@ from .measures import poisson_defect
 from .schemes_under_test import large_step, pairs, schemes, witnesses
 from .systems_under_test import all_cases, cases, matrices
 
+pytestmark = pytest.mark.thinned(6)
+
 STEP = 0.1
 
 

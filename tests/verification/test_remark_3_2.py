@@ -10,6 +10,8 @@ import coadjoint as co
 from .measures import U, drift_bounds, measured_order, order_of
 from .systems_under_test import cases
 
+pytestmark = pytest.mark.thinned(3)
+
 WITNESSES = ("so(4), diagonal", "e(3), full, axes permuted")
 CHOICES = [(s, m) for s in (1, 2, 3) for m in range(1, 2 * s + 2)]
 

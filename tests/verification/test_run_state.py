@@ -17,6 +17,8 @@ from coadjoint.runs.times import Times
 from .schemes_under_test import schemes, serves
 from .systems_under_test import matrices
 
+pytestmark = pytest.mark.thinned(3)
+
 STEPS, EVERY, CUTS = 13, 4, (0, 1, 4, 6, 11)
 TOP = co.LiePoissonSystem(
     co.algebras.e(3), co.Quadratic([1.0, 0.5, 0.25, 0.0, 0.0, 0.0], linear=[0, 0, 0, 0.75, 0.5, 1.0]), sign=-1

@@ -10,6 +10,8 @@ from .measures import U
 from .schemes_under_test import pairs, schemes, witnesses
 from .systems_under_test import all_cases
 
+pytestmark = pytest.mark.thinned(6)
+
 CHOSEN = (
     "A3,7, full",
     "e(3), heavy top",

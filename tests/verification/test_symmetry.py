@@ -10,6 +10,8 @@ from .measures import U, order_of
 from .schemes_under_test import pairs, schemes
 from .systems_under_test import all_cases, cases
 
+pytestmark = pytest.mark.thinned(3)
+
 H = 0.125
 
 

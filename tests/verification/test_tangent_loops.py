@@ -16,13 +16,15 @@ from coadjoint.runs.start import start_of
 from coadjoint.runs.state import RunState
 from coadjoint.runs.tangent_loops import each_its_own
 from coadjoint.runs.times import Times
-from long import long_beyond
+from long import long_between, long_beyond
 
 from .carried import NEVER, finished_vectors, product_of_tangents, run_with, stretches, tolerance
 from .drawn_systems import ALGEBRAS, drawn, drawn_bracket
 from .schemes_under_test import large_step, schemes, serves, witnesses
 from .systems_under_test import all_cases, full_matrix
 from .test_catalogue import EXAMPLES, NAMES
+
+pytestmark = pytest.mark.thinned(6)
 
 STEPS = 4
 
@@ -83,7 +85,7 @@ def test_which_schemes_have_a_loop():
 TRIED = (co.Splitting(order=2), co.Splitting(order=2, parts="coordinates"), co.GaussLegendre(2))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", long_between(6, NAMES))
 def test_the_whole_catalogue(name):
     """Quadratic, polynomial, and driven functions; with every kind of flow that an algebra of dimension 5 has."""
     algebra = co.algebras.get(name, **EXAMPLES.get(name, {}))

@@ -5,6 +5,8 @@ import pytest
 
 import coadjoint as co
 
+pytestmark = pytest.mark.thinned(3)
+
 U = 2.0**-53
 STEPS = 1000
 ELLIPTIC = (1.0, 0.0, -1.0)
