@@ -127,8 +127,9 @@ def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> list[Polyno
 
 
 class NoPolynomials(dict[str, Polynomial]):
-    """An empty dict of polynomial Casimirs whose repr gives `count` (independent Casimirs of any kind), the highest
-    degree searched and the names of the known ones.
+    """An empty dict of polynomial Casimirs whose repr explains that none were found.
+
+    `count`: independent Casimirs of any kind; `degree`: highest degree searched; `known`: names of known Casimirs.
 
     Examples
     --------

@@ -67,7 +67,7 @@ class ExactPolynomials:
         monomials = {}
         for exponents, value in exact.to_dict().items():
             if any(exponents[self.dim :]):
-                raise ValueError(f"the polynomial has symbols in it, {', '.join(self.symbols)}; give them values first")
+                raise ValueError(f"the polynomial contains symbols, {', '.join(self.symbols)}; give them values first")
             monomials[tuple(map(int, exponents[: self.dim]))] = fraction(value)
         return Polynomial(monomials, dim=self.dim)
 

@@ -249,7 +249,7 @@ class Reader:
             return self.whole_number()
         index = self.coordinate(name)
         if index is None and name not in self.parameters and name not in ("log", "atan2"):
-            raise self.refused(f"has {short(name, SHOWN)}, which is no known name; {self.how}")
+            raise self.refused(f"has {short(name, SHOWN)}, which is not a known name; {self.how}")
         self.next()
         if index is not None:
             return Power(index, 1)

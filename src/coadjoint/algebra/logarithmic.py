@@ -123,9 +123,7 @@ class LogarithmicSum:
         return 2.0 * math.pi * rounded(weights[0]) * shared / common
 
     def gradient(self, x: NDArray[Any]) -> NDArray[Any]:
-        """Return the gradient at x, shape (n,): exact if x holds Fractions, with ZeroDivisionError where it is
-        undefined.
-        """
+        """Return the gradient at x, shape (n,): exact for Fractions, with ZeroDivisionError where undefined."""
         slope = np.zeros(self.dim, dtype=x.dtype)
         for kind, exact, first, second in self.terms:
             weight = exact if x.dtype == object else float(exact)

@@ -62,8 +62,7 @@ WITH_SIGNS = ("u", "su", "so")
 
 
 class Adjoint:
-    """The adjoint of matrices by a form, ``J^-1 A^T J``, conjugated if the kind says so; the last `q` signs are
-    negative.
+    """The adjoint by a form, ``J^-1 A^T J``, conjugated if `kind.conjugate`; the last `q` signs are negative.
 
     Examples
     --------

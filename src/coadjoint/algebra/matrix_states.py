@@ -278,8 +278,8 @@ class MatrixAlgebra:
             one = wrong[0]
             which = f"{what}[{one}]" if A.ndim == 3 else what
             raise ValueError(
-                f"{which} is no matrix of {self}: it must be {self.says}, and misses that by {away[one]:.2g} where its "
-                f"largest entry is {size[one]:.2g}"
+                f"{which} is not a matrix of {self}: it must be {self.says}, but differs by {away[one]:.2g} where "
+                f"its largest entry is {size[one]:.2g}"
             )
         return near
 

@@ -77,13 +77,11 @@ def skew_rank(i: Integers, j: Integers, entries: list[int], size: int, prime: in
 def structure_rank(
     i: Integers, j: Integers, k: Integers, whole: NDArray[Any], dim: int, points: int = 2, seed: int = 0
 ) -> int:
-    """Return the largest rank of J(x), J_ij = sum_k c_ij^k x_k, at seeded random points, each modulo its own random
-    prime.
+    """Return the largest rank of J(x) at seeded random points, each modulo its own random prime; never too large.
 
-    `whole` holds integer constants with i < j, sorted; J is split into connected blocks. At one point the rank is too
-    small if the point is a root of a largest minor, with probability n/2^61 (Schwartz and Zippel), or if the prime
-    divides the minor: b/61 of more than 2^55 primes if its coefficients are below 2^b. Two independent points fail
-    together with probability below 2^-60 for n, b < 2^30. The rank is never too large.
+    One point fails with probability <= n/2^61 (Schwartz and Zippel), one prime with b/61 of > 2^55 primes for minors
+    with coefficients < 2^b; two points fail together with probability < 2^-60 for n, b < 2^30. `whole`: integers, i < j
+    sorted.
 
     Examples
     --------

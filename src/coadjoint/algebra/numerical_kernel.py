@@ -80,12 +80,10 @@ def _block_kernel(given: Equations) -> list[Vector]:
 
 
 def kernel(given: Equations, largest: int) -> list[Vector]:
-    """Return the solutions of floating-point equations in reduced row echelon form, {unknown: float}, by leading
-    unknown.
+    """Return the solutions of floating-point equations in reduced row echelon form, {unknown: float}.
 
     With F the Frobenius norm of entry errors of 64 u times the largest entry (u = 2^-53), singular values up to F are
-    zero and the others must exceed 2^10 F; pivots must be above 2^-20 or round-off. A ValueError means no clear gap or
-    a block above `largest` unknowns; an ArithmeticError, a vector that does not fulfil the equations.
+    zero and the others must exceed 2^10 F; pivots must exceed 2^-20 or be round-off. ValueError without a clear gap.
     """
     found: list[Vector] = []
     for unknowns, part in blocks(given):

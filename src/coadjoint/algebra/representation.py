@@ -140,8 +140,7 @@ def invariant_form(rho: Any) -> NDArray[np.float64] | None:
 
 
 def intertwiner(rho: Any, D: Any) -> NDArray[np.float64] | None:
-    """Find T (m, d) of full row rank with T rho_i = D_i T for all i, rho (n, d, d) and D (n, m, m); None if there is
-    none.
+    """Find T (m, d) of full row rank with T rho_i = D_i T for all i, rho (n, d, d) and D (n, m, m); else None.
 
     For D the coadjoint matrices D_{e_i}, T maps vectors of rho to the dual. Ranks are decided as in `invariant_form`.
     """

@@ -41,7 +41,7 @@ def _vectors(g: LieAlgebra, given: Any, what: str) -> list[Vector]:
         if isinstance(vector, str):
             if vector not in place:
                 known = ", ".join(map(short, g.basis[:8]))
-                raise ValueError(f"{short(vector)} in {what} is no basis element of {short(g)}: {known}, ...")
+                raise ValueError(f"{short(vector)} in {what} is not a basis element of {short(g)}: {known}, ...")
             vectors.append({place[vector]: 1})
         else:
             vectors.append(read_vector(vector, g.dim, f"vector {number} of {what}"))
@@ -228,7 +228,7 @@ def subalgebra(g: LieAlgebra, vectors: Any, basis: Sequence[str] | None = None) 
         for j in range(i + 1, len(given)):
             components = span.combination(_bracket(rows, u, given[j]))
             if components is None:
-                raise ValueError(f"the vectors are no subalgebra: the bracket of vectors {i} and {j} leaves their span")
+                raise ValueError(f"this span is not a subalgebra: the bracket of vectors {i} and {j} leaves their span")
             brackets[i, j] = components
     if basis is None and all(isinstance(vector, str) for vector in vectors):
         basis = vectors
@@ -278,7 +278,7 @@ def quotient(g: LieAlgebra, ideal: Any) -> LieAlgebra:
         for i in sorted({j for part in vector for j, _, _ in rows[part]}):
             if span.combination(_bracket(rows, {i: 1}, vector)) is None:
                 raise ValueError(
-                    f"the vectors span no ideal: the bracket of {g.basis[i]} with vector {number} leaves it"
+                    f"the vectors do not span an ideal: the bracket of {g.basis[i]} with vector {number} leaves it"
                 )
     kept = [k for k in range(g.dim) if k not in span.pivots]
     place = {k: number for number, k in enumerate(kept)}

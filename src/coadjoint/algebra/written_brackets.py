@@ -16,8 +16,7 @@ Brackets = dict[tuple[int, int], dict[int, float]]
 
 
 def read_brackets(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
-    """Parse lines ``"[e1, e3] = 2 e1 - e2"``, one per pair that does not commute, to ``{(i, j): {k: c}}`` with indices
-    from 0.
+    """Parse lines ``"[e1, e3] = 2 e1 - e2"``, one per noncommuting pair, to ``{(i, j): {k: c}}`` with indices from 0.
 
     Coefficients are ``2``, ``0.5``, ``1/3``, optionally followed by ``*``. A ValueError names the invalid line.
     """
