@@ -144,7 +144,7 @@ def test_damaged_records_are_refused_by_what_is_wrong(change, said):
     ("change", "said"),
     [
         (lambda d: d.assign(x0=d["x0"].isel(part=0, drop=True)), "dimension"),
-        (lambda d: d.assign(x0=d["x0"] + 1.0), r"no matrix of su\(4\)"),
+        (lambda d: d.assign(x0=d["x0"] + 1.0), r"not a matrix of su\(4\)"),
         (lambda d: d.assign(x0=d["x0"].isel(row=slice(0, 3))), "dimension"),
         (lambda d: d.assign(x0=d["x0"].rename(row="line")), "x0 is over"),
         (lambda d: d.assign(x0=d["x0"].isel(part=[0])), "1 parts|dimension"),

@@ -242,8 +242,7 @@ def subalgebra(g: LieAlgebra, vectors: Any, basis: Sequence[str] | None = None) 
 
 
 def quotient(g: LieAlgebra, ideal: Any) -> LieAlgebra:
-    """Return the quotient of g by an ideal, with the classes of the basis elements e_k not determined by the ideal as
-    basis.
+    """Return the quotient of g by an ideal; its basis consists of the classes of the e_k not determined by the ideal.
 
     The dual of the quotient is the set of x in the dual of g that vanish on the ideal.
 
