@@ -250,7 +250,13 @@ def read_title(value: Any, what: str) -> str:
 
 
 def title(text: str) -> str:
-    """Truncate a composed name to the maximum length of a title."""
+    """Truncate a composed name to the maximum length of a title.
+
+    Examples
+    --------
+    >>> title("so(3) + so(4)")
+    'so(3) + so(4)'
+    """
     return text if len(text) <= LONGEST_TITLE else f"{text[: LONGEST_TITLE - 3]}..."
 
 

@@ -201,7 +201,13 @@ def _called() -> bool:
 
 
 def begin(abandon: Callable[[], object]) -> None:
-    """Register a cleanup (removal of incomplete files) to run if the process is ended before `end`."""
+    """Register a cleanup (removal of incomplete files) to run if the process is ended before `end`.
+
+    Examples
+    --------
+    >>> begin(print)
+    >>> end(print)
+    """
     _unfinished.append(abandon)
 
 

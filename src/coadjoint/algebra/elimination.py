@@ -40,7 +40,15 @@ def read_vector(given: Any, dim: int, what: str) -> Vector:
 
 
 def added(left: Vector, factor: Number, right: Mapping[int, Number]) -> None:
-    """Add factor * right to left in place, dropping entries that cancel."""
+    """Add factor * right to left in place, dropping entries that cancel.
+
+    Examples
+    --------
+    >>> v = {0: 1, 1: 2}
+    >>> added(v, -2, {1: 1, 2: 1})
+    >>> v
+    {0: 1, 2: -2}
+    """
     for i, value in right.items():
         total = left.get(i, 0) + factor * value
         if total:

@@ -16,6 +16,12 @@ def antisymmetric(triples: Triples, dim: int, names: Sequence[str], complete: bo
 
     Opposite values may differ by 64 u times the largest constant that involves e_i, or e_j if that is smaller (u =
     2^-53). If not `complete`, a pair listed in one order only defines the other; otherwise unlisted constants are zero.
+
+    Examples
+    --------
+    >>> given = Triples(np.array([1]), np.array([0]), np.array([1]), np.array([2.0]))
+    >>> antisymmetric(given, 2, ("e1", "e2"), False).c
+    array([-2.])
     """
     order, starts = groups(triples.i, triples.j, triples.k)
     i, j, k, c = triples.rows(order)

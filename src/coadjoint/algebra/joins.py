@@ -18,7 +18,14 @@ Floats = NDArray[np.float64]
 
 
 def groups(*keys: Integers) -> tuple[Integers, Integers]:
-    """Sort rows lexicographically by several keys; return the stable permutation and the starts of equal runs."""
+    """Sort rows lexicographically by several keys; return the stable permutation and the starts of equal runs.
+
+    Examples
+    --------
+    >>> order, starts = groups(np.array([1, 0, 1]), np.array([5, 7, 5]))
+    >>> order.tolist(), starts.tolist()
+    ([1, 0, 2], [0, 1])
+    """
     order = np.lexsort(keys[::-1]).astype(np.int64)
     fresh = np.zeros(order.size, dtype=bool)
     fresh[:1] = True
@@ -42,7 +49,13 @@ def distinct(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def expand(starts: Integers, stops: Integers) -> tuple[Integers, Integers]:
-    """Enumerate all pairs (row, position) with starts[row] <= position < stops[row]."""
+    """Enumerate all pairs (row, position) with starts[row] <= position < stops[row].
+
+    Examples
+    --------
+    >>> [a.tolist() for a in expand(np.array([4, 0]), np.array([6, 1]))]
+    [[0, 0, 1], [4, 5, 0]]
+    """
     counts = stops - starts
     rows = np.repeat(np.arange(counts.size, dtype=np.int64), counts)
     offsets = np.cumsum(counts) - counts
@@ -50,7 +63,13 @@ def expand(starts: Integers, stops: Integers) -> tuple[Integers, Integers]:
 
 
 def chunks(labels: Integers, costs: Integers) -> Iterator[slice]:
-    """Split rows sorted by label into runs of about `CHUNK` total cost, never within a label."""
+    """Split rows sorted by label into runs of about `CHUNK` total cost, never within a label.
+
+    Examples
+    --------
+    >>> list(chunks(np.array([0, 0, 1]), np.array([CHUNK, 1, 1])))
+    [slice(0, 2, None), slice(2, 3, None)]
+    """
     ends = np.append(np.flatnonzero(np.diff(labels)) + 1, labels.size)
     reached = np.cumsum(costs)
     begin, spent = 0, 0

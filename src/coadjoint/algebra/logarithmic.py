@@ -97,7 +97,14 @@ class LogarithmicSum:
         return LogarithmicSum(self.dim, tuple(term for term in scaled if term.weight != 0))
 
     def mapped(self, change: Callable[[Polynomial], Polynomial]) -> LogarithmicSum:
-        """Return the same function in other coordinates: `change` maps each polynomial."""
+        """Return the same function in other coordinates: `change` maps each polynomial.
+
+        Examples
+        --------
+        >>> double = LogarithmicSum.logarithm(Polynomial.variable(0, 1)).mapped(lambda p: 2 * p)
+        >>> double.invariant().value([0.5])
+        0.0
+        """
         terms = tuple(term._replace(first=change(term.first), second=change(term.second)) for term in self.terms)
         return LogarithmicSum(terms[0].first.dim if terms else self.dim, terms)
 
@@ -148,7 +155,13 @@ class LogarithmicSum:
         return LogarithmicInvariant(value, gradient, self.period, self)
 
     def forms(self) -> Forms:
-        """Return the flat arrays for the kernels, with rounded coefficients."""
+        """Return the flat arrays for the kernels, with rounded coefficients.
+
+        Examples
+        --------
+        >>> LogarithmicSum.angle(Polynomial.variable(0, 2), Polynomial.variable(1, 2)).forms().coordinate
+        array([0, 1])
+        """
         forms: list[tuple[int, float, Polynomial]] = []
         for kind, weight, first, second in self.terms:
             if kind != LOGARITHM:

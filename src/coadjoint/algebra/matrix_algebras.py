@@ -135,7 +135,13 @@ def matrix_algebra(
 
 
 def pairs(n: int) -> list[tuple[int, int]]:
-    """Return all (i, j) with i < j < n in lexicographic order."""
+    """Return all (i, j) with i < j < n in lexicographic order.
+
+    Examples
+    --------
+    >>> pairs(3)
+    [(0, 1), (0, 2), (1, 2)]
+    """
     return [(i, j) for i in range(n) for j in range(i + 1, n)]
 
 

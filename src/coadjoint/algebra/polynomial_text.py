@@ -21,7 +21,13 @@ def coordinate_names(dim: int) -> list[str]:
 
 
 def plain(monomials: Monomials, names: Sequence[str]) -> str:
-    """Format a polynomial in the notation that `Polynomial` parses."""
+    """Format a polynomial in the notation that `Polynomial` parses.
+
+    Examples
+    --------
+    >>> plain({(2, 0): 0.5, (1, 1): -1}, ["x", "y"])
+    '0.5*x^2 - x*y'
+    """
     return _written(monomials, names, "{0}^{1}", "*", _plain_size)
 
 
@@ -37,7 +43,13 @@ def latex(monomials: Monomials, names: Sequence[str]) -> str:
 
 
 def latex_name(name: str) -> str:
-    """Format x12 as x_{12}, m1_2 as m_{1,2}."""
+    """Format x12 as x_{12}, m1_2 as m_{1,2}.
+
+    Examples
+    --------
+    >>> latex_name("x12"), latex_name("m1_2"), latex_name("energy")
+    ('x_{12}', 'm_{1,2}', 'energy')
+    """
     found = re.fullmatch(r"([A-Za-z]+?)_?(\d[\d_]*)", name)
     return f"{found[1]}_{{{found[2].replace('_', ',')}}}" if found else name
 

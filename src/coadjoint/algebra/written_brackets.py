@@ -41,7 +41,13 @@ def read_brackets(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
 
 
 def names_in(lines: Sequence[str]) -> tuple[str, ...]:
-    """Return the names in bracket lines in order of first appearance."""
+    """Return the names in bracket lines in order of first appearance.
+
+    Examples
+    --------
+    >>> names_in(["[h, e] = 2 e", "[e, f] = h"])
+    ('h', 'e', 'f')
+    """
     found: dict[str, None] = {}
     for line in lines:
         if not isinstance(line, str):

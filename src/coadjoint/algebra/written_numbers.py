@@ -24,7 +24,13 @@ def read_constant(written: str) -> Constant:
 
 
 def quotient(above: Constant, below: Constant) -> Constant:
-    """Return above/below: exact if both are, else a float."""
+    """Return above/below: exact if both are, else a float.
+
+    Examples
+    --------
+    >>> quotient(1, 3), quotient(1.0, 4)
+    (Fraction(1, 3), 0.25)
+    """
     exact = not isinstance(above, float) and not isinstance(below, float)
     return Fraction(above) / Fraction(below) if exact else checked(float(above) / float(below))
 

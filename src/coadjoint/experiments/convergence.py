@@ -43,7 +43,13 @@ def trial(system: System, x0: npt.ArrayLike, end: float) -> Trial:
 
 
 def roundoff(steps: float, size: float) -> float:
-    """Return an upper bound of accumulated round-off: 8 roundings of 2^-53 per step, all of one sign."""
+    """Return an upper bound of accumulated round-off: 8 roundings of 2^-53 per step, all of one sign.
+
+    Examples
+    --------
+    >>> roundoff(1000, 1.0) < 1e-12
+    True
+    """
     return 8 * UNIT_ROUNDOFF * steps * size
 
 
@@ -70,5 +76,11 @@ def fitted_drift(case: Trial, method: Method, invariant: str, counts: Sequence[i
 
 
 def within(measured: float, expected: float) -> bool:
-    """Return whether a slope agrees with the expected order."""
+    """Return whether a slope agrees with the expected order.
+
+    Examples
+    --------
+    >>> within(1.93, 2), within(2.5, 2)
+    (True, False)
+    """
     return abs(measured - expected) <= SLOPE_TOLERANCE
