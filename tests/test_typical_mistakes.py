@@ -181,7 +181,7 @@ MISTAKES = {
     ),
     "a formula of how many": (
         lambda: co.Polynomial("x1^2"),
-        "'x1^2' does not say how many coordinates there are; give dim= or basis=",
+        "'x1^2' does not determine the number of coordinates; give dim= or basis=",
     ),
     "a formula without signs of products": (
         lambda: co.Polynomial("0.5 x1^2", dim=3),

@@ -1,7 +1,6 @@
-"""Generalized Euler equations x' = J(x) grad H(x) on the dual of any finite-dimensional Lie algebra, integrated with
-their structure.
+"""Structure-preserving integration of Lie-Poisson systems, generalized Euler equations x' = J(x) grad H(x).
 
-Algebra, Hamiltonian and system say what moves; a scheme says how; `integrate` runs it:
+A system combines a Lie algebra, of any finite dimension, and a Hamiltonian; `integrate` runs it with a scheme:
 
 >>> import coadjoint as co
 >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
@@ -9,7 +8,7 @@ Algebra, Hamiltonian and system say what moves; a scheme says how; `integrate` r
 >>> sol.x.shape
 (1001, 3)
 
-Names are loaded when they are first used: importing this package loads NumPy and nothing heavier.
+Names are loaded lazily: importing this package loads NumPy and nothing heavier.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import importlib
 
 from coadjoint.interruption import complete_imports
 
-# The module typing would take most of the time that an import of this package takes.
+# Importing typing would take most of the import time of this package.
 TYPE_CHECKING = False
 
 __version__ = "0.1.0"
@@ -169,7 +168,7 @@ if TYPE_CHECKING:
     from coadjoint.waiting import LongWait as LongWait
 
 
-if not TYPE_CHECKING:  # for these the names are known, and others are mistakes
+if not TYPE_CHECKING:  # type checkers know the names above and must report any other
 
     def __getattr__(name: str) -> Any:
         if name in _MODULES:

@@ -1,4 +1,4 @@
-"""``python -m coadjoint``: the command."""
+"""``python -m coadjoint``: the command-line interface."""
 
 from coadjoint.cli import run
 

@@ -1,12 +1,11 @@
-"""The entry of the command ``coadjoint``: exit statuses, and one line for whatever is wrong.
+"""Entry point of the command ``coadjoint``: exit statuses and one-line error messages.
 
-Exit status: 0, all is well; 1, a run failed while running (what it had is written, and says so), its result could not
-be written, or a scheme does not keep what it declares (``certify``); 2, wrong input, one line on the standard error
-says what would be right; 128 + the number of a signal that ended it: 130, interrupted; 143, terminated; 141, nobody
-reads its output any more.
+Exit status: 0, success; 1, a run failed (the solution so far is written, and marked as failed), its result could not be
+written, or a scheme does not keep what it declares (``certify``); 2, invalid input, explained in one line on standard
+error; 128 + the number of a signal that ended the process: 130, interrupted; 143, terminated; 141, broken pipe.
 
-The commands are in `coadjoint.commands`. Nothing is imported here that takes time, so that an interrupt is heard from
-the start.
+The commands are in `coadjoint.commands`. This module imports nothing expensive, so that interrupts are handled from the
+start.
 """
 
 from __future__ import annotations
@@ -23,24 +22,7 @@ if TYPE_CHECKING:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit status.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Those of the command line by default.
-
-    Returns
-    -------
-    int
-        0, 1, 2 or 130, as the module says.
-
-    Examples
-    --------
-    >>> main(["--version"])
-    coadjoint 0.1.0
-    0
-    """
+    """Run the command with `arguments` (default: the command line) and return its exit status, see the module."""
     try:
         need("the command coadjoint", "click")
         from coadjoint.commands import perform
@@ -56,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _complain(sentence: str) -> None:
-    """Write to the standard error; where that is impossible, the exit status alone remains."""
+    """Write to standard error; if that fails, only the exit status remains."""
     try:
         print(sentence, file=sys.stderr, flush=True)
     except (OSError, ValueError):
@@ -64,7 +46,7 @@ def _complain(sentence: str) -> None:
 
 
 def run() -> None:
-    """Run the command and leave the interpreter with its exit status."""
+    """Run the command and exit the interpreter with its status."""
     hear()
     _open_closed_streams()
     status = main()
@@ -85,9 +67,9 @@ def run() -> None:
 
 
 def _open_closed_streams() -> None:
-    """Open the standard streams that were closed, so that no file of a run gets their numbers.
+    """Open standard streams that were closed, so that no file of a run gets their descriptors.
 
-    What is written to a standard output that was closed fails, as for any output that cannot be written.
+    Writing to a standard output that was closed then fails like any unwritable output.
     """
     for number, name, flags in ((0, "stdin", os.O_RDONLY), (1, "stdout", os.O_RDONLY), (2, "stderr", os.O_WRONLY)):
         if getattr(sys, name) is not None:
@@ -103,5 +85,5 @@ def _open_closed_streams() -> None:
 
 
 def _forget_output() -> None:
-    """Drop what is still to be printed. The interpreter would try again when it ends, and complain."""
+    """Discard unprinted output; the interpreter would otherwise try to flush it at exit and report an error."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

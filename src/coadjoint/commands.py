@@ -1,4 +1,4 @@
-"""The commands of ``coadjoint``: a thin skin over the library. Exit statuses are in `coadjoint.cli`."""
+"""The commands of ``coadjoint``, thin wrappers of the library. Exit statuses are documented in `coadjoint.cli`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from coadjoint.waiting import LongWait
 from coadjoint.wording import short
 
 LONGEST_NUMBER = 60
-UNREAD = 141  # nobody reads what is printed
+UNREAD = 141  # broken pipe: 128 + SIGPIPE
 
 if TYPE_CHECKING:
     from coadjoint.files.configuration import Configuration
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class _Commands(click.Group):
-    """Commands, with the nearest name for one that does not exist."""
+    """Command group that suggests the nearest name for an unknown command."""
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -48,7 +48,7 @@ class _Commands(click.Group):
 @click.version_option(__version__, prog_name="coadjoint", message="%(prog)s %(version)s")
 @click.pass_context
 def commands(context: click.Context) -> None:
-    """Integrate Lie-Poisson systems x' = J(x) grad H(x), and keep their invariants."""
+    """Integrate Lie-Poisson systems x' = J(x) grad H(x) and preserve their invariants."""
     if context.invoked_subcommand is None:
         click.echo(context.get_help())
 
@@ -74,8 +74,8 @@ def run_file(
 ) -> None:
     """Run the configuration FILE (TOML).
 
-    A run that fails while running writes what it had, marked as failed, and ends with exit status 1. One that is
-    interrupted writes what it had, marked as incomplete; `coadjoint resume` continues an archive.
+    A run that fails writes the solution so far, marked as failed, and ends with exit status 1. One that is interrupted
+    writes the solution so far, marked as incomplete; `coadjoint resume` continues an archive.
     """
     from coadjoint.files.archives import check_new
     from coadjoint.files.configuration import load
@@ -102,7 +102,7 @@ def run_file(
 
 
 def _place(configuration: Configuration, key: str, option: str | None, check: Callable[[str], Path]) -> Path | None:
-    """Return where a result goes, by the option or else by the key of the file, checked before the run."""
+    """Return the path of a result from the option or else the key of the file, checked before the run."""
     from coadjoint.files.configuration_parts import section
 
     if option is not None:
@@ -159,10 +159,10 @@ def _summarize(solution: Solution, written: Sequence[Path]) -> None:
 @commands.command("check")
 @click.argument("file", type=click.Path())
 def check_file(file: str) -> None:
-    """Say what the configuration FILE (TOML) would run, and what that would cost; nothing is written.
+    """Describe what the configuration FILE (TOML) would run and its cost; nothing is written.
 
-    The time is estimated from a trial of the first steps. Exit status 2, and one line, where the file is wrong; 1
-    where the trial fails, as the run would.
+    The time is estimated from a trial run of the first steps. Exit status 2, with one line, if the file is invalid; 1
+    if the trial run fails, as the run would.
     """
     from coadjoint.files.archives import check_new
     from coadjoint.files.configuration import load
@@ -194,7 +194,7 @@ def resume_archive(
 ) -> None:
     """Continue the run of the archive PATH, with the same bits as an uninterrupted run.
 
-    A run that is finished is left as it is, unless a later end is given.
+    A finished run is left unchanged, unless a later end is given.
     """
     from coadjoint.files.archived_solution import open_archive
     from coadjoint.files.archives import resume
@@ -204,7 +204,7 @@ def resume_archive(
     place, system = Path(path), None
     said = open_archive(place).attributes
     if CONFIGURATION in said and asks_for(said, "system"):
-        # Algebras of the catalogue may have Casimirs that are functions; the file that was run names them.
+        # Catalogue algebras may have Casimirs that are functions; the configuration file names them.
         system = system_of_text(said[CONFIGURATION])
     with ending(path, place, None, None):
         solution = resume(place, t_end, system=system, threads=threads, workers=workers, progress=progress)
@@ -256,10 +256,10 @@ def certify_file(file: str, mapping: str | None, figure: str | None, steps: int 
 @click.argument("name", required=False)
 @click.option("--json", "mapping", metavar="PATH", help="Where to write the description of NAME: .json.")
 def list_systems(name: str | None, mapping: str | None) -> None:
-    """List the ready-made systems with their parameters, or describe one, NAME, and how to begin with it.
+    """List the ready-made systems with their parameters, or describe one, NAME, with a first run.
 
-    The description has parameters with units, algebra, Casimirs, integrals, whether there are a closed form and an
-    attitude, and the scheme and step to begin with.
+    The description has parameters with units, algebra, Casimirs, integrals, whether a closed form and an attitude
+    exist, and a suggested scheme and step.
     """
     from coadjoint.systems.ready_made import ready_made_systems
 
@@ -267,7 +267,7 @@ def list_systems(name: str | None, mapping: str | None) -> None:
     if name is not None:
         return _show_system(_known_system(name, tuple(known)), mapping)
     if mapping is not None:
-        raise click.UsageError("--json writes what is said of one system; give its name")
+        raise click.UsageError("--json writes the description of one system; give its name")
     for each, builder in sorted(known.items()):
         signature = inspect.signature(builder).parameters
         _describe(each, {key: p.default for key, p in signature.items()}, inspect.getdoc(builder) or "")
@@ -318,10 +318,10 @@ def _parameter(text: str) -> tuple[str, Fraction]:
     try:
         if len(text) > LONGEST_NUMBER:
             raise ValueError
-        # An exponent may ask for a number of any size.
+        # An exponent can denote a number of any size.
         return key, Fraction(float(number) if "e" in number.lower() else number)
     except (ValueError, ArithmeticError):
-        raise ValueError(f"{short(text)} is no parameter; give a name and a number, such as b=0.5 or b=1/3") from None
+        raise ValueError(f"{short(text)} is not a parameter; give name and number, such as b=0.5 or b=1/3") from None
 
 
 @commands.command("methods")
@@ -353,7 +353,7 @@ def _describe(name: str, parameters: Mapping[str, Any], documentation: str) -> N
 def check_installation(quiet: bool) -> None:
     """Check the installed package on this machine, in under a minute; print each measurement and its bound.
 
-    The exit status is 0 if every check passes. A check that is skipped, because a package is missing, does not fail.
+    The exit status is 0 if every check passes. A check skipped because of a missing package does not fail.
     """
     from coadjoint.experiments.selftest.run import selftest
 
@@ -393,7 +393,7 @@ def reproduce(out: str) -> None:
 
 
 def _folder(out: str) -> Path:
-    """Return a folder, made where it does not exist."""
+    """Return a folder, created if it does not exist."""
     folder = Path(out)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -406,9 +406,9 @@ def _folder(out: str) -> Path:
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--out", metavar="DIR", default="gallery", show_default=True, help="Folder for pictures and page.")
 def draw_gallery(names: tuple[str, ...], out: str) -> None:
-    """Run the ready-made systems, or those with a NAME; draw each, and write a page of the pictures.
+    """Run the ready-made systems, or those with a NAME; plot each, and write a page of the plots.
 
-    The page is index.html, beside the pictures. The NAME decaying_turbulence is a run of minutes.
+    The page is index.html, in the same folder. The NAME decaying_turbulence is a run of minutes.
     """
     from coadjoint.files.output import write_figure, write_page
     from coadjoint.systems.ready_made import told_systems
@@ -434,7 +434,7 @@ def _did_you_mean(name: str, known: Sequence[str]) -> str:
 
 
 def _said(error: click.ClickException) -> str:
-    """Return what is wrong in one line."""
+    """Return the error message in one line."""
     if isinstance(error, click.NoSuchOption) and error.ctx is not None:
         known = [
             name for parameter in error.ctx.command.get_params(error.ctx) for name in parameter.opts if name[0] == "-"
@@ -448,19 +448,7 @@ def _said(error: click.ClickException) -> str:
 
 
 def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
-    """Run a command.
-
-    Parameters
-    ----------
-    arguments : sequence of str or None
-        Those of the command line if None.
-
-    Returns
-    -------
-    status : int
-        The exit status, see `coadjoint.cli`.
-    said : str
-        What goes to the standard error: a line for each mistake that was found; otherwise a line for each warning.
+    """Run a command; return its exit status and the text for standard error: one line per error, or else per warning.
 
     Examples
     --------
@@ -481,7 +469,7 @@ def perform(arguments: Sequence[str] | None) -> tuple[int, str]:
         if not issubclass(category, LongWait):
             noticed.append(said)
             return
-        # Whoever waits is told at once.
+        # Warnings about long operations are printed immediately.
         with contextlib.suppress(OSError, ValueError, AttributeError):
             print(said, file=sys.stderr, flush=True)
 
@@ -499,7 +487,7 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
     from coadjoint.files.output import OutputError
 
     try:
-        # What is wanted of click's own `main`, which prints an empty line at an interrupt.
+        # Replaces click's own `main`, which prints an empty line at an interrupt.
         with commands.make_context("coadjoint", arguments) as context:
             commands.invoke(context)
     except click.exceptions.Exit as done:
@@ -509,15 +497,15 @@ def _performed(arguments: list[str]) -> tuple[int, str]:
     except (ArchiveError, ConfigurationError, OutputError) as error:
         return 2, "\n".join(map(in_one_line, getattr(error, "mistakes", ()) or (str(error),)))
     except ImportError as error:
-        # A package is missing, or does not fit the others. The sentence of the error says which.
+        # A package is missing or incompatible; the message names it.
         return 2, in_one_line(f"coadjoint: {error}")
     except (ValueError, TypeError, ArithmeticError, RecursionError, MemoryError) as error:
-        # No reader foresaw it, but it is bad input all the same.
+        # Not caught by any validator, but still invalid input.
         return 2, in_one_line(f"coadjoint: {type(error).__name__}: {error}")
     except BrokenPipeError:
         return UNREAD, ""
     except OSError as error:
-        # What is written to files has their names, or is an OutputError.
+        # Errors of output files carry their names, or are an OutputError.
         lost = type(error) is OSError and error.filename is None
         said = f"the standard output cannot be written ({error.strerror})" if lost else str(error)
         return 1, in_one_line(f"coadjoint: {said}")

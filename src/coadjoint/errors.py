@@ -1,4 +1,4 @@
-"""Errors of the library and the wording that several of them share."""
+"""Exceptions of the library and message helpers shared by several of them."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from coadjoint.wording import short
 
 
 class IntegrationError(RuntimeError):
-    """A run failed while running: a fixed point did not converge, or a number overflowed.
+    """A run failed: an iteration did not converge, or a number overflowed.
 
     Parameters
     ----------
     message : str
-        What failed, where, and what would help.
+        What failed, where, and a remedy.
     step : int
         Number of the step that failed (the first step is 1).
     time : float
@@ -42,7 +42,7 @@ class IntegrationError(RuntimeError):
         self.partial = partial
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what another process makes the same error of."""
+        """Pickle the error by its arguments."""
         return _restored, (str(self), self.step, self.time, self.residual, self.partial)
 
 
@@ -51,12 +51,7 @@ def _restored(message: str, step: int, time: float, residual: float, partial: An
 
 
 class OneLineError(ValueError):
-    """An error whose message is one line of bounded length, whatever it names.
-
-    Parameters
-    ----------
-    message : str
-        What is wrong, where, and what would be right.
+    """Base class of errors whose message is one line of bounded length.
 
     Examples
     --------
@@ -70,31 +65,11 @@ class OneLineError(ValueError):
 
 LONGEST_SENTENCE = 900
 MOST_LISTED = 40
-"""Names that a message lists; of more it says where they are found."""
+"""Maximum number of names listed in a message."""
 
 
 def unknown_name(kind: str, name: Any, known: Iterable[str]) -> ValueError:
-    """Return the error for an unknown name, with the nearest known one.
-
-    Parameters
-    ----------
-    kind : str
-        What is named, for instance ``"algebra"``.
-    name : str
-        The name that was given; what is no string is refused without a guess.
-    known : iterable of str
-        The names that exist.
-
-    Returns
-    -------
-    ValueError
-        To be raised by the caller.
-
-    Examples
-    --------
-    >>> print(unknown_name("algebra", "so4", ["so(4)", "sl(2)"]))
-    unknown algebra 'so4'; did you mean 'so(4)'?
-    """
+    """Return the ValueError for an unknown name of a `kind`, with the nearest known one if the name is a string."""
     names = sorted(known)
     if not isinstance(name, str):
         return ValueError(f"unknown {kind} {short(name)}; give a name, such as {names[0]!r}")
@@ -105,28 +80,9 @@ def unknown_name(kind: str, name: Any, known: Iterable[str]) -> ValueError:
 
 
 def nearest(name: str, known: Iterable[str], least: float = 0.5) -> str | None:
-    """Return the known name that is most like a given one, or None where none is near.
-
-    Parameters
-    ----------
-    name : str
-        The name that was given, of any length.
-    known : iterable of str
-        The names that exist.
-    least : float, optional
-        How much a name must be like the given one to be near: 0 takes any, 1 the same alone.
-
-    Returns
-    -------
-    str or None
-
-    Examples
-    --------
-    >>> nearest("stpe", ["t_span", "step"]), nearest("x", ["t_span", "step"])
-    ('step', None)
-    """
+    """Return the known name most similar to a given one, or None if no similarity reaches `least` (0 any, 1 equal)."""
     names = sorted(known)
-    # What is much longer than every name is compared by its beginning: the time grows like the square of it.
+    # Names much longer than any known one are truncated, since the time is quadratic in the length.
     beginning = name[: 2 * max(map(len, names), default=0)]
     alike = [known for known in names if known.casefold() == beginning.casefold()]
     if alike:
@@ -139,21 +95,7 @@ def nearest(name: str, known: Iterable[str], least: float = 0.5) -> str | None:
 
 
 def no_attribute(module: str, name: str, known: Iterable[str]) -> AttributeError:
-    """Return the error for a name that a module does not have, with the nearest one and the list.
-
-    Parameters
-    ----------
-    module : str
-        As users write it, such as ``"co.systems"``.
-    name : str
-        What was asked for.
-    known : iterable of str
-        The public names.
-
-    Returns
-    -------
-    AttributeError
-        To be raised by the caller.
+    """Return the AttributeError for a missing name of a module, with the nearest one and the list of public names.
 
     Examples
     --------
@@ -161,7 +103,7 @@ def no_attribute(module: str, name: str, known: Iterable[str]) -> AttributeError
     co.systems has no attribute 'heavi_top'; did you mean 'heavy_top'? It has: heavy_top, toda
     """
     text = f"{module} has no attribute {name!r}"
-    if name.startswith("_"):  # what Python and other libraries look for, to see what a module can do
+    if name.startswith("_"):  # protocol probes by Python and other libraries
         return AttributeError(text)
     if module != "coadjoint" and name in getattr(sys.modules.get("coadjoint"), "__all__", ()):
         return AttributeError(f"{text}; it is co.{name}")
@@ -172,26 +114,7 @@ def no_attribute(module: str, name: str, known: Iterable[str]) -> AttributeError
 
 
 def in_one_line(message: str, limit: int = 400) -> str:
-    """Return a message in one line of printable letters, its middle left out where it is long.
-
-    Parameters
-    ----------
-    message : str
-        Of any length; only its ends are read where it is long.
-    limit : int
-        Most letters of the line.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> in_one_line("two   words")
-    'two words'
-    >>> in_one_line("a" * 10**6, 12)
-    'aaaa ... aaa'
-    """
+    """Return a message as one line of at most `limit` printable characters, with the middle elided if it is long."""
     ends = message if len(message) <= 8 * limit else f"{message[: 4 * limit]} ... {message[-4 * limit :]}"
     line = "".join(letter if letter.isprintable() else "?" for letter in " ".join(ends.split()))
     head, tail = limit // 2 - 2, limit - limit // 2 - 3

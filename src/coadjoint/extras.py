@@ -1,4 +1,4 @@
-"""The extras of the package: which packages each one brings, and the message where one is missing."""
+"""Optional dependencies: the extra that provides each package, and the error if one is missing."""
 
 from __future__ import annotations
 
@@ -24,33 +24,17 @@ EXTRAS = {
     "distributed": "cluster",
     "cryptography": "cluster",
 }
-"""Package -> the extra that brings it, as pyproject.toml declares it; all others that are imported are requirements."""
+"""Package -> the extra that provides it, as declared in pyproject.toml; other imported packages are requirements."""
 
 
 class MissingPackageError(ModuleNotFoundError):
-    """A package is not installed that only a part of the library needs; the message has the line that installs it."""
+    """An optional package is not installed; the message has the command that installs it."""
 
 
 def need(what: str, *packages: str) -> None:
-    """Refuse what cannot work without a package that is not installed, before anything is computed.
+    """Raise a MissingPackageError before any computation if a package is not installed or Numba's compiler is disabled.
 
-    Nothing is imported: the packages are only looked for.
-
-    Parameters
-    ----------
-    what : str
-        What needs them, as the subject of a sentence.
-    *packages : str
-        Names of packages, all in `EXTRAS`.
-
-    Raises
-    ------
-    MissingPackageError
-        With all that are missing, and the line that installs them; or Numba's compiler is turned off.
-
-    Examples
-    --------
-    >>> need("progress=True", "tqdm")
+    `what` is the subject of the message; the packages, all in `EXTRAS`, are located but not imported.
     """
     missing = [name for name in packages if not installed(name)]
     if not missing:
@@ -72,14 +56,8 @@ def need(what: str, *packages: str) -> None:
 
 
 def installed(name: str) -> bool:
-    """Say whether a package is there; it is not imported.
-
-    Examples
-    --------
-    >>> installed("numpy")
-    True
-    """
+    """Return whether a package is installed, without importing it."""
     try:
         return importlib.util.find_spec(name) is not None
-    except ValueError:  # the module was put into sys.modules without a specification
+    except ValueError:  # the module is in sys.modules without a spec
         return True

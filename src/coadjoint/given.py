@@ -1,4 +1,4 @@
-"""What was given? Numbers, arrays, names and flags from outside: read, or refused by name."""
+"""Validation of arguments: numbers, arrays, names and flags."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from coadjoint.wording import short
 Floats = NDArray[np.float64]
 
 REAL = "iuf"
-FEW = 64  # numbers that Python looks at quicker than NumPy
-SMALL = 2**16  # numbers for which there is always room
+FEW = 64  # up to this many numbers plain Python is faster than NumPy
+SMALL = 2**16  # up to this many numbers memory is not checked
 LONGEST_TITLE = 200
 BYTES_PER_ENTRY = 64
-MOST_DIMENSIONS = 32  # of an array of objects whose entries can be looked at
-DEEPEST = 64  # lists in lists, as many as an array has dimensions at most
+MOST_DIMENSIONS = 32  # maximum of an object array whose entries can be examined
+DEEPEST = 64  # maximum depth of nested lists: that of array dimensions
 
 
 def is_real(value: Any) -> bool:
-    """Say whether a value is a real number: no truth value, no text, no array, nothing that merely turns into a float.
+    """Return whether a value is a real number; booleans, text, arrays and objects merely convertible to float are not.
 
     Examples
     --------
@@ -36,12 +36,12 @@ def is_real(value: Any) -> bool:
     """
     if isinstance(value, numbers.Real):
         return not isinstance(value, bool)
-    # Decimal is a number, but registered as no kind of it.
+    # Decimal is a number but not registered with numbers.Real.
     return isinstance(value, numbers.Number) and not isinstance(value, numbers.Complex)
 
 
 def size_of_range(values: range) -> int:
-    """Return how many numbers a range says, which may be more than `len` can.
+    """Return the length of a range, which may exceed the limit of `len`.
 
     Examples
     --------
@@ -52,7 +52,7 @@ def size_of_range(values: range) -> int:
 
 
 def is_of_a_ring(value: Any) -> bool:
-    """Say whether a value can be added to numbers and multiplied by them, as numbers of any kind can.
+    """Return whether a value supports addition and multiplication with numbers.
 
     Examples
     --------
@@ -63,45 +63,23 @@ def is_of_a_ring(value: Any) -> bool:
 
 
 def array_given(values: Any, what: str, kinds: str = REAL) -> NDArray[Any]:
-    """Return an array of what was given, or say by name what is wrong with it; not copied where it is an array.
+    """Convert numbers to an array, without a copy if already one; `what` names the argument in messages.
 
-    Parameters
-    ----------
-    values : array_like
-        Of real numbers. An array of objects may hold any real numbers, such as fractions.
-    what : str
-        What it is called in a message.
-    kinds : str, optional
-        NumPy's kinds of numbers that are accepted beside objects; with ``"c"`` in them whatever can be added and
-        multiplied counts as a number.
-
-    Returns
-    -------
-    ndarray
-
-    Raises
-    ------
-    TypeError
-        Not numbers, truth values among them, ragged, or a pandas object whose labels would be lost.
-    ValueError
-        Masked entries.
-
-    Examples
-    --------
-    >>> array_given([[1, 2]], "M")
-    array([[1, 2]])
+    `kinds` are the accepted NumPy kinds beside objects; with ``"c"`` any value that can be added and multiplied counts
+    as a number. TypeError: not numbers, booleans, ragged, or pandas labels that would be lost. ValueError: masked
+    entries.
     """
     if type(values) is np.ndarray:
         array = values
     else:
         refuse_what_is_lost(values, what)
-        if isinstance(values, range):  # which may say more numbers than it holds
+        if isinstance(values, range):  # which may be longer than memory allows
             check_room(8 * size_of_range(values), f"{what}, {short(values)},")
         try:
             array = np.asarray(values)
         except MemoryError:
             raise ValueError(f"{what} does not fit into memory; give fewer numbers") from None
-        except Exception:  # whatever an object raises that is asked for its numbers
+        except Exception:  # conversion of a foreign object can raise anything
             raise no_numbers(values, what) from None
     kind = array.dtype.kind
     if kind in kinds:
@@ -116,20 +94,14 @@ def array_given(values: Any, what: str, kinds: str = REAL) -> NDArray[Any]:
 
 
 def read_numbers(values: Any, what: str) -> Floats:
-    """Return a float64 copy of real numbers, or say by name what is wrong with them.
-
-    Examples
-    --------
-    >>> read_numbers([[1, 2]], "M")
-    array([[1., 2.]])
-    """
+    """Validate real numbers and return a float64 copy."""
     array = array_given(values, what)
     if array.size > SMALL:
         check_room(8 * array.size, f"a copy of {what}, of shape {array.shape},")
     try:
         if array.dtype.itemsize <= 8 and array.dtype.kind != "O":
             return np.array(array, dtype=np.float64)
-        with np.errstate(over="ignore"):  # infinity, which is refused where numbers must be finite
+        with np.errstate(over="ignore"):  # gives infinity, refused by callers that require finite numbers
             return np.array(array, dtype=np.float64)
     except OverflowError:
         raise ValueError(f"{what} holds a number that is too large for float64") from None
@@ -138,7 +110,7 @@ def read_numbers(values: Any, what: str) -> Floats:
 
 
 def read_complex(values: Any, what: str) -> NDArray[np.complex128]:
-    """Return a complex copy of real or complex numbers, refused as in `read_numbers`.
+    """Validate real or complex numbers and return a complex copy, as in `read_numbers`.
 
     Examples
     --------
@@ -155,20 +127,14 @@ def read_complex(values: Any, what: str) -> NDArray[np.complex128]:
 
 
 def read_finite(values: Any, what: str) -> Floats:
-    """Return a float64 copy of finite real numbers; the first entry that is not finite is named.
-
-    Examples
-    --------
-    >>> read_finite([1, 2], "axis")
-    array([1., 2.])
-    """
+    """Validate finite real numbers and return a float64 copy; the message names the first entry that is not finite."""
     found = read_numbers(values, what)
     check_finite(found, what)
     return found
 
 
 def are_finite(numbers: Floats) -> bool:
-    """Return whether all numbers are finite; of few of them that is found five times quicker than by NumPy.
+    """Return whether all numbers are finite; five times faster than NumPy for few numbers.
 
     Examples
     --------
@@ -181,7 +147,7 @@ def are_finite(numbers: Floats) -> bool:
 
 
 def check_finite(values: Floats, what: str) -> None:
-    """Refuse NaN and infinity; the first of them is named."""
+    """Raise a ValueError that names the first NaN or infinity."""
     if not np.isfinite(values).all():
         place = np.argwhere(~np.isfinite(values))[0].tolist()
         where = f"[{', '.join(map(str, place))}]" if place else ""
@@ -189,12 +155,12 @@ def check_finite(values: Floats, what: str) -> None:
 
 
 def no_numbers(values: Any, what: str) -> TypeError:
-    """Return the error for what is no array of real numbers."""
+    """Return the error for a value that is not an array of real numbers."""
     return TypeError(f"{what} is {short(values, 60)}; it must be an array of real numbers, all rows of the same length")
 
 
 def refuse_what_is_lost(values: Any, what: str, depth: int = 0) -> None:
-    """Refuse masks, labels and truth values, which an array of floats would not have."""
+    """Raise an error for masks, labels and booleans, which conversion to float would lose."""
     if isinstance(values, list | tuple):
         kinds = set(map(type, values))
         if kinds <= {float, int} or depth == DEEPEST:
@@ -205,24 +171,18 @@ def refuse_what_is_lost(values: Any, what: str, depth: int = 0) -> None:
             refuse_what_is_lost(entry, what, depth + 1)
     elif isinstance(values, np.ma.MaskedArray):
         if np.ma.is_masked(values):
-            raise ValueError(f"{what} has masked entries, which no number stands for; fill them in, or leave them out")
+            raise ValueError(f"{what} has masked entries, which have no value; fill or remove them")
     elif hasattr(values, "iloc") and hasattr(values, "axes"):
-        # Of pandas, which is not imported for it. Labels other than 0, 1, ... could say another order.
+        # pandas objects, detected without importing it. Labels other than 0, 1, ... could mean another order.
         if any(list(axis) != list(range(len(axis))) for axis in values.axes):
             raise TypeError(
                 f"{what} is a {type(values).__name__} with labels other than 0, 1, 2, ..., and they would be lost; "
-                "give its to_numpy(), where the order is right"
+                "give its to_numpy() if its order is right"
             )
 
 
 def read_number(value: Any, what: str) -> float:
-    """Return one finite real number as a float, or refuse it by name.
-
-    Examples
-    --------
-    >>> read_number(2, "step")
-    2.0
-    """
+    """Validate one finite real number and return a float."""
     if type(value) is not float:
         if type(value) is not int:
             if isinstance(value, np.ndarray) and value.ndim == 0 and not isinstance(value, np.ma.MaskedArray):
@@ -239,13 +199,7 @@ def read_number(value: Any, what: str) -> float:
 
 
 def read_positive(value: Any, what: str) -> float:
-    """Return one positive number as a float, or refuse it by name.
-
-    Examples
-    --------
-    >>> read_positive(0.5, "step")
-    0.5
-    """
+    """Validate one positive number and return a float."""
     number = read_number(value, what)
     if number <= 0.0:
         raise ValueError(f"{what} is {number!r}; it must be positive")
@@ -253,12 +207,7 @@ def read_positive(value: Any, what: str) -> float:
 
 
 def check_power(number: float, power: int, what: str) -> None:
-    """Refuse a number whose power leaves the range of float64.
-
-    Examples
-    --------
-    >>> check_power(1e30, 10, "step")
-    """
+    """Raise a ValueError if a power of a number is beyond float64."""
     if power * math.log2(max(abs(number), 1.0)) >= 1024.0:
         raise ValueError(
             f"{what} is {number!r}, and its power {power} leaves the range of float64; give a smaller number"
@@ -268,29 +217,13 @@ def check_power(number: float, power: int, what: str) -> None:
 def read_whole(
     value: Any, what: str, least: int = 1, most: int | None = None, *, floats: bool = False, why: str = ""
 ) -> int:
-    """Return a whole number between bounds as an int of Python, which does not wrap, or refuse it by name.
+    """Validate a whole number within bounds and return a Python int, which does not wrap; booleans are refused.
 
-    Parameters
-    ----------
-    value : object
-        What was given. A truth value is no number.
-    what : str
-        What it is called in a message.
-    least, most : int
-        The bounds.
-    floats : bool, optional
-        Whether a float that is whole is taken, such as 1e6 for a number of steps.
-    why : str, optional
-        Why there is no more; said where the value is too large.
-
-    Examples
-    --------
-    >>> read_whole(np.uint8(200), "stages") * 2
-    400
+    `floats` accepts whole floats such as 1e6; `why`, the reason for the upper bound, is added to its message.
     """
     whole = type(value) is int or (isinstance(value, numbers.Integral) and not isinstance(value, bool))
     if floats and not whole and isinstance(value, float | np.floating):
-        value = float(value)  # a small kind of float does not hold the bounds
+        value = float(value)  # small float types cannot represent the bounds
         whole = value.is_integer()
     if not whole or value < least or (most is not None and value > most and not why):
         bounds = f"from {least} up" if most is None or why else f"from {least} to {short(most)}"
@@ -301,26 +234,14 @@ def read_whole(
 
 
 def read_flag(value: Any, what: str) -> bool:
-    """Return True or False, or refuse anything else by name.
-
-    Examples
-    --------
-    >>> read_flag(True, "watch")
-    True
-    """
+    """Validate True or False."""
     if not isinstance(value, bool | np.bool_):
         raise TypeError(f"{what} is {short(value)}; it must be True or False")
     return bool(value)
 
 
 def read_title(value: Any, what: str) -> str:
-    """Return a name that messages and pictures can show, or refuse it by name.
-
-    Examples
-    --------
-    >>> read_title("so(3)", "name of the algebra")
-    'so(3)'
-    """
+    """Validate a name for messages and plots: one nonempty line of bounded length."""
     if not isinstance(value, str) or not value:
         raise TypeError(f"{what} must be a nonempty string, not {short(value)}")
     if len(value) > LONGEST_TITLE or not value.isprintable():
@@ -329,7 +250,7 @@ def read_title(value: Any, what: str) -> str:
 
 
 def title(text: str) -> str:
-    """Return a name that is made of others, cut where it is too long to be shown.
+    """Truncate a composed name to the maximum length of a title.
 
     Examples
     --------
@@ -340,7 +261,7 @@ def title(text: str) -> str:
 
 
 def read_path(value: Any, what: str) -> Path:
-    """Return the name of a file or a folder, or refuse what is none.
+    """Validate the name of a file or folder and return a Path.
 
     Examples
     --------
@@ -353,7 +274,7 @@ def read_path(value: Any, what: str) -> Path:
 
 
 def read_list(values: Any, what: str, rule: str) -> tuple[Any, ...]:
-    """Return the entries of what can be gone through, or refuse it by name, saying what would be right.
+    """Return the entries of an iterable, or raise a TypeError that ends with `rule`.
 
     Examples
     --------
@@ -371,7 +292,7 @@ def read_list(values: Any, what: str, rule: str) -> tuple[Any, ...]:
 
 
 def check_parameters(name: str, given: Iterable[str], known: Iterable[str], required: Iterable[str] = ()) -> None:
-    """Refuse parameters that something with this name does not have, or lacks.
+    """Raise a ValueError for unknown or missing parameters of `name`.
 
     Examples
     --------
@@ -389,13 +310,7 @@ def check_parameters(name: str, given: Iterable[str], known: Iterable[str], requ
 
 
 def read_choice(value: Any, what: str, known: Collection[str]) -> str:
-    """Return a name that is known, or refuse it with the nearest known one.
-
-    Examples
-    --------
-    >>> read_choice("exact", "rotation", ("exact", "rational"))
-    'exact'
-    """
+    """Validate a name among known ones; the error suggests the nearest."""
     if not isinstance(value, str) or value not in known:
         raise unknown_name(what, value, known)
     return str(value)

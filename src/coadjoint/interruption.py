@@ -1,9 +1,9 @@
-"""Interrupts (SIGINT, SIGTERM, SIGHUP): deferred while modules are imported, and how the command ends at one.
+"""Interrupts (SIGINT, SIGTERM, SIGHUP): deferred during imports; handling in the command-line interface.
 
-The command ends at once, in one line, and removes incomplete files. An exception would not be enough: Python drops
-those that are raised while a weak reference is cleared or a module is loaded, and the run would continue. Only during
-the steps of a run the first signal raises `Told`, so that the solution so far can be written; the second one ends the
-process. Nothing expensive is imported here, so that signals are handled from the first line on.
+The command ends at once, with one line, and removes incomplete files. An exception would not suffice: Python drops
+those raised while a weak reference is cleared or a module is loaded, and the run would continue. Only during the steps
+of a run the first signal raises `Told`, so that the solution so far can be written; the second one ends the process.
+Nothing expensive is imported here, so that signals are handled from the first line on.
 """
 
 from __future__ import annotations
@@ -28,13 +28,7 @@ _told = 0
 
 
 class Told(KeyboardInterrupt):
-    """The process was told to stop, by the signal of a number, while `raising`.
-
-    Attributes
-    ----------
-    partial : object
-        What there is of what was interrupted.
-    """
+    """The process received an interrupt signal inside `raising`; `partial` holds the result so far."""
 
     partial: object = None
 
@@ -44,12 +38,12 @@ class Told(KeyboardInterrupt):
 
     @property
     def said(self) -> str:
-        """What has happened, in a word."""
+        """The event in one word, such as "interrupted"."""
         return _SAID[signal.Signals(self.number).name]
 
 
 class raising:
-    """A context in which the first interrupt that `hear` would end the process at raises `Told`."""
+    """Context in which the first interrupt raises `Told` instead of ending the process."""
 
     def __enter__(self) -> None:
         global _raises, _told
@@ -59,13 +53,13 @@ class raising:
         global _raises
         _raises = False
         if _told and not isinstance(error, Told):
-            _leave(_told, None)  # Python has dropped it
+            _leave(_told, None)  # Python dropped the exception
 
 
 def hear() -> None:
-    """End the process at an interrupt, with the exit status 128 + number of the signal.
+    """Install handlers that end the process at an interrupt, with exit status 128 + number of the signal.
 
-    Signals that whoever started the process has set to be ignored (``nohup``, a job in the background) stay so.
+    Signals that the parent process set to be ignored (``nohup``, background jobs) stay ignored.
 
     Examples
     --------
@@ -80,16 +74,16 @@ def hear() -> None:
 
 
 def ignore() -> None:
-    """Hear no interrupt any more: all is done, and the interpreter is about to end.
+    """Ignore interrupts from now on, when all work is done and the interpreter is about to exit.
 
-    While it does so it would be killed without a word, for it takes handlers away first.
+    At exit it removes handlers first, and a signal would kill it without a message.
     """
     for number in _heard():
         signal.signal(number, signal.SIG_IGN)
 
 
 class deferred:
-    """A context of the main thread in which signals wait; at its end their handlers are called."""
+    """Context of the main thread in which signals are queued; their handlers are called at its end."""
 
     def __enter__(self) -> None:
         self._handlers: dict[int, Callable[[int, FrameType | None], Any]] = {}
@@ -116,7 +110,7 @@ class deferred:
             signal.signal(number, handler)
 
     def _wait(self, number: int, frame: FrameType | None) -> None:
-        if self._over:  # another handler has raised while handlers were restored
+        if self._over:  # another handler raised while handlers were restored
             signal.signal(number, self._handlers[number])
             self._handlers[number](number, frame)
         else:
@@ -124,10 +118,10 @@ class deferred:
 
 
 class _CompleteImports:
-    """A finder that defers signals until a module which a call of this package imports is complete.
+    """Import finder that defers signals until a module imported by a call of this package is complete.
 
-    An exception inside an import removes the modules that are incomplete, but not their submodules, and these do not
-    become attributes of the packages when they are imported again.
+    An exception inside an import removes the incomplete modules but not their submodules, which do not become
+    attributes of the packages when these are imported again.
     """
 
     def __init__(self) -> None:
@@ -152,10 +146,10 @@ class _CompleteImports:
         return None
 
     def create_module(self, spec: ModuleSpec) -> None:
-        """Let Python make a module, which `exec_module` replaces."""
+        """Use Python's default module, which `exec_module` replaces."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """Put a module back that was complete when an interrupt was raised, and that Python has removed for it."""
+        """Restore a module that was complete when an interrupt was raised, and that Python removed because of it."""
         sys.modules[module.__name__] = self._interrupted.pop(module.__name__)
 
     def load(self, loader: Loader, module: ModuleType) -> None:
@@ -167,11 +161,11 @@ class _CompleteImports:
                 self._interrupted[name] = sys.modules.get(name, module)
             finally:
                 self._loading = False
-        del self._interrupted[name]  # not reached where a handler raises
+        del self._interrupted[name]  # not reached if a handler raises
 
 
 class _CompleteLoader:
-    """The loader of one module, by the loader that Python has found for it."""
+    """Loader of one module, wrapping the loader that Python found."""
 
     def __init__(self, imports: _CompleteImports, loader: Loader) -> None:
         self._imports, self._loader = imports, loader
@@ -196,7 +190,7 @@ def complete_imports() -> None:
 
 
 def _called() -> bool:
-    """Whether a function or module of this package is being executed."""
+    """Return whether a function or module of this package is being executed."""
     frame: FrameType | None = sys._getframe()
     while frame is not None:
         name = str(frame.f_globals.get("__name__"))
@@ -207,7 +201,7 @@ def _called() -> bool:
 
 
 def begin(abandon: Callable[[], object]) -> None:
-    """Have something done where the process is ended before `end`: the removal of what is half written.
+    """Register a cleanup (removal of incomplete files) to run if the process is ended before `end`.
 
     Examples
     --------
@@ -218,7 +212,7 @@ def begin(abandon: Callable[[], object]) -> None:
 
 
 def end(abandon: Callable[[], object]) -> None:
-    """Take back a `begin`."""
+    """Unregister a cleanup of `begin`."""
     _unfinished.remove(abandon)
 
 
@@ -235,10 +229,10 @@ def _leave(number: int, frame: FrameType | None) -> None:
     for act in (*reversed(_unfinished), sys.stdout.flush):
         try:
             act()
-        except Exception:  # whatever it is, the process ends now; the next run removes what is left
+        except Exception:  # the process ends in any case; the next run removes remaining files
             pass
     try:
-        # A terminal has shown ^C, or a progress bar, on this line.
+        # The terminal may show ^C or a progress bar on this line.
         begun = "\n" if os.isatty(2) else ""
         os.write(2, f"{begun}coadjoint: {_SAID[signal.Signals(number).name]}\n".encode())
     except OSError:

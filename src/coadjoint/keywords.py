@@ -1,4 +1,4 @@
-"""What is called otherwise elsewhere? Keywords and attributes of other libraries, with the name that serves here."""
+"""Keywords and attributes of other libraries, mapped to the names used here for error messages."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ KEYWORDS: Mapping[str, str] = {
     **dict.fromkeys(("I", "J", "moments", "inertias", "moments_of_inertia"), "inertia=, the principal moments"),
     "order": "the order through the scheme, such as Splitting(order=4) or GaussLegendre(stages=2), of order 4",
 }
-"""Keyword elsewhere -> what to give here."""
+"""Keyword of other libraries -> the corresponding argument here."""
 ATTRIBUTES: Mapping[str, str] = {
     **dict.fromkeys(("y", "u", "states", "momentum", "z", "X"), "x"),
     **dict.fromkeys(("sol", "interpolate", "dense", "interp"), "at(t), the states at any times"),
@@ -55,21 +55,11 @@ ATTRIBUTES: Mapping[str, str] = {
     ),
     **dict.fromkeys(("error",), "error_estimate, of a run with accuracy="),
 }
-"""Attribute of a solution elsewhere -> the one here."""
+"""Solution attribute of other libraries -> the corresponding one here."""
 
 
 def told(function: Function) -> Function:
-    """Answer keywords that a function does not have by those that it has, as a `TypeError`.
-
-    Parameters
-    ----------
-    function : callable
-        With named parameters.
-
-    Returns
-    -------
-    callable
-        The same.
+    """Decorate a function so that unknown keywords raise a TypeError with the corresponding or nearest known one.
 
     Examples
     --------
@@ -100,19 +90,7 @@ def told(function: Function) -> Function:
 
 
 def unknown_keyword(function: str, name: str, known: Sequence[str]) -> TypeError:
-    """Return the error for a keyword that a function does not have.
-
-    Parameters
-    ----------
-    function, name : str
-        What was called, and what it was given.
-    known : sequence of str
-        What it takes.
-
-    Returns
-    -------
-    TypeError
-        To be raised by the caller.
+    """Return the TypeError for an unknown keyword of a function.
 
     Examples
     --------
@@ -123,21 +101,7 @@ def unknown_keyword(function: str, name: str, known: Sequence[str]) -> TypeError
 
 
 def too_many(function: str, given: Sequence[Any], by_place: Sequence[str], known: Sequence[str]) -> TypeError:
-    """Return the error for more arguments than a function takes by their place.
-
-    Parameters
-    ----------
-    function : str
-        What was called.
-    given : sequence
-        The arguments.
-    by_place, known : sequence of str
-        The names of what it takes by place, and of all that it takes.
-
-    Returns
-    -------
-    TypeError
-        To be raised by the caller.
+    """Return the TypeError for too many positional arguments; `by_place` and `known` are positional and all names.
 
     Examples
     --------
@@ -152,7 +116,7 @@ def too_many(function: str, given: Sequence[Any], by_place: Sequence[str], known
 
 def _answer(function: str, name: str, known: Sequence[str]) -> str:
     meant = KEYWORDS.get(name)
-    # Of what is meant elsewhere only that is said which this function has.
+    # Suggest the corresponding argument only if this function has it.
     if meant is not None and ("=" not in meant or meant.partition("=")[0] in known):
         return f"{function} has no {name}; {'' if meant.startswith('it ') else 'give '}{meant}"
     near = nearest(name, known)
@@ -160,7 +124,7 @@ def _answer(function: str, name: str, known: Sequence[str]) -> str:
 
 
 def no_such_part(name: str, known: list[str]) -> AttributeError:
-    """Return the error for an attribute that a solution does not have.
+    """Return the AttributeError for an unknown attribute of a solution.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Does it fit? Memory is estimated before anything is made, and what does not fit is refused with the estimate."""
+"""Memory estimates and checks before large allocations."""
 
 from __future__ import annotations
 
@@ -7,24 +7,18 @@ import sys
 from pathlib import Path
 
 SMALL = 2**26
-"""Bytes about which nobody is asked: asking takes longer than to see that there is no room for them."""
+"""Allocations below this size (bytes) are not checked."""
 
 UNKNOWN = 2**62
 
 
 def available() -> int:
-    """Return how many bytes of memory this process can still have; a large number where the system does not say.
-
-    Examples
-    --------
-    >>> available() > 0
-    True
-    """
+    """Return the memory available to this process in bytes; a large number if the system does not report it."""
     return max(0, min(_free(), _left_in_groups(), _left_of_address_space()))
 
 
 def _free() -> int:
-    """Return the bytes that the machine has free, or all that it has where it says no more."""
+    """Return the free memory of the machine in bytes, or the total if only that is reported."""
     try:
         for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
             if line.startswith("MemAvailable:"):
@@ -51,7 +45,7 @@ def _free_on_windows() -> int:
 
 
 def _left_in_groups(root: str = "/sys/fs/cgroup", own: str = "/proc/self/cgroup") -> int:
-    """Return what Linux leaves to the groups that this process is in: a container, a batch job."""
+    """Return the memory left in the Linux control groups of this process: a container, a batch job."""
     left = UNKNOWN
     try:
         lines = Path(own).read_text(encoding="ascii").splitlines()
@@ -72,17 +66,17 @@ def _left_in_groups(root: str = "/sys/fs/cgroup", own: str = "/proc/self/cgroup"
 
 
 def _left_in(group: Path, limit: str, used: str, cache: str) -> int:
-    """Return what is left in one group; what it holds of files only to be quick does not count."""
+    """Return the memory left in one control group, not counting its file cache."""
     try:
         most, held = (int(Path(group, name).read_text(encoding="ascii")) for name in (limit, used))
         stated = dict(line.split() for line in Path(group, "memory.stat").read_text(encoding="ascii").splitlines())
         return most - held + int(stated.get(cache, 0))
-    except (OSError, ValueError):  # no such limit
+    except (OSError, ValueError):  # no limit of this kind
         return UNKNOWN
 
 
 def _left_of_address_space() -> int:
-    """Return what ``ulimit -v`` leaves."""
+    """Return the address space left by ``ulimit -v``."""
     try:
         import resource
 
@@ -95,39 +89,23 @@ def _left_of_address_space() -> int:
 
 
 def in_words(count: float) -> str:
-    """Return a number of bytes as one would say it.
+    """Format a number of bytes.
 
     Examples
     --------
     >>> in_words(5.62e9), in_words(2e8), in_words(3e16), in_words(10**400)
     ('5.6 GB', '200 MB', '3e+07 GB', '1e+291 GB')
     """
-    count = min(count, 10**300)  # whole numbers may be larger than any float
+    count = min(count, 10**300)  # integers may exceed the range of float
     if count < 1e9:
         return f"{count / 1e6:.0f} MB"
     return f"{count / 1e9:.1f} GB" if count < 1e14 else f"{count / 1e9:.0e} GB"
 
 
 def check_room(count: float, what: str, instead: str = "") -> None:
-    """Refuse what needs more memory than there is.
+    """Raise a ValueError, with the estimate and the free memory, if `count` bytes are not available.
 
-    Parameters
-    ----------
-    count : number
-        Bytes that it needs while it is made, estimated.
-    what : str
-        What it is, the subject of the message.
-    instead : str, optional
-        What would fit.
-
-    Raises
-    ------
-    ValueError
-        With the estimate, and with what is free.
-
-    Examples
-    --------
-    >>> check_room(1000, "a small thing")
+    `what` is the subject of the message; `instead` names an alternative that would fit.
     """
     if count > SMALL:
         free = available()

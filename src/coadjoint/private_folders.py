@@ -1,4 +1,4 @@
-"""Folders from which code is loaded: no other user can change what is in them."""
+"""Folders from which code is loaded, protected against changes by other users."""
 
 from __future__ import annotations
 
@@ -13,16 +13,11 @@ OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 
 def check_private(folder: Path) -> None:
-    """Refuse a folder, given by its real path, of which another user can change or replace the contents.
+    """Raise a PermissionError, with the reason as a clause, if another user can change the contents of a folder.
 
-    Raises
-    ------
-    PermissionError
-        With the reason as a clause.
-    OSError
-        The folder cannot be examined.
+    `folder` must be a real path; OSError if it cannot be examined.
     """
-    # From the root downward: once a folder is known to be safe, the entries in it stay what they are.
+    # From the root downward: the entries of a folder found safe cannot change afterwards.
     trusted = {0, os.geteuid(), os.lstat("/").st_uid}
     for place in (*reversed(folder.parents), folder):
         found = os.lstat(place)
@@ -30,7 +25,7 @@ def check_private(folder: Path) -> None:
             raise PermissionError(f"{place} is not a folder")
         if found.st_uid not in trusted or (place == folder and found.st_uid != os.geteuid()):
             raise PermissionError(f"{place} belongs to another user")
-        # Others can add entries to a sticky folder such as /tmp, but not replace the entries of this user.
+        # In a sticky folder such as /tmp others can add entries, but not replace those of this user.
         sticky = place != folder and found.st_mode & stat.S_ISVTX
         if found.st_mode & OTHERS_WRITE and not sticky:
             raise PermissionError(f"{place} can be changed by other users, mode {stat.S_IMODE(found.st_mode):o}")
@@ -38,19 +33,7 @@ def check_private(folder: Path) -> None:
 
 @contextmanager
 def private_folder() -> Iterator[Path]:
-    """Make a temporary folder that only this user can change, and remove it at the end.
-
-    Raises
-    ------
-    RuntimeError
-        There is no such place for temporary files.
-
-    Examples
-    --------
-    >>> with private_folder() as folder:
-    ...     oct(folder.stat().st_mode & 0o777)
-    '0o700'
-    """
+    """Context with a temporary folder that only this user can change; RuntimeError if none can be created."""
     try:
         own = tempfile.TemporaryDirectory(prefix="coadjoint-", ignore_cleanup_errors=True)
     except OSError as reason:

@@ -1,4 +1,4 @@
-"""What does rounding to float64 cost?"""
+"""Unit round-off of float64."""
 
 UNIT_ROUNDOFF = 2.0**-53
-"""Half of the distance from 1 to the next number: the largest relative error of one rounding."""
+"""Half the spacing of floats above 1: the largest relative error of one rounding."""

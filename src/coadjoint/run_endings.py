@@ -1,4 +1,4 @@
-"""What does the command say, and write, of a run that has not come to its end? One line, and what there is."""
+"""Handling of failed and interrupted runs in the command-line interface: partial results and messages."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 
 class RunFailed(click.ClickException):
-    """A run that failed while running, or whose result could not be written: exit status 1."""
+    """A run failed, or its result could not be written: exit status 1."""
 
     exit_code = 1
 
 
 class RunStopped(click.ClickException):
-    """A run that was told to stop: exit status 128 and the number of the signal."""
+    """A run was interrupted: exit status 128 + number of the signal."""
 
     def __init__(self, said: str, number: int) -> None:
         super().__init__(said)
@@ -35,16 +35,9 @@ class RunStopped(click.ClickException):
 def ending(
     name: str, archive: Path | None, target: Path | None, dataset: Callable[[Any], xarray.Dataset] | None
 ) -> Iterator[None]:
-    """Write what there is of a run that fails or is interrupted here, and say so in one line.
+    """Context that saves the solution so far of a run that fails or is interrupted, and reports it in one line.
 
-    Parameters
-    ----------
-    name : str
-        Of the run, for the line.
-    archive, target : Path or None
-        The archive to which it is written while it runs, and where its result goes.
-    dataset : callable or None
-        Returns the dataset of a solution.
+    `archive` is written during the run, `target` from the result converted by `dataset`.
     """
     from coadjoint.errors import IntegrationError
 
@@ -59,7 +52,7 @@ def ending(
 
 @contextmanager
 def writing(name: str, target: Path) -> Iterator[None]:
-    """Say in one line that a result cannot be written, after its run."""
+    """Context that reports in one line if the result of a run cannot be written."""
     from coadjoint.files.output import OutputError
 
     try:
@@ -74,7 +67,7 @@ def _unwritten(target: Path, reason: BaseException) -> str:
 
 
 def _failed(name: str, error: IntegrationError, archive: Path | None, target: Path | None, dataset: Any) -> RunFailed:
-    """Write what there is, and return what is to be said."""
+    """Write the solution so far and return the error to raise."""
     from coadjoint.files.export import said_of
 
     written = "" if archive is None else f"; the archive {archive} holds the solution so far"
@@ -96,7 +89,7 @@ def _stopped(name: str, told: interruption.Told, archive: Path | None, target: P
 
 
 def _held(archive: Path) -> Any:
-    """Return what there is of the run in an archive, or None where it was not made yet."""
+    """Open the partial run in an archive; None if the archive was not created yet."""
     from coadjoint.files.archived_solution import open_archive
 
     try:

@@ -1,4 +1,4 @@
-"""Does it take long? Whoever waits is told: beforehand where the time can be estimated, else after some seconds."""
+"""Warnings about long operations: in advance if the time can be estimated, otherwise after some seconds."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from types import FrameType
 
 WITHIN = ("contextlib", "functools")
 LONG = 5.0
-"""Seconds of which nobody is told."""
+"""Operations shorter than this (seconds) do not warn."""
 
 
 class LongWait(UserWarning):
-    """Something takes longer than some seconds; it goes on, and Ctrl-C ends it.
+    """Warning that an operation takes longer than some seconds; it continues, and Ctrl-C interrupts it.
 
     Examples
     --------
-    Say nothing of it:
+    Silence it:
 
     >>> import warnings
     >>> warnings.simplefilter("ignore", LongWait)
@@ -27,41 +27,16 @@ class LongWait(UserWarning):
 
 
 def tell(what: str, seconds: float, instead: str = "") -> None:
-    """Warn beforehand of what takes longer than `LONG`.
-
-    Parameters
-    ----------
-    what : str
-        What is done, the subject of the message.
-    seconds : float
-        How long it takes, estimated.
-    instead : str, optional
-        What would be faster.
-
-    Examples
-    --------
-    >>> tell("to make this ready", 0.1)
-    """
+    """Warn in advance if an operation is estimated to take longer than `LONG`; `instead` names a faster alternative."""
     if seconds > LONG:
         _warn(f"{what} takes about {seconds:.2g} s" + (f"; {instead}" if instead else ""))
 
 
 class waiting(ContextDecorator):
-    """A context of work that may be long, or the decorator of a function that does it.
+    """Context, or decorator, of an operation that may be long: after `LONG` seconds the next `at` inside warns, once.
 
-    After `LONG` seconds the next `at` inside warns, once.
-
-    Within another one it says nothing: the outer one speaks for both.
-
-    Parameters
-    ----------
-    what : str
-        What is done, the subject of the message: the name of the function that the user has called.
-
-    Examples
-    --------
-    >>> with waiting("certify"):
-    ...     at("the long run", 0.5)
+    `what`, the subject of the message, is the name of the function called by the user. Only the outermost context
+    warns.
     """
 
     def __init__(self, what: str) -> None:
@@ -87,15 +62,7 @@ _current: ContextVar[waiting | None] = ContextVar("waiting", default=None)
 
 
 def at(doing: str, part: float | None = None) -> None:
-    """Say where the work is, for whoever waits longer than `LONG`.
-
-    Parameters
-    ----------
-    doing : str
-        What begins now.
-    part : float, optional
-        How much of the whole is done, between 0 and 1, where that is known.
-    """
+    """Record what is computed next, and warn after `LONG` seconds; `part` is the completed fraction, if known."""
     current = _current.get()
     if current is None or current.said:
         return
@@ -113,7 +80,7 @@ def _warn(text: str) -> None:
     level, outermost = 1, 0
     while frame is not None:
         name = frame.f_globals.get("__name__", "").partition(".")[0]
-        # A decorator stands between the library and whoever called it.
+        # Frames of a decorator lie between the library and its caller.
         if name == "coadjoint" or (name in WITHIN and level == outermost + 1):
             outermost = level
         frame, level = frame.f_back, level + 1

@@ -1,4 +1,4 @@
-"""How a value from outside is shown in a message: in one line, cut short, whatever it is."""
+"""Short one-line representations of arbitrary values for messages."""
 
 from __future__ import annotations
 
@@ -10,34 +10,14 @@ from typing import Any
 import numpy as np
 
 DEPTH = 6
-"""Containers inside containers that are shown; what lies deeper is left out."""
+"""Maximum depth of nested containers shown; deeper levels are elided."""
 
 
 def short(value: Any, limit: int = 80) -> str:
-    """Return a representation of at most `limit` characters, in one line.
+    """Return a representation of at most `limit` (>= 4) characters, in one line.
 
-    It is `repr` for what is small. Arrays, containers, strings and integers are read only as far as they are shown, so
-    the time does not grow with them. An object whose ``__repr__`` fails is called by its type.
-
-    Parameters
-    ----------
-    value : object
-        Anything.
-    limit : int, optional
-        Most characters, from 4.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> short((1.0, "two"))
-    "(1.0, 'two')"
-    >>> short(list(range(10**6)), 20)
-    '[0, 1, 2, 3, 4, 5...'
-    >>> short(10**400), short(np.ones((1000, 1000)))
-    ('<int of about 401 digits>', '<array of shape (1000, 1000), float64>')
+    `repr` for small values; larger containers, arrays, strings and integers are read only as far as they are shown, in
+    bounded time. An object whose ``__repr__`` fails is shown by its type.
     """
     text = ""
     for piece in _pieces(value, limit, DEPTH):
@@ -49,7 +29,7 @@ def short(value: Any, limit: int = 80) -> str:
 
 
 def html_table(title: str, rows: Mapping[str, Any]) -> str:
-    """Return a small table for notebooks: a title, and names with values beside them, one or a tuple.
+    """Return a small HTML table for notebooks: a title, and rows of a name and one value or a tuple of values.
 
     Examples
     --------
@@ -69,7 +49,7 @@ def html_table(title: str, rows: Mapping[str, Any]) -> str:
 
 
 def shown_fields(given: Any) -> str:
-    """Return the representation of a dataclass, in which functions have names and no addresses.
+    """Return the repr of a dataclass, with functions shown by name instead of address.
 
     Examples
     --------
@@ -86,7 +66,7 @@ def shown_fields(given: Any) -> str:
 
 
 def named_function(function: Any) -> str:
-    """Return what a function is called: its name, and no address.
+    """Return the name of a function, without its address.
 
     Examples
     --------
@@ -101,7 +81,7 @@ def named_function(function: Any) -> str:
 
 
 def _pieces(value: Any, limit: int, depth: int) -> Iterator[str]:
-    """Yield the representation in pieces; whoever has enough stops asking."""
+    """Yield the representation lazily in pieces."""
     shown_by: Any = type(value).__repr__
     if shown_by in (str.__repr__, bytes.__repr__, bytearray.__repr__):
         yield repr(value[:limit])
@@ -123,7 +103,7 @@ def _pieces(value: Any, limit: int, depth: int) -> Iterator[str]:
 
 _FUNCTIONS = (FunctionType, BuiltinFunctionType, MethodType, np.ufunc, type(np.linalg.norm))
 FEW_FUNCTIONS = 3
-"""Functions of a container that are shown one by one; of more their number is."""
+"""Maximum number of functions in a container shown individually; otherwise their count."""
 _BRACKETS: dict[Any, tuple[str, str]] = {
     list.__repr__: ("[", "]"),
     tuple.__repr__: ("(", ")"),
@@ -162,7 +142,7 @@ def _container(value: Any, limit: int, depth: int) -> Iterator[str]:
 
 
 def _is_of_functions(value: Any) -> bool:
-    """Say whether a value is a function, or a tuple or list of them."""
+    """Return whether a value is a function, or a tuple or list of functions."""
     if type(value) in (tuple, list):
         return bool(value) and all(isinstance(entry, _FUNCTIONS) for entry in value)
     return isinstance(value, _FUNCTIONS)
@@ -181,7 +161,7 @@ def _array(value: Any, limit: int, depth: int) -> Iterator[str]:
 
 
 def _own(value: Any, limit: int) -> str:
-    """Return the start of what an object says of itself, or its type where it fails to."""
+    """Return the start of an object's own repr, or its type if repr fails."""
     try:
         return " ".join(repr(value)[: 8 * limit].split())
     except Exception:

@@ -107,7 +107,7 @@ def test_refused(make, message):
 def test_a_member_is_measured_by_its_own_size(size):
     skew = np.array([[0.0, 1.0, 2.0], [-1.0, 0.0, 3.0], [-2.0, -3.0, 0.0]])
     members = np.array([skew, size * (skew + 1e-9 * np.eye(3)), skew])
-    with pytest.raises(ValueError, match=r"x0\[1\] is no matrix of so\(3\)"):
+    with pytest.raises(ValueError, match=r"x0\[1\] is not a matrix of so\(3\)"):
         G("so", 3).read(members)
     members[1] = size * skew
     assert np.array_equal(G("so", 3).read(members), members)

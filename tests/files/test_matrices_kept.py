@@ -144,7 +144,7 @@ def test_damaged_records_are_refused_by_what_is_wrong(change, said):
     ("change", "said"),
     [
         (lambda d: d.assign(x0=d["x0"].isel(part=0, drop=True)), "dimension"),
-        (lambda d: d.assign(x0=d["x0"] + 1.0), r"no matrix of su\(4\)"),
+        (lambda d: d.assign(x0=d["x0"] + 1.0), r"not a matrix of su\(4\)"),
         (lambda d: d.assign(x0=d["x0"].isel(row=slice(0, 3))), "dimension"),
         (lambda d: d.assign(x0=d["x0"].rename(row="line")), "x0 is over"),
         (lambda d: d.assign(x0=d["x0"].isel(part=[0])), "1 parts|dimension"),
@@ -197,7 +197,7 @@ def test_states_of_configuration_files(tmp_path, monkeypatch):
         ('"run.txt"', "", "initial.x: must be a list of numbers"),
         ('"run.npy"', "", "initial.x: 'run.npy'"),
         ("[[1.0, 0.0], [0.0, 1.0]]", "", "initial.x: x0 has the shape"),
-        ('"ones.npy"', "", r"initial.x: x0 is no matrix of su\(4\)"),
+        ('"ones.npy"', "", r"initial.x: x0 is not a matrix of su\(4\)"),
         ('"objects.npy"', "", "initial.x"),
         ('"w.npy"', 'observe = {a = "x1"}', "observe.a: a polynomial is one of coordinates"),
         ('"w.npy"', 'method = {name = "Splitting"}', "method: sphere_euler moves matrices"),

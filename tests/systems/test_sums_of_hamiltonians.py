@@ -318,7 +318,7 @@ def test_what_cannot_be_added():
         co.Quadratic([1, 2]) + KINDS["separable"]().bind(3)
     with pytest.raises(ValueError, match=r"must be finite|leaves the range of float64|is inf"):
         co.Quadratic([1e308, 1.0]) + co.Quadratic([1e308, 1.0])
-    with pytest.raises(ValueError, match=r"'x1\^2' does not say how many coordinates there are; give dim= or basis="):
+    with pytest.raises(ValueError, match=r"'x1\^2' does not determine the number of coordinates; give dim= or basis="):
         co.Polynomial("x1^2")
     with pytest.raises(ValueError, match=r"has 'q'; the coordinates are h, e, f"):
         co.Polynomial("h*q", basis=("h", "e", "f"))

@@ -1,1 +1,1 @@
-"""Where the state lives: structure constants, brackets, the matrix J(x), Casimirs, representations, the catalogue."""
+"""Lie algebras: structure constants, brackets, the matrix J(x), Casimirs, representations, the catalogue."""

@@ -1,4 +1,4 @@
-"""What does one read of an algebra of the catalogue before one uses it?"""
+"""Text descriptions of Lie algebras and the listing of the catalogue, for the command line."""
 
 from __future__ import annotations
 
@@ -16,17 +16,12 @@ WIDE = 100
 MOST_BRACKETS = 20
 MOST_NAMES = 30
 LARGEST = 16
-"""Dimensions up to which Casimirs are computed where none are known: of larger ones it takes seconds."""
+"""Largest dimension for which unknown Casimirs are computed; above it the computation takes seconds."""
 LONGEST_FORMULA = 300
 
 
 def listed_algebras() -> list[str]:
-    """Return a line for each name of the catalogue.
-
-    Returns
-    -------
-    list of str
-        Name with parameters, dimension, and what else it is called.
+    """Return one line per name of the catalogue: name with parameters, dimension, aliases.
 
     Examples
     --------
@@ -59,7 +54,7 @@ def _example(pattern: str) -> str:
 
 
 def algebra_of(name: str, parameters: Mapping[str, Any]) -> LieAlgebra:
-    """Return an algebra of the catalogue; a family without numbers is refused with how to write them.
+    """Return an algebra of the catalogue; a family without numbers is refused with an example of the notation.
 
     Examples
     --------
@@ -75,17 +70,7 @@ def algebra_of(name: str, parameters: Mapping[str, Any]) -> LieAlgebra:
 
 
 def algebra_text(algebra: LieAlgebra) -> str:
-    """Return what one reads of an algebra: dimension, basis, brackets, Casimirs.
-
-    Parameters
-    ----------
-    algebra : LieAlgebra
-        Of the catalogue, or any other.
-
-    Returns
-    -------
-    str
-        Lines of at most 100 letters.
+    """Describe an algebra (dimension, basis, brackets, Casimirs) in lines of at most 100 characters.
 
     Examples
     --------

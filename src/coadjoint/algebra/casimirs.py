@@ -1,4 +1,4 @@
-"""Polynomial Casimirs, found from the structure constants alone."""
+"""Polynomial Casimirs computed from the structure constants."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from coadjoint.algebra.rational_constants import cleared, rational_constants
 from coadjoint.given import read_whole
 from coadjoint.waiting import at, waiting
 
-MONOMIALS = 40_000  # monomials of one degree in one summand: a minute at most
-TERMS = 10_000_000  # terms of their derivatives, before like ones are collected: 1 GB
-EXACT_BLOCK, FLOAT_BLOCK = 3000, 1000  # coupled unknowns, solved as a dense matrix: a minute at most
-EXPONENTS = 50_000_000  # of all Casimirs together: a Polynomial stores one for each coordinate; 400 MB
+MONOMIALS = 40_000  # monomials of one degree in one summand; at most a minute
+TERMS = 10_000_000  # terms of their derivatives before like terms are collected; 1 GB
+EXACT_BLOCK, FLOAT_BLOCK = 3000, 1000  # coupled unknowns, solved as a dense matrix; at most a minute
+EXPONENTS = 50_000_000  # over all Casimirs; a Polynomial stores one per coordinate and monomial; 400 MB
 
 
 class _Arithmetic(NamedTuple):
-    """How one summand is solved: exactly or in floats."""
+    """Kernel and pivot routines of one summand: exact or floating-point."""
 
     constants: NDArray[Any]
     kernel: Callable[[Equations, int], list[Vector]]
@@ -69,7 +69,7 @@ def check_size(dim: int, degree: int, constants: int) -> None:
 
 
 def _polynomial(vector: Vector, basis: Integers, dim: int) -> Polynomial:
-    """Return coefficients as a polynomial: primitive whole numbers where they are rational."""
+    """Convert coefficients to a polynomial; rational ones are scaled to primitive integers."""
     values = list(vector.values())
     if not any(isinstance(value, float) for value in values):
         whole = cleared([Fraction(value) for value in values]).tolist()  # primitive, since the first fraction is 1
@@ -79,14 +79,7 @@ def _polynomial(vector: Vector, basis: Integers, dim: int) -> Polynomial:
 
 
 def products(generators: Sequence[Polynomial], degree: int) -> Iterator[Polynomial]:
-    """Yield all products of a degree of homogeneous polynomials of lower degrees, with repetition.
-
-    Examples
-    --------
-    >>> x = [Polynomial.variable(i, 2) for i in range(2)]
-    >>> list(products(x, 2))
-    [x1^2, x1*x2, x2^2]
-    """
+    """Yield all products of a given degree of homogeneous polynomials of lower degree, with repetition."""
     for count in range(2, degree + 1):
         for factors in itertools.combinations_with_replacement(generators, count):
             if sum(factor.degree for factor in factors) == degree:
@@ -96,11 +89,11 @@ def products(generators: Sequence[Polynomial], degree: int) -> Iterator[Polynomi
 def _of_degree(
     triples: Triples, arithmetic: _Arithmetic, dim: int, degree: int, lower: Sequence[Polynomial]
 ) -> list[Polynomial]:
-    """Return the Casimirs of a degree that are no sums of products of lower ones."""
+    """Return a basis of the Casimirs of a degree modulo sums of products of lower ones."""
     at(f"degree {degree} of dimension {dim}")
     basis = monomials(dim, degree)
     space = arithmetic.kernel(equations(triples, arithmetic.constants, basis, dim), arithmetic.largest)
-    # in a reduced row echelon basis the coordinates of an element are its coefficients at the leading monomials
+    # In a reduced row echelon basis the coordinates of an element are its coefficients at the leading monomials.
     leading = [tuple(np.bincount(basis[next(iter(vector))], minlength=dim).tolist()) for vector in space]
     coordinates = [[product.monomials.get(e, 0) for e in leading] for product in products(lower, degree)]
     given = set(arithmetic.pivots(coordinates, len(space)))
@@ -108,23 +101,9 @@ def _of_degree(
 
 
 def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> list[Polynomial]:
-    """Return generators of the polynomial Casimirs of one algebra up to a degree, by degree and leading monomial.
+    """Return generators of the polynomial Casimirs of one summand up to a degree, by degree and leading monomial.
 
-    Parameters
-    ----------
-    triples : Triples
-        With i < j, sorted.
-    dim : int
-    max_degree : int
-
-    Returns
-    -------
-    list of Polynomial
-
-    Raises
-    ------
-    ValueError
-        Too many monomials, or no clear rank in floats.
+    `triples` are sorted with i < j. A ValueError is raised for too many monomials, or if floats leave no clear rank.
 
     Examples
     --------
@@ -141,23 +120,16 @@ def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> list[Polyno
     for degree in range(1, max_degree + 1):
         check_size(dim, degree, triples.c.size)
         found += _of_degree(triples, arithmetic, dim, degree, found)
-        # Roots and factors of Casimirs are Casimirs. So where no two can be independent, all are powers of the lowest
+        # Roots and factors of Casimirs are Casimirs, so with one independent Casimir all are powers of the lowest.
         if found and independent == 1:
             break
     return found
 
 
 class NoPolynomials(dict[str, Polynomial]):
-    """No polynomial Casimirs: an empty dict, which says so when it is shown.
+    """An empty dict of polynomial Casimirs whose repr explains that none were found.
 
-    Parameters
-    ----------
-    count : int
-        How many independent Casimirs there are, of any kind.
-    degree : int
-        Up to which polynomials were looked for.
-    known : list of str
-        Names of those given with the algebra.
+    `count`: independent Casimirs of any kind; `degree`: highest degree searched; `known`: names of known Casimirs.
 
     Examples
     --------
@@ -185,13 +157,7 @@ class NoPolynomials(dict[str, Polynomial]):
 
 @waiting("casimirs")
 def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> dict[str, Polynomial]:
-    """Return generators of the polynomial Casimirs up to a degree: behind `LieAlgebra.casimirs`, which documents it.
-
-    Examples
-    --------
-    >>> casimirs(Triples(*np.array([[0], [1], [2]]), np.array([1.0])), 3)  # Heisenberg
-    {'C1': x3}
-    """
+    """Return generators of the polynomial Casimirs up to a degree: the implementation of `LieAlgebra.casimirs`."""
     max_degree = read_whole(max_degree, "max_degree")
     known: dict[tuple[int, tuple[bytes, ...]], list[Polynomial]] = {}
     placed: list[tuple[Integers, Polynomial]] = []
@@ -205,7 +171,7 @@ def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> dict[str, Polyn
         if exponents > EXPONENTS:
             raise ValueError(
                 f"the Casimirs of this direct sum of dimension {dim} need more than {EXPONENTS} exponents as "
-                f"polynomials in all coordinates; ask one summand for its casimirs"
+                f"polynomials in all coordinates; compute the Casimirs of one summand instead"
             )
     found = [_extended(polynomial, coordinates, dim) for coordinates, polynomial in placed]
     result: dict[str, Polynomial] = {}
@@ -218,7 +184,7 @@ def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> dict[str, Polyn
 
 
 def _extended(polynomial: Polynomial, coordinates: Integers, dim: int) -> Polynomial:
-    """Return a polynomial of some coordinates as one of all."""
+    """Rewrite a polynomial in some coordinates as one in all `dim` coordinates."""
     if coordinates.size == dim:
         return polynomial
     terms = {}

@@ -1,4 +1,4 @@
-"""Known algebras by name, and new algebras made from given ones: the namespace ``coadjoint.algebras``."""
+"""Catalogue of Lie algebras by name, and constructions of new algebras: the namespace ``coadjoint.algebras``."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 
-if not TYPE_CHECKING:  # for these the names are known, and others are mistakes
+if not TYPE_CHECKING:  # type checkers know the names above and must report any other
 
     def __getattr__(name: str) -> Any:
         raise no_attribute("co.algebras", name, __all__)
@@ -55,7 +55,7 @@ def _sp_by_half(n: int) -> LieAlgebra:
     return sp(2 * read_whole(n, "n of sp(2n)"))
 
 
-# pattern -> what builds it, and the names of its numbers
+# pattern -> constructor, and the names of its numbers
 _FAMILIES: Mapping[str, tuple[Callable[..., LieAlgebra], tuple[str, ...]]] = {
     "e(n)": (e, ("n",)),
     "gl(n)": (gl, ("n",)),
@@ -72,7 +72,7 @@ _MEMBERS = ("e(3)", "heisenberg", "sl(2)", "so(2)", "so(3)", "so(4)")
 
 
 def names() -> tuple[str, ...]:
-    """Return the names that `get` knows: the algebras of dimension 2 to 5, families as patterns, and a few members.
+    """Return the names accepted by `get`: the algebras of dimension 2 to 5, families as patterns, and a few members.
 
     Examples
     --------
@@ -86,13 +86,7 @@ def names() -> tuple[str, ...]:
 
 
 def families() -> dict[str, tuple[str, ...]]:
-    """Return the patterns of families among `names`, with the names of their numbers.
-
-    Examples
-    --------
-    >>> families()["so(p,q)"]
-    ('p', 'q')
-    """
+    """Return the patterns of families among `names`, with the names of their numbers."""
     return {pattern: numbers for pattern, (_, numbers) in _FAMILIES.items()}
 
 

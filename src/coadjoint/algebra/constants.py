@@ -1,4 +1,4 @@
-"""Sparse structure constants: how they are read."""
+"""Sparse structure constants and their validation."""
 
 from __future__ import annotations
 
@@ -13,26 +13,13 @@ from coadjoint.given import read_list, read_numbers, read_title, read_whole
 from coadjoint.memory import check_room
 from coadjoint.wording import short
 
-# While an algebra is made: names and their table; four columns, twice.
+# Peak during construction: names and their lookup table; four columns, twice.
 BYTES_PER_DIMENSION = 140
 BYTES_PER_CONSTANT = 90
 
 
 class Triples(NamedTuple):
-    """Structure constants c_ij^k as four arrays of equal length, [e_i, e_j] = sum_k c e_k.
-
-    Parameters
-    ----------
-    i, j, k : (m,) integer arrays
-        Indices, from 0.
-    c : (m,) float array
-        The constants.
-
-    Examples
-    --------
-    >>> Triples(np.array([0]), np.array([1]), np.array([1]), np.array([1.0])).k
-    array([1])
-    """
+    """Structure constants c_ij^k in sparse form, [e_i, e_j] = sum_k c e_k: four arrays (m,), indices from 0."""
 
     i: Integers
     j: Integers
@@ -40,18 +27,12 @@ class Triples(NamedTuple):
     c: Floats
 
     def rows(self, chosen: Any) -> Triples:
-        """Return the chosen rows: a slice, indices, or a mask.
-
-        Examples
-        --------
-        >>> Triples(np.arange(3), np.arange(3), np.arange(3), np.ones(3)).rows([2, 0]).i
-        array([2, 0])
-        """
+        """Return the chosen rows: a slice, indices, or a mask."""
         return Triples(self.i[chosen], self.j[chosen], self.k[chosen], self.c[chosen])
 
 
 def triple_name(indices: Sequence[int], names: Sequence[str]) -> str:
-    """Name basis elements for a message.
+    """Format basis elements for a message.
 
     Examples
     --------
@@ -62,19 +43,7 @@ def triple_name(indices: Sequence[int], names: Sequence[str]) -> str:
 
 
 def check_room_of_algebra(name: str, dim: int, constants: int) -> None:
-    """Refuse an algebra that does not fit in memory, before anything of it is made.
-
-    Parameters
-    ----------
-    name : str
-        Name of the algebra, for the message.
-    dim, constants : int
-        Dimension, and about how many constants c_ij^k with i < j are not zero.
-
-    Raises
-    ------
-    ValueError
-        It does not fit; the message has the estimate, and what is free.
+    """Raise a ValueError if an algebra with about `constants` nonzero c_ij^k (i < j) does not fit in memory.
 
     Examples
     --------
@@ -85,27 +54,9 @@ def check_room_of_algebra(name: str, dim: int, constants: int) -> None:
 
 
 def read_constants(constants: Any, dim: int | None) -> tuple[int, Triples, bool]:
-    """Read structure constants in any accepted form.
+    """Parse structure constants in any accepted form; return dim, unsorted triples, and whether they are complete.
 
-    Parameters
-    ----------
-    constants : array of shape (n, n, n), sequence of (i, j, k, c), or Triples
-    dim : int or None
-        Dimension; needed only where `constants` does not tell it.
-
-    Returns
-    -------
-    dim : int
-    triples : Triples
-        As given: not yet sorted, checked for antisymmetry, or freed of zeros.
-    complete : bool
-        Whether constants that were not given are zero (dense input), or follow from antisymmetry (sparse input).
-
-    Raises
-    ------
-    TypeError, ValueError
-        What is wrong is named: not numbers, a wrong shape, not finite, an index that is no integer or out of range, an
-        unknown dimension.
+    Complete (dense input): constants not listed are zero. Otherwise (sparse input) they follow from antisymmetry.
 
     Examples
     --------
@@ -155,7 +106,7 @@ def _entries(row: Any) -> tuple[Any, ...]:
 
 def _from_columns(columns: list[Floats], dim: int | None) -> tuple[int, Triples, bool]:
     if dim is None:
-        raise ValueError("dim must be given with sparse structure constants, since they do not tell the dimension")
+        raise ValueError("dim must be given with sparse structure constants, which do not determine it")
     for name, column in zip("ijk", columns, strict=False):
         wrong = np.flatnonzero(~((column >= 0) & (column < dim) & (column == np.floor(column))))
         if wrong.size:
@@ -179,14 +130,9 @@ def _refuse_infinite(i: Integers, j: Integers, k: Integers, c: Floats) -> None:
 
 
 def read_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) -> list[tuple[Any, Any, Any, Any]]:
-    """Turn ``{(i, j): {k: c}}`` into rows (i, j, k, c); names of the basis may stand in place of indices.
+    """Convert ``{(i, j): {k: c}}`` to rows (i, j, k, c); basis names may replace indices.
 
-    An empty bracket stays: it says that the pair commutes, so it contradicts a nonzero one in the other order.
-
-    Examples
-    --------
-    >>> read_brackets(2, {(0, 1): {1: 1.0}})
-    [(0, 1, 1, 1.0)]
+    An empty bracket is kept: it states that the pair commutes and contradicts a nonzero one in the opposite order.
     """
     if isinstance(brackets, list | tuple) and brackets and all(isinstance(line, str) for line in brackets):
         brackets = written_brackets.read_brackets(brackets, read_basis(basis, dim))
@@ -214,7 +160,7 @@ def read_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) -
 
 
 def _place(given: Any, names: Sequence[str]) -> Any:
-    """Return the index of a basis element that is given by its name."""
+    """Return the index of a basis element given by name."""
     if not isinstance(given, str):
         return given
     if given not in names:
@@ -223,7 +169,7 @@ def _place(given: Any, names: Sequence[str]) -> Any:
 
 
 def read_basis(basis: Sequence[str] | None, dim: int) -> tuple[str, ...]:
-    """Return the names of the basis elements, ``e1, e2, ...`` by default, or say what is wrong with them.
+    """Validate the names of the basis elements; the default is ``e1, e2, ...``.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The linear equations for the homogeneous polynomial Casimirs of one degree, and their independent blocks."""
+"""Linear equations for the homogeneous polynomial Casimirs of one degree, and their independent blocks."""
 
 from __future__ import annotations
 
@@ -14,28 +14,14 @@ from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.joins import DEFECT_FACTOR, Integers, expand, groups
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-Vector = dict[int, Any]  # unknown -> coefficient, in order; the first one is 1
+Vector = dict[int, Any]  # unknown -> coefficient, sorted; the first coefficient is 1
 
 
 class Equations(NamedTuple):
-    """Sparse linear equations for the coefficients v of a polynomial C that every derivation must annihilate.
+    """Sparse linear equations for the coefficients v of a polynomial C that every derivation annihilates.
 
-    Entry m says: the coefficient of monomial ``target[m]`` in the derivative of C along ``e_i``, i = ``along[m]``, has
-    the term ``values[m] * v[columns[m]]``; all these coefficients must be zero.
-
-    Parameters
-    ----------
-    unknowns : int
-    along, target, columns : (m,) integer arrays
-        Sorted; each position once.
-    values : (m,) array
-        Whole numbers (object or int64), or floats; not zero.
-
-    Examples
-    --------
-    >>> zero = np.array([0])
-    >>> Equations(1, zero, zero, zero, np.array([2.0])).unknowns
-    1
+    In the derivative of C along e_i, i = ``along[m]``, the coefficient of monomial ``target[m]`` has the term
+    ``values[m] * v[columns[m]]``; each such coefficient must vanish. Positions are sorted and unique, values nonzero.
     """
 
     unknowns: int
@@ -46,7 +32,7 @@ class Equations(NamedTuple):
 
 
 def monomial_count(dim: int, degree: int) -> int:
-    """Return the number of monomials of a degree.
+    """Return the number of monomials of a degree in `dim` coordinates.
 
     Examples
     --------
@@ -57,13 +43,7 @@ def monomial_count(dim: int, degree: int) -> int:
 
 
 def monomials(dim: int, degree: int) -> Integers:
-    """Return the monomials of a degree as sorted tuples of coordinates, in the order of `Polynomial.monomials`.
-
-    Examples
-    --------
-    >>> monomials(2, 2).tolist()
-    [[0, 0], [0, 1], [1, 1]]
-    """
+    """Return the monomials of a degree as sorted tuples of coordinates, in the order of `Polynomial.monomials`."""
     rows = np.zeros((1, 0), dtype=np.int64)
     for _ in range(degree):
         last = rows[:, -1] if rows.shape[1] else np.zeros(1, dtype=np.int64)
@@ -73,7 +53,7 @@ def monomials(dim: int, degree: int) -> Integers:
 
 
 def places(basis: Integers, dim: int) -> Integers:
-    """Return the places of sorted tuples in the list `monomials`.
+    """Return the positions of sorted tuples in the list `monomials`.
 
     Examples
     --------
@@ -84,7 +64,7 @@ def places(basis: Integers, dim: int) -> Integers:
     result = np.zeros(count, dtype=np.int64)
     before = np.zeros(count, dtype=np.int64)
     for at in range(degree):
-        # tuples of the remaining length with all entries from a up
+        # number of tuples of the remaining length with all entries >= a
         left = np.array([monomial_count(dim - a, degree - at) for a in range(dim)], dtype=np.int64)
         result += left[before] - left[basis[:, at]]
         before = basis[:, at]
@@ -92,22 +72,10 @@ def places(basis: Integers, dim: int) -> Integers:
 
 
 def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int) -> Equations:
-    """Return the equations sum_jk c_ij^k x_k dC/dx_j = 0, all i: J(x) grad C(x) = 0, monomial by monomial.
+    """Assemble J(x) grad C(x) = 0, sum_jk c_ij^k x_k dC/dx_j = 0 for all i, monomial by monomial.
 
-    Parameters
-    ----------
-    triples : Triples
-        Indices of the constants, i < j.
-    values : (m,) array
-        The constants: whole numbers as objects, or floats.
-    basis : (N, d) integer array
-        From `monomials`.
-    dim : int
-
-    Returns
-    -------
-    Equations
-        A sum of floats below 64 u times its absolute terms is zero (u = 2^-53).
+    Indices are those of `triples` (i < j), constants `values` (integer objects or floats), `basis` (N, degree) from
+    `monomials`. A sum of floats below 64 u times its absolute terms counts as zero (u = 2^-53).
 
     Examples
     --------
@@ -146,20 +114,10 @@ def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int)
 
 
 def blocks(given: Equations) -> Iterator[tuple[Integers, Equations]]:
-    """Yield the independent blocks: their unknowns, and their equations, numbered from 0.
+    """Yield the independent blocks: their sorted unknowns, and their equations renumbered from 0.
 
-    An equation with one unknown says that the unknown is zero. The unknown is left out, which may leave other equations
-    with one. The rest falls apart into blocks without common equations. So every grading that the basis shows is found:
-    the weights of diagonal elements, and the signs under reflections of so(n).
-
-    Parameters
-    ----------
-    given : Equations
-
-    Yields
-    ------
-    unknowns : sorted integer array
-    part : Equations
+    Unknowns that one equation sets to zero are eliminated repeatedly; the remaining equations split into connected
+    blocks. This finds every grading visible in the basis: weights of diagonal elements, reflection signs of so(n).
 
     Examples
     --------
@@ -192,7 +150,7 @@ def blocks(given: Equations) -> Iterator[tuple[Integers, Equations]]:
 
 
 def check_block(part: Equations, largest: int) -> None:
-    """Refuse a block that is too large to be solved as a dense matrix.
+    """Raise a ValueError for a block too large to be solved as a dense matrix.
 
     Examples
     --------

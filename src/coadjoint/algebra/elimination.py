@@ -1,4 +1,4 @@
-"""Exact linear algebra over the rational numbers, sparse: spans, membership, inverses."""
+"""Sparse exact linear algebra over the rational numbers: spans, membership, inverses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Vector = dict[int, Number]
 
 
 def read_vector(given: Any, dim: int, what: str) -> Vector:
-    """Return the nonzero components of a vector, exactly: a float is the rational number that it is.
+    """Return the nonzero components of a vector as exact rational numbers; floats are converted exactly.
 
     Examples
     --------
@@ -40,7 +40,7 @@ def read_vector(given: Any, dim: int, what: str) -> Vector:
 
 
 def added(left: Vector, factor: Number, right: Mapping[int, Number]) -> None:
-    """Add factor * right to left, in place; what cancels disappears.
+    """Add factor * right to left in place, dropping entries that cancel.
 
     Examples
     --------
@@ -58,16 +58,9 @@ def added(left: Vector, factor: Number, right: Mapping[int, Number]) -> None:
 
 
 class Span:
-    """The span of independent vectors, by elimination: says what is in it and by which combination.
+    """The span of independent sparse vectors {index: number}, with membership tests and coordinates by elimination.
 
-    Parameters
-    ----------
-    vectors : sequence of {index: number}
-
-    Raises
-    ------
-    ValueError
-        A vector is a combination of those before it.
+    A ValueError is raised if a vector depends on those before it.
 
     Examples
     --------
@@ -97,7 +90,7 @@ class Span:
             self._rows[pivot] = row, combination
 
     def _reduced(self, vector: Mapping[int, Number]) -> tuple[Vector, Vector]:
-        """Return what is left of a vector outside the span, and the combination that was taken away."""
+        """Return the remainder of a vector modulo the span, and the combination that was subtracted."""
         rest, used = dict(vector), dict[int, Number]()
         for pivot in [i for i in vector if i in self._rows]:  # rows have zeros at the other pivots
             row, combination = self._rows[pivot]
@@ -107,17 +100,17 @@ class Span:
         return rest, used
 
     def combination(self, vector: Mapping[int, Number]) -> Vector | None:
-        """Return the coefficients of a vector in the given ones, by their number; None where it is outside the span."""
+        """Return the coefficients of a vector in the given ones, by their number; None if it is outside the span."""
         rest, used = self._reduced(vector)
         return None if rest else {i: _simple(used[i]) for i in sorted(used)}
 
     def remainder(self, vector: Mapping[int, Number]) -> Vector:
-        """Return the vector modulo the span: the one member of its class with zeros at the pivots."""
+        """Return the representative of a vector modulo the span that is zero at the pivots."""
         return self._reduced(vector)[0]
 
     @property
     def pivots(self) -> frozenset[int]:
-        """Indices that the span determines: one for each vector."""
+        """Pivot indices, one per vector."""
         return frozenset(self._rows)
 
 

@@ -1,4 +1,4 @@
-"""Exact numbers: floats as the whole and rational numbers that they are, and those of python-flint."""
+"""Exact conversions between floats, Python integers and fractions, and python-flint rationals."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ TOO_LARGE = "is too large for float64, or has too many digits"
 
 
 def exact_number(value: Any) -> Any:
-    """Return a finite float as the int or the Fraction that it is, and a rational number of any kind as one of Python.
+    """Convert a finite float or any rational number exactly to int or Fraction; return other numbers unchanged.
 
-    Products with Fraction or mpmath numbers then keep their exactness or their precision. Any other number is returned
-    as it is.
+    Products with Fraction or mpmath numbers then stay exact or keep their precision.
 
     Examples
     --------
@@ -33,25 +32,13 @@ def exact_number(value: Any) -> Any:
 
 
 def fraction(value: Any) -> int | Fraction:
-    """Return a rational number, of NumPy or of python-flint for instance, as one of Python.
-
-    Examples
-    --------
-    >>> fraction(rational(0.25)), fraction(rational(2))
-    (Fraction(1, 4), 2)
-    """
+    """Convert a rational number, such as one of NumPy or python-flint, to int or Fraction."""
     above, below = int(value.numerator), int(value.denominator)
     return above if below == 1 else Fraction(above, below)
 
 
 def rational(value: Any) -> Any:
-    """Return a finite number as the rational number that it is, `flint.fmpq`.
-
-    Examples
-    --------
-    >>> rational(0.5), rational(Fraction(1, 3))
-    (1/2, 1/3)
-    """
+    """Convert a finite number exactly to `flint.fmpq`."""
     from flint import fmpq
 
     exact = Fraction(exact_number(value))
@@ -59,13 +46,7 @@ def rational(value: Any) -> Any:
 
 
 def rounded(value: int | float | Fraction) -> float:
-    """Return a number in float64, or refuse one that is too large for it.
-
-    Examples
-    --------
-    >>> rounded(Fraction(1, 2))
-    0.5
-    """
+    """Round a number to float64; raise a ValueError if it overflows."""
     try:
         return float(value)
     except OverflowError:
@@ -87,7 +68,7 @@ def exact_numbers(values: Iterable[Any]) -> NDArray[Any]:
 
 
 def is_finite(value: int | float | Fraction) -> bool:
-    """Say whether a number is finite in float64, exact as it may be.
+    """Return whether a number, possibly exact, is finite in float64.
 
     Examples
     --------
@@ -101,11 +82,5 @@ def is_finite(value: int | float | Fraction) -> bool:
 
 
 def fits(value: int | float | Fraction) -> bool:
-    """Say whether a number is finite in float64 and, where it is exact, has so many digits as one would write.
-
-    Examples
-    --------
-    >>> fits(10**308), fits(Fraction(1, 10**2000))
-    (True, False)
-    """
+    """Return whether a number is finite in float64 and, if exact, has a reasonable number of digits."""
     return is_finite(value) and not (isinstance(value, Fraction) and value.denominator.bit_length() > 4096)

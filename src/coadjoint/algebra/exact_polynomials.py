@@ -1,4 +1,4 @@
-"""Polynomials over the rational numbers in the momenta of an algebra, and in symbols; their Lie-Poisson bracket."""
+"""Exact polynomials in the momenta of an algebra and in symbols, with their Lie-Poisson bracket."""
 
 from __future__ import annotations
 
@@ -14,21 +14,13 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomial import Polynomial
 
 Exact = Any
-"""A polynomial of the ring: `flint.fmpq_mpoly`, which has +, -, *, / by numbers and == of its own."""
+"""An element of the ring: `flint.fmpq_mpoly`, with its own +, -, *, / by numbers and ==."""
 
 
 class ExactPolynomials:
-    """The ring Q[x1, ..., xn, s1, ..., sm] on the dual of a Lie algebra; the symbols s commute with everything.
+    """The ring Q[x1, ..., xn, s1, ..., sm] on the dual of a Lie algebra; the symbols s (such as masses) are central.
 
-    Floats are taken as the rational numbers that they are. Choose it for many brackets of polynomials. They are given
-    and returned as `Polynomial`.
-
-    Parameters
-    ----------
-    algebra : LieAlgebra
-        The algebra whose bracket is taken.
-    symbols : sequence of str
-        Names of further symbols, such as masses.
+    Faster than `Polynomial` for many brackets. Floats are converted exactly; input and output are `Polynomial`.
 
     Examples
     --------
@@ -66,30 +58,30 @@ class ExactPolynomials:
         return self._context.from_dict({(*exponents, *(0,) * len(self.symbols)): 1})
 
     def of(self, given: Polynomial) -> Exact:
-        """Return a polynomial in n coordinates as one of the ring, its floats as the rational numbers that they are."""
+        """Convert a polynomial in n coordinates to an element of the ring; floats are converted exactly."""
         rest = (0,) * len(self.symbols)
         return self._context.from_dict({(*e, *rest): rational(c) for e, c in given.monomials.items()})
 
     def polynomial(self, exact: Exact) -> Polynomial:
-        """Return one of the ring that has no symbols in it as a `Polynomial`, in whole numbers and fractions."""
+        """Convert an element without symbols to a `Polynomial` with integer and rational coefficients."""
         monomials = {}
         for exponents, value in exact.to_dict().items():
             if any(exponents[self.dim :]):
-                raise ValueError(f"the polynomial has symbols in it, {', '.join(self.symbols)}; give them values first")
+                raise ValueError(f"the polynomial contains symbols, {', '.join(self.symbols)}; give them values first")
             monomials[tuple(map(int, exponents[: self.dim]))] = fraction(value)
         return Polynomial(monomials, dim=self.dim)
 
     def with_symbols(self, exact: Exact) -> Polynomial:
-        """Return one of the ring as a `Polynomial` in the coordinates and then the symbols."""
+        """Convert an element to a `Polynomial` in the coordinates followed by the symbols."""
         monomials = {tuple(map(int, exponents)): fraction(value) for exponents, value in exact.to_dict().items()}
         return Polynomial(monomials, dim=self.dim + len(self.symbols))
 
     def at_origin(self, exact: Exact) -> int | Fraction:
-        """Return the constant of a polynomial."""
+        """Return the constant term."""
         return fraction(exact[(0,) * (self.dim + len(self.symbols))])
 
     def reduced(self, F: Exact) -> Exact:
-        """Return the part of a polynomial that the ring keeps; here all of it."""
+        """Truncate a polynomial to the ring; here the identity."""
         return F
 
     def gradient(self, F: Exact) -> list[Exact]:
@@ -125,7 +117,7 @@ class ExactPolynomials:
 
     @cached_property
     def _entries(self) -> dict[tuple[int, int], Exact]:
-        """J_ij(x) for i < j, where it is not zero."""
+        """The nonzero entries J_ij(x), i < j."""
         found: dict[tuple[int, int], Exact] = {}
         for i, j, k, c in zip(*(np.asarray(column).tolist() for column in self.algebra.triples), strict=True):
             found[i, j] = found.get((i, j), self.zero) + rational(c) * self.coordinates[k]

@@ -1,7 +1,7 @@
-"""The grammar of formulas: sums, products, powers, brackets and functions, evaluated while they are read.
+"""Recursive-descent parser of formulas: sums, products, powers, brackets and functions, evaluated during parsing.
 
-The time grows with the length of the text alone. A short text cannot make large things: degrees, digits, terms that are
-multiplied out, and the depth of brackets are bounded.
+Time is linear in the length of the text. Degrees, digits, expanded terms and bracket depth are bounded, so that a short
+text cannot create large objects.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from coadjoint.wording import short
 Number = int | Fraction
 Formula = Number | Polynomial | LogarithmicSum
 
-MOST_LETTERS = 10_000  # of a formula with brackets; there is no bound for a polynomial that is multiplied out
+MOST_LETTERS = 10_000  # characters of a formula with brackets; expanded polynomials are not bounded
 MOST_TERMS = 10_000
 MOST_NESTED = 60
 NESTED = "has brackets or signs that are nested too deeply"
@@ -38,12 +38,12 @@ _TOKEN = re.compile(
 
 
 def too_high(what: str, degree: int) -> ValueError:
-    """Return the error for a degree that float64 cannot serve."""
+    """Return the error for a degree beyond the range of float64."""
     return ValueError(f"{what} has the degree {short(degree)}; there are degrees up to {MOST_DEGREE}; {TOO_HIGH}")
 
 
 class Monomials:
-    """A polynomial while its terms are added, in the order of the text; memory is checked as they come."""
+    """Accumulator of the terms of a polynomial in text order; memory is checked while they are added."""
 
     def __init__(self, dim: int) -> None:
         self.dim = dim
@@ -70,7 +70,7 @@ class Power(NamedTuple):
 
 
 class Product:
-    """A product while it is read: a number, times powers of coordinates, times other factors."""
+    """A product during parsing: a number, powers of coordinates, and other factors."""
 
     def __init__(self, reader: Reader) -> None:
         self.reader = reader
@@ -80,7 +80,7 @@ class Product:
         self.rest: Polynomial | LogarithmicSum | None = None
 
     def multiply(self, factor: Any) -> None:
-        """Take one more factor."""
+        """Multiply by one more factor."""
         if isinstance(factor, Power):
             self.degree += factor.exponent
             self.reader.check_size(self.degree)
@@ -93,7 +93,7 @@ class Product:
             self.number = checked(self.number * factor)
 
     def divide(self, divisor: Any) -> None:
-        """Divide all factors so far."""
+        """Divide the product so far."""
         divisor = self.reader.valued(divisor)
         if isinstance(divisor, int | Fraction):
             if divisor == 0:
@@ -109,7 +109,7 @@ class Product:
         self.rest = LogarithmicSum.quotient(above, divisor)
 
     def value(self) -> Any:
-        """Return the product of all factors so far."""
+        """Return the value of the product so far."""
         if self.exponents is not None:
             own = Polynomial({tuple(self.exponents): self.number})
             return own if self.rest is None else self._times(own, self.rest)
@@ -123,7 +123,7 @@ class Product:
 
 
 class Reader:
-    """The text of a formula with parameters, and the token that comes next."""
+    """Parser state: the text of a formula, its parameters, and the next token."""
 
     power_sign: ClassVar[str] = "**"
     operations: ClassVar[tuple[str, ...]] = ("*", "/")
@@ -139,14 +139,14 @@ class Reader:
         self.next()
 
     def whole(self) -> Any:
-        """Return the value of the whole text."""
+        """Parse the whole text."""
         value = self.valued(self.sum())
         if self.token.lastgroup != "end":
             raise self.unread()
         return value
 
     def valued(self, value: Any) -> Any:
-        """Return a value, the power of a coordinate as a polynomial."""
+        """Return a value, with the power of a coordinate converted to a polynomial."""
         if not isinstance(value, Power):
             return value
         product = Product(self)
@@ -154,7 +154,7 @@ class Reader:
         return product.value()
 
     def next(self) -> None:
-        """Go on to the next token."""
+        """Advance to the next token."""
         self._begin = self._end
         token = _TOKEN.match(self.text, self._begin)
         if token is None:
@@ -162,7 +162,7 @@ class Reader:
         self.token, self._end = token, token.end()
 
     def take(self, *signs: str) -> str | None:
-        """Return the sign that comes next, and go on, where it is one of these."""
+        """Consume and return the next sign if it is one of `signs`; otherwise return None."""
         sign = self.token["sign"] or self.token["name"]
         if sign not in signs:
             return None
@@ -170,17 +170,17 @@ class Reader:
         return sign
 
     def need(self, sign: str) -> None:
-        """Go on past a sign, or refuse the text where another token comes next."""
+        """Consume a required sign, or raise the syntax error."""
         if self.take(sign) is None:
             raise self.unread()
 
     def unread(self) -> ValueError:
-        """Return the error for a text that cannot be read from the next token on."""
+        """Return the syntax error at the next token."""
         place = self.text[self._begin :].strip() or "its end"
         return ValueError(f"{short(self.text, SHOWN)} cannot be read from {short(place, SHOWN)} on; {self.how}")
 
     def refused(self, why: str) -> ValueError:
-        """Return the error for a formula that can be read and means nothing."""
+        """Return the error for a well-formed formula that is not allowed."""
         return ValueError(f"{short(self.text, SHOWN)} {why}")
 
     def divides_by_zero(self) -> ValueError:
@@ -188,14 +188,14 @@ class Reader:
         return self.refused("divides by zero")
 
     def check_size(self, degree: int, terms: int = 0) -> None:
-        """Refuse what would be too large when it is multiplied out."""
+        """Raise an error if the expanded expression would be too large."""
         if degree > MOST_DEGREE:
             raise too_high(short(self.text, SHOWN), degree)
         if terms > MOST_TERMS:
             raise self.refused(f"has about {short(terms)} terms when it is multiplied out, beyond {MOST_TERMS}")
 
     def sum(self) -> Any:
-        """Return the sum that comes next: a number, a polynomial or a sum with logarithms."""
+        """Parse a sum: a number, a polynomial, or a sum with logarithms."""
         total, rest, numbers = Monomials(self.dim), None, True
         sign: str | None = self.take("+", "-")
         while True:
@@ -223,7 +223,7 @@ class Reader:
         return product
 
     def factor(self) -> Any:
-        """Return the factor that comes next, with its sign and its power."""
+        """Parse a factor with its sign and power."""
         self._depth += 1
         if self._depth > MOST_NESTED:
             raise self.refused(NESTED)
@@ -249,14 +249,14 @@ class Reader:
             return self.whole_number()
         index = self.coordinate(name)
         if index is None and name not in self.parameters and name not in ("log", "atan2"):
-            raise self.refused(f"has {short(name, SHOWN)}, which is no known name; {self.how}")
+            raise self.refused(f"has {short(name, SHOWN)}, which is not a known name; {self.how}")
         self.next()
         if index is not None:
             return Power(index, 1)
         return self.parameters[name] if name in self.parameters else self._function(name)
 
     def whole_number(self) -> int:
-        """Return the whole number that comes next."""
+        """Parse a whole number."""
         number = self.token["number"]
         if number is None or not number.isdecimal():
             raise self.unread()
@@ -264,7 +264,7 @@ class Reader:
         return int(read_constant(number))
 
     def coordinate(self, name: str) -> int | None:
-        """Return the index of a coordinate, or None where a name is none."""
+        """Return the index of a coordinate, or None if the name is not a coordinate."""
         letter, digits = name[:1], name[1:]
         if letter != self.letter or not digits.isdecimal():
             return None
@@ -284,7 +284,7 @@ class Reader:
         return LogarithmicSum.logarithm(*forms) if name == "log" else LogarithmicSum.angle(*forms)
 
     def _raised(self, base: Any, power: Any) -> Any:
-        """Return a whole power, once it is known that it can be held."""
+        """Return a whole power after checking its size."""
         power = self.valued(power)
         if not isinstance(power, int) or power < 0:
             raise self.refused(f"has the power {short(power)}; powers are whole numbers from 0 up")

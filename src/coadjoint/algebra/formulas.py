@@ -1,4 +1,4 @@
-"""Formulas as text: polynomials, formulas with parameters, and conditions; nothing is run as Python."""
+"""Parsers of formulas as text: polynomials, formulas with parameters, and conditions; nothing is executed as Python."""
 
 from __future__ import annotations
 
@@ -24,31 +24,10 @@ _COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
 
 
 def read_polynomial(text: str, dim: int, names: Sequence[str] | None = None) -> Polynomial:
-    """Return the polynomial that a text stands for, the way a `Polynomial` is printed.
+    """Parse a polynomial in the notation in which `Polynomial` is printed, such as ``"0.5*x1^2 - x2*x3 + x1/3"``.
 
-    Parameters
-    ----------
-    text : str
-        Such as ``"0.5*x1^2 - x2*x3 + x1/3"``: a sum of products of numbers (whole, decimal, or quotients, which stay
-        exact) and powers of x1, x2, ..., written ``x1^2`` or ``x1**2``, divided by numbers.
-    dim : int
-        Number of coordinates.
-    names : sequence of str, optional
-        Names of the coordinates, in place of x1, x2, ...
-
-    Returns
-    -------
-    Polynomial
-
-    Raises
-    ------
-    ValueError
-        Naming the place in the text that is wrong; a degree above 1024, or a number that float64 does not hold.
-
-    Examples
-    --------
-    >>> read_polynomial("0.5*x1^2 - x2*x3", 3)
-    0.5*x1^2 - x2*x3
+    Powers are ``x1^2`` or ``x1**2``; quotients of integers stay exact; `names` replaces x1, x2, ... A ValueError names
+    the place of a syntax error, a degree above 1024, or a number beyond float64.
     """
     reader = _MultipliedOut(text, {}, dim, "x")
     reader.names = names
@@ -57,29 +36,11 @@ def read_polynomial(text: str, dim: int, names: Sequence[str] | None = None) -> 
 
 
 def read_formula(text: str, parameters: Mapping[str, Number], dim: int, letter: str = "x") -> Formula:
-    """Return what a formula with parameters stands for, in exact arithmetic.
+    """Parse a formula with parameters in exact arithmetic; `letter` is that of the coordinates.
 
-    Sums, products, quotients, whole powers (``**``) of whole numbers, parameters and coordinates, and ``log(p)`` =
-    log|p| and ``atan2(p, q)`` of polynomials.
-
-    Parameters
-    ----------
-    text : str
-    parameters : mapping of str to int or Fraction
-        Their values, by name.
-    dim : int
-        Number of coordinates.
-    letter : str, optional
-        The letter of the coordinates: ``"x"`` for x1, x2, ...
-
-    Returns
-    -------
-    int, Fraction, Polynomial or LogarithmicSum
-
-    Raises
-    ------
-    ValueError
-        The text is not such a formula; or a degree, a number or the number of terms is too large.
+    Grammar: sums, products, quotients, whole powers (``**``) of whole numbers, parameters and coordinates, and
+    ``log(p)`` = log|p| and ``atan2(p, q)`` of polynomials. Degrees, numbers and numbers of terms are bounded
+    (ValueError).
 
     Examples
     --------
@@ -92,23 +53,12 @@ def read_formula(text: str, parameters: Mapping[str, Number], dim: int, letter: 
 
 
 def satisfied(text: str, parameters: Mapping[str, Number]) -> bool:
-    """Say whether parameters satisfy a condition: comparisons joined by ``and`` or ``or``.
-
-    Raises
-    ------
-    ValueError
-        The text is not such a condition.
-
-    Examples
-    --------
-    >>> satisfied("a != 0 and -1 < a <= 1", {"a": 1})
-    True
-    """
+    """Return whether parameters satisfy a condition: comparisons joined by ``and`` or ``or``."""
     return _Condition(text, parameters, 0, "").whole()
 
 
 class _MultipliedOut(Reader):
-    """The text of a polynomial that is multiplied out: brackets and quotients are of numbers alone."""
+    """Parser of expanded polynomials: brackets and quotients contain numbers only."""
 
     powers = ("^", "**")
     most_letters = math.inf
@@ -116,7 +66,7 @@ class _MultipliedOut(Reader):
     how = "write sums of products such as 0.5*x1^2 - x2*x3 + 1/3"
 
     def coordinate(self, name: str) -> int | None:
-        """Return the index of a coordinate, by its name where there are names."""
+        """Return the index of a coordinate, by its name if names were given."""
         if self.names is None:
             return super().coordinate(name)
         if name and name not in self.names:
@@ -165,7 +115,7 @@ class _MultipliedOut(Reader):
 
 
 class _Condition(Reader):
-    """The text of a condition on parameters."""
+    """Parser of conditions on parameters."""
 
     how = "it must be comparisons of parameters, joined by 'and' or 'or'"
 

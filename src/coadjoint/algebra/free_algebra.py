@@ -1,7 +1,7 @@
-"""Products of exponentials without relations: the free associative algebra on weighted letters, and its Lie elements.
+"""Truncated series in the free associative algebra on weighted letters: exponentials, logarithms, Lie elements.
 
-A series is a list: place w holds the words of weight w, each with its coefficient. Coefficients are numbers of any kind
-that has +, - and *; the empty word stands for 1.
+A series is a list whose entry w maps the words of weight w to coefficients, which may be of any type that has +, - and
+*; the empty word is 1.
 """
 
 from __future__ import annotations
@@ -15,24 +15,12 @@ Series = list[dict[Word, Any]]
 
 
 def one(highest: int) -> Series:
-    """Return the series 1, with places up to a weight.
-
-    Examples
-    --------
-    >>> one(2)
-    [{(): 1}, {}, {}]
-    """
+    """Return the series 1 truncated at a weight."""
     return [{(): 1}, *({} for _ in range(highest))]
 
 
 def product(left: Series, right: Series) -> Series:
-    """Return the product of two series, up to the weight that both have.
-
-    Examples
-    --------
-    >>> product([{(): 1}, {("a",): 2}, {}], [{(): 1}, {("b",): 3}, {}])
-    [{(): 1}, {('b',): 3, ('a',): 2}, {('a', 'b'): 6}]
-    """
+    """Return the product of two series, truncated at their common weight."""
     result: Series = [{} for _ in left]
     for i, some in enumerate(left):
         for j, others in enumerate(right[: len(left) - i]):
@@ -45,14 +33,7 @@ def product(left: Series, right: Series) -> Series:
 
 
 def exponential(exponent: Series) -> Series:
-    """Return exp of a series without a constant.
-
-    Examples
-    --------
-    >>> from fractions import Fraction
-    >>> exponential([{}, {("a",): Fraction(1)}, {}])[2]
-    {('a', 'a'): Fraction(1, 2)}
-    """
+    """Return exp of a series without a constant term."""
     result = power = one(len(exponent) - 1)
     for k in range(1, len(exponent)):
         power = _scaled(product(power, exponent), 1, k)
@@ -61,15 +42,7 @@ def exponential(exponent: Series) -> Series:
 
 
 def logarithm(series: Series) -> Series:
-    """Return log of a series whose constant is 1.
-
-    Examples
-    --------
-    >>> from fractions import Fraction
-    >>> a, b = ([{}, {(letter,): Fraction(1)}, {}] for letter in "ab")
-    >>> logarithm(product(exponential(a), exponential(b)))[2][("b", "a")]
-    Fraction(-1, 2)
-    """
+    """Return log of a series with constant term 1."""
     rest = [{}, *series[1:]]
     result: Series = [{} for _ in series]
     power = one(len(series) - 1)
@@ -93,20 +66,7 @@ def plus(left: Series, right: Series) -> Series:
 
 
 def lyndon_words(weights: Mapping[Any, int], weight: int) -> list[Word]:
-    """Return the Lyndon words of a weight, ascending: smaller than all their proper ends.
-
-    Parameters
-    ----------
-    weights : mapping
-        Letter -> its weight, at least 1; letters can be compared.
-    weight : int
-        Weight of the words.
-
-    Examples
-    --------
-    >>> lyndon_words({1: 1, 2: 2, 3: 3}, 3)
-    [(1, 2), (3,)]
-    """
+    """Return the Lyndon words of a weight in ascending order; `weights` maps comparable letters to weights >= 1."""
 
     def words(left: int) -> Iterator[Word]:
         if left == 0:
@@ -120,26 +80,14 @@ def lyndon_words(weights: Mapping[Any, int], weight: int) -> list[Word]:
 
 
 def factors(word: Word) -> tuple[Word, Word]:
-    """Return the two Lyndon words of which a longer one is the bracket: its smallest proper end, and what is before it.
-
-    Examples
-    --------
-    >>> factors((1, 1, 2)), factors((1, 2, 2))
-    (((1,), (1, 2)), ((1, 2), (2,)))
-    """
+    """Return the standard factorization of a Lyndon word: the prefix, and the smallest proper suffix."""
     place = min(range(1, len(word)), key=lambda k: word[k:])
     return word[:place], word[place:]
 
 
 @lru_cache(maxsize=4096)
 def bracketed(word: Word) -> Mapping[Word, int]:
-    """Return the nested brackets of a Lyndon word, multiplied out. They hold the word itself, and larger ones.
-
-    Examples
-    --------
-    >>> bracketed((1, 1, 2))
-    {(1, 1, 2): 1, (1, 2, 1): -2, (2, 1, 1): 1}
-    """
+    """Expand the nested bracket of a Lyndon word: the word itself plus larger words."""
     if len(word) == 1:
         return {word: 1}
     result: dict[Word, int] = {}
@@ -152,26 +100,9 @@ def bracketed(word: Word) -> Mapping[Word, int]:
 
 
 def lie_coordinates(element: Mapping[Word, Any], words: Sequence[Word]) -> tuple[dict[Word, Any], dict[Word, Any]]:
-    """Write a Lie element in brackets of Lyndon words.
+    """Expand a Lie element of one weight in brackets of the (ascending) Lyndon `words`.
 
-    Parameters
-    ----------
-    element : mapping
-        Word -> coefficient, all of one weight.
-    words : sequence
-        The Lyndon words of that weight, ascending.
-
-    Returns
-    -------
-    coordinates : dict
-        Lyndon word -> factor of its bracket.
-    rest : dict
-        What is left of the coefficients. For a Lie element it is zero up to rounding.
-
-    Examples
-    --------
-    >>> lie_coordinates({(1, 2): 3, (2, 1): -3}, [(1, 2), (3,)])
-    ({(1, 2): 3}, {(2, 1): 0})
+    Returns the coordinates by Lyndon word, and the remaining coefficients, zero up to rounding for a Lie element.
     """
     rest = dict(element)
     found = {}

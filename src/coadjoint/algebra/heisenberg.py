@@ -1,4 +1,4 @@
-"""The Heisenberg algebras: canonical variables."""
+"""Heisenberg algebras: canonical variables."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def heisenberg(n: int = 1) -> LieAlgebra:
         upper = [(i, 0, i + 1, 1.0) for i in range(n)] + [(n + i, i + 1, n + 1, 1.0) for i in range(n)]
         rho = matrices(Sparse([*upper, (2 * n, 0, n + 1, 1.0)]), 2 * n + 1, n + 2)
     q = np.arange(n, dtype=np.int64)
-    # Every bracket of three elements is zero: nothing is left to check.
+    # All double brackets vanish, so the Jacobi identity holds.
     constants = Triples(q, q + n, np.full(n, 2 * n, dtype=np.int64), np.ones(n))
     z = {"z": Polynomial.variable(2 * n, 2 * n + 1)}
     return LieAlgebra._proved(constants, 2 * n + 1, basis, f"heisenberg({n})", rho, z)

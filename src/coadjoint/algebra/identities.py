@@ -1,4 +1,4 @@
-"""What makes structure constants those of a Lie algebra: antisymmetry and the Jacobi identity."""
+"""Checks of structure constants: antisymmetry and the Jacobi identity."""
 
 from __future__ import annotations
 
@@ -12,28 +12,10 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 
 
 def antisymmetric(triples: Triples, dim: int, names: Sequence[str], complete: bool) -> Triples:
-    """Check antisymmetry and return the constants with i < j, sorted, unique and not zero.
+    """Check antisymmetry and return the constants with i < j, sorted, unique and nonzero.
 
-    Two values that should be opposite may differ by 64 u times the largest constant that involves e_i, or e_j if that
-    is smaller (u = 2^-53).
-
-    Parameters
-    ----------
-    triples : Triples
-    dim : int
-    names : sequence of str
-        Names of the basis elements, for messages.
-    complete : bool
-        Whether constants that are not listed are zero; if not, a pair listed in one order only defines the other.
-
-    Returns
-    -------
-    Triples
-
-    Raises
-    ------
-    ValueError
-        A constant is given twice with different values, [e_i, e_i] is not zero, or [e_i, e_j] is not -[e_j, e_i].
+    Opposite values may differ by 64 u times the largest constant that involves e_i, or e_j if that is smaller (u =
+    2^-53). If not `complete`, a pair listed in one order only defines the other; otherwise unlisted constants are zero.
 
     Examples
     --------
@@ -106,22 +88,9 @@ def both_orders(triples: Triples) -> Triples:
 def check_jacobi(triples: Triples, dim: int, names: Sequence[str]) -> None:
     """Check the Jacobi identity sum_m (c_ab^m c_md^l + c_bd^m c_ma^l + c_da^m c_mb^l) = 0 for all a < b < d and l.
 
-    Each identity is held against 64 u times the sum of the absolute values of its products, each constant with the size
-    of the largest one in its bracket [e_i, e_j], with which it was rounded. Only products of nonzero constants are
-    formed:
-    first with a in the inner bracket, then with a in the outer one, in runs of bounded memory.
-
-    Parameters
-    ----------
-    triples : Triples
-        With i < j, sorted, unique, as `antisymmetric` returns them.
-    dim : int
-    names : sequence of str
-
-    Raises
-    ------
-    ValueError
-        Names the three basis elements and the component with the largest defect of the run where one is found.
+    The tolerance is 64 u times the sum of the absolute products, each constant taken as the largest in its bracket.
+    Only products of nonzero constants are formed, in runs of bounded memory; the worst defect of the first bad run is
+    reported.
 
     Examples
     --------
@@ -136,7 +105,7 @@ def check_jacobi(triples: Triples, dim: int, names: Sequence[str]) -> None:
     inner = triples.rows(order)  # by component, then first index
     inner_size = largest_alike(inner.i * dim + inner.j, inner.c)
     outer_key, inner_key = outer.i * dim + outer.j, inner.k * dim + inner.i
-    # the other factor must have its free indices above a: a range, thanks to the sorting
+    # The free indices of the other factor must exceed a: a contiguous range of the sorted rows.
     outer_start = np.searchsorted(outer_key, outer.k * dim + outer.i, side="right")
     outer_stop = np.searchsorted(outer_key, (outer.k + 1) * dim)
     outer_stop = np.where(outer.j > outer.i, np.maximum(outer_stop, outer_start), outer_start)

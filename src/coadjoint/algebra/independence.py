@@ -1,4 +1,4 @@
-"""Are polynomials functions of each other? The rank of their gradients."""
+"""Functional independence of polynomials: the rank of their gradients."""
 
 from __future__ import annotations
 
@@ -12,32 +12,10 @@ from coadjoint.algebra.polynomial import Polynomial
 
 
 def independent_count(polynomials: Sequence[Polynomial], seed: int = 0) -> int:
-    """Return how many of the polynomials are functionally independent: the rank of their gradients at a generic point.
+    """Return how many of the polynomials are functionally independent: the generic rank of their gradients, exactly.
 
-    Coefficients are taken as the exact numbers that they are, floats too. The rank is the larger one at two random
-    points (seeded), each modulo its own random prime of 62 bits. It is never too large; a minor of degree D that is not
-    zero vanishes at both with probability at most (D/2^61)^2, below 2^-60 for every D < 2^31 (Schwartz and Zippel).
-
-    Parameters
-    ----------
-    polynomials : sequence of Polynomial
-        In the same number of coordinates.
-    seed : int, optional
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    ValueError
-        The polynomials have different numbers of coordinates.
-
-    Examples
-    --------
-    >>> x, y = Polynomial.variable(0, 2), Polynomial.variable(1, 2)
-    >>> independent_count([x, x * y, y]), independent_count([x + y, (x + y) ** 2])
-    (2, 1)
+    The larger rank at two seeded random points modulo random 62-bit primes: never too large; a nonzero minor of degree
+    D vanishes at both with probability <= (D/2^61)^2 < 2^-60 for D < 2^31 (Schwartz and Zippel).
     """
     dims = sorted({polynomial.dim for polynomial in polynomials})
     if len(dims) > 1:

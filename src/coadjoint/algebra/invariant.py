@@ -1,4 +1,4 @@
-"""An invariant given as a function: what a polynomial cannot express."""
+"""Invariants given as Python functions, for those that are not polynomials."""
 
 from __future__ import annotations
 

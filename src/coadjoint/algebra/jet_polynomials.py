@@ -11,18 +11,9 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 
 
 class JetPolynomials(ExactPolynomials):
-    """The ring of polynomials in the distance from a point x0; terms above a degree are left out.
+    """The ring of polynomials in x - x0, truncated above a degree.
 
-    The value at x0 of so many nested brackets depends on no higher derivatives.
-
-    Parameters
-    ----------
-    algebra : LieAlgebra
-        The algebra whose bracket is taken.
-    point : sequence of float
-        x0, of n finite numbers.
-    degree : int
-        The highest degree that is kept.
+    The value at x0 of as many nested brackets depends on no higher derivatives.
 
     Examples
     --------
@@ -39,7 +30,7 @@ class JetPolynomials(ExactPolynomials):
         self._degree = degree
 
     def at_point(self, F: Exact) -> Exact:
-        """Return a polynomial in the coordinates as one in the distance from the point."""
+        """Rewrite a polynomial in the coordinates as one in x - x0."""
         return self.reduced(F.compose(*(x + value for x, value in zip(self.coordinates, self._point, strict=True))))
 
     def reduced(self, F: Exact) -> Exact:

@@ -1,4 +1,4 @@
-"""Sparse sums of products, by sorting: the identities of a Lie algebra without an n^3 array."""
+"""Sparse sums of products by sorting: checks of identities without n^3 arrays."""
 
 from __future__ import annotations
 
@@ -18,18 +18,7 @@ Floats = NDArray[np.float64]
 
 
 def groups(*keys: Integers) -> tuple[Integers, Integers]:
-    """Sort rows by several keys, the first the most significant, and find where equal rows begin.
-
-    Parameters
-    ----------
-    *keys : (m,) integer arrays
-
-    Returns
-    -------
-    order : (m,) array
-        The permutation that sorts (stable).
-    starts : (number of different rows,) array
-        Positions in the sorted rows where a new value begins.
+    """Sort rows lexicographically by several keys; return the stable permutation and the starts of equal runs.
 
     Examples
     --------
@@ -46,7 +35,7 @@ def groups(*keys: Integers) -> tuple[Integers, Integers]:
 
 
 def distinct(values: NDArray[Any]) -> NDArray[Any]:
-    """Return the different values, sorted; by sorting, which for millions of integers is faster than by hashing.
+    """Return the sorted unique values by sorting, which is faster than hashing for millions of integers.
 
     Examples
     --------
@@ -60,16 +49,7 @@ def distinct(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def expand(starts: Integers, stops: Integers) -> tuple[Integers, Integers]:
-    """List every pair (row, position) with starts[row] <= position < stops[row].
-
-    Parameters
-    ----------
-    starts, stops : (m,) integer arrays
-        Half-open ranges, one for each row.
-
-    Returns
-    -------
-    rows, positions : integer arrays of equal length
+    """Enumerate all pairs (row, position) with starts[row] <= position < stops[row].
 
     Examples
     --------
@@ -83,17 +63,7 @@ def expand(starts: Integers, stops: Integers) -> tuple[Integers, Integers]:
 
 
 def chunks(labels: Integers, costs: Integers) -> Iterator[slice]:
-    """Cut rows sorted by label into runs of about `CHUNK` total cost, never inside a label.
-
-    Parameters
-    ----------
-    labels : (m,) sorted integer array
-    costs : (m,) nonnegative integer array
-
-    Yields
-    ------
-    slice
-        The rows of one run.
+    """Split rows sorted by label into runs of about `CHUNK` total cost, never within a label.
 
     Examples
     --------
@@ -112,7 +82,7 @@ def chunks(labels: Integers, costs: Integers) -> Iterator[slice]:
 
 
 def largest_alike(labels: Integers, values: Floats) -> Floats:
-    """Return for each row the largest absolute value among the rows of the same label.
+    """Return for each row the largest absolute value among the rows with the same label.
 
     Examples
     --------
@@ -128,34 +98,10 @@ def largest_alike(labels: Integers, values: Floats) -> Floats:
 def violated(
     keys: tuple[Integers, ...], factors: tuple[Floats, Floats], sizes: tuple[Floats, Floats]
 ) -> tuple[int, float] | None:
-    """Find the sum of products that is farthest from zero, relative to the sizes of its factors.
+    """Return (row, defect) of the sum of products of equal keys farthest from zero relative to its sizes, or None.
 
-    Products of the two factors with equal keys are added up. A sum counts as zero when it is below 64 u times the sum
-    of the products of their sizes (u = 2^-53). The size of a factor is the largest number of the row or bracket that it
-    was rounded with; the factor is known to a part of that. Mantissas and exponents are kept apart, so no product over-
-    or underflows.
-
-    Parameters
-    ----------
-    keys : tuple of (m,) integer arrays
-        Rows with equal keys belong to one identity.
-    factors : two (m,) float arrays
-        The factors of the products.
-    sizes : two (m,) float arrays
-        At least the absolute values of the factors.
-
-    Returns
-    -------
-    (row, defect) or None
-        A row of the identity that is violated worst, and its sum; None where every identity holds.
-
-    Examples
-    --------
-    >>> same, ones = (np.array([0, 0]),), np.array([1.0, 1.0])
-    >>> violated(same, (np.array([1.0, -1.0]), np.array([2.0, 2.0])), (ones, 2 * ones)) is None
-    True
-    >>> violated(same, (np.array([1.0, -1.0]), np.array([2.0, 1.5])), (ones, 2 * ones))
-    (0, 0.5)
+    A sum is zero if below 64 u times the summed products of `sizes`, bounds of the factors with which they were rounded
+    (u = 2^-53). Mantissas and exponents are kept separately, so that no product over- or underflows.
     """
     if factors[0].size == 0:
         return None

@@ -1,4 +1,4 @@
-"""The Lie algebra: how it is given, checked and named."""
+"""The class `LieAlgebra`: construction, validation and names."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from coadjoint.given import read_list, read_title, read_whole
 from coadjoint.wording import html_table, short
 
 FEW_BRACKETS = 6
-"""Brackets that a representation in one line shows."""
+"""Number of brackets shown in a one-line repr."""
 MOST_BRACKETS = 30
-"""Brackets that `print` and notebooks show."""
+"""Number of brackets shown by `print` and in notebooks."""
 
 
 class LieAlgebra(Structure):
     """A finite-dimensional real Lie algebra, [e_i, e_j] = sum_k c_ij^k e_k, given by its structure constants.
 
     The constants are stored sparse. Antisymmetry and the Jacobi identity are checked at construction, to 64 u times the
-    sum of the absolute values of the products in each identity (u = 2^-53). The object does not change after that, and
-    two algebras with equal constants are equal; names do not matter.
+    sum of the absolute values of the products in each identity (u = 2^-53). The object is immutable, and two algebras
+    with equal constants are equal, whatever their names.
 
     Choose `LieAlgebra` for constants in an array or a list, `LieAlgebra.from_brackets` to write brackets down, and
     `coadjoint.algebras` for the known algebras.
@@ -54,12 +54,12 @@ class LieAlgebra(Structure):
     Raises
     ------
     TypeError, ValueError
-        In one sentence that names the constant, pair, or triple of basis elements that is wrong.
+        The message names the invalid constant, pair, or triple of basis elements.
 
     See Also
     --------
-    coadjoint.algebra.structure : what the constants define: brackets, J(x), the coadjoint action, ranks.
-    coadjoint.algebra.catalogue : the known algebras, and new ones from old ones.
+    coadjoint.algebra.structure : operations defined by the constants: brackets, J(x), the coadjoint action, ranks.
+    coadjoint.algebra.catalogue : the catalogue, and constructions of new algebras.
 
     References
     ----------
@@ -113,7 +113,7 @@ class LieAlgebra(Structure):
 
     @classmethod
     def _proved(cls, *everything: Any) -> LieAlgebra:
-        """Build from what is right by construction, sorted and unique, without checking it again; see `_keep`."""
+        """Construct without validation from data that is valid by construction, sorted and unique; see `_keep`."""
         algebra = cls.__new__(cls)
         algebra._keep(*everything)
         return algebra
@@ -134,11 +134,11 @@ class LieAlgebra(Structure):
         Parameters
         ----------
         dim : int, or sequence of str
-            The dimension; or the brackets as lines, such as ``"[h, e] = 2 e"``, alone: the basis has the names in them,
-            in the order in which they come first.
+            The dimension; or only the brackets as lines, such as ``"[h, e] = 2 e"``: the basis then consists of the
+            names in them, in order of first appearance.
         brackets : mapping, or sequence of str
-            ``{(i, j): {k: c}}`` says that [e_i, e_j] = sum_k c e_k; indices from 0, or names of the basis. One order of
-            each pair is enough. Or lines, as above.
+            ``{(i, j): {k: c}}`` stands for [e_i, e_j] = sum_k c e_k; indices from 0, or names of the basis. One order
+            of each pair is enough. Or lines, as above.
         basis, name, representation, casimirs
             As for `LieAlgebra`.
 
@@ -237,10 +237,10 @@ class LieAlgebra(Structure):
         There can be more than ``dim - generic_rank()`` of them, with relations between them (A5,2 has C1 ... C4 for
         three independent ones), or fewer, since Casimirs need not be polynomials (A3,7).
 
-        Constants that stand for simple fractions (`coadjoint.algebra.rational_constants`) are solved exactly, and every
-        solution is proved in exact arithmetic. For other constants singular values decide, where they leave a clear gap
-        (`coadjoint.algebra.numerical_kernel`), and the coefficients are floats. Where the basis shows a direct sum, its
-        summands are solved one by one, and equal ones once.
+        If the constants round simple fractions (`coadjoint.algebra.rational_constants`), the equations are solved
+        exactly and every solution is verified in exact arithmetic. Otherwise singular values decide if they leave a
+        clear gap (`coadjoint.algebra.numerical_kernel`), and the coefficients are floats. Direct summands visible in
+        the basis are solved separately, equal ones once.
 
         Parameters
         ----------
@@ -252,8 +252,8 @@ class LieAlgebra(Structure):
         dict of str to Polynomial
             By degree and leading monomial. ``"C2"`` is the name of a single one of degree 2, ``"C2_1", "C2_2"`` are
             those of two. Those of one degree are the rows of a reduced row echelon form over the monomials in the order
-            of `Polynomial.monomials`. They are scaled to whole numbers without common factor, the leading one positive;
-            in floats the leading coefficient is 1. Where there are none, it says so when it is shown.
+            of `Polynomial.monomials`, scaled to coprime integers with a positive leading one; in floats the leading
+            coefficient is 1. The repr of an empty result explains why it is empty.
 
         Raises
         ------

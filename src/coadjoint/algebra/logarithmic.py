@@ -1,4 +1,4 @@
-"""Invariants that are not polynomials: rational functions, logarithms and angles, and where they are undefined."""
+"""Invariants that are not polynomials: rational functions, logarithms and angles, and their domains."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from coadjoint.algebra.invariant import Invariant
 from coadjoint.algebra.polynomial import Polynomial
 
 HOLD, QUOTIENT, LOGARITHM, ANGLE, SINH, SINH_SQUARED, COSH = 0, 1, 2, 3, 4, 5, 6
-DENOMINATOR = 1000  # two angles wind with a common period where their ratio is a fraction with at most this denominator
+DENOMINATOR = 1000  # two angles have a common period if their ratio is a fraction with at most this denominator
 
 Number = int | Fraction
 
 
 class Forms(NamedTuple):
-    """A formula over plain arrays, as the kernels read it: a `LogarithmicSum`, or a sum with hyperbolic functions.
+    """A formula as flat arrays for the kernels: a `LogarithmicSum`, or a sum with hyperbolic functions.
 
-    Form f is a sum over m from first[f] to first[f + 1] of coefficient[m] times the product of x[coordinate[q]] over q
-    from begin[m] to begin[m + 1]. A form of the role HOLD is the first polynomial of the next one; the others are the
-    second polynomial of a term of that kind and weight. Of SINH and SINH_SQUARED a term is weight * sinh(second)/first
-    and weight * (sinh(second)/first)^2, of COSH weight * cosh(second).
+    Form f is the sum over m in first[f]:first[f + 1] of coefficient[m] * prod of x[coordinate[q]], q in
+    begin[m]:begin[m + 1]. The role HOLD stores the first polynomial of the next form; other roles are the second
+    polynomial of a term of that kind: weight * sinh(second)/first (SINH), weight * (sinh(second)/first)^2
+    (SINH_SQUARED), weight * cosh(second) (COSH).
     """
 
     size: int
@@ -40,7 +40,7 @@ class Forms(NamedTuple):
 
 
 class Term(NamedTuple):
-    """One term: weight * first/second (QUOTIENT), weight * log|second|, or weight * atan2(first, second) (ANGLE)."""
+    """A term: weight * first/second (QUOTIENT), weight * log|second|, or weight * atan2(first, second) (ANGLE)."""
 
     kind: int
     weight: Number
@@ -52,16 +52,8 @@ class Term(NamedTuple):
 class LogarithmicSum:
     """A function sum of w p/q + sum of w log|p| + sum of w atan2(p, q) with polynomials p, q and numbers w.
 
-    Every invariant of the real Lie algebras of dimension 2 to 5 is a polynomial or of this form. A product of powers
-    |p|^w with the exponential of an angle or of a rational function takes this form by its logarithm. The gradient is a
-    rational function.
-
-    Parameters
-    ----------
-    dim : int
-        Number of coordinates.
-    terms : tuple of Term
-        Terms of weight zero are left out.
+    Every invariant of the real Lie algebras of dimension 2 to 5 is a polynomial or of this form: the logarithm of
+    |p|^w times the exponential of an angle or rational function. Terms of weight zero are dropped.
 
     Examples
     --------
@@ -79,37 +71,17 @@ class LogarithmicSum:
 
     @classmethod
     def quotient(cls, above: Polynomial, below: Polynomial) -> LogarithmicSum:
-        """Return above/below.
-
-        Examples
-        --------
-        >>> x = Polynomial.variable(0, 1)
-        >>> LogarithmicSum.quotient(x, x + 1).invariant().value([1.0])
-        0.5
-        """
+        """Return above/below."""
         return cls(above.dim, (Term(QUOTIENT, 1, above, below),) if above.monomials else ())
 
     @classmethod
     def logarithm(cls, p: Polynomial) -> LogarithmicSum:
-        """Return log|p|.
-
-        Examples
-        --------
-        >>> LogarithmicSum.logarithm(Polynomial.variable(0, 1)).invariant().value([-1.0])
-        0.0
-        """
+        """Return log|p|."""
         return cls(p.dim, (Term(LOGARITHM, 1, p, p),))
 
     @classmethod
     def angle(cls, sine: Polynomial, cosine: Polynomial) -> LogarithmicSum:
-        """Return atan2(sine, cosine): an angle, known up to multiples of 2 pi.
-
-        Examples
-        --------
-        >>> x, y = Polynomial.variable(0, 2), Polynomial.variable(1, 2)
-        >>> LogarithmicSum.angle(y, x).invariant().period / math.pi
-        2.0
-        """
+        """Return atan2(sine, cosine): an angle, defined up to multiples of 2 pi."""
         return cls(sine.dim, (Term(ANGLE, 1, sine, cosine),))
 
     def __add__(self, other: LogarithmicSum | Polynomial) -> LogarithmicSum:
@@ -125,7 +97,7 @@ class LogarithmicSum:
         return LogarithmicSum(self.dim, tuple(term for term in scaled if term.weight != 0))
 
     def mapped(self, change: Callable[[Polynomial], Polynomial]) -> LogarithmicSum:
-        """Return the same function in other coordinates: `change` rewrites each polynomial.
+        """Return the same function in other coordinates: `change` maps each polynomial.
 
         Examples
         --------
@@ -138,10 +110,10 @@ class LogarithmicSum:
 
     @property
     def period(self) -> float | None:
-        """The value is known up to multiples of it; 0 for a single-valued function.
+        """Period of the multivalued function; 0 for a single-valued one, None without a common period.
 
-        None where the weights of two angles have a ratio that is no fraction with denominator up to 1000. The values at
-        one point are then dense, and continuations along a run cannot be told apart.
+        It is None if the ratio of two angle weights is no fraction with denominator <= 1000: the values at a point are
+        then dense.
         """
         weights = [abs(Fraction(term.weight)) for term in self.terms if term.kind == ANGLE]
         if not weights:
@@ -158,13 +130,7 @@ class LogarithmicSum:
         return 2.0 * math.pi * rounded(weights[0]) * shared / common
 
     def gradient(self, x: NDArray[Any]) -> NDArray[Any]:
-        """Return the gradient in the numbers of x, shape (n,): exact where x holds Fractions.
-
-        Raises
-        ------
-        ZeroDivisionError
-            The function is undefined at x, which holds Fractions.
-        """
+        """Return the gradient at x, shape (n,): exact for Fractions, with ZeroDivisionError where undefined."""
         slope = np.zeros(self.dim, dtype=x.dtype)
         for kind, exact, first, second in self.terms:
             weight = exact if x.dtype == object else float(exact)
@@ -178,14 +144,10 @@ class LogarithmicSum:
         return slope
 
     def invariant(self) -> LogarithmicInvariant:
-        """Return it as an `Invariant` with functions that Numba compiles and that give NaN where it is undefined.
+        """Convert to an `Invariant` whose functions Numba compiles and which is NaN where undefined.
 
-        `value` and `gradient` take floats and compute with floats; the method `gradient` takes any kind of number.
-
-        Raises
-        ------
-        ValueError
-            `period` is None.
+        `value` and `gradient` of the result use floats; `LogarithmicSum.gradient` any number type. ValueError if
+        `period` is None.
         """
         if self.period is None:
             raise ValueError("the angles of this sum have no common period; give them weights in a simple ratio")
@@ -193,7 +155,7 @@ class LogarithmicSum:
         return LogarithmicInvariant(value, gradient, self.period, self)
 
     def forms(self) -> Forms:
-        """Return it over plain arrays, its numbers rounded.
+        """Return the flat arrays for the kernels, with rounded coefficients.
 
         Examples
         --------
@@ -219,7 +181,7 @@ class LogarithmicSum:
 
 
 def _written(term: Term) -> str:
-    """Return one term as text."""
+    """Format one term."""
     weight = "" if term.weight == 1 else "-" if term.weight == -1 else f"{term.weight} "
     if term.kind == QUOTIENT:
         return f"{weight}({term.first!r})/({term.second!r})"
@@ -230,14 +192,7 @@ def _written(term: Term) -> str:
 
 @dataclass(frozen=True, repr=False)
 class LogarithmicInvariant(Invariant):
-    """An `Invariant` that knows its formula, so that it can be written in other coordinates.
-
-    Examples
-    --------
-    >>> f = LogarithmicSum.logarithm(Polynomial.variable(0, 1))
-    >>> f.invariant().formula == f
-    True
-    """
+    """An `Invariant` that stores its formula, so that it can be rewritten in other coordinates."""
 
     formula: LogarithmicSum = LogarithmicSum(0, ())
 
@@ -248,19 +203,12 @@ class LogarithmicInvariant(Invariant):
         return LogarithmicSum.invariant, (self.formula,)  # closures cannot be pickled; the formula can
 
     def changed(self, change: Callable[[Polynomial], Polynomial]) -> LogarithmicInvariant:
-        """Return the same invariant in other coordinates, see `LogarithmicSum.mapped`.
-
-        Examples
-        --------
-        >>> f = LogarithmicSum.logarithm(Polynomial.variable(0, 1)).invariant()
-        >>> f.changed(lambda p: 2 * p)([0.5])
-        0.0
-        """
+        """Return the same invariant in other coordinates, see `LogarithmicSum.mapped`."""
         return self.formula.mapped(change).invariant()
 
 
 def _functions(forms: Forms, dim: int) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
-    """Return value and gradient as functions; the kernels have the value as well, in `field/forms.hpp`."""
+    """Return value and gradient as functions; `field/forms.hpp` implements the value in the kernels."""
     count, role, weight, first, coefficient, begin, coordinate = forms
 
     def value(x: Any) -> Any:

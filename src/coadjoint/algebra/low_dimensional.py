@@ -1,4 +1,4 @@
-"""The 62 real Lie algebras of dimension 2 to 5 that are no direct sums, by name, with parameters and invariants."""
+"""The 62 indecomposable real Lie algebras of dimension 2 to 5, by name, with parameters and invariants."""
 
 from __future__ import annotations
 
@@ -29,41 +29,18 @@ Constants = dict[tuple[int, int], Polynomial]
 
 @functools.cache
 def entries() -> Mapping[str, Mapping[str, Any]]:
-    """Return what the catalogue says, by name and in the published order: dim, parameters, range, brackets, invariants.
-
-    Examples
-    --------
-    >>> entries()["A4_9"]["brackets"]["e1 e4"], entries()["A4_9"]["range"]
-    ('(b + 1)*e1', '-1 < b <= 1')
-    """
+    """Return the catalogue entries by name in published order: dim, parameters, range, brackets, invariants."""
     source = importlib.resources.files("coadjoint.algebra") / "low_dimensional.json"
     return {entry["name"]: entry for entry in json.loads(source.read_text(encoding="utf-8"))["algebras"]}
 
 
 def parameters_of(name: str) -> tuple[str, ...]:
-    """Return the names of the parameters of an algebra.
-
-    Examples
-    --------
-    >>> parameters_of("A5_25")
-    ('p', 'b')
-    """
+    """Return the names of the parameters of an algebra."""
     return tuple(entries()[name].get("parameters", ()))
 
 
 def read_parameters(name: str, given: Mapping[str, Any]) -> dict[str, Number]:
-    """Return the parameters of an algebra exactly (a float is the rational number that it is), checked.
-
-    Raises
-    ------
-    TypeError, ValueError
-        One is missing, unknown, not a finite real number, or out of range.
-
-    Examples
-    --------
-    >>> read_parameters("A4_9", {"b": 0.5})
-    {'b': Fraction(1, 2)}
-    """
+    """Validate the parameters of an algebra and return them exactly; floats are converted exactly."""
     expected = parameters_of(name)
     missing = [key for key in expected if key not in given]
     if missing:
@@ -90,13 +67,7 @@ def _shown(value: Number) -> str:
 
 
 def exact_constants(name: str, parameters: Mapping[str, Number]) -> Constants:
-    """Return the brackets (i, j) -> sum_k c_ij^k e_k, as linear polynomials in e1 ... en with exact coefficients.
-
-    Examples
-    --------
-    >>> exact_constants("A4_9", {"b": Fraction(1, 2)})[0, 3]
-    (3/2)*x1
-    """
+    """Return the brackets (i, j) -> sum_k c_ij^k e_k, as linear polynomials in e1 ... en with exact coefficients."""
     entry = entries()[name]
     result: Constants = {}
     for pair, text in entry["brackets"].items():
@@ -109,11 +80,10 @@ def exact_constants(name: str, parameters: Mapping[str, Number]) -> Constants:
 
 
 def formulas(name: str, parameters: Mapping[str, Number]) -> dict[str, Polynomial | LogarithmicSum]:
-    """Return the invariants by name, in exact arithmetic.
+    """Return the invariants by name in exact arithmetic; the name is the formula.
 
-    The name is the formula, log|p| with bars. Where parameters make an invariant the logarithm of one polynomial, this
-    polynomial is returned. An invariant whose values at one point are dense is no function, and is left out: two angles
-    with an irrational ratio, as of A5_17 with p = q = 0, whose orbits wind densely on a torus.
+    An invariant that reduces to the logarithm of a polynomial is returned as this polynomial. One with dense values at
+    a point is omitted: angles in an irrational ratio, as of A5_17 with p = q = 0, whose orbits wind densely on a torus.
 
     Examples
     --------
@@ -142,7 +112,7 @@ def formulas(name: str, parameters: Mapping[str, Number]) -> dict[str, Polynomia
 
 
 def _representation(brackets: Constants, dim: int) -> Floats | None:
-    """Return affine n x n matrices where e1 ... e_(n-1) commute, else the adjoint ones where they are faithful."""
+    """Return affine n x n matrices if e1 ... e_(n-1) commute, else the adjoint matrices if they are faithful."""
     last = dim - 1
     rho = np.zeros((dim, dim, dim))
     if all(j == last for _, j in brackets):
@@ -160,7 +130,7 @@ def _representation(brackets: Constants, dim: int) -> Floats | None:
     try:
         Span(adjoint)
     except ValueError:
-        return None  # there is a centre, which the adjoint matrices do not show
+        return None  # the adjoint representation annihilates the centre
     for i, row in enumerate(adjoint):
         for place, value in row.items():
             rho[i].flat[place] = rounded(value)
@@ -175,16 +145,15 @@ def low_dimensional(name: str, **parameters: Any) -> LieAlgebra:
     name : str
         ``"A5_23"``; the catalogue's `get` also takes ``"A5,23"``.
     **parameters : int, float or Fraction
-        `parameters_of` it, in their range.
+        The parameters named by `parameters_of`, within their range.
 
     Returns
     -------
     LieAlgebra
-        With all its independent invariants, dim - rank of them, by formula. They are `Polynomial` where possible.
-        Elsewhere they are `Invariant` with the logarithm of the published one: values in floats, NaN where it is
-        undefined, `period` > 0 where it has an angle. (A5_17 with p = q = 0 and irrational s has one less, see
-        `formulas`.) The representation is affine where e1 ... e_(n-1) commute, else adjoint where there is no centre,
-        else None.
+        With all dim - rank independent invariants, named by formula: `Polynomial` if possible, otherwise `Invariant`
+        with the logarithm of the published one (values in floats, NaN where undefined, `period` > 0 if it contains an
+        angle). A5_17 with p = q = 0 and irrational s has one less, see `formulas`. The representation is affine if
+        e1 ... e_(n-1) commute, else adjoint if the centre is zero, else None.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Algebras of matrices: structure constants from a sparse basis and its coordinate functions, exactly."""
+"""Matrix Lie algebras: exact structure constants from a sparse basis and its coordinate functions."""
 
 from __future__ import annotations
 
@@ -19,17 +19,7 @@ Form = list[tuple[int, int, int | Fraction]]
 
 
 class Sparse:
-    """Entries (number, row, column, value) of a list of sparse matrices, as arrays, matrix after matrix.
-
-    Parameters
-    ----------
-    entries : iterable of (int, int, int, float)
-
-    Examples
-    --------
-    >>> Sparse([(0, 0, 1, 1.0), (0, 1, 0, -1.0)]).value
-    array([ 1., -1.])
-    """
+    """Entries (number, row, column, value) of a list of sparse matrices, as arrays, matrix after matrix."""
 
     def __init__(self, entries: Iterable[Entry]) -> None:
         table = np.array(list(entries), dtype=np.float64).reshape(-1, 4)
@@ -39,23 +29,10 @@ class Sparse:
 
 
 def commutator_constants(basis: Sparse, coordinates: Sparse, size: int) -> Triples:
-    """Return the constants of [X_a, X_b] = sum_k c_ab^k X_k for matrices X_a.
+    """Return the constants of [X_a, X_b] = sum_k c_ab^k X_k for a < b, unique and nonzero, from the sparse `basis` X_a.
 
-    Only products of nonzero entries are formed. Exact where entries and weights are small multiples of a power of two.
-
-    Parameters
-    ----------
-    basis : Sparse
-        The matrices X_a.
-    coordinates : Sparse
-        Weights w_k: the coordinate k of a matrix M is the sum of w_k[r, c] M[r, c].
-    size : int
-        Number of rows.
-
-    Returns
-    -------
-    Triples
-        With a < b, each once, without zeros.
+    Coordinate k of a matrix M is the sum of w_k[r, c] M[r, c], with w_k from `coordinates`. Exact if entries and
+    weights are small multiples of a power of two.
 
     Examples
     --------
@@ -67,8 +44,7 @@ def commutator_constants(basis: Sparse, coordinates: Sparse, size: int) -> Tripl
     by_column, _ = groups(basis.column, basis.number)
     dim = int(basis.number.max(initial=0)) + 1
     joins: list[tuple[Integers, Integers]] = []
-    # X_a X_b and X_b X_a for b > a. In X_a X_b the rows of X_b meet the columns of X_a, in X_b X_a its columns the rows
-    # of X_a.
+    # X_a X_b and X_b X_a for b > a: rows of X_b are joined with columns of X_a, then columns of X_b with rows of X_a.
     for order, own, middle in ((by_row, basis.row, basis.column), (by_column, basis.column, basis.row)):
         key = (own * dim + basis.number)[order]
         start = np.searchsorted(key, middle * dim + basis.number, side="right")
@@ -103,14 +79,7 @@ def _summed(i: Integers, j: Integers, k: Integers, c: Floats) -> Triples:
 
 
 def matrices(basis: Sparse, count: int, size: int) -> Floats | None:
-    """Return the matrices as an array (count, size, size), or None where it would be larger than 128 MB.
-
-    Examples
-    --------
-    >>> matrices(Sparse([(0, 0, 1, 1.0)]), 1, 2)
-    array([[[0., 1.],
-            [0., 0.]]])
-    """
+    """Return the matrices as an array (count, size, size), or None above 128 MB."""
     if count * size**2 > LARGEST:
         return None
     result = np.zeros((count, size, size))
@@ -142,26 +111,11 @@ def matrix_algebra(
     forms: Mapping[str, Form],
     sums: Mapping[str, Iterable[int]] | None = None,
 ) -> LieAlgebra:
-    """Return the algebra with a given basis of matrices.
+    """Return the algebra spanned by matrices, given as sparse entries (number, row, column, value).
 
-    Parameters
-    ----------
-    name : str
-    basis : sequence of (number, row, column, value)
-        Entries of the matrices.
-    coordinates : sequence of (number, row, column, weight)
-        The coordinate functions, see `commutator_constants`.
-    size : int
-        Number of rows.
-    forms : mapping of str to list of (i, j, c)
-        Quadratic Casimirs, sums of c x_i x_j; left out with `sums` where all exponents together exceed 2^22.
-    sums : mapping of str to indices, optional
-        Linear Casimirs, sums of x_i.
-
-    Returns
-    -------
-    LieAlgebra
-        With the matrices as representation up to 128 MB.
+    `coordinates` are those of `commutator_constants`; `forms` quadratic Casimirs, name -> (i, j, c) for sums of c x_i
+    x_j; `sums` linear ones, name -> indices (both omitted above 2^22 exponents). The matrices are the representation up
+    to 128 MB.
 
     Examples
     --------
@@ -175,13 +129,13 @@ def matrix_algebra(
     if within(sum(map(len, forms.values())), dim):
         casimirs = {key: linear(dict.fromkeys(indices, 1), dim) for key, indices in (sums or {}).items()}
         casimirs |= {key: quadratic(form, dim) for key, form in forms.items()}
-    # Commutators of matrices obey all identities, and the matrices are a representation. Nothing is left to check.
+    # Matrix commutators satisfy all identities, and the matrices are a representation: no check is needed.
     constants = commutator_constants(given, Sparse(coordinates), size)
     return LieAlgebra._proved(constants, dim, read_basis(None, dim), name, matrices(given, dim, size), casimirs)
 
 
 def pairs(n: int) -> list[tuple[int, int]]:
-    """Return all (i, j) with i < j < n, in the order 01, 02, ..., 12, ...
+    """Return all (i, j) with i < j < n in lexicographic order.
 
     Examples
     --------

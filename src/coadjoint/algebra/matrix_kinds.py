@@ -1,4 +1,4 @@
-"""Which matrices make a Lie algebra? The classical ones, as those that a form turns into their negatives."""
+"""The classical families of matrix Lie algebras, defined by an adjoint: A with adjoint(A) = -A."""
 
 from __future__ import annotations
 
@@ -11,20 +11,10 @@ Matrix = npt.NDArray[Any]
 
 
 class Kind(NamedTuple):
-    """A family of Lie algebras of matrices: those A with ``adjoint(A) = -A``, of trace zero if that is asked for.
+    """A family of matrix Lie algebras: A with ``adjoint(A) = -A``, of trace zero if `traceless`.
 
-    Attributes
-    ----------
-    complex : bool
-        Whether entries are complex.
-    form : str
-        "diagonal" (signs on the diagonal), "symplectic", or "" where all matrices belong.
-    conjugate : bool
-        Whether entries of an adjoint are conjugate.
-    traceless : bool
-        Whether the trace vanishes beside that.
-    says : str
-        What the matrices are, for messages.
+    `form` is "diagonal" (signs on the diagonal), "symplectic", or "" for all matrices; `conjugate`: the adjoint
+    conjugates entries; `complex`: entries are complex; `says`: description for messages.
     """
 
     complex: bool
@@ -40,7 +30,7 @@ class Kind(NamedTuple):
 
     @property
     def twofold(self) -> bool:
-        """Whether traces are complex, so that each makes two invariants: the algebra is the complex form itself."""
+        """Whether traces are complex, each giving two invariants: the complex form itself."""
         return self.complex and not self.conjugate
 
     def dim(self, N: int) -> int:
@@ -51,7 +41,7 @@ class Kind(NamedTuple):
         return whole * (1 + self.twofold)
 
     def rank(self, N: int) -> int:
-        """Return how many independent Casimirs there are."""
+        """Return the number of independent Casimirs."""
         return (N // 2 if self.even else N - self.traceless) * (1 + self.twofold)
 
 
@@ -68,20 +58,11 @@ KINDS = {
     "sp(C)": Kind(True, "symplectic", False, False, "complex, with W^T J + J W = 0, J = [[0, 1], [-1, 0]]"),
 }
 WITH_SIGNS = ("u", "su", "so")
-"""The kinds that there are for forms of any signature."""
+"""Kinds that exist for forms of any signature."""
 
 
 class Adjoint:
-    """The adjoint of matrices by a form: ``J^-1 A^T J``, the transpose conjugate where the kind says so.
-
-    Parameters
-    ----------
-    kind : Kind
-        Of the algebra.
-    N : int
-        Size of the matrices.
-    q : int
-        How many signs are negative, the last ones.
+    """The adjoint by a form, ``J^-1 A^T J``, conjugated if `kind.conjugate`; the last `q` signs are negative.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Lie algebras whose elements are kept as matrices, without structure constants: the classical ones, and their sums."""
+"""Lie algebras whose elements are stored as matrices, without structure constants: classical ones and their sums."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from coadjoint.wording import short
 SUM = "sum"
 LARGEST = 4096
 ROUNDED = 64 * UNIT_ROUNDOFF
-"""Of the largest entry: by so much, times N, a matrix may miss the algebra by rounding."""
+"""Relative rounding tolerance, times N and the largest entry, of membership in the algebra."""
 SPARED = 8 * UNIT_ROUNDOFF
 
 Matrix = npt.NDArray[Any]
@@ -29,25 +29,25 @@ Matrix = npt.NDArray[Any]
 class MatrixAlgebra:
     """Matrices with the commutator ``[A, B] = A B - B A``: a classical Lie algebra, or a block-diagonal sum.
 
-    Choose it where structure constants would not fit: u(512) has some 2 N^3 of them. An invariant pairing makes the
-    algebra its own dual: ``<A, B> = Re tr(A* B)`` where the algebra is skew, else ``Re tr(A B)``.
+    Choose it when structure constants would not fit in memory: u(512) has about 2 N^3 of them. An invariant pairing
+    identifies the algebra with its dual: ``<A, B> = Re tr(A* B)`` if the algebra is skew, else ``Re tr(A B)``.
 
     Parameters
     ----------
     kind : {"u", "su", "so", "gl", "sl", "sp", "gl(C)", "sl(C)", "so(C)", "sp(C)"}
-        Skew-Hermitian, the same with trace zero; real and skew; all real matrices, those of trace zero; Hamiltonian
-        ones, W^T J + J W = 0 with ``J = [[0, 1], [-1, 0]]``; the last four complex.
+        Skew-Hermitian; skew-Hermitian and traceless; real skew-symmetric; all real matrices; real traceless;
+        Hamiltonian, W^T J + J W = 0 with ``J = [[0, 1], [-1, 0]]``; the last four are the complex forms.
     N : int
         Rows and columns, from 2 to 4096; for "sp" and "sp(C)" an even number.
     q : int
-        For "u", "su" and "so": how many signs of the form are negative, the last ones: u(p, q) with p = N - q.
+        For "u", "su" and "so": number of negative signs of the form, placed last: u(p, q) with p = N - q.
     blocks : tuple of MatrixAlgebra
-        Of a sum, which `sum` makes.
+        Blocks of a direct sum; construct one with `sum`.
 
     Raises
     ------
     TypeError, ValueError
-        Of another kind, or size.
+        Unknown kind, or invalid size.
 
     Examples
     --------
@@ -90,12 +90,12 @@ class MatrixAlgebra:
 
     @classmethod
     def sum(cls, *algebras: MatrixAlgebra) -> MatrixAlgebra:
-        """Return the algebra of block-diagonal matrices with blocks of some algebras.
+        """Return the algebra of block-diagonal matrices with the given algebras as blocks.
 
         Parameters
         ----------
         *algebras : MatrixAlgebra
-            Two or more; those of sums are taken one by one.
+            Two or more; sums are flattened.
 
         Returns
         -------
@@ -126,12 +126,12 @@ class MatrixAlgebra:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Of a matrix."""
+        """Shape (N, N) of a matrix."""
         return self.N, self.N
 
     @property
     def parts(self) -> Iterator[tuple[slice, MatrixAlgebra, Kind]]:
-        """The blocks with their places and kinds; of what is no sum the one that it is."""
+        """The diagonal blocks as (slice, algebra, kind); a single one unless the algebra is a sum."""
         first = 0
         for block in self.blocks or (self,):
             yield slice(first, first + block.N), block, KINDS[block.kind]
@@ -154,7 +154,7 @@ class MatrixAlgebra:
 
     @cached_property
     def rank(self) -> int:
-        """How many independent Casimirs there are."""
+        """Number of independent Casimirs."""
         return sum(kind.rank(block.N) for _, block, kind in self.parts)
 
     def generic_rank(self) -> int:
@@ -163,7 +163,7 @@ class MatrixAlgebra:
 
     @property
     def basis(self) -> tuple[str, ...]:
-        """Names of the numbers of which a matrix is stored, row by row."""
+        """Names of the real numbers that store a matrix, row by row."""
         parts = ("re", "im") if self.complex else ("",)
         return tuple(f"{part}{i},{j}" for i in range(self.N) for j in range(self.N) for part in parts)
 
@@ -191,7 +191,7 @@ class MatrixAlgebra:
         return products.reshape(*products.shape[:-2], self.N**2).sum(axis=-1)
 
     def dual(self, A: Matrix) -> Matrix:
-        """Return the matrix whose numbers, by those of any B of the algebra, make <A, B>."""
+        """Return D with <A, B> = Re(sum of conj(D) * B over the entries) for every B of the algebra."""
         return A if self.skew else np.conj(np.swapaxes(A, -1, -2))
 
     def projected(self, A: Matrix, spared: float = 0.0) -> Matrix:
@@ -202,13 +202,13 @@ class MatrixAlgebra:
         A : ndarray, shape (..., N, N)
             Matrices.
         spared : float
-            Of the largest entry: where the trace must vanish, a mean of the diagonal up to so much is left. To take
-            rounding off again and again would change the last bits of a state that is already there.
+            Relative to the largest entry: in traceless algebras, a mean of the diagonal up to this size is kept, since
+            repeated removal of round-off would change the last bits of a state that is already in the algebra.
 
         Returns
         -------
         ndarray
-            Complex128 or float64.
+            The projection, complex128 or float64.
 
         Examples
         --------
@@ -236,14 +236,14 @@ class MatrixAlgebra:
         return found
 
     def read(self, given: Any, what: str = "x0") -> Matrix:
-        """Return matrices of the algebra, to the last bit; refuse others.
+        """Validate matrices of the algebra and project them onto it exactly.
 
         Parameters
         ----------
         given : array_like, shape (N, N) or (members, N, N)
-            What was given.
+            Matrices to validate.
         what : str
-            Its name, for messages.
+            Argument name used in messages.
 
         Returns
         -------
@@ -253,7 +253,7 @@ class MatrixAlgebra:
         Raises
         ------
         TypeError, ValueError
-            No finite matrix of this size, or of another algebra.
+            Not finite, of another size, or not in the algebra.
         """
         what = read_title(what, "what")
         array = array_given(given, what, "iufc")
@@ -278,8 +278,8 @@ class MatrixAlgebra:
             one = wrong[0]
             which = f"{what}[{one}]" if A.ndim == 3 else what
             raise ValueError(
-                f"{which} is no matrix of {self}: it must be {self.says}, and misses that by {away[one]:.2g} where its "
-                f"largest entry is {size[one]:.2g}"
+                f"{which} is not a matrix of {self}: it must be {self.says}, but differs by {away[one]:.2g} where "
+                f"its largest entry is {size[one]:.2g}"
             )
         return near
 

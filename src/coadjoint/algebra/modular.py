@@ -1,4 +1,4 @@
-"""Exact ranks, with overwhelming probability: elimination modulo random primes of 62 bits."""
+"""Exact ranks with overwhelming probability, by elimination modulo random 62-bit primes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,7 @@ DENSE = 4000  # rows of a block that is eliminated as a dense matrix: at most 12
 
 
 def random_prime(rng: np.random.Generator) -> int:
-    """Return a prime between 2^61 and 2^62.
-
-    Examples
-    --------
-    >>> 2**61 < random_prime(np.random.default_rng(0)) < 2**62
-    True
-    """
+    """Return a prime between 2^61 and 2^62."""
     from flint import fmpz
 
     candidate = int(rng.integers(2**60, 2**61)) * 2 + 1
@@ -41,15 +35,9 @@ def residues(whole: NDArray[Any], prime: int) -> NDArray[Any]:
 
 
 def sparse_rank(rows: list[dict[int, int]], prime: int) -> int:
-    """Return the rank modulo a prime of a sparse matrix given by rows {column: residue}; the rows are used up.
+    """Return the rank modulo a prime of a sparse matrix with rows {column: residue}, which are consumed.
 
-    Elimination row by row: a row is reduced by the pivots found so far and, if anything is left, becomes one. For
-    matrices too large to be dense.
-
-    Examples
-    --------
-    >>> sparse_rank([{0: 1, 2: 2}, {0: 2, 2: 4}, {1: 1}], 7)
-    2
+    Row-by-row elimination, for matrices too large to be dense.
     """
     pivots: dict[int, dict[int, int]] = {}
     for given in rows:
@@ -72,13 +60,7 @@ def sparse_rank(rows: list[dict[int, int]], prime: int) -> int:
 
 
 def skew_rank(i: Integers, j: Integers, entries: list[int], size: int, prime: int) -> int:
-    """Return the rank modulo a prime of a skew matrix of `size` rows, given by its entries above the diagonal.
-
-    Examples
-    --------
-    >>> skew_rank(np.array([0]), np.array([2]), [5], 3, 7)
-    2
-    """
+    """Return the rank modulo a prime of a skew matrix of `size` rows, given by its entries above the diagonal."""
     if size > DENSE:
         rows: list[dict[int, int]] = [{} for _ in range(size)]
         for a, b, value in zip(i.tolist(), j.tolist(), entries, strict=True):
@@ -95,27 +77,11 @@ def skew_rank(i: Integers, j: Integers, entries: list[int], size: int, prime: in
 def structure_rank(
     i: Integers, j: Integers, k: Integers, whole: NDArray[Any], dim: int, points: int = 2, seed: int = 0
 ) -> int:
-    """Return the largest rank of J(x), J_ij = sum_k c_ij^k x_k, at random points, each modulo its own random prime.
+    """Return the largest rank of J(x) at seeded random points, each modulo its own random prime; never too large.
 
-    J is taken apart into its connected blocks. At one point the rank is too small where the point is a root of a
-    largest minor, or the prime divides it. For the point the probability is n/2^61 (Schwartz and Zippel). For the prime
-    it is b/61 out of more than 2^55 primes, if the coefficients of the minor are below 2^b. Two independent points fail
-    together with probability below 2^-60 for every n < 2^30 and every b < 2^30. The rank is never too large.
-
-    Parameters
-    ----------
-    i, j, k : (m,) arrays
-        Indices of the constants, i < j, sorted by (i, j).
-    whole : (m,) object array
-        The constants, as whole numbers.
-    dim : int
-    points : int, optional
-        Number of random points.
-    seed : int, optional
-
-    Returns
-    -------
-    int
+    One point fails with probability <= n/2^61 (Schwartz and Zippel), one prime with b/61 of > 2^55 primes for minors
+    with coefficients < 2^b; two points fail together with probability < 2^-60 for n, b < 2^30. `whole`: integers, i < j
+    sorted.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Moments of a distribution in phase space, of even degrees: the algebras of Vlasov-Poisson."""
+"""Algebras of phase-space moments of even degree, for Vlasov-Poisson."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ HIGHEST = 100
 
 
 def moments(degree: int = 4) -> LieAlgebra:
-    """Return the moments ``x_ij`` of ``q^i p^j`` of the degrees i + j = 2, 4, ..., up to one; those above are zero.
+    """Return the algebra of the moments ``x_ij`` of ``q^i p^j`` of degrees i + j = 2, 4, ..., truncated above `degree`.
 
-    ``[x_ij, x_kl] = (i l - j k) x_(i+k-1)(j+l-1)``, zero where i + j + k + l - 2 is above the degree: an exact algebra,
-    since products of higher degrees are an ideal. Degree 2 is sp(2, R).
+    ``[x_ij, x_kl] = (i l - j k) x_(i+k-1)(j+l-1)``, zero if i + j + k + l - 2 exceeds the degree. The truncation is a
+    Lie algebra, since products of higher degrees are an ideal. Degree 2 is sp(2, R).
 
     Parameters
     ----------
     degree : int
-        The highest degree, even, from 2 to 100.
+        Highest degree, even, from 2 to 100.
 
     Returns
     -------
     LieAlgebra
-        In the order x20, x11, x02, x40, x31, ... Known Casimirs: the invariants of the highest moments as a binary form
-        that are known for every degree N, ``"(form, form)_N"``, which is quadratic, and, from degree 4 to 10, the
-        determinant ``"catalecticant"``. For degree 2 the first one is ``"emittance^2"``, <qq><pp> - <qp>^2.
+        In the order x20, x11, x02, x40, x31, ... Known Casimirs are invariants of the highest moments as a binary form:
+        the quadratic ``"(form, form)_N"`` and, from degree 4 to 10, the determinant ``"catalecticant"``. For degree 2
+        the first one is ``"emittance^2"``, <qq><pp> - <qp>^2.
 
     Raises
     ------
     ValueError
-        The degree is no even number from 2 to 100.
+        The degree is not an even number from 2 to 100.
 
     Notes
     -----
-    Holm, Lysenko and Scovel, J. Math. Phys. 31, 1610 (1990). The highest moments commute with all moments but those of
-    degree 2, which transform them as the coefficients of a binary form: so invariants of that form are Casimirs.
+    Holm, Lysenko and Scovel, J. Math. Phys. 31, 1610 (1990). The highest moments commute with all others except those
+    of degree 2, which transform them as the coefficients of a binary form; invariants of that form are Casimirs.
 
     Examples
     --------
@@ -68,40 +68,28 @@ def moments(degree: int = 4) -> LieAlgebra:
                 found.append((a, b, target, float(i * m - j * k)))
     first, second, image, c = (np.array(column) for column in zip(*found, strict=True))
     constants = Triples(first, second, image, c)
-    # q and p as the two coordinates of a plane: x20, x11, x02 act by matrices of trace zero
+    # x20, x11 and x02 act on the (q, p) plane by traceless matrices.
     plane = [(0, 0, 1, -2.0), (1, 0, 0, -1.0), (1, 1, 1, 1.0), (2, 1, 0, 2.0)]
     rho = matrices(Sparse(plane), 3, 2) if degree == 2 else None
     names = tuple(moment_name(i, j) for i, j in powers)
-    # The bracket is that of polynomials in q and p, whose identities are known.
+    # The bracket is that of polynomials in q and p, so the Jacobi identity holds.
     return LieAlgebra._proved(constants, n, names, f"moments({degree})", rho, _casimirs(degree, n))
 
 
 def powers_of(degree: int) -> list[tuple[int, int]]:
-    """Return the powers (i, j) of q and p of all moments, in their order.
-
-    Examples
-    --------
-    >>> powers_of(2)
-    [(2, 0), (1, 1), (0, 2)]
-    """
+    """Return the powers (i, j) of q and p of all moments, in order."""
     return [(d - j, j) for d in range(2, degree + 1, 2) for j in range(d + 1)]
 
 
 def moment_name(i: int, j: int) -> str:
-    """Return the name of a moment.
-
-    Examples
-    --------
-    >>> moment_name(3, 1), moment_name(10, 2)
-    ('x31', 'x10,2')
-    """
+    """Return the name of the moment of q^i p^j."""
     return f"x{i}{j}" if max(i, j) < 10 else f"x{i},{j}"
 
 
 def _casimirs(degree: int, n: int) -> dict[str, Polynomial]:
     top = [Polynomial.variable(n - degree - 1 + j, n) for j in range(degree + 1)]
     half = degree // 2
-    middle = (-1) ** half * comb(degree, half) // 2  # of the square in the middle; all others come twice
+    middle = (-1) ** half * comb(degree, half) // 2  # of the middle square; all other products occur twice
     square = sum(
         ((-1) ** j * comb(degree, j) * (top[j] * top[degree - j]) for j in range(half)), middle * top[half] * top[half]
     )

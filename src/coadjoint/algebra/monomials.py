@@ -1,4 +1,4 @@
-"""What was given as a monomial? Its exponents and its coefficient, read or refused by name."""
+"""Validation of the exponents and the coefficient of a monomial."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Exponents = tuple[int, ...]
 
 
 def read_exponents(given: Any) -> Exponents:
-    """Return exponents as whole numbers of Python, or refuse them by name."""
+    """Validate exponents and return them as Python integers."""
     if not isinstance(given, tuple | list):
         raise TypeError(f"exponents must be a tuple of whole numbers, one for each coordinate, not {short(given)}")
-    if set(map(type, given)) <= {int} and min(given, default=0) >= 0:  # the same checks, fast for many coordinates
+    if set(map(type, given)) <= {int} and min(given, default=0) >= 0:  # fast path for many coordinates
         return tuple(given)
     for exponent in given:
         if isinstance(exponent, bool) or not isinstance(exponent, int | np.integer):
@@ -29,7 +29,7 @@ def read_exponents(given: Any) -> Exponents:
 
 
 def read_coefficient(value: Any, what: str) -> Coefficient:
-    """Return a coefficient as an int, a float or a Fraction of Python, or refuse it by name."""
+    """Validate a coefficient and return it as int, float or Fraction."""
     if isinstance(value, bool) or not isinstance(value, Rational | float | np.floating):
         raise TypeError(f"{what} must be an int, float or Fraction, not {short(value)}")
     number: Coefficient = float(value) if isinstance(value, float | np.floating) else exact_number(value)

@@ -1,4 +1,4 @@
-"""Kernels of float equations, by singular values: where they leave a clear gap, and not otherwise."""
+"""Kernels of floating-point equations by singular values, accepted only if they leave a clear gap."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from coadjoint.algebra.joins import DEFECT_FACTOR, Floats, groups
 from coadjoint.algebra.numerical_rank import clear_rank
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-PIVOT = 2.0**-20  # pivots of vectors of norm 1 are above this, or below round-off
+PIVOT = 2.0**-20  # pivots of unit vectors must be above this or below round-off
 
 
 def _leading_form(basis: Floats, error: float) -> tuple[list[int], Floats, float]:
-    """Return pivots and reduced row echelon form of orthonormal rows that are known to `error`, and its error."""
+    """Return pivots, reduced row echelon form and its error, for orthonormal rows known to `error`."""
     rows = basis.copy()
     found: list[int] = []
     for column in range(rows.shape[1]):
@@ -43,13 +43,13 @@ def _leading_form(basis: Floats, error: float) -> tuple[list[int], Floats, float
 
 
 def _cleaned(row: Floats, error: float) -> Floats:
-    """Return coefficients; those within their error of a whole number (often zero) are rounded to it."""
+    """Round coefficients that are within their error of a whole number (often zero) to it."""
     whole = np.round(row)
     return np.where(np.abs(row - whole) <= error * np.maximum(1.0, np.abs(whole)), whole, row)
 
 
 def _block_kernel(given: Equations) -> list[Vector]:
-    """Return the kernel of one block in reduced row echelon form, cleaned, and checked against the equations."""
+    """Return the kernel of one block in reduced row echelon form, cleaned and checked against the equations."""
     order, starts = groups(given.along, given.target)
     row = np.repeat(np.arange(starts.size), np.diff(np.append(starts, order.size)))
     matrix = np.zeros((starts.size, given.unknowns))
@@ -80,37 +80,10 @@ def _block_kernel(given: Equations) -> list[Vector]:
 
 
 def kernel(given: Equations, largest: int) -> list[Vector]:
-    """Return the solutions of float equations as the reduced row echelon basis, by leading unknown.
+    """Return the solutions of floating-point equations in reduced row echelon form, {unknown: float}.
 
-    Entries are taken to be known to 64 u times the largest one (u = 2^-53). With the Frobenius norm F of such errors,
-    singular values up to F are zero and all others must exceed 2^10 F; the pivots of the echelon form must be above
-    2^-20 or round-off. Coefficients within their error of a whole number are rounded to it, so that zeros are exact.
-    Then every vector is checked against the equations.
-
-    Parameters
-    ----------
-    given : Equations
-        With floats.
-    largest : int
-        Most unknowns of a block.
-
-    Returns
-    -------
-    list of {unknown: float}
-        The first unknown of each has the value 1, and does not occur in the others.
-
-    Raises
-    ------
-    ValueError
-        There is no clear gap, or a block is larger than `largest`.
-    ArithmeticError
-        A vector does not fulfil the equations.
-
-    Examples
-    --------
-    >>> zero = np.array([0, 0])
-    >>> kernel(Equations(2, zero, zero, np.array([0, 1]), np.array([2.0, 3.0])), 100)
-    [{0: 1.0, 1: -0.66...}]
+    With F the Frobenius norm of entry errors of 64 u times the largest entry (u = 2^-53), singular values up to F are
+    zero and the others must exceed 2^10 F; pivots must exceed 2^-20 or be round-off. ValueError without a clear gap.
     """
     found: list[Vector] = []
     for unknowns, part in blocks(given):
@@ -123,13 +96,7 @@ def kernel(given: Equations, largest: int) -> list[Vector]:
 
 
 def pivots(rows: Sequence[Sequence[Any]], width: int) -> list[int]:
-    """Return the pivot columns of the reduced row echelon form, where they are clear.
-
-    Examples
-    --------
-    >>> pivots([[0.0, 0.5, 1.0], [0.0, 1.0, 2.0]], 3)
-    [1]
-    """
+    """Return the pivot columns of the reduced row echelon form if they are unambiguous."""
     if not rows:
         return []
     matrix = np.array(rows, dtype=np.float64)

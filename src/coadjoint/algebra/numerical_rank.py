@@ -1,4 +1,4 @@
-"""Ranks of float matrices: where the singular values leave a clear gap, and not otherwise."""
+"""Ranks of floating-point matrices by singular values, accepted only if they leave a clear gap."""
 
 from __future__ import annotations
 
@@ -11,36 +11,14 @@ from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.joins import DEFECT_FACTOR, Floats
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-GAP = 2.0**10  # the smallest singular value that counts must be this much above round-off
+GAP = 2.0**10  # the smallest nonzero singular value must exceed round-off by this factor
 
 
 def clear_rank(singular: Floats, roundoff: float, what: str) -> int:
-    """Return how many singular values are not zero.
+    """Return the number of nonzero singular values (descending), or raise a ValueError if there is no clear gap.
 
-    Those up to `roundoff` are zero; all others must exceed 2^10 times that.
-
-    Parameters
-    ----------
-    singular : (m,) array
-        Singular values, the largest first.
-    roundoff : float
-        Bound of the spectral norm of the error in the matrix.
-    what : str
-        Name of the matrix, for the message.
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    ValueError
-        There is no clear gap.
-
-    Examples
-    --------
-    >>> clear_rank(np.array([3.0, 1.0, 1e-17]), 1e-15, "J(x)")
-    2
+    Values up to `roundoff`, a bound of the spectral norm of the error, are zero; the others must exceed 2^10 times
+    that.
     """
     rank = int(np.count_nonzero(singular > roundoff))
     if rank and singular[rank - 1] < GAP * roundoff:
@@ -52,25 +30,10 @@ def clear_rank(singular: Floats, roundoff: float, what: str) -> int:
 
 
 def numerical_structure_rank(triples: Triples, dim: int) -> int:
-    """Return the rank of J(x) at generic x by singular values; for constants that are known to round-off only.
+    """Return the rank of J(x) at generic x by singular values, for constants known only to round-off.
 
-    The largest rank at two seeded random points with entries of normal distribution, block by block. The constants are
-    taken to be exact to 64 u times the largest one of the block (u = 2^-53), as in the check of the Jacobi identity.
-
-    Parameters
-    ----------
-    triples : Triples
-        With i < j, unique.
-    dim : int
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    ValueError
-        The singular values leave no clear gap.
+    The largest rank at two seeded normally distributed random points, block by block. Constants are taken as exact to
+    64 u times the largest of the block (u = 2^-53), as in the Jacobi check. ValueError without a clear gap.
 
     Examples
     --------
@@ -95,7 +58,7 @@ def numerical_structure_rank(triples: Triples, dim: int) -> int:
             matrix = np.zeros((part.size, part.size))
             np.add.at(matrix, (place[i[at]], place[j[at]]), c[at] * x[k[at]])
             matrix -= matrix.T.copy()
-            # Frobenius norm of an error of 64 u max |c| in every constant
+            # Frobenius norm for an error of 64 u max |c| in every constant
             size = float(np.abs(c[at]).max()) * math.sqrt(2.0) * float(np.linalg.norm(x[k[at]]))
             roundoff = DEFECT_FACTOR * UNIT_ROUNDOFF * size
             ranks.append(clear_rank(np.linalg.svd(matrix, compute_uv=False).astype(np.float64), roundoff, "J(x)"))

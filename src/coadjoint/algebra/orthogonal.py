@@ -1,4 +1,4 @@
-"""The orthogonal algebras so(n) and so(p, q), and with translations e(n), also called se(n)."""
+"""The orthogonal algebras so(n) and so(p, q), and the Euclidean algebras e(n) = se(n)."""
 
 from __future__ import annotations
 
@@ -10,13 +10,7 @@ from coadjoint.wording import short
 
 
 def rotations(p: int, q: int = 0) -> tuple[list[Entry], list[Entry]]:
-    """Return the entries of the basis of so(p, q), and of its coordinate functions; for so(3) the hat matrices.
-
-    Examples
-    --------
-    >>> rotations(2)
-    ([(0, 0, 1, 1.0), (0, 1, 0, -1.0)], [(0, 0, 1, 1.0)])
-    """
+    """Return the sparse basis of so(p, q) and its coordinate functions; hat matrices for so(3)."""
     if (p, q) == (3, 0):
         cyclic = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
         weights = [(k, j, i, 1.0) for k, i, j in cyclic]  # hat(e_k) e_i = e_j

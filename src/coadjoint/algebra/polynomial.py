@@ -21,25 +21,25 @@ from coadjoint.given import array_given, read_whole
 from coadjoint.memory import check_room
 from coadjoint.wording import short
 
-QUIET = np.errstate(over="ignore", invalid="ignore")  # a value beyond float64 is infinite; no warning is needed
+QUIET = np.errstate(over="ignore", invalid="ignore")  # values beyond float64 become infinite without a warning
 
 MOST_DEGREE = 1024
 TOO_HIGH = "beyond it even powers of 2 leave the range of float64"
-BYTES_PER_EXPONENT = 30  # while one monomial is made
+BYTES_PER_EXPONENT = 30  # peak during construction of a monomial
 
 
 class Polynomial:
     """A polynomial in x_1 ... x_n: a mapping from exponents to coefficients.
 
-    Whole and rational coefficients stay exact in every operation; floats stay floats. The object does not change.
+    Integer and rational coefficients stay exact in every operation; floats stay floats. The object is immutable.
 
     Parameters
     ----------
     monomials : mapping or str
-        ``{(2, 0, 0): 0.5, (0, 1, 1): -1}`` is x1^2/2 - x2 x3: exponents, one for each coordinate, to coefficients. Or
-        a text as polynomials are printed, such as ``"0.5*x1^2 - x2*x3"``, with `dim` or `basis`.
+        ``{(2, 0, 0): 0.5, (0, 1, 1): -1}`` is x1^2/2 - x2 x3: exponents (one per coordinate) -> coefficient. Or text
+        in the printed notation, such as ``"0.5*x1^2 - x2*x3"``, with `dim` or `basis`.
     dim : int, optional
-        Number of coordinates; needed only for a text, and where `monomials` is empty (the zero polynomial).
+        Number of coordinates; required for text, and if `monomials` is empty (the zero polynomial).
     basis : sequence of str, optional
         Names of the coordinates in the text, in their order, in place of x1, x2, ...
 
@@ -63,7 +63,7 @@ class Polynomial:
     True
     """
 
-    # So that an array does not multiply a polynomial entry by entry.
+    # Prevents NumPy arrays from multiplying a polynomial entry by entry.
     __array_ufunc__ = None
 
     def __init__(
@@ -109,7 +109,7 @@ class Polynomial:
 
     @classmethod
     def _of(cls, monomials: Mapping[Exponents, Coefficient], dim: int) -> Polynomial:
-        """Build from valid monomials; only overflow can make a coefficient wrong."""
+        """Construct from valid monomials; only overflow of a coefficient is checked."""
         for exponents, value in monomials.items():
             if not is_finite(value):
                 raise ValueError(f"the coefficient of {short(exponents)} overflows; it must stay within float64")
@@ -150,7 +150,7 @@ class Polynomial:
         return plain(self._monomials, coordinate_names(self._dim))
 
     def to_latex(self) -> str:
-        r"""Return it as LaTeX, without dollars.
+        """Return the LaTeX form, without dollar signs.
 
         Returns
         -------
@@ -167,7 +167,7 @@ class Polynomial:
         return f"${self.to_latex()}$"
 
     def to_sympy(self) -> Any:
-        """Return it as an expression of SymPy in the symbols x1, ..., xn; fractions stay exact.
+        """Return a SymPy expression in the symbols x1, ..., xn; fractions stay exact.
 
         Returns
         -------
@@ -297,7 +297,7 @@ class Polynomial:
 
     @staticmethod
     def side_by_side(polynomials: Sequence[Polynomial]) -> ProductSum:
-        """Return the values of polynomials in the same coordinates as one function of states, `ProductSum.along`.
+        """Return a function that evaluates several polynomials in the same coordinates together, `ProductSum.along`.
 
         Examples
         --------
@@ -354,12 +354,12 @@ class Polynomial:
 
 
 def _read_text(text: str, dim: int | None, basis: Sequence[str] | None) -> tuple[Mapping[Exponents, Coefficient], int]:
-    """Return the monomials of a text, and the number of coordinates."""
+    """Parse text to monomials and the number of coordinates."""
     from coadjoint.algebra.formulas import read_polynomial
 
     names = None if basis is None else tuple(basis)
     if names is None and dim is None:
-        raise ValueError(f"{short(text)} does not say how many coordinates there are; give dim= or basis=")
+        raise ValueError(f"{short(text)} does not determine the number of coordinates; give dim= or basis=")
     count = read_whole(dim if names is None else len(names), "dim of a Polynomial")
     if dim is not None and count != dim:
         raise ValueError(f"dim is {short(dim)}, and basis has {count} names; give one of them")

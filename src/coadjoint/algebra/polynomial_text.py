@@ -1,4 +1,4 @@
-"""How is a polynomial written? As plain text, as LaTeX, as an expression of SymPy."""
+"""Formatting of polynomials: plain text, LaTeX, SymPy expressions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from coadjoint.extras import need
 
 Monomials = Mapping[tuple[int, ...], Coefficient]
 MOST_DIGITS = 6
-MOST_SHOWN = 30  # monomials that are printed one by one
+MOST_SHOWN = 30  # monomials printed individually
 
 
 def coordinate_names(dim: int) -> list[str]:
@@ -21,7 +21,7 @@ def coordinate_names(dim: int) -> list[str]:
 
 
 def plain(monomials: Monomials, names: Sequence[str]) -> str:
-    """Return a polynomial as it would be typed.
+    """Format a polynomial in the notation that `Polynomial` parses.
 
     Examples
     --------
@@ -32,7 +32,7 @@ def plain(monomials: Monomials, names: Sequence[str]) -> str:
 
 
 def latex(monomials: Monomials, names: Sequence[str]) -> str:
-    r"""Return a polynomial as LaTeX, without dollars.
+    r"""Format a polynomial as LaTeX, without dollar signs.
 
     Examples
     --------
@@ -43,7 +43,7 @@ def latex(monomials: Monomials, names: Sequence[str]) -> str:
 
 
 def latex_name(name: str) -> str:
-    """Return x12 as x_{12}, m1_2 as m_{1,2}.
+    """Format x12 as x_{12}, m1_2 as m_{1,2}.
 
     Examples
     --------
@@ -55,7 +55,7 @@ def latex_name(name: str) -> str:
 
 
 def sympy_of(monomials: Monomials, names: Sequence[str]) -> Any:
-    """Return a polynomial as an expression of SymPy, in symbols of the given names; fractions stay exact."""
+    """Return a SymPy expression in symbols of the given names; fractions stay exact."""
     need("an expression of SymPy", "sympy")
     import sympy
 
@@ -69,7 +69,7 @@ def sympy_of(monomials: Monomials, names: Sequence[str]) -> Any:
 
 
 def readable(monomials: Monomials, names: Sequence[str]) -> str:
-    """Return a polynomial for one line: coefficients that are easy to read; of many monomials their number.
+    """Format a polynomial on one line with short coefficients; only a count if it has many monomials.
 
     Examples
     --------
@@ -82,7 +82,7 @@ def readable(monomials: Monomials, names: Sequence[str]) -> str:
 
 
 def readable_latex(monomials: Monomials, names: Sequence[str]) -> str:
-    r"""Return the same as LaTeX, without dollars.
+    """Format a polynomial as LaTeX with short coefficients, without dollar signs.
 
     Examples
     --------
@@ -95,7 +95,7 @@ def readable_latex(monomials: Monomials, names: Sequence[str]) -> str:
 
 
 def rounded_if_long(monomials: Monomials) -> dict[tuple[int, ...], Coefficient]:
-    """Return coefficients that are easy to read: six digits where there are more, and short fractions as they are.
+    """Round coefficients with more than six digits to six; keep short fractions.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Fast evaluation of many products of powers at a point, in any kind of number."""
+"""Vectorized evaluation of many products of powers at a point, in any number type."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from coadjoint.algebra.exact import exact_numbers
 Coefficient = int | float | Fraction
 
 MOST_NUMBERS = 2**18
-"""Products that are held at once where there are many points: more do not fit a cache."""
+"""Number of products evaluated at once for many points; more do not fit the cache."""
 
 
 def differentiated(
     terms: Iterable[tuple[int, Coefficient, dict[int, int]]], dim: int
 ) -> list[tuple[int, Coefficient, dict[int, int]]]:
-    """Differentiate products by each of their coordinates; place p goes to place p * dim + i.
+    """Differentiate products by each of their coordinates; place p maps to p * dim + i.
 
     Examples
     --------
@@ -38,13 +38,7 @@ def differentiated(
 
 
 class ProductSum:
-    """Sums of coefficient * product of powers, each added to one place of the result; arrays, so that it is fast.
-
-    Parameters
-    ----------
-    terms : iterable of (place, coefficient, {coordinate: exponent})
-    places : int
-        Length of the result.
+    """Sums of terms (place, coefficient, {coordinate: exponent}), each added to one of `places` entries of the result.
 
     Examples
     --------
@@ -53,7 +47,7 @@ class ProductSum:
     """
 
     def __init__(self, terms: Iterable[tuple[int, Coefficient, dict[int, int]]], places: int) -> None:
-        rows = sorted(terms, key=lambda term: not term[2])  # constants last: they have no product
+        rows = sorted(terms, key=lambda term: not term[2])  # constants last, since they have no product
         self._places = places
         self._to = np.array([place for place, _, _ in rows], dtype=np.int64)
         try:
@@ -71,7 +65,7 @@ class ProductSum:
         self._power = np.array([e for _, _, factors in rows for e in factors.values()], dtype=np.int64)
 
     def __call__(self, x: NDArray[Any]) -> NDArray[Any]:
-        """Return the sums at the point x, in its kind of number."""
+        """Return the sums at the point x, in its number type."""
         result = np.zeros(self._places, dtype=x.dtype)
         terms = (self._exact if x.dtype == object else self._coefficients.astype(x.dtype)).copy()
         if self._starts.size:
@@ -81,10 +75,9 @@ class ProductSum:
         return result
 
     def along(self, x: NDArray[Any]) -> NDArray[Any]:
-        """Return the sums at many points (..., n), shape (..., places), in their kind of number.
+        """Return the sums at points (..., n), shape (..., places), in their number type.
 
-        Powers, and products that occur in several sums, are made once. So it is much faster than point after point, and
-        the same up to rounding.
+        Powers and shared products are computed once: much faster than point by point, and equal up to rounding.
         """
         points = x.reshape(-1, x.shape[-1])
         result = np.zeros((len(points), self._places), dtype=x.dtype)
@@ -96,7 +89,7 @@ class ProductSum:
         return result.reshape(*x.shape[:-1], self._places)
 
     def _at(self, x: NDArray[Any]) -> NDArray[Any]:
-        """Return the sums at points (n, k) that have terms, shape (places with terms, k)."""
+        """Return the nonconstant sums at points (n, k), shape (places with terms, k)."""
         shared, exact = self._shared, x.dtype == object
         powers = [x]
         while len(powers) < int(self._power.max(initial=1)):
@@ -129,10 +122,10 @@ class ProductSum:
 
 
 class _Shared(NamedTuple):
-    """The different products of all sums, and the terms in the order of their places."""
+    """The distinct products of all sums, and the terms in order of place."""
 
     different: int
-    factors: list[tuple[NDArray[np.int64], ...]]  # for the first factor of each product, then the second, and so on
+    factors: list[tuple[NDArray[np.int64], ...]]  # of the first factor of each product, then of the second, and so on
     order: NDArray[np.int64]
     product: NDArray[np.int64]
     places: NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""New algebras from old ones: direct sums, many copies, semidirect products."""
+"""Constructions of new algebras: direct sums, copies, semidirect products."""
 
 from __future__ import annotations
 
@@ -21,30 +21,18 @@ from coadjoint.wording import short
 
 
 def shifted(triples: Triples, begin: int) -> Triples:
-    """Return the constants of coordinates that begin at index `begin`.
-
-    Examples
-    --------
-    >>> shifted(Triples(np.array([0]), np.array([1]), np.array([1]), np.array([2.0])), 3)
-    Triples(i=array([3]), j=array([4]), k=array([4]), c=array([2.]))
-    """
+    """Shift the coordinate indices by `begin`."""
     return Triples(triples.i + begin, triples.j + begin, triples.k + begin, triples.c)
 
 
 def joined(parts: Sequence[Triples]) -> Triples:
-    """Return the constants of all parts.
-
-    Examples
-    --------
-    >>> joined([Triples(*np.zeros((3, 1), dtype=int), np.ones(1))] * 2).c
-    array([1., 1.])
-    """
+    """Concatenate structure constants."""
     i, j, k = (np.concatenate([part[column] for part in parts]) for column in range(3))
     return Triples(i, j, k, np.concatenate([part.c for part in parts]))
 
 
 def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
-    """Return the direct sum: coordinates of the first algebra, then of the second, and so on; they commute.
+    """Return the direct sum: the coordinates of the algebras in order; different summands commute.
 
     Parameters
     ----------
@@ -54,10 +42,10 @@ def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
     Returns
     -------
     LieAlgebra
-        Basis names are kept where all are different, else ``e1[2]`` is e1 of the second summand. The representation is
-        block diagonal where all have one and it stays within 128 MB, else None. Known Casimirs are those of the
-        summands, named ``"|x|^2 [2]"``, while all their exponents together are at most 2^22 numbers (682 copies of
-        so(3)), else none; an `Invariant` given as a Python function by a user is not carried over.
+        Basis names are kept if all are distinct; otherwise ``e1[2]`` is e1 of the second summand. The representation is
+        block diagonal if all summands have one and it stays within 128 MB, else None. Known Casimirs are those of the
+        summands, named ``"|x|^2 [2]"``, up to 2^22 exponents in total (682 copies of so(3)), above that none; a user's
+        `Invariant` given as a Python function is not carried over.
 
     Raises
     ------
@@ -66,7 +54,7 @@ def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
 
     See Also
     --------
-    copies : many copies of one algebra, fast.
+    copies : faster for many copies of one algebra.
 
     Examples
     --------
@@ -88,7 +76,7 @@ def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
     names = [label for algebra in algebras for label in algebra.basis]
     if len(set(names)) < len(names):
         names = [f"{label}[{number}]" for number, algebra in enumerate(algebras, 1) for label in algebra.basis]
-    # The identities are those of the summands, which were checked.
+    # The Jacobi identities are those of the summands, already checked.
     return LieAlgebra._proved(
         joined(parts),
         begins[-1],
@@ -100,7 +88,7 @@ def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
 
 
 def copies(g: LieAlgebra, count: int) -> LieAlgebra:
-    """Return the direct sum of many copies of one algebra: a lattice of spins with g = so(3).
+    """Return the direct sum of `count` copies of one algebra, such as a lattice of spins for g = so(3).
 
     Coordinate i of copy a (both from 0) has the index a * g.dim + i.
 
@@ -113,14 +101,14 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     Returns
     -------
     LieAlgebra
-        As from `direct_sum`, with basis names ``e1[1]``, ...; in particular with the Casimirs of every copy up to 2^22
-        exponents (682 copies of so(3)), and without Casimirs above: a run would follow every one of them. Those of copy
-        a are functions of its coordinates; give a system the ones to follow by name, as sparse `Quadratic`.
+        As from `direct_sum`, with basis names ``e1[1]``, ...; with the Casimirs of every copy up to 2^22 exponents (682
+        copies of so(3)) and none above, since a run would record each of them. Pass those to record to the system by
+        name, as sparse `Quadratic` functions of the coordinates of a copy.
 
     Raises
     ------
     TypeError, ValueError
-        g is not an algebra, or count not an integer from 1 up.
+        g is not a LieAlgebra, or count is not a positive integer.
 
     Examples
     --------
@@ -140,7 +128,7 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     fits = g.representation is not None and g.dim * count * (size * count) ** 2 <= LARGEST
     known = _of_summands([g] * count, range(0, g.dim * (count + 1), g.dim)) if _written([g], count) else {}
     labels = g.basis
-    # The identities of every copy are those of g, which were checked; millions of them need not be checked again.
+    # The Jacobi identities of every copy are those of g, already checked.
     return LieAlgebra._proved(
         Triples(i, j, k, np.tile(c, count)),
         g.dim * count,
@@ -152,7 +140,7 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
 
 
 def _written(algebras: Sequence[LieAlgebra], count: int = 1) -> bool:
-    """Say whether the Casimirs of all summands, `count` times, are small enough to be written down."""
+    """Return whether the Casimirs of all summands, `count` times, are small enough to be stored as polynomials."""
     known = [casimir for algebra in algebras for casimir in algebra.casimirs_known.values()]
     monomials = sum(len(casimir.monomials) if isinstance(casimir, Polynomial) else 1 for casimir in known)
     return within(monomials * count, sum(algebra.dim for algebra in algebras) * count)
@@ -197,19 +185,19 @@ def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | No
     representation : (n, d, d) array, optional
         The matrices rho_i by which g acts on R^d; those of g by default.
     ideal : LieAlgebra, optional
-        Brackets of the space, of dimension d, where it is not abelian; every rho_i must be a derivation of it.
+        Brackets of the space, of dimension d, if it is not abelian; every rho_i must be a derivation of it.
 
     Returns
     -------
     LieAlgebra
-        The space has the basis p1 ... pd (v1 ... vd where g uses these names), or that of `ideal`. Where the space is
-        abelian and the result within 128 MB, its representation is by affine (d + 1) x (d + 1) matrices. No Casimirs
-        are known, since those of g are no Casimirs of the product. ``casimirs(max_degree)`` finds the polynomial ones.
+        The space has the basis p1 ... pd (v1 ... vd if g uses these names), or that of `ideal`. If the space is abelian
+        and the result within 128 MB, the representation is by affine (d + 1) x (d + 1) matrices. No Casimirs are known,
+        since those of g are not Casimirs of the product; ``casimirs(max_degree)`` finds the polynomial ones.
 
     Raises
     ------
     TypeError, ValueError
-        The matrices are missing, or no representation, or no derivations of the ideal; named.
+        The matrices are missing, not a representation, or not derivations of the ideal.
 
     Examples
     --------
@@ -246,7 +234,7 @@ def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | No
     acted = f"R^{d}" if ideal is None else ideal.name or "h"
     constants = joined(parts)
     name = title(f"{g.name or 'g'} ⋉ {acted}")
-    if ideal is not None:  # it is left to check whether the matrices are derivations of it
+    if ideal is not None:  # the Jacobi check verifies that the matrices are derivations of it
         return LieAlgebra(constants, dim=n + d, basis=names + space, name=name)
     constants = constants.rows(groups(constants.i, constants.j, constants.k)[0])
     return LieAlgebra._proved(constants, n + d, tuple(names + space), name, affine, {})

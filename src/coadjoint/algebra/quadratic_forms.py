@@ -1,4 +1,4 @@
-"""Quadratic and linear polynomials of many coordinates, built fast, and polynomials in other coordinates."""
+"""Quadratic and linear polynomials in many coordinates, and polynomials under linear substitutions."""
 
 from __future__ import annotations
 
@@ -11,24 +11,12 @@ ROOM = 2**22  # exponents in all the known Casimirs of an algebra: 32 MB; so(60)
 
 
 def within(monomials: int, dim: int) -> bool:
-    """Say whether polynomials with so many monomials in `dim` coordinates are small enough to be written down.
-
-    Examples
-    --------
-    >>> within(1770, 1770), within(300000, 300000)
-    (True, False)
-    """
+    """Return whether polynomials with this many monomials in `dim` coordinates are small enough to be stored."""
     return monomials * dim <= ROOM
 
 
 def quadratic(entries: Iterable[tuple[int, int, Coefficient]], dim: int) -> Polynomial:
-    """Return the sum of c x_i x_j over the entries (i, j, c).
-
-    Examples
-    --------
-    >>> quadratic([(0, 0, 1), (1, 2, 2), (2, 1, 1)], 3)
-    x1^2 + 3*x2*x3
-    """
+    """Return the sum of c x_i x_j over the entries (i, j, c)."""
     zero = (0,) * dim
     total: dict[tuple[int, ...], Coefficient] = {}
     for i, j, value in entries:
@@ -42,37 +30,13 @@ def quadratic(entries: Iterable[tuple[int, int, Coefficient]], dim: int) -> Poly
 
 
 def linear(entries: Mapping[int, Coefficient], dim: int) -> Polynomial:
-    """Return the sum of c_i x_i.
-
-    Examples
-    --------
-    >>> linear({0: 1, 2: 5}, 3)
-    x1 + 5*x3
-    """
+    """Return the sum of c_i x_i."""
     zero = (0,) * dim
     return Polynomial._of({zero[:i] + (1,) + zero[i + 1 :]: value for i, value in entries.items()}, dim)
 
 
 def substituted(p: Polynomial, rows: Sequence[Mapping[int, Coefficient]], dim: int) -> Polynomial:
-    """Return a polynomial of x as one of y, x_i = sum_j rows[i][j] y_j.
-
-    Parameters
-    ----------
-    p : Polynomial
-    rows : sequence of mappings
-        For each x_i the nonzero coefficients, index of y -> number.
-    dim : int
-        Number of coordinates y.
-
-    Returns
-    -------
-    Polynomial
-
-    Examples
-    --------
-    >>> substituted(Polynomial({(2, 0): 1, (0, 1): 3}), [{0: 1, 1: -1}, {0: 2}], 2)
-    6*x1 + x1^2 - 2*x1*x2 + x2^2
-    """
+    """Substitute x_i = sum_j rows[i][j] y_j (sparse rows) in a polynomial of x; the result has `dim` coordinates."""
     forms: dict[int, Polynomial] = {}
     total = Polynomial({}, dim=dim)
     for exponents, value in p.monomials.items():
@@ -87,12 +51,6 @@ def substituted(p: Polynomial, rows: Sequence[Mapping[int, Coefficient]], dim: i
 
 
 def embedded(p: Polynomial, begin: int, dim: int) -> Polynomial:
-    """Return a polynomial of x as one of more coordinates, where its own begin at index `begin`.
-
-    Examples
-    --------
-    >>> embedded(Polynomial({(2, 1): 1}), 1, 4)
-    x2^2*x3
-    """
+    """Rewrite a polynomial in more coordinates, its own starting at index `begin`."""
     before, after = (0,) * begin, (0,) * (dim - begin - p.dim)
     return Polynomial._of({before + exponents + after: value for exponents, value in p.monomials.items()}, dim)

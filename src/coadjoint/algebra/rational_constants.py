@@ -1,4 +1,4 @@
-"""Structure constants as whole numbers: which rational numbers were rounded to the floats that are stored."""
+"""Integer structure constants: recovery of the rational numbers that were rounded to the stored floats."""
 
 from __future__ import annotations
 
@@ -13,22 +13,13 @@ from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact import exact_numbers
 
 DENOMINATOR = 10**6
-# p/q is believed where p q <= 2^45. About 0.3 * 2^45 / 2^52 such fractions round to the same float as a number drawn at
-# random. So one random number in 400 is taken for a fraction by mistake. The Jacobi identity must confirm all fractions
-# together.
+# p/q is accepted if p q <= 2^45. About 0.3 * 2^45 / 2^52 such fractions round to the same float as a random number, so
+# one random number in 400 is mistaken for a fraction; the Jacobi identity must then confirm all fractions together.
 SIZE = 2**45
 
 
 def as_fraction(value: float) -> Fraction | None:
-    """Return the simple fraction that rounds to a float, or None.
-
-    Simple is a whole number, or p/q with q <= 10^6 and p q <= 2^45.
-
-    Examples
-    --------
-    >>> as_fraction(1 / 3), as_fraction(-0.1), as_fraction(2**0.5)
-    (Fraction(1, 3), Fraction(-1, 10), None)
-    """
+    """Return the simple fraction that rounds to a float, or None: p/q with q <= 10^6 and p q <= 2^45, or an integer."""
     simple = Fraction(value).limit_denominator(DENOMINATOR)
     if float(simple) != value:
         return None
@@ -37,7 +28,7 @@ def as_fraction(value: float) -> Fraction | None:
 
 
 def cleared(values: list[Fraction]) -> NDArray[Any]:
-    """Return whole numbers in the same ratios: the values times their common denominator.
+    """Multiply fractions by their common denominator; return integers in the same ratios.
 
     Examples
     --------
@@ -49,29 +40,11 @@ def cleared(values: list[Fraction]) -> NDArray[Any]:
 
 
 def jacobi_exact(triples: Triples, whole: NDArray[Any], dim: int) -> bool:
-    """Say whether whole-number constants fulfil the Jacobi identity exactly.
+    """Return whether the integer constants `whole` fulfil the Jacobi identity exactly.
 
-    [[u, v], w] + [[v, w], u] + [[w, u], v] is computed at two seeded random triples of vectors with entries below
-    2^62. It is trilinear, so where it is not identically zero both vanish with probability at most (3/2^62)^2 < 2^-120
-    (Schwartz and Zippel). Small whole constants need no such test: `check_jacobi` held them to less than 1.
-
-    Parameters
-    ----------
-    triples : Triples
-        As stored; their floats are not used unless they are the whole numbers themselves.
-    whole : (m,) object array
-        The constants as whole numbers.
-    dim : int
-
-    Returns
-    -------
-    bool
-
-    Examples
-    --------
-    >>> constants = Triples(*np.array([[0, 0, 1], [1, 2, 2], [2, 1, 0]]), np.ones(3))
-    >>> jacobi_exact(constants, exact_numbers([10**20, -1, 1]), 3)
-    True
+    The trilinear form is evaluated at two seeded random triples of vectors with entries below 2^62; if it is not
+    identically zero, both vanish with probability <= (3/2^62)^2 < 2^-120 (Schwartz and Zippel). Small constants pass by
+    `check_jacobi`.
     """
     i, j, k, c = triples
     if whole.size == 0:
@@ -95,25 +68,10 @@ def jacobi_exact(triples: Triples, whole: NDArray[Any], dim: int) -> bool:
 
 
 def rational_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
-    """Return whole numbers in the ratios of the simple fractions that the constants stand for, or None.
+    """Return integers in the ratios of the simple fractions that the constants round, or None.
 
-    Every constant must be the float nearest to a simple fraction (`as_fraction`), and these fractions must fulfil the
+    Every constant must be the float nearest to a simple fraction (`as_fraction`), and the fractions must fulfil the
     Jacobi identity exactly. A common factor changes neither Casimirs nor ranks.
-
-    Parameters
-    ----------
-    triples : Triples
-        With i < j, unique.
-    dim : int
-
-    Returns
-    -------
-    (m,) object array of int, or None
-
-    Examples
-    --------
-    >>> rational_constants(Triples(*np.array([[0, 1], [2, 2], [0, 1]]), np.array([1.0, 1 / 3])), 3)
-    array([3, 1], dtype=object)
     """
     different, place = np.unique(triples.c, return_inverse=True)
     fractions = [as_fraction(value) for value in different.tolist()]
@@ -125,7 +83,7 @@ def rational_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
 
 
 def dyadic_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
-    """Return whole numbers in the exact ratios of the floats, where they fulfil the Jacobi identity exactly; else None.
+    """Return integers in the exact ratios of the floats if they fulfil the Jacobi identity exactly, else None.
 
     Examples
     --------

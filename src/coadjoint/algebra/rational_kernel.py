@@ -1,4 +1,4 @@
-"""Kernels over the rational numbers: elimination modulo primes, reconstruction, and an exact proof."""
+"""Kernels over the rational numbers: elimination modulo primes, rational reconstruction, and exact verification."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def _leading_form(rows: nmod_mat) -> tuple[tuple[int, ...], list[list[int]]]:
 
 
 def _kernel_modulo(given: Equations, prime: int) -> tuple[tuple[int, ...], list[list[int]]]:
-    """Return the kernel modulo a prime in reduced row echelon form, cut down by one derivation after the other."""
+    """Return the kernel modulo a prime in reduced row echelon form, intersected derivation by derivation."""
     from flint import nmod_mat
 
     size, values = given.unknowns, residues(given.values, prime)
     order, starts = groups(given.along)
     cuts = np.split(order, starts[1:]) if order.size else []
     kernel: Any = None
-    for at in sorted(cuts, key=len, reverse=True):  # the longest first, since it cuts off most
+    for at in sorted(cuts, key=len, reverse=True):  # longest first, since it reduces the kernel most
         waiting.at(f"the equations of {size} coupled coefficients")
         names, row = np.unique(given.target[at], return_inverse=True)
         flat = [0] * (names.size * size)
@@ -76,7 +76,7 @@ def fraction_modulo(residue: int, modulus: int) -> Fraction | None:
 
 
 def annihilated(given: Equations, vector: Vector) -> bool:
-    """Say whether the equations hold exactly for a vector of whole numbers or fractions.
+    """Return whether a rational vector fulfils the equations exactly.
 
     Examples
     --------
@@ -97,9 +97,9 @@ def annihilated(given: Equations, vector: Vector) -> bool:
 def _block_kernel(given: Equations, rng: np.random.Generator) -> list[Vector]:
     """Return the kernel of one block in reduced row echelon form.
 
-    Modulo a prime the kernel is at least as large as over the rational numbers. When as many vectors as it has there
-    are reconstructed and fulfil the equations exactly, they span the kernel, and nothing is left to probability. Primes
-    are multiplied up until that happens. A prime that shows a larger kernel or later pivots is dropped.
+    Modulo a prime the kernel is at least as large as over Q, so once that many reconstructed vectors fulfil the
+    equations exactly they span it. Primes are multiplied until then; one with a larger kernel or later pivots is
+    dropped.
     """
     pivots: tuple[int, ...] = ()
     columns: list[list[int]] = []
@@ -133,32 +133,9 @@ def _block_kernel(given: Equations, rng: np.random.Generator) -> list[Vector]:
 
 
 def kernel(given: Equations, largest: int) -> list[Vector]:
-    """Return the solutions of whole-number equations as the reduced row echelon basis, by leading unknown.
+    """Return the solutions of integer equations in reduced row echelon form, {unknown: Fraction}, by leading unknown.
 
-    Every vector is proved against all equations in exact arithmetic.
-
-    Parameters
-    ----------
-    given : Equations
-        With whole numbers.
-    largest : int
-        Most unknowns of a block.
-
-    Returns
-    -------
-    list of {unknown: Fraction}
-        The first unknown of each has the value 1, and does not occur in the others.
-
-    Raises
-    ------
-    ValueError
-        A block is larger than `largest`.
-
-    Examples
-    --------
-    >>> zero = np.array([0, 0])
-    >>> kernel(Equations(3, zero, zero, np.array([0, 2]), np.array([2, 3])), 100)
-    [{0: Fraction(1, 1), 2: Fraction(-2, 3)}, {1: 1}]
+    Every vector is verified against all equations in exact arithmetic. ValueError for a block above `largest` unknowns.
     """
     rng = np.random.default_rng(0)
     found: list[Vector] = []
@@ -176,13 +153,7 @@ def kernel(given: Equations, largest: int) -> list[Vector]:
 
 
 def pivots(rows: Sequence[Sequence[Any]], width: int) -> list[int]:
-    """Return the pivot columns of the reduced row echelon form, exactly.
-
-    Examples
-    --------
-    >>> pivots([[0, Fraction(1, 2), 1], [0, 1, 2]], 3)
-    [1]
-    """
+    """Return the pivot columns of the exact reduced row echelon form."""
     from flint import fmpq_mat
 
     if not rows:

@@ -1,4 +1,4 @@
-"""Matrix representations: are they one, what form do they keep, and how do they carry the coadjoint action?"""
+"""Matrix representations: validation, invariant forms, intertwiners with the coadjoint action."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from coadjoint.given import read_numbers
 from coadjoint.memory import check_room
 from coadjoint.rounding import UNIT_ROUNDOFF
 
-FOLDED_ROWS = 1 << 12  # equations of the linear systems that are folded into a triangle at a time
+FOLDED_ROWS = 1 << 12  # equations reduced to triangular form at a time
 
 
 def read_representation(representation: Any, dim: int | None = None) -> Floats:
-    """Return a float64 copy of the matrices of a representation, shape (n, d, d), or say what is wrong with them.
+    """Validate the matrices of a representation and return a float64 copy, shape (n, d, d).
 
     Examples
     --------
@@ -39,33 +39,9 @@ def read_representation(representation: Any, dim: int | None = None) -> Floats:
 
 
 def check_representation(representation: Any, triples: Triples, dim: int, names: Sequence[str]) -> Floats:
-    """Check [rho_i, rho_j] = sum_k c_ij^k rho_k for every pair, entry by entry, from the nonzero entries only.
+    """Check [rho_i, rho_j] = sum_k c_ij^k rho_k for every pair, sparsely; return a read-only float64 array (n, d, d).
 
-    Each entry must be below 64 u times the sum of the absolute values of the products in it.
-
-    Parameters
-    ----------
-    representation : (n, d, d) array
-    triples : Triples
-        Structure constants with i < j.
-    dim : int
-    names : sequence of str
-        Names of the basis elements, for messages.
-
-    Returns
-    -------
-    (n, d, d) float64 array, read-only
-
-    Raises
-    ------
-    TypeError, ValueError
-        Not numbers, wrong shape, not finite, or a commutator that is violated, named.
-
-    Examples
-    --------
-    >>> zero = Triples(*np.zeros((3, 0), dtype=int), np.zeros(0))
-    >>> check_representation([[[2.0]]], zero, 1, ("e1",))
-    array([[[2.]]])
+    Each entry must be below 64 u times the sum of the absolute values of its products (u = 2^-53).
     """
     rho = read_representation(representation, dim)
     d = rho.shape[1]
@@ -75,7 +51,7 @@ def check_representation(representation: Any, triples: Triples, dim: int, names:
     by_row, _ = groups(a, i)
     by_column, _ = groups(b, i)
     row_key, column_key = (a * dim + i)[by_row], (b * dim + i)[by_column]
-    # for i < j: rho_i rho_j is joined by the columns of rho_i, rho_j rho_i by its rows, c_ij^k rho_k by k
+    # For i < j: rho_i rho_j is joined on the columns of rho_i, rho_j rho_i on its rows, c_ij^k rho_k on k.
     joins: list[tuple[Integers, Integers]] = []
     for key, middle in ((row_key, b), (column_key, a)):
         start = np.searchsorted(key, middle * dim + i, side="right")
@@ -117,7 +93,7 @@ def _solutions(left: Floats, right: Floats) -> Floats:
     """Return a basis (r, m, d) of the matrices X with X right_i = left_i X for all i."""
     m, d = left.shape[1], right.shape[1]
     size = np.maximum(np.abs(left).max(axis=(1, 2)), np.abs(right).max(axis=(1, 2)))
-    size = np.where(size > 0.0, size, 1.0)[:, None, None]  # every i counts alike, whatever its units
+    size = np.where(size > 0.0, size, 1.0)[:, None, None]  # equal weight for every i, whatever its units
     left, right = left / size, right / size
     per_fold = max(1, FOLDED_ROWS // (m * d))
     folded = 8 * (m * d) ** 2 * (per_fold + 3)
@@ -136,9 +112,9 @@ def _solutions(left: Floats, right: Floats) -> Floats:
 
 
 def _generic_of_full_rank(basis: Floats) -> Floats | None:
-    """Return a seeded random combination of full rank, largest entry 1, or None where there is none.
+    """Return a seeded random combination of full rank with largest entry 1, or None if all are singular.
 
-    A generic combination has the largest rank that any has; the seed makes the answer the same every time.
+    A generic combination has the maximal rank.
     """
     if basis.shape[0] == 0:
         return None
@@ -151,31 +127,10 @@ def _generic_of_full_rank(basis: Floats) -> Floats | None:
 
 
 def invariant_form(rho: Any) -> NDArray[np.float64] | None:
-    """Find a nonsingular P with rho_i^T P + P rho_i = 0 for all i: the bilinear form that the group keeps.
+    """Find a nonsingular P with rho_i^T P + P rho_i = 0 for all i, a bilinear form preserved by the group; else None.
 
-    Parameters
-    ----------
-    rho : (n, d, d) array
-        Matrices of a representation.
-
-    Returns
-    -------
-    (d, d) array, or None
-        The identity where all rho_i are skew-symmetric; else a form with largest entry 1; None where every form that is
-        kept is singular. Ranks are decided at 64 u times the size of the linear system (u = 2^-53).
-
-    Raises
-    ------
-    TypeError, ValueError
-        rho does not hold finite numbers or has another shape.
-
-    Examples
-    --------
-    >>> invariant_form([[[0.0, -1.0], [1.0, 0.0]]])
-    array([[1., 0.],
-           [0., 1.]])
-    >>> invariant_form([[[1.0, 0.0], [0.0, 2.0]]]) is None
-    True
+    The identity if all rho_i (n, d, d) are skew-symmetric, otherwise scaled to largest entry 1. Ranks are decided at 64
+    u times the size of the linear system (u = 2^-53).
     """
     matrices = read_representation(rho)
     transposed = matrices.transpose(0, 2, 1)
@@ -185,32 +140,9 @@ def invariant_form(rho: Any) -> NDArray[np.float64] | None:
 
 
 def intertwiner(rho: Any, D: Any) -> NDArray[np.float64] | None:
-    """Find a T of full row rank with T rho_i = D_i T for all i: it carries vectors of rho to the action D.
+    """Find T (m, d) of full row rank with T rho_i = D_i T for all i, rho (n, d, d) and D (n, m, m); else None.
 
-    Parameters
-    ----------
-    rho : (n, d, d) array
-        Matrices of a representation.
-    D : (n, m, m) array
-        Matrices of another one, for instance the coadjoint matrices D_{e_i}.
-
-    Returns
-    -------
-    (m, d) array, or None
-        None where there is none, in particular for d < m. Ranks are decided as in `invariant_form`.
-
-    Raises
-    ------
-    TypeError, ValueError
-        An argument does not hold finite numbers or has another shape, or the two differ in n.
-
-    Examples
-    --------
-    >>> turn = [[[0.0, -1.0], [1.0, 0.0]]]
-    >>> intertwiner(turn, turn).shape
-    (2, 2)
-    >>> intertwiner(turn, [[[1.0]]]) is None
-    True
+    For D the coadjoint matrices D_{e_i}, T maps vectors of rho to the dual. Ranks are decided as in `invariant_form`.
     """
     matrices = read_representation(rho)
     actions = read_representation(D, matrices.shape[0])

@@ -1,4 +1,4 @@
-"""The sparse actions of an algebra: the entries of D_u, J(x) without a matrix, and who commutes with whom."""
+"""Sparse coadjoint action of an algebra: entries of D_u, J(x) as an operator, commuting basis elements."""
 
 from __future__ import annotations
 
@@ -17,14 +17,7 @@ if TYPE_CHECKING:
 
 
 def actions(triples: Triples, dim: int) -> tuple[Integers, Triples]:
-    """Return the entries (i, row, column, value) of every D_{e_i}, sorted, and where each i begins, (n + 1,).
-
-    Examples
-    --------
-    >>> starts, entries = actions(Triples(*np.array([[0], [1], [1]]), np.array([2.0])), 2)
-    >>> starts.tolist(), entries.j.tolist(), entries.c.tolist()
-    ([0, 1, 2], [1, 0], [-2.0, 2.0])
-    """
+    """Return the starts (n + 1,) and sorted entries (i, row, column, value) of every D_{e_i}."""
     every = both_orders(triples)  # (D_{e_i})_jk = c_ji^k
     order, _ = groups(every.j, every.i, every.k)
     acting = every.j[order]
@@ -35,20 +28,9 @@ def actions(triples: Triples, dim: int) -> tuple[Integers, Triples]:
 def coadjoint_entries(
     starts: Integers, every: Triples, indices: Integers, coefficients: NDArray[Any]
 ) -> tuple[Integers, Integers, NDArray[Any]]:
-    """Return rows, columns and values of sum_i u_i D_{e_i}, sorted, each position once, without exact zeros.
+    """Return sorted unique rows, columns and values of sum_i u_i D_{e_i}, without exact zeros.
 
-    Parameters
-    ----------
-    starts, every
-        From `actions`.
-    indices, coefficients : (m,) arrays
-        The i with u_i != 0, and the u_i.
-
-    Examples
-    --------
-    >>> of_all = actions(Triples(*np.array([[0], [1], [1]]), np.array([2.0])), 2)
-    >>> [part.tolist() for part in coadjoint_entries(*of_all, np.array([0]), np.array([3.0]))]
-    [[1], [1], [-6.0]]
+    `starts`, `every` are from `actions`; `indices`, `coefficients` (m,) are the nonzero u_i.
     """
     which, at = expand(starts[indices], starts[indices + 1])
     constants = exact_numbers(every.c[at].tolist()) if coefficients.dtype == object else every.c[at]
@@ -62,14 +44,7 @@ def coadjoint_entries(
 
 
 def structure_operator(triples: Triples, x: NDArray[np.floating[Any]]) -> LinearOperator:
-    """Return J(x) as a SciPy linear operator.
-
-    Examples
-    --------
-    >>> constants = Triples(*np.array([[0], [1], [1]]), np.array([1.0]))
-    >>> structure_operator(constants, np.array([5.0, 7.0])) @ np.array([0.0, 1.0])
-    array([7., 0.])
-    """
+    """Return J(x) as a SciPy linear operator."""
     from scipy.sparse.linalg import LinearOperator
 
     i, j, k, c = triples
@@ -86,13 +61,7 @@ def structure_operator(triples: Triples, x: NDArray[np.floating[Any]]) -> Linear
 
 
 def neighbours(triples: Triples, dim: int) -> tuple[Integers, Integers]:
-    """Return, in compressed sparse rows, the j that do not commute with each i; sorted, read-only.
-
-    Examples
-    --------
-    >>> [part.tolist() for part in neighbours(Triples(*np.array([[0], [2], [0]]), np.array([1.0])), 3)]
-    [[0, 1, 1, 2], [2, 0]]
-    """
+    """Return, in compressed sparse rows, the sorted j that do not commute with each i; read-only."""
     first, second = np.concatenate([triples.i, triples.j]), np.concatenate([triples.j, triples.i])
     order, starts = groups(first, second)
     first, indices = first[order[starts]], second[order[starts]]

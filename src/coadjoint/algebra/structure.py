@@ -1,4 +1,4 @@
-"""What structure constants define: J(x), brackets, the coadjoint action, ranks, and who commutes with whom."""
+"""Operations defined by structure constants: J(x), brackets, the coadjoint action, ranks, commuting basis elements."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 
 class Structure:
-    """The functions of the structure constants of a `LieAlgebra`, which inherits them.
+    """Base class of `LieAlgebra` with the operations of its structure constants.
 
-    A class that inherits sets `_dim` and `_triples`, the constants with i < j, sorted, unique and not zero.
+    A subclass sets `_dim` and `_triples`, the constants with i < j, sorted, unique and nonzero.
     """
 
     _dim: int
@@ -35,7 +35,7 @@ class Structure:
         return exact_numbers(self._triples.c.tolist())
 
     def _vector(self, values: Any, what: str) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return a vector of g or g*, and the constants in the kind of number that goes with it."""
+        """Return a vector of g or g*, and the constants converted to its number type."""
         vector = array_given(values, what, "iufc")
         if vector.shape != (self._dim,):
             raise ValueError(f"{what} must have shape ({self._dim},), not {vector.shape}")
@@ -44,7 +44,7 @@ class Structure:
         return vector.astype(np.result_type(vector.dtype, np.float64), copy=False), self._triples.c
 
     def _zeros(self, dtype: Any, what: str) -> NDArray[Any]:
-        """Return an (n, n) array of zeros, where there is room for it."""
+        """Return an (n, n) array of zeros after a memory check."""
         need = self._dim**2 * np.dtype(dtype).itemsize + 24 * self._triples.c.size
         check_room(need, f"{what} of dimension {self._dim}", "take the sparse entries, or the operator")
         return np.zeros((self._dim, self._dim), dtype=dtype)
@@ -174,14 +174,14 @@ class Structure:
         Parameters
         ----------
         u : (n,) array, or mapping of index to number
-            Element of the algebra; dtype object is allowed. A mapping {i: u_i} costs only what its entries cost.
+            Element of the algebra; dtype object is allowed. A mapping {i: u_i} costs time proportional to its length.
 
         Returns
         -------
         rows, columns : (m,) integer arrays
             Sorted by row, then column; each position once.
         values : (m,) array
-            Entries; what cancels to exactly zero is left out.
+            Entries; exact zeros are omitted.
 
         Raises
         ------
@@ -209,7 +209,7 @@ class Structure:
         return coadjoint_entries(*self.actions, indices, coefficients)
 
     def structure_operator(self, x: Any) -> LinearOperator:
-        """Return J(x) as a SciPy linear operator that holds no n x n array; for large n.
+        """Return J(x) as a SciPy linear operator without an n x n array, for large n.
 
         Parameters
         ----------
@@ -240,10 +240,10 @@ class Structure:
     def generic_rank(self) -> int:
         """Return the rank of J(x) at a generic x; ``dim - rank`` is the number of independent Casimirs.
 
-        Constants are read as simple fractions (q <= 10^6), or as exact floats. Where they then fulfil the Jacobi
-        identity exactly, the rank is the larger of two, modulo random 62-bit primes at random points (seeded: the same
-        answer every time). It is never too large, and too small with probability below 2^-60 (Schwartz and Zippel;
-        `coadjoint.algebra.modular`). For constants that are known to round-off only, singular values decide the rank.
+        Constants are interpreted as simple fractions (q <= 10^6), or as exact floats. If they then fulfil the Jacobi
+        identity exactly, the rank is the larger of two, modulo random 62-bit primes at seeded random points: never too
+        large, and too small with probability below 2^-60 (Schwartz and Zippel; `coadjoint.algebra.modular`). For
+        constants known only to round-off, singular values decide the rank.
 
         Returns
         -------
@@ -288,7 +288,7 @@ class Structure:
         return self._neighbours
 
     def commuting(self, i: int, j: int) -> bool:
-        """Say whether [e_i, e_j] = 0.
+        """Return whether [e_i, e_j] = 0.
 
         Parameters
         ----------

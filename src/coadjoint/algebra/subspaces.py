@@ -1,4 +1,4 @@
-"""New algebras from one: another basis, a subalgebra, the quotient by an ideal; all in exact arithmetic."""
+"""Constructions from one algebra, in exact arithmetic: change of basis, subalgebras, quotients by ideals."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from coadjoint.given import array_given, title
 from coadjoint.memory import check_room
 from coadjoint.wording import short
 
-BYTES_PER_FRACTION = 300  # in a dictionary, with what it is computed from
+BYTES_PER_FRACTION = 300  # in a dictionary, including intermediate results
 
 Rows = dict[int, list[tuple[int, int, Number]]]
 Brackets = Mapping[tuple[int, int], Mapping[int, Number]]
 
 
 def _vectors(g: LieAlgebra, given: Any, what: str) -> list[Vector]:
-    """Read vectors of g: components, or names of basis elements."""
+    """Parse vectors of g, given as components or names of basis elements."""
     if not isinstance(g, LieAlgebra):
         raise TypeError(f"{what} belongs to a LieAlgebra, not to a {type(g).__name__}")
     if isinstance(given, np.ndarray) and given.dtype.kind == "U":
@@ -41,7 +41,7 @@ def _vectors(g: LieAlgebra, given: Any, what: str) -> list[Vector]:
         if isinstance(vector, str):
             if vector not in place:
                 known = ", ".join(map(short, g.basis[:8]))
-                raise ValueError(f"{short(vector)} in {what} is no basis element of {short(g)}: {known}, ...")
+                raise ValueError(f"{short(vector)} in {what} is not a basis element of {short(g)}: {known}, ...")
             vectors.append({place[vector]: 1})
         else:
             vectors.append(read_vector(vector, g.dim, f"vector {number} of {what}"))
@@ -97,10 +97,9 @@ def _combined(g: LieAlgebra, vectors: Sequence[Vector]) -> Floats | None:
 
 
 def _casimirs(g: LieAlgebra, rows: Sequence[Mapping[int, Number]], dim: int, exact: bool) -> dict[str, Any]:
-    """Return the known Casimirs in new coordinates, x_i = sum_j rows[i][j] y_j; those that vanish are left out.
+    """Return the known Casimirs in new coordinates, x_i = sum_j rows[i][j] y_j, without those that vanish.
 
-    Where the new constants are rounded, the coefficients are rounded too. Casimirs are then no more exact than the
-    algebra.
+    If the new constants are rounded (not `exact`), so are the coefficients: no more exact than the algebra.
     """
 
     def changed(p: Polynomial) -> Polynomial:
@@ -123,7 +122,7 @@ def _is_exact(brackets: Brackets) -> bool:
 
 
 def _whole(vectors: Sequence[Mapping[int, Number]]) -> tuple[list[dict[int, int]], int]:
-    """Return vectors times their common denominator, and this: whole numbers multiply much faster than fractions."""
+    """Return integer vectors and their common denominator; integers multiply much faster than fractions."""
     common = math.lcm(*(value.denominator for vector in vectors for value in vector.values()))
     return [{i: int(value * common) for i, value in vector.items()} for vector in vectors], common
 
@@ -131,14 +130,14 @@ def _whole(vectors: Sequence[Mapping[int, Number]]) -> tuple[list[dict[int, int]
 def change_of_basis(g: LieAlgebra, matrix: Any, basis: Sequence[str] | None = None) -> LieAlgebra:
     """Return the same algebra in the basis e'_i = sum_j T_ij e_j.
 
-    The coordinates of the dual are then x' = T x: where x moves on g, T x moves on the new algebra.
+    The coordinates of the dual transform as x' = T x.
 
     Parameters
     ----------
     g : LieAlgebra
     matrix : (n, n) array of int, float or Fraction
-        T, invertible. Floats are taken as the rational numbers that they are; everything is computed exactly, and each
-        constant rounded once.
+        T, invertible. Floats are converted exactly to rational numbers; the computation is exact, and each constant is
+        rounded once.
     basis : sequence of str, optional
         New names; ``e1, e2, ...`` by default.
 
@@ -146,8 +145,8 @@ def change_of_basis(g: LieAlgebra, matrix: Any, basis: Sequence[str] | None = No
     -------
     LieAlgebra
         With the representation sum_j T_ij rho_j and the known Casimirs as functions of x'; their coefficients are exact
-        where all the new constants are floats exactly, else rounded too. An `Invariant` given as a Python function by a
-        user is not carried over.
+        if all new constants are exact floats, else rounded. A user's `Invariant` given as a Python function is not
+        carried over.
 
     Raises
     ------
@@ -170,11 +169,11 @@ def change_of_basis(g: LieAlgebra, matrix: Any, basis: Sequence[str] | None = No
     old = [span.combination({i: 1}) or {} for i in range(g.dim)]  # e_i by the new basis, so x_i by x'
     (new, by_new), (inverse, by_inverse) = _whole(vectors), _whole(old)
     rows, brackets = _by_element(g), {}
-    having: list[list[int]] = [[] for _ in range(g.dim)]  # the new elements with a component along e_j
+    having: list[list[int]] = [[] for _ in range(g.dim)]  # indices of new elements with a component along e_j
     for number, vector in enumerate(new):
         for j in vector:
             having[j].append(number)
-    # Each old constant contributes to so many new ones at most, and there are at most all of them.
+    # Upper bound on the number of new constants: contributions of the old ones, and all triples.
     spread, joined = np.array([len(numbers) for numbers in having]), np.array([len(vector) for vector in inverse])
     most = 2 * int((spread[g.triples.i] * spread[g.triples.j] * joined[g.triples.k]).sum())
     constants = min(most, g.dim**2 * (g.dim - 1) // 2)
@@ -229,7 +228,7 @@ def subalgebra(g: LieAlgebra, vectors: Any, basis: Sequence[str] | None = None) 
         for j in range(i + 1, len(given)):
             components = span.combination(_bracket(rows, u, given[j]))
             if components is None:
-                raise ValueError(f"the vectors are no subalgebra: the bracket of vectors {i} and {j} leaves their span")
+                raise ValueError(f"this span is not a subalgebra: the bracket of vectors {i} and {j} leaves their span")
             brackets[i, j] = components
     if basis is None and all(isinstance(vector, str) for vector in vectors):
         basis = vectors
@@ -243,7 +242,7 @@ def subalgebra(g: LieAlgebra, vectors: Any, basis: Sequence[str] | None = None) 
 
 
 def quotient(g: LieAlgebra, ideal: Any) -> LieAlgebra:
-    """Return the quotient of g by an ideal: its basis are the classes of those e_k that the ideal does not determine.
+    """Return the quotient of g by an ideal; its basis consists of the classes of the e_k not determined by the ideal.
 
     The dual of the quotient is the set of x in the dual of g that vanish on the ideal.
 
@@ -256,13 +255,13 @@ def quotient(g: LieAlgebra, ideal: Any) -> LieAlgebra:
     Returns
     -------
     LieAlgebra
-        With the names of these e_k, the known polynomial Casimirs restricted to the dual of the quotient (where not
-        constant), and the representation where it is zero on the ideal.
+        With the names of these e_k, the nonconstant restrictions of the known polynomial Casimirs to the dual of the
+        quotient, and the representation if it is zero on the ideal.
 
     Raises
     ------
     TypeError, ValueError
-        The vectors are dependent or span everything, or are no ideal: a basis element and a vector are named.
+        The vectors are dependent, span g, or do not span an ideal; the message names a basis element and a vector.
 
     Examples
     --------
@@ -278,7 +277,7 @@ def quotient(g: LieAlgebra, ideal: Any) -> LieAlgebra:
         for i in sorted({j for part in vector for j, _, _ in rows[part]}):
             if span.combination(_bracket(rows, {i: 1}, vector)) is None:
                 raise ValueError(
-                    f"the vectors span no ideal: the bracket of {g.basis[i]} with vector {number} leaves it"
+                    f"the vectors do not span an ideal: the bracket of {g.basis[i]} with vector {number} leaves it"
                 )
     kept = [k for k in range(g.dim) if k not in span.pivots]
     place = {k: number for number, k in enumerate(kept)}

@@ -17,12 +17,7 @@ from coadjoint.given import read_number
 class SymbolicPolynomial:
     """A polynomial in x1, ..., xn with coefficients that are polynomials in symbols.
 
-    Parameters
-    ----------
-    polynomial : Polynomial
-        The polynomial in the coordinates, followed by the symbols.
-    symbols : sequence of str
-        Names of the symbols.
+    `polynomial` has the coordinates followed by the symbols.
 
     Examples
     --------
@@ -52,17 +47,7 @@ class SymbolicPolynomial:
         return max((sum(exponents) for exponents in self.coefficients), default=0)
 
     def with_values(self, values: Mapping[str, Coefficient]) -> Polynomial:
-        """Return the polynomial with numbers for all symbols: exact ones where values and coefficients are.
-
-        Parameters
-        ----------
-        values : mapping
-            Name -> number.
-
-        Returns
-        -------
-        Polynomial
-        """
+        """Substitute numbers (name -> number) for all symbols; exact if values and coefficients are."""
         numbers = [_exact(values[name], name) for name in self.symbols]
         monomials = {}
         for exponents, coefficient in self.coefficients.items():
@@ -88,14 +73,14 @@ class SymbolicPolynomial:
         return self._grouped(plain, "*")
 
     def to_latex(self) -> str:
-        """Return it as LaTeX, without dollars."""
+        """Return the LaTeX form, without dollar signs."""
         return self._grouped(latex, r" \, ")
 
     def _repr_latex_(self) -> str:
         return f"${self.to_latex()}$"
 
     def to_sympy(self) -> Any:
-        """Return it as an expression of SymPy."""
+        """Return a SymPy expression."""
         return sympy_of(self._polynomial.monomials, [*coordinate_names(self.dim), *self.symbols])
 
     def _grouped(self, write: Callable[[Mapping[Exponents, Coefficient], Sequence[str]], str], between: str) -> str:

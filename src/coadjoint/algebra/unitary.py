@@ -1,4 +1,4 @@
-"""The unitary algebras su(n) and u(n), by real matrices of twice the size."""
+"""The unitary algebras su(n) and u(n), represented by real matrices of twice the size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Brackets of a basis as text, such as "[e1, e3] = 2 e1 - e2": a strict reader, for any names of the basis."""
+"""Parser of brackets such as "[e1, e3] = 2 e1 - e2", for arbitrary names of basis elements."""
 
 from __future__ import annotations
 
@@ -16,30 +16,9 @@ Brackets = dict[tuple[int, int], dict[int, float]]
 
 
 def read_brackets(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
-    """Return the brackets written as ``"[e1, e3] = 2 e1 - e2"``, one line for each pair that does not commute.
+    """Parse lines ``"[e1, e3] = 2 e1 - e2"``, one per noncommuting pair, to ``{(i, j): {k: c}}`` with indices from 0.
 
-    Parameters
-    ----------
-    lines : sequence of str
-        On the right a sum of basis elements, each with a number before it: ``2``, ``0.5``, ``1/3``; a ``*`` may follow.
-    basis : sequence of str
-        Names of the basis elements.
-
-    Returns
-    -------
-    dict
-        ``{(i, j): {k: c}}``, indices from 0, as `LieAlgebra.from_brackets` takes it.
-
-    Raises
-    ------
-    ValueError
-        Naming the line that is wrong: not of this form, an unknown basis element, a pair given twice, a number that
-        float64 does not hold.
-
-    Examples
-    --------
-    >>> read_brackets(["[e1, e3] = 2 e1 - e2"], ["e1", "e2", "e3"])
-    {(0, 2): {0: 2.0, 1: -1.0}}
+    Coefficients are ``2``, ``0.5``, ``1/3``, optionally followed by ``*``. A ValueError names the invalid line.
     """
     names = _Names(basis)
     result: Brackets = {}
@@ -62,7 +41,7 @@ def read_brackets(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
 
 
 def names_in(lines: Sequence[str]) -> tuple[str, ...]:
-    """Return the names in written brackets, in the order in which they come first.
+    """Return the names in bracket lines in order of first appearance.
 
     Examples
     --------
@@ -80,10 +59,10 @@ def names_in(lines: Sequence[str]) -> tuple[str, ...]:
 
 
 class _Names:
-    """The names of a basis, found in a text by their lengths: the time does not grow with their number."""
+    """Tokenizer of basis names, by length: its time does not grow with the number of names."""
 
     _OPENED, _BETWEEN, _CLOSED = (re.compile(p) for p in (r"\s*\[\s*", r"\s*,\s*", r"\s*\]\s*=\s*"))
-    # A number may be followed by a name that begins like an exponent: in 2e1 it is 2.
+    # A name that begins like an exponent may follow a number: the number in 2e1 is 2.
     _FACTORS = tuple(
         re.compile(rf"\s*(?P<sign>[-+])?\s*{number}")
         for number in (
@@ -108,7 +87,7 @@ class _Names:
                 yield k, place + length
 
     def pair(self, line: str) -> tuple[int, int, int] | None:
-        """Return the two elements in the bracket on the left, and where the right side begins."""
+        """Return the two elements in the bracket on the left, and the start of the right side."""
         opened = self._OPENED.match(line)
         for i, end in self._at(line, opened.end()) if opened else ():
             between = self._BETWEEN.match(line, end)
@@ -119,7 +98,7 @@ class _Names:
         return None
 
     def term(self, line: str, at: int) -> tuple[re.Match[str], int, int] | None:
-        """Return sign and number of the term at a place, its element, and where the next term begins."""
+        """Parse the term at a position: sign and number, its element, and the start of the next term."""
         for factor in self._FACTORS:
             found = factor.match(line, at)
             for k, end in self._at(line, found.end()) if found else ():

@@ -1,4 +1,4 @@
-"""Numbers that are written out: whole, decimal, and their quotients."""
+"""Number literals: whole, decimal, and their quotients."""
 
 from __future__ import annotations
 
@@ -15,13 +15,7 @@ MOST_DIGITS = 400
 
 
 def read_constant(written: str) -> Constant:
-    """Return a number that is written out: an int where it has digits alone, else a float.
-
-    Examples
-    --------
-    >>> read_constant("12"), read_constant("1e3")
-    (12, 1000.0)
-    """
+    """Parse a number: int if it consists of digits, else float."""
     if not written.isdigit():
         return checked(float(written))
     if len(written) > MOST_DIGITS:
@@ -30,7 +24,7 @@ def read_constant(written: str) -> Constant:
 
 
 def quotient(above: Constant, below: Constant) -> Constant:
-    """Return above/below: exact where both are, else a float.
+    """Return above/below: exact if both are, else a float.
 
     Examples
     --------
@@ -42,12 +36,12 @@ def quotient(above: Constant, below: Constant) -> Constant:
 
 
 def checked(value: Constant) -> Any:
-    """Return a number, or refuse it where float64 does not hold it."""
+    """Return a number, or raise a ValueError if it is beyond float64."""
     if not fits(value):
         raise too_large()
     return value
 
 
 def too_large() -> ValueError:
-    """Return the error for a number that float64 does not hold."""
+    """Return the error for a number beyond float64."""
     return ValueError(f"a number {TOO_LARGE}")

@@ -1,1 +1,1 @@
-"""Does it hold? The experiments of the literature, scripted and judged; the checks of the installed package."""
+"""Reproduced experiments of the literature, and the self-test of the installed package."""

@@ -1,4 +1,4 @@
-"""Orders of schemes, measured: errors at a fixed time for several steps."""
+"""Measured orders of schemes: errors at a fixed time for several steps."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
 from coadjoint.systems.kinds import System
 
-SLOPE_TOLERANCE = 0.2  # what the next term of the error adds to a slope at the steps taken here
+SLOPE_TOLERANCE = 0.2  # contribution of the next error term to a slope at the steps used here
 
-# Numbers of steps for slopes. High orders soon meet round-off and take few, large steps. The slopes of low orders
-# settle late and take small ones.
+# Numbers of steps for slopes: few, large steps for high orders, which soon reach round-off; small ones for low orders,
+# whose slopes converge late.
 LOW_ORDER = (32, 64, 128, 256, 512)
 HIGH_ORDER = (12, 16, 24, 32, 48, 64, 96)
 
 
 class Trial(NamedTuple):
-    """A system, its initial state, an end time, and the exact state there."""
+    """A test problem: system, initial state, end time, and the exact state there."""
 
     system: System
     x0: npt.NDArray[np.float64]
@@ -33,21 +33,9 @@ class Trial(NamedTuple):
 
 
 def trial(system: System, x0: npt.ArrayLike, end: float) -> Trial:
-    """Return a trial whose exact end comes from the closed form, or else from 8 Gauss stages.
+    """Return a test problem whose exact end state comes from the closed form, or else from 8 Gauss stages.
 
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-    x0 : array_like, shape (n,)
-        Initial state.
-    end : float
-        Time of comparison.
-
-    Returns
-    -------
-    Trial
-        With an exact state good to a few units of round-off: 8 stages have order 16, and the step is end / 64.
+    8 stages have order 16; with step end/64 they are accurate to a few units of round-off.
     """
     start = np.array(x0, dtype=np.float64)
     run = integrate(system, start, (0.0, end), end / 64, GaussLegendre(8), save_every=64, watch=False)
@@ -55,7 +43,7 @@ def trial(system: System, x0: npt.ArrayLike, end: float) -> Trial:
 
 
 def roundoff(steps: float, size: float) -> float:
-    """Return what round-off can add up to: 8 roundings of 2^-53 in each step, all of one sign.
+    """Return an upper bound of accumulated round-off: 8 roundings of 2^-53 per step, all of one sign.
 
     Examples
     --------
@@ -66,21 +54,7 @@ def roundoff(steps: float, size: float) -> float:
 
 
 def fitted_order(case: Trial, method: Method, counts: Sequence[int] | None = None) -> OrderFit:
-    """Return the order of a scheme by the slope of its error at the end of a trial.
-
-    Parameters
-    ----------
-    case : Trial
-        The problem.
-    method : Method
-        The scheme.
-    counts : sequence of int, optional
-        Numbers of steps; None chooses them by the order that the scheme declares.
-
-    Returns
-    -------
-    OrderFit
-    """
+    """Fit the order of a scheme from its error at the end of a trial; default `counts` follow the declared order."""
     numbers = counts or (HIGH_ORDER if method.order > 3 else LOW_ORDER)
     errors = []
     for count in numbers:
@@ -91,23 +65,7 @@ def fitted_order(case: Trial, method: Method, counts: Sequence[int] | None = Non
 
 
 def fitted_drift(case: Trial, method: Method, invariant: str, counts: Sequence[int] = HIGH_ORDER) -> OrderFit:
-    """Return how the largest drift of an invariant on the way to the end depends on the step.
-
-    Parameters
-    ----------
-    case : Trial
-        The problem.
-    method : Method
-        The scheme.
-    invariant : str
-        ``"energy"`` or the name of a Casimir.
-    counts : sequence of int
-        Numbers of steps.
-
-    Returns
-    -------
-    OrderFit
-    """
+    """Fit the order of the largest drift of an invariant ("energy" or a Casimir) along a trial."""
     drifts, floor = [], []
     for count in counts:
         run = integrate(case.system, case.x0, (0.0, case.end), case.end / count, method, save_every=count)
@@ -118,7 +76,7 @@ def fitted_drift(case: Trial, method: Method, invariant: str, counts: Sequence[i
 
 
 def within(measured: float, expected: float) -> bool:
-    """Return whether a slope is the expected order.
+    """Return whether a slope agrees with the expected order.
 
     Examples
     --------

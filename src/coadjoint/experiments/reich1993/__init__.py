@@ -1,4 +1,4 @@
-"""S. Reich, Numerical integration of the generalized Euler equations (1993): its figures and statements."""
+"""Reproduction of S. Reich, Numerical integration of the generalized Euler equations (1993): figures and statements."""
 
 from __future__ import annotations
 
@@ -14,19 +14,7 @@ from coadjoint.wording import short
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What `reproduce` found.
-
-    Parameters
-    ----------
-    table : tuple of Statement
-        One row for each statement of the paper.
-    figures : tuple of Path
-        The written figures.
-    files : tuple of Path
-        The written tables.
-    seconds : float
-        How long it took.
-    """
+    """Result of `reproduce`: one row per statement of the paper, paths of figures and tables, and the duration."""
 
     table: tuple[Statement, ...]
     figures: tuple[Path, ...]
@@ -41,31 +29,21 @@ def reproduce(
     phase_end: float = 500.0,
     steps: int = 1_000_000,
 ) -> Reproduction:
-    """Repeat the experiments of the paper, draw its figures, and judge its statements by what is measured now.
+    """Repeat the experiments of the paper, draw its figures, and judge its statements by new measurements.
+
+    Writes figure1.png ... figure5.png, modified_energies.png, long_time.png, table.md and table.csv to the folder
+    `out`.
 
     Parameters
     ----------
     out : str or Path
-        Folder for figure1.png ... figure5.png, modified_energies.png, long_time.png, table.md and table.csv; made if it
-        does not exist.
+        Output folder, created if needed; OSError if it cannot be written.
     echo : callable
-        Receives a line of text for each section as it begins.
+        Receives a line of text at the start of each section.
     phase_end : float
         End of the runs that follow phase errors (a whole number of time units, at least 50).
     steps : int
         Steps of the runs that follow the drift of invariants (a multiple of 10,000).
-
-    Returns
-    -------
-    Reproduction
-        Table, figures and duration.
-
-    Raises
-    ------
-    ValueError
-        `phase_end` or `steps` does not fit.
-    OSError
-        The folder cannot be written.
     """
     if phase_end < 50.0 or phase_end != int(phase_end):
         raise ValueError(f"phase_end is {short(phase_end)}; it must be a whole number from 50 up")
@@ -92,24 +70,14 @@ def reproduce(
 
 
 def check_packages() -> None:
-    """Refuse to begin without what the experiments need: they compile functions, and draw."""
+    """Raise an error if packages for compiling functions or plotting are missing."""
     need("repeating the experiments", "numba", "matplotlib")
 
 
 def measured_statements(echo: Callable[[str], None] = print, phase_end: float = 500.0) -> list[Statement]:
-    """Return a row for every statement of the paper that can be tested, measured now.
+    """Return a measured row for every testable statement of the paper, in the order of the paper.
 
-    Parameters
-    ----------
-    echo : callable
-        Receives a line of text for each section as it begins.
-    phase_end : float
-        End of the runs that follow phase errors.
-
-    Returns
-    -------
-    list of Statement
-        In the order of the paper.
+    `echo` receives a line of text per section; `phase_end` is the end of the runs that follow phase errors.
     """
     from coadjoint.experiments.reich1993 import (
         section2,

@@ -1,4 +1,4 @@
-"""The runs of section 5.2 of Reich (1993): the rigid body by three schemes, with the exact attitude."""
+"""Runs of section 5.2 of Reich (1993): the rigid body by three schemes, with the exact attitude."""
 
 from __future__ import annotations
 
@@ -27,15 +27,7 @@ SPLITTING: Method = COORDINATES
 
 
 class BodyRun(NamedTuple):
-    """A run of the rigid body beside the exact motion.
-
-    Parameters
-    ----------
-    solution : Solution
-        With attitude.
-    exact : ndarray, shape (k, 3, 3)
-        Exact attitude at the saved times.
-    """
+    """A run of the rigid body with attitude, and the exact attitude (k, 3, 3) at the saved times."""
 
     solution: Solution
     exact: Floats
@@ -49,45 +41,23 @@ class BodyRun(NamedTuple):
 
     @property
     def phase(self) -> Floats:
-        """Signed angle about the constant spatial momentum by which the computed body leads, in radians, shape (k,)."""
+        """Phase lead of the computed body about the constant spatial momentum, in radians, signed, shape (k,)."""
         attitude = self.solution.attitude
         assert attitude is not None
         return np.asarray(precession_error(attitude, self.exact, self.solution.x[0]))
 
     @property
     def drift(self) -> PhaseDrift:
-        """How the phase of the attitude grows, in radians."""
+        """Growth of the phase of the attitude, in radians."""
         return drift_of_series(self.solution.t, self.phase, ANGLES)
 
     def at(self, time: float) -> int:
-        """Return the place of a saved time."""
+        """Return the index of a saved time."""
         return int(np.argmin(np.abs(self.solution.t - time)))
 
 
 def body_run(method: Method, x0: tuple[float, ...], end: float, step: float, save_every: int = 1) -> BodyRun:
-    """Return a run of the paper's rigid body from A = I.
-
-    Parameters
-    ----------
-    method : Method
-        The scheme.
-    x0 : (float, float, float)
-        Body angular momentum.
-    end, step : float
-        Time and step.
-    save_every : int
-        Steps between saved points.
-
-    Returns
-    -------
-    BodyRun
-
-    Examples
-    --------
-    >>> run = body_run(SPLITTING, (1.0, 10.0, 1.0), 1.0, 0.1)
-    >>> bool(0.01 < run.angle[-1] < 0.03)
-    True
-    """
+    """Integrate the paper's rigid body from the body angular momentum x0 and attitude I."""
     body = paper_rigid_body()
     solution = integrate(body, x0, (0.0, end), step, method, attitude=True, save_every=save_every)
     return BodyRun(solution, body.exact(x0, solution.t, attitude=True)[1])

@@ -1,4 +1,4 @@
-"""Figures 1 to 5 of Reich (1993), drawn anew."""
+"""Reproductions of figures 1 to 5 of Reich (1993)."""
 
 from __future__ import annotations
 
@@ -26,23 +26,12 @@ from coadjoint.runs.solution import Solution
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RESOLUTION = 160  # dots an inch
-DENSE = 1e-3  # spacing of the times at which the exact motion is drawn
+RESOLUTION = 160  # dots per inch
+DENSE = 1e-3  # time spacing of the exact motion in plots
 
 
 def write_figures(folder: Path) -> list[Path]:
-    """Draw figures 1 to 5 and write them as PNG.
-
-    Parameters
-    ----------
-    folder : Path
-        Existing folder.
-
-    Returns
-    -------
-    list of Path
-        figure1.png ... figure5.png.
-    """
+    """Draw figures 1 to 5 and write them to an existing folder as figure1.png ... figure5.png."""
     figures = [
         drift_figure(spiral_run(COORDINATES), 1, "Lie-Poisson integrator"),
         drift_figure(spiral_run(MODIFIED_ON_SPIRAL), 2, "$M$-orthogonal integrator"),
@@ -58,21 +47,9 @@ def write_figures(folder: Path) -> list[Path]:
 
 
 def drift_figure(run: Solution, number: int, scheme: str) -> Figure:
-    """Draw the drift of the Hamiltonian (dotted) and the Casimir (solid) on A3,7.
+    """Plot the drift of the Hamiltonian (dotted) and the Casimir (solid) on A3,7; every step must be saved.
 
-    Parameters
-    ----------
-    run : Solution
-        Every step saved.
-    number : int
-        Number of the figure.
-    scheme : str
-        Name in the title.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Signed deviations on the left, as in the paper, and their sizes on a logarithmic scale on the right.
+    Left: signed deviations, as in the paper; right: absolute values on a logarithmic scale.
     """
     from matplotlib.figure import Figure
 
@@ -88,7 +65,7 @@ def drift_figure(run: Solution, number: int, scheme: str) -> Figure:
     for label, (values, style) in styles.items():
         change = values - values[0]
         signed.plot(run.t, change, label=label, **style)
-        # Steps at which no bit has changed have no logarithm.
+        # Zero deviations have no logarithm.
         size.plot(run.t, np.where(change != 0.0, np.abs(change), np.nan), label=label, **style)
     signed.set(xlabel="time $t$", ylabel="drift")
     signed.ticklabel_format(axis="y", style="sci", scilimits=(0, 0), useMathText=True)
@@ -108,22 +85,7 @@ def drift_figure(run: Solution, number: int, scheme: str) -> Figure:
 
 
 def attitude_figure(method: Method, number: int, scheme: str) -> Figure:
-    """Draw A(1,1) of the rigid body (solid) beside the exact one (dotted), early and later.
-
-    Parameters
-    ----------
-    method : Method
-        The scheme.
-    number : int
-        Number of the figure.
-    scheme : str
-        Name in the title.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Above up to t = 5, which has the look of the paper's figure; below up to t = 50.
-    """
+    """Plot A(1,1) of the rigid body (solid) and the exact one (dotted), up to t = 5 as in the paper and t = 50."""
     from matplotlib.figure import Figure
 
     run = body_run(method, BODY_START, BODY_LATER, BODY_STEP)
@@ -168,7 +130,7 @@ def _draw_attitude(axes: Any, run: BodyRun, end: float, scheme: str) -> None:
     highest = max(1.0, float(np.max(np.abs(attitude[:last, 0, 0]))))
     axes.set(xlim=(0.0, end), ylabel="$A(1,1)$")
     if highest > 10.0:
-        # The matrix is no rotation any more. The axis is linear where a cosine can be, and logarithmic beyond.
+        # The matrix is no longer a rotation: linear axis within [-1, 1], logarithmic beyond.
         axes.set_yscale("symlog", linthresh=2.0, linscale=1.0)
         axes.set_yticks([-1000, -100, -10, -1, 1, 10, 100, 1000])
     axes.set_ylim(-1.08 * highest, 1.08 * highest)

@@ -1,4 +1,4 @@
-"""What the figures of Reich (1993) lack: long times."""
+"""Long-time behaviour, not shown in the figures of Reich (1993)."""
 
 from __future__ import annotations
 
@@ -28,41 +28,14 @@ POINTS = 10_000  # saved points of the longest runs
 
 
 def write_long_time(folder: Path, phase_end: float, steps: int) -> Path:
-    """Draw long_time.png.
-
-    Parameters
-    ----------
-    folder : Path
-        Existing folder.
-    phase_end : float
-        End of the runs whose phase error is followed.
-    steps : int
-        Number of steps of the runs whose invariants are followed, a multiple of 10,000.
-
-    Returns
-    -------
-    Path
-    """
+    """Draw long_time.png in an existing folder and return its path; parameters as in `reproduce`."""
     path = folder / "long_time.png"
     long_time_figure(phase_end, steps).savefig(path, dpi=RESOLUTION)
     return path
 
 
 def long_time_figure(phase_end: float, steps: int) -> Figure:
-    """Draw phase errors against time, and the drift of energy and Casimir over many steps.
-
-    Parameters
-    ----------
-    phase_end : float
-        End of the runs whose phase error is followed.
-    steps : int
-        Number of steps of the runs whose invariants are followed.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Four panels.
-    """
+    """Plot phase errors against time, and the drift of energy and Casimir over many steps, in four panels."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.2, 6.6), layout="constrained")

@@ -1,4 +1,4 @@
-"""Section 6 of Reich (1993) as a figure: the energy and modified energies along the runs of section 5."""
+"""Section 6 of Reich (1993) as a figure: energy and modified energies along the runs of section 5."""
 
 from __future__ import annotations
 
@@ -17,34 +17,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ORDERS = (4, 6, 8)
-# At the paper's own step of 0.1 the body turns by one radian a step and more. There the series in h says little.
+# At the paper's step of 0.1 the body turns by a radian or more per step, too much for the series in h.
 STEP = 0.025
 
 
 def write_modified_energies(folder: Path) -> Path:
-    """Draw the figure and write it as modified_energies.png.
-
-    Parameters
-    ----------
-    folder : Path
-        Existing folder.
-
-    Returns
-    -------
-    Path
-    """
+    """Draw modified_energies.png in an existing folder and return its path."""
     path = folder / "modified_energies.png"
     modified_energy_figure().savefig(path, dpi=RESOLUTION)
     return path
 
 
 def modified_energy_figure() -> Figure:
-    """Draw how far H and the modified Hamiltonians of orders 4, 6 and 8 stray along three runs of the splitting.
+    """Plot the deviation of H and of the modified Hamiltonians of orders 4, 6 and 8 along three runs of the splitting.
 
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A3,7 as in figure 1; the rigid body near its separatrix at a quarter of the paper's step; the same body calm.
+    A3,7 as in figure 1; the rigid body near its separatrix at a quarter of the paper's step; the body far from it.
     """
     from matplotlib.figure import Figure
 

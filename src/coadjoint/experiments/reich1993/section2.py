@@ -1,4 +1,4 @@
-"""Section 2 of Reich (1993): what the exact motion keeps."""
+"""Section 2 of Reich (1993): invariants of the exact motion."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from coadjoint.systems.paper_examples import paper_a37, paper_rigid_body
 
 TIME = 0.1
 STAGES = 8  # of order 16; a step of 0.1 is the exact motion to round-off
-SETTLED = 40  # iterations, each of which gains a factor of the step
+SETTLED = 40  # iterations; each reduces the error by a factor of the step
 
 
 def statements() -> list[Statement]:
-    """Return the statements of section 2, measured now."""
+    """Return the measured statements of section 2."""
     return [_poisson_flow(), _orthogonal_flow(), _remark_2_1()]
 
 

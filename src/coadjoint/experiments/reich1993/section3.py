@@ -28,7 +28,7 @@ LONG, STEP = 2000, 0.05  # steps and step of the runs that should keep an invari
 
 
 def statements() -> list[Statement]:
-    """Return the statements of section 3 about order and invariants, measured now."""
+    """Return the measured statements of section 3 about order and invariants."""
     case = four_dimensional_trial()
     return [
         _gauss_order(case),

@@ -1,4 +1,4 @@
-"""Section 3 of Reich (1993), orthogonality: what M-orthogonal means, and what it is worth."""
+"""Section 3 of Reich (1993), orthogonality: the meaning and the consequences of M-orthogonal steps."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SETTLED = 60
 
 
 def statements() -> list[Statement]:
-    """Return the statements of section 3 about orthogonality, measured now."""
+    """Return the measured statements of section 3 about orthogonality."""
     return [
         _midpoint_formula(),
         _not_symmetric(),

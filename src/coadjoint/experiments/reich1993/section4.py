@@ -45,7 +45,7 @@ def _systems() -> dict[str, tuple[LiePoissonSystem, npt.NDArray[np.float64]]]:
 
 
 def statements() -> list[Statement]:
-    """Return the statements of section 4, measured now."""
+    """Return the measured statements of section 4."""
     return [
         _order(),
         _symmetric(),
@@ -186,7 +186,7 @@ def _fourth_order() -> Statement:
 def _casimirs() -> Statement:
     worst = {}
     for name, (system, x) in _systems().items():
-        # On A3,7 everything is over by t = 20.
+        # On A3,7 the motion has decayed by t = 20.
         step = 0.01 if name == "A3,7" else STEP
         run = integrate(system, x, (0.0, STEPS * step), step, COORDINATES)
         bound = {
@@ -207,7 +207,7 @@ def _casimirs() -> Statement:
 
 
 def _size(casimir: object, x: npt.NDArray[np.float64]) -> float:
-    """Return the size of the terms of a Casimir along a run; 1 for a logarithm, whose error is a relative one."""
+    """Return the size of the terms of a Casimir along a run; 1 for a logarithm, whose error is relative."""
     if not isinstance(casimir, Polynomial):
         return 1.0
     largest = np.max(np.abs(x), axis=0)

@@ -14,16 +14,13 @@ from coadjoint.methods.base import Method
 from coadjoint.methods.gauss_legendre import GaussLegendre
 
 CAREFUL: dict[str, Method] = {"modified midpoint": MODIFIED, "splitting": SPLITTING, "implicit midpoint": MIDPOINT}
-SMALL = 0.2  # rad, 11 degrees; this can just be seen in the figures
+SMALL = 0.2  # rad, 11 degrees; just visible in the figures
 
 
 def statements(long_time: float = 500.0) -> list[Statement]:
-    """Return the statements of section 5.2, measured now.
+    """Return the measured statements of section 5.2; `long_time` is the end of the runs that follow a phase error.
 
-    Parameters
-    ----------
-    long_time : float
-        End of the runs that follow a phase error; the paper's claims are about "constantly" and "oscillates".
+    The paper's claims are about "constantly" and "oscillates".
     """
     calm = {name: body_run(method, CALM_START, long_time, CALM_STEP, 20) for name, method in CAREFUL.items()}
     return [
@@ -55,7 +52,7 @@ def _orthogonality_defect(run: BodyRun) -> float:
 def _attitude_update() -> Statement:
     runs = {name: body_run(method, BODY_START, BODY_LATER, BODY_STEP) for name, method in CAREFUL.items()}
     size = float(np.linalg.norm(BODY_START))
-    # Five rotations a step for the splitting.
+    # The splitting makes five rotations per step.
     bound = roundoff(5 * BODY_LATER / BODY_STEP, 1.0)
     worst = {name: (_momentum_defect(run) / size, _orthogonality_defect(run)) for name, run in runs.items()}
     return judged(

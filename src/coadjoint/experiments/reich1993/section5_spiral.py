@@ -23,12 +23,12 @@ MODIFIED = ModifiedGaussLegendre(stages=1, freeze="structure")
 
 
 def spiral_run(method: Method, a: float = A) -> Solution:
-    """Return the run of figure 1 or 2, every step saved."""
+    """Return the run of figure 1 or 2, with every step saved."""
     return integrate(paper_a37(a), SPIRAL_START, (0.0, SPIRAL_END), SPIRAL_STEP, method)
 
 
 def statements() -> list[Statement]:
-    """Return the statements of section 5.1, measured now."""
+    """Return the measured statements of section 5.1."""
     return [_flows(), _parameter(), _printed_casimir(), _figure_1(), _figure_2()]
 
 

@@ -19,7 +19,7 @@ from coadjoint.systems.paper_examples import paper_rigid_body
 
 
 def statements() -> list[Statement]:
-    """Return the statements of section 6, measured now."""
+    """Return the measured statements of section 6."""
     return [_perturbed_hamiltonian(), _lemma_6_1(), _bracket(), _remark_6_1()]
 
 
@@ -62,7 +62,7 @@ def _lemma_6_1() -> Statement:
     steps = [0.1 / 2**k for k in range(5)]
     slopes = {}
     for name, (method, invariant) in cases.items():
-        # Y^[3] is what (psi_h - phi_h) / h^3 tends to; the field of the subgroup is tangent to the level set.
+        # Y^[3] is the limit of (psi_h - phi_h) / h^3; the field of the subgroup is tangent to the level set.
         lead = [
             abs(float(gradients[invariant] @ (stepper(body, method, h)(x) - body.exact(x, h)))) / h**3 for h in steps
         ]

@@ -21,11 +21,11 @@ from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.quadratic import Quadratic
 from coadjoint.systems.separable import Separable
 
-COUNTS = (32, 64, 128, 256)  # every run compiles the functions anew
+COUNTS = (32, 64, 128, 256)  # few, since every run compiles the functions again
 
 
 def curved_structure(x: Any) -> Any:
-    """Return (1 + x1^2) times the structure matrix of so(3): a Poisson bracket that no Lie algebra has.
+    """Return (1 + x1^2) times the structure matrix of so(3): a Poisson bracket that is not linear.
 
     Examples
     --------
@@ -37,7 +37,7 @@ def curved_structure(x: Any) -> Any:
 
 
 def statements() -> list[Statement]:
-    """Return the statements of section 7, measured now."""
+    """Return the measured statements of section 7."""
     return [_other_bracket(), _separable()]
 
 

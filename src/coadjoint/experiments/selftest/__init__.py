@@ -1,1 +1,1 @@
-"""Does the installed package work on this machine? Checks that ship with it, behind `coadjoint selftest`."""
+"""Self-test of the installed package, run by `coadjoint selftest`."""

@@ -1,4 +1,4 @@
-"""The checks of the installed package: each yields what was measured, and what is allowed."""
+"""Checks of the installed package; each yields measurements with their bounds."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 STEP = 1 / 16
 LOST_ORDER = 0.5
-"""What a slope between two steps may miss of the order, before the steps are small."""
+"""Allowed deficit of the order measured from two finite steps."""
 CERTIFIED_STEPS = 100
-LONGEST = 32  # of what a scheme is called
+LONGEST = 32  # characters of the name of a scheme
 TOLD = {
     "symmetry": "a step back undoes a step",
     "reversibility": "reversible as the motion",
@@ -39,22 +39,16 @@ TOLD = {
     "reference": "limit of small steps",
     "attitude": "limit of group elements",
 }
-"""Rows of certificates that are shown, by the beginning of their keys."""
+"""Reported properties of certificates, by the beginning of their row keys."""
 
 
 def rounding(system: Any, steps: int, work: float) -> float:
-    """Return how far rounding may move a state of size one: 4 n u for each evaluation of each step.
-
-    Examples
-    --------
-    >>> rounding(systems()["so(3)"], 10, 1.0) < 1e-13
-    True
-    """
+    """Return the round-off bound of a state of size one: 4 n u per evaluation of each step (u = 2^-53)."""
     return 4.0 * float(system.dim) * UNIT_ROUNDOFF * steps * (work + 1.0)
 
 
 def motions() -> Iterator[Finding]:
-    """Hold a scheme of high order against states from 40 digits."""
+    """Compare a high-order scheme with reference states computed with 40 digits."""
     for key, reference in references().items():
         system = systems()[key]
         method: Method = IsospectralGauss(6) if isinstance(system, MatrixSystem) else GaussLegendre(6)
@@ -64,9 +58,9 @@ def motions() -> Iterator[Finding]:
 
 
 def orders() -> Iterator[Finding]:
-    """Measure the order of every scheme of constant steps by two of them, against states from 40 digits."""
+    """Measure the order of every constant-step scheme from two steps, against reference states of 40 digits."""
     for method in more_schemes():
-        if method.own_steps:  # how long they are does not follow from the step
+        if method.own_steps:  # their lengths do not follow from the step
             continue
         slopes = {}
         for key, system in served(method).items():
@@ -78,7 +72,7 @@ def orders() -> Iterator[Finding]:
                 errors.append(float(abs(found.x[-1] - references()[key]).max()))
                 work = found.stats.evaluations / found.stats.steps
                 floor = max(floor, rounding(system, found.stats.steps, work))
-            # At the floor of rounding there is no slope: what is there is exact.
+            # At the round-off floor there is no slope; the result is exact.
             slopes[key] = math.inf if errors[1] <= floor else math.log2(errors[0] / errors[1])
         told = [key for key, slope in slopes.items() if slope < math.inf]
         if told:
@@ -90,9 +84,9 @@ def orders() -> Iterator[Finding]:
 
 
 def certificates() -> Iterator[Finding]:
-    """Certify schemes on every system that they serve; yield for each property who comes nearest to failing.
+    """Certify schemes on every supported system; yield for each property the case nearest to failing.
 
-    Those whose steps are of their own lengths are left out: their certificates take half a minute.
+    Schemes that choose their own steps are omitted: their certificates take half a minute.
     """
     rows: dict[str, list[tuple[str, Row]]] = {}
     lacking, count = [], 0
@@ -122,7 +116,7 @@ def _part(row: Row) -> float:
 
 
 def same_bits() -> Iterator[Finding]:
-    """Run members alone, in company, on threads, saved and watched or not; count those whose bits differ."""
+    """Run members alone, in ensembles, on threads, saved and watched or not; count those whose bits differ."""
     alone, looked, tried = [], [], 0
     for method in more_schemes():
         for key, system in served(method).items():
@@ -145,7 +139,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def plain_reading() -> Iterator[Finding]:
-    """Take a step by the compiled kernels and one in Python; yield the scheme whose two differ most."""
+    """Compare a step of the compiled kernels with one in Python; yield the scheme with the largest difference."""
     worst, tried = (0.0, 1.0, ""), 0
     for method in more_schemes():
         for key, system in served(method).items():
@@ -161,7 +155,7 @@ def plain_reading() -> Iterator[Finding]:
 
 
 def resumed() -> Iterator[Finding]:
-    """Cut runs and go on from their archives; count those whose bits differ from the run that was not cut."""
+    """Interrupt runs and resume their archives; count those whose bits differ from the uninterrupted run."""
     missing = [name for name in ("xarray", "zarr") if not installed(name)]
     if missing:
         extra = EXTRAS[missing[0]]

@@ -1,4 +1,4 @@
-"""What does one check of the installed package say: what was measured, and what is allowed?"""
+"""Result of one self-test check: measurement and bound."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Finding:
-    """One check.
+    """Result of one check of the installed package.
 
     Parameters
     ----------
     what : str
-        What was looked at.
+        The checked property.
     measured : float
-        The number that decides.
+        The measured value.
     allowed : float
-        What it is compared with.
+        The bound.
     where : str
-        What it belongs to: the scheme and the system that come nearest to failing.
+        The scheme and system nearest to failing.
     least : bool
-        Whether it must be at least what is allowed, as an order; otherwise at most.
+        Whether the bound is a lower one, as for an order; otherwise an upper one.
     skipped : str
-        Why nothing was measured, or empty.
+        Reason why the check was skipped, or empty.
 
     Examples
     --------
@@ -42,7 +42,7 @@ class Finding:
 
     @property
     def passed(self) -> bool:
-        """Whether it holds; what was skipped does not fail."""
+        """Whether the measurement satisfies its bound; skipped checks pass."""
         if self.skipped:
             return True
         return self.measured >= self.allowed if self.least else self.measured <= self.allowed

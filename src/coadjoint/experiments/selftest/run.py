@@ -1,4 +1,4 @@
-"""All checks of the installed package, one after the other."""
+"""Run all checks of the installed package."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ CHECKS = (motions, orders, certificates, same_bits, plain_reading, resumed)
 
 
 def selftest() -> Iterator[Finding]:
-    """Check the installed package on this machine; return each measurement with its bound.
+    """Check the installed package on this machine; yield each measurement with its bound.
 
-    For machines, compilers and versions of packages on which nobody has tried it. All schemes of the library are tried,
-    on seven systems; nothing that an extra brings is needed, and what is skipped without one says so.
+    For untested machines, compilers and package versions. All schemes of the library are tried on seven systems; no
+    optional package is required, and checks that need one are skipped with the reason.
 
     Yields
     ------
     Finding
-        One for each check; `Finding.passed` says whether it holds.
+        One per check; `Finding.passed` is the verdict.
 
     Examples
     --------
@@ -36,6 +36,6 @@ def selftest() -> Iterator[Finding]:
                 warnings.simplefilter("ignore")
                 found.extend(check())
         except Exception as error:
-            # A check that cannot be made has failed, and the others are still to be made.
+            # A check that raises an error has failed; the others still run.
             found.append(Finding(f"{check.__name__} ended", 1.0, 0.0, in_one_line(f"{type(error).__name__}: {error}")))
         yield from found

@@ -1,4 +1,4 @@
-"""On which systems, and with which schemes, is the installed package tried?"""
+"""Systems and schemes of the self-test."""
 
 from __future__ import annotations
 
@@ -35,13 +35,7 @@ NAMES = {
 
 @cache
 def systems() -> Mapping[str, Any]:
-    """Return the systems by the name of their algebra: bodies, a top, a solvable algebra, matrices.
-
-    Examples
-    --------
-    >>> {key: system.name for key, system in systems().items()}["A3,7"]
-    'paper_a37'
-    """
+    """Return the systems by the name of their algebra: bodies, a top, a solvable algebra, matrices."""
     known = ready_made_systems()
     found = {key: known[name]() for key, name in NAMES.items() if name not in ("", "torus_euler")}
     found["su(3)"] = LiePoissonSystem(catalogue.get("su(3)"), Quadratic(np.linspace(0.5, 2.25, 8)), name="su(3)")
@@ -50,13 +44,7 @@ def systems() -> Mapping[str, Any]:
 
 
 def state_of(system: Any, number: int = 0) -> Array:
-    """Return a state: cosines of whole numbers, the first of which is 1 + `number`; below the diagonal of a matrix.
-
-    Examples
-    --------
-    >>> state_of(systems()["so(3)"]).round(3).tolist()
-    [0.54, -0.416, -0.99]
-    """
+    """Return a state of cosines of 1 + `number`, 2 + `number`, ...; a random one for complex matrices."""
     if not isinstance(system, MatrixSystem):
         return np.cos(1.0 + number + np.arange(system.dim))
     if system.complex:
@@ -65,7 +53,7 @@ def state_of(system: Any, number: int = 0) -> Array:
 
 
 def as_matrix(entries: Array, n: int) -> Array:
-    """Return the skew matrix with entries below the diagonal, row by row.
+    """Return the skew matrix with the given entries below the diagonal, row by row.
 
     Examples
     --------
@@ -79,49 +67,25 @@ def as_matrix(entries: Array, n: int) -> Array:
 
 @cache
 def references() -> Mapping[str, Array]:
-    """Return where the motions are at t = 1, from 40 digits; the torus has none.
-
-    Examples
-    --------
-    >>> sorted(references())
-    ['A3,7', 'se(3)', 'so(3)', 'so(4)', 'so(5)', 'su(3)']
-    """
+    """Return reference states at t = 1, computed with 40 digits; the torus has none."""
     file = importlib.resources.files(__package__) / "references.json"
     found = json.loads(file.read_text(encoding="utf-8"))["states"]
     return {key: as_matrix(np.array(state), 5) if key == "so(5)" else np.array(state) for key, state in found.items()}
 
 
 def schemes(place: int = 0) -> list[Method]:
-    """Return one example of every scheme of the library, the first one by default.
-
-    Examples
-    --------
-    >>> len(schemes()) >= 14
-    True
-    """
+    """Return one example of every scheme of the library, by default the first."""
     kinds = [registry.scheme(name) for name in registry.names()]
     return [kind.examples()[place] for kind in kinds if kind.__module__.startswith("coadjoint.")]
 
 
 def more_schemes() -> list[Method]:
-    """Return the last example of every scheme too, such as one of a higher order.
-
-    Examples
-    --------
-    >>> len(more_schemes()) > len(schemes())
-    True
-    """
+    """Return the first and last example of every scheme, such as one of a higher order."""
     return list(dict.fromkeys([*schemes(), *schemes(-1)]))
 
 
 def served(method: Method) -> dict[str, Any]:
-    """Return the systems that a scheme serves, by name.
-
-    Examples
-    --------
-    >>> list(served(registry.get("IsospectralGauss")))
-    ['so(5)', 'torus']
-    """
+    """Return the systems that a scheme supports, by name."""
     found = {}
     for key, system in systems().items():
         try:
