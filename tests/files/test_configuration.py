@@ -82,7 +82,7 @@ def test_catalogue_attitude_ensemble_and_observed(written):
             [("step = 0.1", "step = 0.1\nqqq = 1")],
             "run.qqq: unknown key; known here: accuracy, save_every, step, t_eval, t_span, threads, watch, workers",
         ),
-        ([("step = 0.1", "")], "run: step is missing; give it, or the accuracy for which it is to be chosen"),
+        ([("step = 0.1", "")], "run: step is missing; give step, or accuracy to have it chosen"),
         ([("step = 0.1", 'step = "0.1"')], "run.step: must be a number, not '0.1'"),
         ([("step = 0.1", "step = -0.1")], "run.step: must be greater than 0.0, not -0.1"),
         ([("step = 0.1", "step = 0.1\nsave_every = 2.0")], "run.save_every: must be a whole number, not 2.0"),

@@ -95,7 +95,8 @@ class PartsOfSteps:
         Parameters
         ----------
         momenta : ndarray, shape (m, size)
-            States as a run saves them, the accounts of forces behind the coordinates. Rows that are not finite stay NaN.
+            States as a run saves them, with the accounts of forces behind the coordinates. Rows that are not finite
+            are returned as NaN.
         groups : ndarray, shape (m, d*d) or (m, 0)
             Group elements as the loops store them: transposed, and without the shift of the Hamiltonian.
         times, lengths : ndarray, shape (m,)

@@ -77,7 +77,7 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     wanted, way = np.atleast_1d(given), 1.0 if solution.t_span[1] >= solution.t_span[0] else -1.0
     ends = _ends(solution)
     if solution.failed is not None and (solution.failed & np.isnan(ends)).any():
-        raise ValueError("members of the run have failed; integrate only the others to compute their states at any time")
+        raise ValueError("members of the run have failed; integrate the others alone for states at any time")
     known = np.append(solution.t_span[0], solution.t)  # t_eval may omit the start
     end = float(solution.t[-1]) if solution.t_eval is None else solution.t_span[1]
     saved = way * known

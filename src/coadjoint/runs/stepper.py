@@ -106,8 +106,8 @@ class Stepper:
         t : float
             Time at the start of the step.
         attitude : True or "coadjoint", optional
-            Representation of the group elements: that of the system, or the coadjoint one. None is the former if the system
-            has a representation.
+            Representation of the group elements: that of the system, or the coadjoint one. None is the former if the
+            system has a representation.
         **inputs : array_like
             Values of the prepared inputs, as in `PreparedRun.run`.
 

@@ -151,8 +151,8 @@ def _say_once(scheme: type) -> None:
         return
     _said.add(scheme)
     warnings.warn(
-        f"the tangents of {scheme.__name__} are computed in Python, about a hundred times slower than those of flow and "
-        "Runge-Kutta methods, which are compiled",
+        f"the tangents of {scheme.__name__} are computed in Python, about a hundred times slower than those of flow "
+        "and Runge-Kutta methods, which are compiled",
         RuntimeWarning,
         stacklevel=2,
     )
