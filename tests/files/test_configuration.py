@@ -152,9 +152,9 @@ def test_wrong_ready_made(written, changes, said):
         ),
         ([("sign = -1", "sign = 2")], "sign: must be 1 or -1, not 2"),
         ([("sign = -1", "sign = true")], "sign: must be 1 or -1, not True"),
-        ([("[hamiltonian]\nM = [1.0, 0.5, 0.25]", "")], "hamiltonian: is missing; give it beside [algebra]"),
+        ([("[hamiltonian]\nM = [1.0, 0.5, 0.25]", "")], "hamiltonian: is missing; give it with [algebra]"),
         ([("M = [1.0, 0.5, 0.25]", "")], "hamiltonian.M: is missing; give M, linear or both, or polynomial"),
-        ([("0.25]", '0.25]\npolynomial = "x1"')], "hamiltonian.M: is given beside polynomial; write all of it there"),
+        ([("0.25]", '0.25]\npolynomial = "x1"')], "hamiltonian.M: is given with polynomial; include it there"),
         (
             [("M = [1.0, 0.5, 0.25]", "M = [1.0, 0.5]")],
             "hamiltonian: M has 2 entries; the algebra has dimension 3; give 3",

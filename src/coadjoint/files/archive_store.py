@@ -98,9 +98,7 @@ def path_of(given: Any) -> Path:
 
 
 class Kept(NamedTuple):
-    """A state stored in an archive: its file in the hidden folder, the SHA-256 of the file, and further plain
-    numbers.
-    """
+    """Entry of a stored state: its file in the hidden folder, the SHA-256 of the file, and further plain numbers."""
 
     file: str
     digest: str
@@ -141,9 +139,7 @@ class ArchiveStore:
 
     @classmethod
     def opened(cls, path: Path) -> ArchiveStore:
-        """Open an existing archive to resume it; remove what a killed process has left. ArchiveError if it is
-        locked.
-        """
+        """Open an archive to resume it, and remove what a killed process has left; ArchiveError if it is locked."""
         read_root(path)
         folder, lock = open_folder(path), None
         try:
@@ -186,9 +182,7 @@ class ArchiveStore:
         self.folder.close()
 
     def check_lock(self) -> None:
-        """Raise ArchiveReplaced if the lock file was replaced, so that another process may be writing; OSError if it is
-        gone.
-        """
+        """Raise ArchiveReplaced if the lock file was replaced (another process may write); OSError if it is gone."""
         if self._lock is None:
             return
         try:
@@ -432,9 +426,7 @@ def read_array(
 
 
 def read_kept(path: Path, kept: Kept) -> dict[str, NDArray[Any]]:
-    """Return the numbers and arrays written by `ArchiveStore.keep`; ArchiveError if the file is missing or was
-    changed.
-    """
+    """Return the numbers and arrays of `ArchiveStore.keep`; ArchiveError if the file is missing or was changed."""
     if not (kept.file.startswith(STATE) and kept.file.replace("-", "_").replace(".", "_").isidentifier()):
         raise ArchiveError(f"{path}: a state is called {short(kept.file)}, which is no plain name")
     try:

@@ -20,8 +20,9 @@ from coadjoint.runs.solution import Statistics
 
 
 class ArchivedEnsemble(ArchivedSolution):
-    """An ensemble in an archive, as of the time it was opened; all times are present, with NaN for what is not computed
-    yet.
+    """An ensemble in an archive, as of the time it was opened.
+
+    All times are present from the beginning; what is not computed yet is NaN, and `status` has the progress.
 
     Attributes
     ----------

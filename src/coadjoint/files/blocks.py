@@ -73,8 +73,7 @@ def blocks_of(members: int, size: int) -> list[Block]:
 
 
 def size_of_blocks(members: int, numbers: int, workers: int) -> int:
-    """Return the default block size: several blocks per worker for load balance, with full lanes and chunks of limited
-    size.
+    """Return the default block size: several blocks per worker for load balance, full lanes, and limited chunks.
 
     Examples
     --------
@@ -88,9 +87,7 @@ def size_of_blocks(members: int, numbers: int, workers: int) -> int:
 
 
 class Marker(NamedTuple):
-    """Progress of a block: plain numbers and text `about` steps, work and failure, and the arrays from which it
-    resumes.
-    """
+    """Progress of a block: plain numbers and text `about` it, and the arrays `stored` from which it resumes."""
 
     about: dict[str, Any]
     stored: dict[str, NDArray[Any]]

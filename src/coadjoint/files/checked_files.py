@@ -137,9 +137,7 @@ def _files(folder: Path, before: str = "") -> Iterator[str]:
 
 
 def _take(arrays: dict[str, dict[str, Any]], name: str, found: Mapping[str, Any]) -> None:
-    """Register an array of a Zarr store from its metadata, of format 2 or 3; reject what plain xarray does not
-    write.
-    """
+    """Register an array of a Zarr store (format 2 or 3) from its metadata; reject what plain xarray does not write."""
     if "shape" not in found:
         return
     if not name.isidentifier():

@@ -43,8 +43,7 @@ class ConfigurationError(OneLineError):
 
 @contextmanager
 def section(name: str, key: str) -> Iterator[None]:
-    """Convert errors of the library inside the context to `ConfigurationError` with the file `name` and the dotted
-    `key`.
+    """Convert errors inside the context to `ConfigurationError` with the file `name` and the dotted `key`.
 
     Converted are ValueError, TypeError, arithmetic and recursion errors, and MemoryError.
 
@@ -98,7 +97,7 @@ def _hamiltonian_part(name: str, file: File) -> System:
         wrong.tell()
         return made
     if file.hamiltonian is None:
-        raise ConfigurationError(f"{name}: hamiltonian: is missing; give it beside [algebra]")
+        raise ConfigurationError(f"{name}: hamiltonian: is missing; give it with [algebra]")
     assert file.algebra is not None
     if file.algebra.brackets is not None:
         _check_dimension(name, file.algebra, file.initial.x)
@@ -195,7 +194,7 @@ def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra) -> Any
         for key in ("M", "linear", "constant"):
             if getattr(table, key) is not None:
                 raise ConfigurationError(
-                    f"{name}: hamiltonian.{key}: is given beside polynomial; write all of it there"
+                    f"{name}: hamiltonian.{key}: is given with polynomial; include it there"
                 )
         with section(name, "hamiltonian.polynomial"):
             return read_polynomial(table.polynomial, algebra.dim)

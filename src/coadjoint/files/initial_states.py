@@ -16,10 +16,9 @@ SUFFIX = ".npy"
 
 
 def initial_state(system: Any, given: Any, folder: Path) -> Any:
-    """Return the initial state or states as `integrate` takes them, from numbers or a file ``.npy`` relative to
-    `folder`.
+    """Return the initial state or states as `integrate` takes them, from numbers or a file ``.npy``.
 
-    Entries of complex matrices may be pairs of real and imaginary part.
+    Relative file names begin at `folder`. Entries of complex matrices may be pairs of real and imaginary part.
 
     Examples
     --------

@@ -72,9 +72,7 @@ def lengthen(store: ArchiveStore, ready: PreparedRun, times: Times, start: Start
 def _worst(
     store: ArchiveStore, kept: list[Kept], ready: PreparedRun, times: Times, start: Start
 ) -> NDArray[np.float64]:
-    """Return the largest deviations in each tenth of a longer run, over the steps up to the last of the given
-    states.
-    """
+    """Return the largest deviations in each tenth of a longer run, over the steps up to the last given state."""
     worst: NDArray[np.float64] | None = None
     before: dict[str, Any] | None = None
     for state in kept:

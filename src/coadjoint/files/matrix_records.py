@@ -18,8 +18,9 @@ KEYS = ("name", "matrices", "layers", "stream", "second_stream", "linear", "ener
 
 
 def matrix_record(system: MatrixSystem) -> dict[str, Any]:
-    """Return a matrix system as plain numbers, lists and text; streams of other kinds, such as functions, are not
-    stored.
+    """Return a matrix system as plain numbers, lists and text.
+
+    Streams that are functions, or of a class of another package, are not stored.
 
     Examples
     --------

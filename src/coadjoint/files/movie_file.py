@@ -33,9 +33,7 @@ class Frames(Protocol):
 
 
 def check_movie(path: str | Path) -> Path:
-    """Validate the path of a movie, ``.mp4`` or ``.gif``; OutputError as for `check_target`, or if ffmpeg is
-    missing.
-    """
+    """Validate the path of a movie, ``.mp4`` or ``.gif``, as `check_target`; OutputError if ffmpeg is missing."""
     target = check_target(path, MOVIES)
     if target.suffix == ".mp4" and _ffmpeg() is None:
         raise OutputError(f"{path}: MP4 needs the program ffmpeg, which was not found; install it, or give a .gif")
@@ -57,9 +55,7 @@ def check_speed(fps: float, target: Path) -> float:
 
 
 def write_movie(frames: Frames, target: Path, fps: float) -> None:
-    """Write a movie atomically, to a target of `check_movie` at a rate of `check_speed`; OutputError if ffmpeg
-    fails.
-    """
+    """Write a movie atomically, to a target of `check_movie` and at a rate of `check_speed`."""
     with Unfinished(target) as unfinished:
         (_write_gif if target.suffix == ".gif" else _write_mp4)(frames, unfinished.place, fps)
         unfinished.finish()

@@ -146,9 +146,7 @@ class SteadfastFile:
 
 
 def write_netcdf(dataset: xarray.Dataset, path: Path, writing: Callable[[], AbstractContextManager[None]]) -> None:
-    """Write a dataset to a new NetCDF 4 file; `writing` as for `SteadfastFile`. OSError, for instance for a full
-    disk.
-    """
+    """Write a dataset to a new NetCDF 4 file; `writing` as for `SteadfastFile`."""
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 

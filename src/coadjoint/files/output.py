@@ -61,12 +61,12 @@ def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
     >>> check_target("run.csv")
     Traceback (most recent call last):
     ...
-    coadjoint.files.output.OutputError: run.csv: the suffix says the format; it must be .nc or .zarr
+    coadjoint.files.output.OutputError: run.csv: the suffix sets the format; it must be .nc or .zarr
     """
     target, allowed = read_path(path, "path"), tuple(suffixes)
     if target.suffix not in allowed:
         listed = " or ".join(part for part in (", ".join(allowed[:-1]), allowed[-1]) if part)
-        raise OutputError(f"{path}: the suffix says the format; it must be {listed}")
+        raise OutputError(f"{path}: the suffix sets the format; it must be {listed}")
     need(f"{path}: {NAMED[target.suffix]}", *PACKAGES[target.suffix])
     try:
         if not target.parent.is_dir():

@@ -44,9 +44,7 @@ class ReadSolution(Solution):
 
     @cached_property
     def system(self) -> Any:
-        """The system of the run; if it contains functions, which are not stored, it must be given to `open_archive` or
-        `load`.
-        """
+        """The system of the run; if it contains functions, which are not stored, it must be given on opening."""
         return self._inputs["system"]
 
     @cached_property

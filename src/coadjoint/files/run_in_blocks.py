@@ -58,7 +58,7 @@ class Team(NamedTuple):
 def team_of(client: Any, workers: Any, threads: Any) -> Team:
     """Validate client, workers and threads."""
     if client is not None and workers is not None:
-        raise TypeError("ensemble was given a client and workers; give only one of them: workers are processes of this machine")
+        raise TypeError("ensemble was given a client and workers; give only one: workers are processes of this machine")
     if client is not None:
         need("ensemble(client=)", "distributed")
         from distributed import Client

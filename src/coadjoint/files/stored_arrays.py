@@ -123,9 +123,7 @@ class StoredArray(NamedTuple):
         return self.chunks_in([range(a, a + n) for a, n in zip(first, shape, strict=True)])
 
     def chunks_in(self, part: Sequence[range]) -> Iterator[tuple[tuple[int, ...], Any, Any]]:
-        """Yield the chunks that intersect ascending ranges of entries: chunk indices, and slices of the chunk and of
-        the part.
-        """
+        """Yield the chunks that intersect ascending ranges of entries: indices, and slices of chunk and part."""
         along = [range(r[0] // c, r[-1] // c + 1) if r else range(0) for r, c in zip(part, self.chunk, strict=True)]
         for place in itertools.product(*along):
             inside, outside = [], []

@@ -147,9 +147,7 @@ class Loops(ABC):
         return
 
     def measured_at(self, states: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return the invariants that the loops do not track, of states (m, size) at times (m,); None if there are
-        none.
-        """
+        """Return the invariants that the loops do not track, of states (m, size) at times (m,), or None."""
         return None
 
     @property

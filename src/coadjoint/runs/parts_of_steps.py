@@ -29,9 +29,7 @@ FEW_ROWS = 256
 
 
 def check_no_noise(system: Any) -> None:
-    """Reject a system with a random force, whose increment over a partial step is not determined by that of the
-    whole.
-    """
+    """Reject a system with noise: its increment over a partial step is not determined by that of the whole step."""
     moved = system[0] if isinstance(system, Batch) else system
     if isinstance(moved, ForcedSystem):
         noises = [label for label, force in zip(moved.labels, moved.forces, strict=True) if force.random]

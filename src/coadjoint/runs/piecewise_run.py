@@ -29,8 +29,8 @@ NEVER = np.array([-1.0, np.nan])
 class PiecewiseRun:
     """A run that holds only its most recent saved points: those since `let_go`, at most `most` of them.
 
-    Blocks of points end at multiples of `most`, counted over the whole run; `stored` resumes a run. After an interrupt,
-    `torn` tells that the points in memory are not attributable to members; no further `piece` can be taken.
+    Pieces end at multiples of `most` points, counted over the whole run; `stored` resumes a run. `torn` is True if an
+    interrupt has left the saved points of a batch in an undefined order; no further `piece` can be taken.
     """
 
     def __init__(
@@ -93,9 +93,7 @@ class PiecewiseRun:
                 self.run.initial = first[np.argsort(order)]
 
     def piece(self) -> Solution:
-        """Return the run at the points in memory, with the drifts and the work of all steps so far; `let_go` must
-        follow.
-        """
+        """Return the points in memory, with drifts and work of all steps so far; must be followed by `let_go`."""
         run, order = self.run, self.run.loops.order
         if order is not None and self.number < run.times.steps:
             run.saved = run.saved.take(np.argsort(order), 1)

@@ -196,9 +196,7 @@ class PreparedRun:
         return self.follow(times, self.start(x0, attitude, values), progress, values, looked_for, moments)
 
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, Moments | None]:
-        """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times if `t_eval` is
-        given.
-        """
+        """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""
         times = times_between(span_of(t_span), self.step, save_every)
         moments = None if t_eval is None else moments_of(t_eval, times, save_every)
         if moments is not None and self.method.own_steps:
@@ -274,9 +272,7 @@ class PreparedRun:
         return self.system if values is None or self._inputs is None else self._inputs.system_of(values)
 
     def start(self, x0: Any, attitude: Any = None, values: NDArray[np.float64] | None = None) -> Start:
-        """Validate x0 and attitude, as in `run`, with the values from `values_of`; return an initial state for
-        `follow`.
-        """
+        """Validate x0 and attitude, as in `run`, with the values of `values_of`; return a start for `follow`."""
         representation = self._representations[0]
         if attitude is not None and (representation is None or isinstance(attitude, bool | str)):
             raise ValueError(

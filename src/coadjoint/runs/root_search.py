@@ -61,8 +61,7 @@ def roots(values: Values, before: Floats, after: Floats, least: Floats) -> Float
 
 
 def lowest(values: Values, count: int) -> tuple[Floats, Floats]:
-    """Minimize functions that are positive at 0 and at 1 by golden sections; stop at the first value that is not
-    positive.
+    """Minimize functions that are positive at 0 and at 1 by golden sections; stop at a value that is not positive.
 
     `values` as for `roots`; exact for unimodal functions. Return theta and value, (count,).
 

@@ -71,9 +71,7 @@ Pieces = Sequence[tuple[Tables, Whole | None]]
 
 
 def rows_of_pieces(pieces: Pieces, owners: Whole, workers: int, block: int) -> Rows:
-    """Return rows whose members have different tables, piece after piece; `owners` (m,) holds the member of each
-    row.
-    """
+    """Return rows of members with different tables, piece after piece; `owners` (m,) holds the member of each row."""
     found: list[Rows] = []
     begin = 0
     for tables, members in pieces:

@@ -235,9 +235,7 @@ class Run:
         return self.energy_error(int(self.times.saved[first]), float(whole.t[first]), partial)
 
     def fail(self, member: int, step: int, status: str, residual: float = np.nan, reason: str = "") -> None:
-        """Mark a member as failed in a step, from outside the loops; `reason` replaces the description of the
-        status.
-        """
+        """Mark a member as failed in a step, from outside the loops; `reason` replaces the text of the status."""
         state = self.state
         state["status"][member], state["step"][member] = codes("Status")[status], step
         state["residual"][member] = residual

@@ -85,9 +85,7 @@ class Drift(float):
 
     @property
     def growth(self) -> Any:
-        """Ratio of the last tenth to the first: 1 for a bounded error, 10 for linear growth, infinite if the first
-        is 0.
-        """
+        """Ratio of the last tenth to the first: 1 for bounded error, 10 for linear growth, inf if the first is 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.divide(self.tenths[..., -1], self.tenths[..., 0])
 

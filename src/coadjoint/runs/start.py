@@ -44,9 +44,7 @@ class Start(NamedTuple):
 
 
 def start_of(system: System | Batch, method: Method, x0: Any, attitude: Any) -> Start:
-    """Validate x0 and attitude, as in `integrate`; return copies. ValueError if they do not fit the system or the
-    scheme.
-    """
+    """Validate x0 and attitude, as in `integrate`, for a system and a scheme; return copies."""
     check_system(system)
     momenta, single = momenta_of(system, x0)
     return with_group(system, momenta, single, representations_of(system, method, attitude)[0], attitude)
@@ -158,11 +156,10 @@ def _ranks(matrices: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def representations_of(system: System | Batch, method: Method, attitude: Any) -> tuple[Representation, ...]:
-    """Return the representation of the group element, (n, d, d), "coadjoint" or None, for each system (one unless a
-    batch).
+    """Return the representation of the group element, (n, d, d), "coadjoint" or None, for each system.
 
-    ValueError: there is none, the scheme does not support it, or the members of a batch have matrices of different
-    sizes.
+    One unless `system` is a batch, whose members must have matrices of one size. ValueError if the scheme does not
+    support it.
     """
     if not isinstance(system, Batch):
         return (_representation(system, method, attitude),)

@@ -66,9 +66,7 @@ def _shown(value: Any) -> str:
 
 
 def state_at(solution: Solution, t: Any) -> StateAt:
-    """Return the states of a solution at times within its run, (k,) or a single one, in any order; see
-    `Solution.at`.
-    """
+    """Return the states of a solution at times within its run, (k,) or a single one; see `Solution.at`."""
     given = read_numbers(t, "t")
     if given.ndim > 1 or not given.size:
         raise ValueError(f"t has the shape {given.shape}; it must be a time, or a row of times")
