@@ -6,8 +6,8 @@ the hidden folder of the archive each block has::
     block-000012           its marker: progress, and the numbers from which it resumes
     block-000012.lock      locked while a process runs it
 
-A marker is replaced atomically, after all chunks that it refers to. A block is done when its marker says so. A damaged
-marker is ignored: the block is run again, with the same bits.
+A marker is replaced atomically, after all chunks that it refers to. A block is done when its marker records it as
+finished. A damaged marker is ignored: the block is run again, with the same bits.
 """
 
 from __future__ import annotations

@@ -193,9 +193,7 @@ def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra) -> Any
     if table.polynomial is not None:
         for key in ("M", "linear", "constant"):
             if getattr(table, key) is not None:
-                raise ConfigurationError(
-                    f"{name}: hamiltonian.{key}: is given with polynomial; include it there"
-                )
+                raise ConfigurationError(f"{name}: hamiltonian.{key}: is given with polynomial; include it there")
         with section(name, "hamiltonian.polynomial"):
             return read_polynomial(table.polynomial, algebra.dim)
     if table.M is None and table.linear is None:

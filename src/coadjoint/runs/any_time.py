@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 ROUNDINGS = 4
-"""A time within this many units in the last place of a step time is that step; ulps are those of the span's larger end.
-"""
+"""A time within this many units in the last place (of the larger end of the span) of a step is that step."""
 ROWS = 2**16
 """States processed at once."""
 

@@ -111,7 +111,8 @@ class PreparedRun:
         self.__dict__.update(state, _observed=None, _events=None, _making=threading.RLock(), _ends=[])
 
     def among(self, first: int, last: int, threads: int | None = None) -> PreparedRun:
-        """Return the run of the members `first` to `last` - 1 alone, bitwise equal to the run of all members.
+        """Return the run of the members `first` to `last` - 1 alone; each is bitwise equal to the member in the whole
+        run.
 
         The tables of a batch are reused. Members with noise keep the noise of their original numbers.
 

@@ -11,7 +11,7 @@ Floats = NDArray[np.float64]
 Values = Callable[[NDArray[np.int64], Floats], Floats]
 
 MOST_ROUNDS = 200
-"""Generous: a root takes about seven rounds; pure bisection from 1 to the smallest float stays below six times this."""
+"""Limit on the rounds of a search; a root takes about seven (bisection down to the smallest float: 1074)."""
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 NARROW = 2.0**-26
 """Bracket width at a minimum below which function values are indistinguishable, sqrt(2^-52)."""

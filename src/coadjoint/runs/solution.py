@@ -258,7 +258,7 @@ class Solution:
 
     @cached_property
     def t_eval(self) -> NDArray[np.float64] | None:
-        """The argument `t_eval`, sorted; None if steps were saved."""
+        """Output times given by `t_eval`; None if steps were saved."""
         return None if self._times.between is None else self.t
 
     @cached_property
